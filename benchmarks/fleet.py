@@ -26,7 +26,7 @@ import numpy as np
 
 from oed import build_study
 from oed.accuracy import error_maps
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation import identify
 from oed.history import FleetPrior, MachineInformation, fleet_prior
 from oed.measurement import Measurement

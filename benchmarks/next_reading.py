@@ -28,7 +28,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.coverage import table
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design import candidates
 from oed.measurement import Series, draw_readings
 from pkm_studies import shipped

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 

@@ -39,7 +39,7 @@ from benchmarks.blind.loading import Case
 from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
 from benchmarks.blind.true_law import true_law
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.cause.closure import Split, closure
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of

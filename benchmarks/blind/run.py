@@ -28,7 +28,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.model.effect import Effect
 from oed.noise import Laws, NoiseLaw
-from oed.result.gap import AnswerRecord, ClosureRecord
+from oed.result import AnswerRecord, ClosureRecord
 from pkm_campaign import Row
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from oed.base import units
-from oed.base.arrays import Array, Mask
+from oed import units
+from oed.base import Array, Mask
 from oed.dataset import Dataset
 from oed.measurement import Measurement, Series
 

@@ -16,7 +16,7 @@ from benchmarks.real_data.baselines import (
     plain_least_squares,
 )
 from benchmarks.real_data.entries import STUDIES, Entry
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset import Dataset
 from oed.estimation import identify
 from oed.measurement import Measurement, Series

@@ -20,9 +20,8 @@ import numpy as np
 
 from benchmarks.real_machines import world
 from oed.accuracy import ErrorMaps
-from oed.base.arrays import Array
-from oed.compensate.effects.absorbed import absorbing_shift
-from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
+from oed.base import Array
+from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
 from oed.estimation import Discrepancy, Estimate, identify
 from oed.gap.data import problem as problems
 

@@ -23,16 +23,16 @@ import numpy as np
 from benchmarks.real_machines import world
 from benchmarks.real_machines.__main__ import judge, slopes, tool_shifts
 from oed import posterior
-from oed.base.arrays import Array
-from oed.compensate.effects.absorbed import absorbing_shift
-from oed.compensate.effects.answer_fits import AnswerFits, with_constants
-from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
-from oed.compensate.effects.fit import (
+from oed.base import Array
+from oed.corrected import (
+    AnswerFits,
+    AnswerMixture,
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
+    with_constants,
 )
-from oed.compensate.effects.mixture import AnswerMixture, columns_of_forms
+from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
 from oed.estimation import identify
 from oed.gap import procedure
 from oed.gap.data import problem as problems
@@ -172,7 +172,7 @@ def _of_best(
         corrected.measurement, corrected.series, bench.y, corrected.estimate, rng, DRAWS
     )
     count = corrected.parameters
-    columns = columns_of_forms(corrected.forms)
+    columns = corrected.columns
     shifts = _shifts(bench, problem, columns, drawn.theta[:, count:])
     return Known(drawn.theta[:, :count], shifts)
 

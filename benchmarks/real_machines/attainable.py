@@ -21,12 +21,12 @@ import numpy as np
 
 from benchmarks.real_machines import world
 from oed.accuracy import error_maps
-from oed.base.arrays import Array, Index
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.base import Array, Index
 from oed.design import candidates
 from oed.design.blocks import information
 from oed.design.exchange import choose
 from oed.design.forms.variance import Variance
+from oed.effects import PlannedEffects
 from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
 from pkm_studies.resolve import effects_of_planned, pose_error_slopes

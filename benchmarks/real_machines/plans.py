@@ -23,8 +23,8 @@ import numpy as np
 from benchmarks.real_machines import world
 from benchmarks.real_machines.__main__ import judge
 from benchmarks.real_machines.attainable import MACHINES, effects_of, problem
-from oed.base.arrays import Array, Index
-from oed.compensate.effects.expected_columns import expected_columns
+from oed.base import Array, Index
+from oed.effects import expected_columns
 from oed.estimation import Discrepancy, identify
 from oed.gap.data import problem as problems
 

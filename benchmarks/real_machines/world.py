@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.second import adapter
 from benchmarks.second.cases import GENERATOR
 from oed import dataset
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement import Measurement
 from oed.model.effect import Effect
 from pkm_studies import study as studies

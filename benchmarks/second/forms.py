@@ -33,7 +33,7 @@ from benchmarks.second.adapter import MACHINES
 from benchmarks.second.cases import Case
 from benchmarks.second.replay import Generator
 from benchmarks.third import cases as third_cases
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams
 from oed.gap.data.metric import Metric

@@ -28,7 +28,7 @@ from benchmarks.second import noise_laws, observers, recorded
 from benchmarks.second.replay import Generator, Replay
 from benchmarks.second.score import SIX, TEN
 from oed.gap.cause.hypothesis import PRIOR
-from oed.result.gap import NO_GAP_PROBABILITY
+from oed.result import NO_GAP_PROBABILITY
 
 #: realizations of noise without the effect of a case, and with it
 HEALTHY, WITH_EFFECT = 60, 40

@@ -18,7 +18,7 @@ from scipy import linalg, special
 from benchmarks.second.noise_laws import Law, LawModel
 from benchmarks.second.observers import DrawnEffects
 from benchmarks.second.replay import Replay
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 #: first forms of a pair that are taken further under each law
 FIRST = 8

@@ -19,7 +19,7 @@ from scipy import linalg, special
 from scipy.stats import qmc
 
 from benchmarks.second.replay import Replay
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.noise_law import NoisePrior
 

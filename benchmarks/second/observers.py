@@ -23,7 +23,7 @@ from scipy import special
 from benchmarks.second import noise_laws
 from benchmarks.second.noise_laws import Law, LawModel
 from benchmarks.second.replay import Generator, Replay
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 EXACT, NAMED, ANY = "exact", "named", "any"
 #: draws of an effect on a machine of few legs, and of each further leg

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 #: (f(size), place): an effect's perturbation of the machine, as the generator draws it
 EffectDraw = tuple[Any, Mapping[str, Any]]

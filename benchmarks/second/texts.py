@@ -22,8 +22,9 @@ import numpy as np
 from benchmarks.exit_code import exit_code
 from benchmarks.second import adapter, cases
 from benchmarks.second.cases import Case
-from oed.base.whole_file import whole_file
-from oed.result import StudyResult, trust
+from oed import trust
+from oed.result import StudyResult
+from oed.safe_files import whole_file
 from pkm_reports import sections
 from pkm_reports.blocks import Block, Items, Notice, Paragraph, Picture, Table
 from pkm_studies import stages

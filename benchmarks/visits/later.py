@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.visits.rows import with_runs
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: largest share by which a repeated draw may miss the first session's change
 ALIKE = 1e-3

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: from the last reading of the first visit, between runs, and for a change (s)
 PAUSE, BETWEEN, CHANGE = 600.0, 120.0, 240.0

@@ -16,8 +16,8 @@ from benchmarks.second import cases as case_files
 from benchmarks.second.cases import Case
 from benchmarks.second.score import Scored
 from benchmarks.visits import later
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.gap import procedure
 from oed.gap.before import repeats, second_visit
 from oed.gap.before.second_visit import SecondVisit

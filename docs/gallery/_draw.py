@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from pkm_reports import style
 from pkm_reports.sections.figures import scene

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from my_machine import machine
 
-from oed import compensate
-from oed.base import units
+from oed import compensate, units
+from oed.mechanism import pose_error
 from oed.mechanism.kinematics import Kinematics
 
 result = json.loads(Path("fit/result.json").read_text(encoding="utf-8"))
@@ -38,8 +38,8 @@ for name, q, model in (
     ("after", after, identified),
 ):
     q_home = compensate.compensated_joints(kinematics, home, model)
-    error = compensate.pose_error(kinematics, command, q, true)
-    error = error - compensate.pose_error(kinematics, home, q_home, true)
+    error = pose_error(kinematics, command, q, true)
+    error = error - pose_error(kinematics, home, q_home, true)
     x, y, phi = np.sqrt(np.mean(error[:, [0, 1, 5]] ** 2, axis=0))
     turn = np.rad2deg(phi) * 3600
     print(f"{name}: x {x * 1e6:.1f} um, y {y * 1e6:.1f} um, phi {turn:.1f} arcsec rms")

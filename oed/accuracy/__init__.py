@@ -10,7 +10,7 @@ predict        the errors that a posterior predicts
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.accuracy.budget import budget_model

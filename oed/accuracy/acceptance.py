@@ -37,10 +37,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed.accuracy.conformity import measured_rms_within
-from oed.base.arrays import Array, Index
-from oed.base.linear_algebra import covariance_root
-from oed.result.acceptance import PositioningRecord, PromiseRecord, VerdictRecord
-from oed.result.verdict import Judgement
+from oed.base import Array, Index
+from oed.linear_algebra import covariance_root
+from oed.result import Judgement, PositioningRecord, PromiseRecord, VerdictRecord
 
 #: share of the shapes that no parameter makes
 SMOOTH = 0.5

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: machines drawn: the standard error of a probability is at most 0.0022
 DRAWS = 50_000

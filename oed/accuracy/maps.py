@@ -21,7 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL, pose_error

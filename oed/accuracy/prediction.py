@@ -31,10 +31,9 @@ from oed.accuracy.maps import (
     maps_by_reference,
     relative_to_reference,
 )
-from oed.base.arrays import Array
-from oed.base.linear_algebra import covariance_root
-from oed.result.mixture import NOTHING
-from oed.result.prediction import LEVELS
+from oed.base import Array
+from oed.linear_algebra import covariance_root
+from oed.result import LEVELS, NOTHING
 
 __all__ = [
     "ErrorMaps",

@@ -15,3 +15,9 @@ def rows_by_label(labels: NDArray[np.str_]) -> list[Index]:
     _, number, counts = np.unique(labels, return_inverse=True, return_counts=True)
     order = np.argsort(number, kind="stable")
     return np.split(order, np.cumsum(counts)[:-1])
+
+
+def grid_nodes(knots: tuple[Array, ...]) -> Array:
+    """Nodes (n, a) of a rectilinear grid, the last axis running fastest."""
+    mesh = np.meshgrid(*knots, indexing="ij")
+    return np.column_stack([axis.ravel() for axis in mesh])

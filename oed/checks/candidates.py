@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.mistakes import Given, MistakeTrial, trials
 from oed.checks.mistakes.scope import Scope, cuts_are_coarse, part_scopes, several_runs
 from oed.checks.mistakes.trial import OnScope, in_scopes

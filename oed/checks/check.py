@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.checks import copies, sentences
 from oed.checks.conditions import doubtful_conditions
 from oed.checks.explain import Explanation, explain
@@ -22,7 +22,7 @@ from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
 from oed.measurement import Measurement
-from oed.result.fit_limits import ALARM
+from oed.trust import ALARM
 
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
@@ -129,7 +129,7 @@ def check_session(
 
     `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
     in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
-    to `oed.result.fit_limits.GUESS` times as large are no bad fit. Raises AssemblyError where
+    to `oed.trust.GUESS` times as large are no bad fit. Raises AssemblyError where
     the nominal machine cannot be read.
     """
     ranges = predict_ranges(session, rng)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.findings import CheckFinding, Severity, listing
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import (

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.session import SessionReadings
 from oed.measurement import Series
 

@@ -14,14 +14,14 @@ import itertools
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.fit import Fit
 from oed.checks.screening import log_density_by_scale, scales_of_noise
 from oed.checks.session import SessionReadings
 from oed.measurement import reading_structure
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import NoisePrior, ResidualModel, log_prior_of_scale
-from oed.result.fit_limits import GUESS
+from oed.trust import GUESS
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
 LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import linalg, special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.fit import CANNOT_BE, Fit
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column

@@ -65,11 +65,6 @@ def rounded(value: float, sd: float) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def capital(text: str) -> str:
-    """A text with a capital at its beginning."""
-    return text[:1].upper() + text[1:]
-
-
 def listing(rows: Sequence[Row]) -> str:
     """`rows 3, 7, ...`."""
     shown = ", ".join(str(k) for k in rows[:NAMED])

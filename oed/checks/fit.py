@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.session import SessionReadings
 from oed.estimation import Minima, minimise
 from oed.mechanism.kinematics import AssemblyError

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.fit import Fit, residual_weights
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
-from oed.result.fit_limits import ALARM, GUESS, noise_ratio
+from oed.trust import ALARM, GUESS, noise_ratio
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg, special
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.checks.evidence import linear_readings
 from oed.checks.fit import Fit, residual_weights
 from oed.checks.goodness import (
@@ -34,7 +34,7 @@ from oed.noise_law import (
     ResidualModel,
     robust_residuals,
 )
-from oed.result.fit_limits import ALARM, GUESS
+from oed.trust import ALARM, GUESS
 
 #: rounds of tails and law
 ROUNDS = 3

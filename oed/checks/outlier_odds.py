@@ -44,7 +44,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.far_reading import LeaveOneOut
 from oed.noise_law import NORMAL, ErrorDensity, StudentT, scale_over_stated
 

@@ -20,7 +20,7 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.far_reading import (
     FarReading,
     LeaveOneOut,

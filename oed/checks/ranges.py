@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.session import SessionReadings
 from oed.measurement import draw_parameters
 

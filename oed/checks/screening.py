@@ -16,10 +16,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import explained_energy
+from oed.base import Array, Index, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.trial import MistakeTrial
+from oed.linear_algebra import explained_energy
 from oed.noise import Noise
 from oed.noise_law import log_prior_of_scale
 

@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 from scipy import spatial
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.session import SessionReadings
 from oed.dataset.file_rows import Row
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base import text
-from oed.base.arrays import Index
+from oed import text
+from oed.base import Index
 from oed.checks.copies import CoarseReadings, EqualReadings, coarse_columns
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading, other_number
-from oed.checks.findings import NAMED, CheckFinding, Severity, capital, listing
+from oed.checks.findings import NAMED, CheckFinding, Severity, listing
 from oed.checks.goodness import Goodness
 from oed.checks.outlier_odds import LOCATED, PROVEN
 from oed.checks.outliers import OutlierSearch
@@ -19,8 +19,9 @@ from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
 from oed.dataset.file_rows import Row
-from oed.result.fit_limits import GUESS
-from oed.result.goodness import without_rows
+from oed.result import without_rows
+from oed.text import capitalised
+from oed.trust import GUESS
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE = 10.0
@@ -139,7 +140,7 @@ def explained_by_law(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     """Residuals above the stated noise that a noise law from the readings explains."""
     misfit = _misfit(fitted, outliers)
     sentence = (
-        f"{capital(misfit)}: more than it explains. A larger noise, carried along a run or"
+        f"{capitalised(misfit)}: more than it explains. A larger noise, carried along a run or"
         " shared by it, explains them as well as an effect or a mistake that is not a"
         " usual one: read some poses again on the spot. If these readings agree, it is"
         " no noise."
@@ -285,7 +286,7 @@ def _contradiction(session: SessionReadings, one: FarReading) -> str:
     predicted = session.written(channel, session.y[one.value] - one.error)
     sd = session.fine(channel, abs(one.error / one.pull))
     return (
-        f"{capital(_place(session, one.value))} is {abs(one.pull):.3g} sigma from the"
+        f"{capitalised(_place(session, one.value))} is {abs(one.pull):.3g} sigma from the"
         f" {predicted} that all other readings predict for the pose of this row (sd {sd})"
     )
 

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base import units
-from oed.base.arrays import Array, Index, Mask
+from oed import units
+from oed.base import Array, Index, Mask
 from oed.dataset.columns import (
     ReadingsColumn,
     column_name,

@@ -1,52 +1,43 @@
 """Compensation: what a controller must be sent, and what stays uncorrected.
 
-Joints and commands follow through the closure, errors that come back at a place by a
-forecast grid, and those of states by tables (`oed.compensate.effects`).
+compensated_joints    joints that hold commands on a machine with other parameters
+joint_corrections     what a controller with the nominal model adds to its joints
+corrected_commands    commands that make it hold others
+command_of_pose       the command whose target is that of a pose
+undriven_components   pose components that no joint drives, in words
+joint_motion          motion of the driven components per unit of each joint
+GridAxis              a command coordinate of a table
+box_axes              the axes of a box of commands
+CommandGrid           a rectilinear grid of commands
+choose_command_grid   the coarsest grid that interpolates finely enough
+InterpolationTable    values on a rectilinear grid
+FurtherAxes           motions that would correct what the joints do not
+further_axes          those of a machine
+interpolation_errors  pose errors that a table's interpolation adds
+joint_errors          pose errors that rounded or missing numbers add
 """
 
-from oed.compensate.command_grid import (
-    CommandGrid,
-    GridAxis,
-    box_axes,
-    choose_command_grid,
-    joint_motion,
-)
-from oed.compensate.exact import (
-    command_of_pose,
-    compensated_joints,
-    corrected_commands,
-    joint_corrections,
-    undriven_components,
-)
-from oed.compensate.further_axes import FurtherAxes, FurtherAxis, further_axes
-from oed.compensate.table import InterpolationTable
-from oed.mechanism.error_model import ErrorModel, error_model
-from oed.mechanism.pose_errors import (
-    NO_TOOL,
-    component_errors,
-    pose_error,
-    twist_between,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "NO_TOOL",
-    "CommandGrid",
-    "ErrorModel",
-    "FurtherAxes",
-    "FurtherAxis",
-    "GridAxis",
-    "InterpolationTable",
-    "box_axes",
-    "choose_command_grid",
-    "command_of_pose",
-    "compensated_joints",
-    "component_errors",
-    "corrected_commands",
-    "error_model",
-    "further_axes",
-    "joint_corrections",
-    "joint_motion",
-    "pose_error",
-    "twist_between",
-    "undriven_components",
-]
+from oed.base import door
+
+if TYPE_CHECKING:
+    from oed.compensate.command_grid import (
+        CommandGrid,
+        GridAxis,
+        box_axes,
+        choose_command_grid,
+        joint_motion,
+    )
+    from oed.compensate.exact import (
+        command_of_pose,
+        compensated_joints,
+        corrected_commands,
+        joint_corrections,
+        undriven_components,
+    )
+    from oed.compensate.export_errors import interpolation_errors, joint_errors
+    from oed.compensate.further import FurtherAxes, further_axes
+    from oed.compensate.table import InterpolationTable
+else:
+    __getattr__ = door(__name__)

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Mask
-from oed.compensate.table import grid_nodes
+from oed.base import Array, Mask, grid_nodes
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
@@ -33,9 +32,6 @@ GROWTH = 1.0 / 16.0
 PLACES = 512
 #: what counts as equal places, m or rad
 SAME = 1e-9
-
-#: corrections (n, s, nq) of s states, at commands (n, n_dof)
-Correction = Callable[[Array], Array]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,11 +121,6 @@ class CommandGrid:
         return tuple(axis.turn for axis in self.axes)
 
 
-def fewest_commands(axes: Sequence[GridAxis]) -> int:
-    """Number of commands of the coarsest grid."""
-    return math.prod(axis.fewest for axis in axes)
-
-
 def box_axes(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
     """Axes of the box of commands (n, n_dof), SI.
 
@@ -184,7 +175,7 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
 
 def choose_command_grid(
     axes: tuple[GridAxis, ...],
-    correction: Correction,
+    correction: Callable[[Array], Array],
     motion: Callable[[Array], Array],
     target: Array,
     largest: int,
@@ -192,7 +183,7 @@ def choose_command_grid(
 ) -> CommandGrid:
     """The grid with about the fewest commands whose interpolation costs at most `target`.
 
-    correction  of the joints, tabled at the nodes
+    correction  (n, s, nq) of the joints in s states, at commands; tabled at the nodes
     motion      (n, k, nq) of the components per unit of each joint, at commands
     target      (k,) largest rms error by interpolation in any state, SI
     largest     number of commands
@@ -242,7 +233,9 @@ def _grown(counts: list[int], k: int, largest: int) -> list[int] | None:
     return None
 
 
-def _between(places: Array, k: int, knots: Array, correction: Correction) -> Array:
+def _between(
+    places: Array, k: int, knots: Array, correction: Callable[[Array], Array]
+) -> Array:
     """Corrections (n, s, nq) at places, in straight lines between the knots of axis k."""
     index = np.clip(np.searchsorted(knots, places[:, k]) - 1, 0, len(knots) - 2)
     low, high = places.copy(), places.copy()

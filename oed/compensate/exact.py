@@ -5,8 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.text import quantity
+from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.inverse import PATH_STEPS, AssemblyError, listed
@@ -14,6 +13,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.expressions import machine_expressions
 from oed.model.machine import Machine
+from oed.text import quantity
 
 #: Gauss-Newton steps from a command to a corrected one, and the step that ends them
 STEPS, STEP_TOLERANCE = 20, 1e-12

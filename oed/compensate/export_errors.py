@@ -10,15 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from oed.accuracy.maps import Reference, components_against
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.compensate import (
     FurtherAxes,
     InterpolationTable,
     compensated_joints,
     joint_corrections,
-    pose_error,
 )
 from oed.compensate.command_grid import CommandGrid
+from oed.mechanism import pose_error
 from oed.mechanism.kinematics import Kinematics
 
 #: places in a table's box over which its interpolation error is averaged

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import scipy  # its parts load when first used: checks need no interpolation
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,9 +56,3 @@ class InterpolationTable:
         for k in np.flatnonzero(self.turns):
             reduced[:, k] = low[k] + np.mod(reduced[:, k] - low[k], high[k] - low[k])
         return reduced
-
-
-def grid_nodes(knots: tuple[Array, ...]) -> Array:
-    """Nodes (n, a) of a rectilinear grid, the last axis running fastest."""
-    mesh = np.meshgrid(*knots, indexing="ij")
-    return np.column_stack([axis.ravel() for axis in mesh])

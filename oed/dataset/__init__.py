@@ -17,7 +17,7 @@ csv_output  readings to files
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.dataset.csv_input import from_tables, load, load_sessions

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
-from oed.base.text import suggest
+from oed.base import Array, Index
 from oed.dataset.columns import (
     COVARIATES,
     REQUIRED,
@@ -27,6 +26,7 @@ from oed.dataset.table import cell_remedy
 from oed.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate
+from oed.text import suggest
 
 #: SI amount by which a value may exceed its coordinate's range
 RANGE_SLACK = 1e-9
@@ -65,7 +65,7 @@ def check_columns(table: ReadingsFile, measurement: Measurement) -> None:
             names.append("temp_<body>_C")
             problem, remedy = (
                 "unknown column",
-                suggest(column.name, names, limit=LISTED),
+                suggest(column.name, names, "known", LISTED),
             )
         elif column.unit != unit:
             names = column_names(stem, unit) or [column_name(stem, unit)]
@@ -80,7 +80,7 @@ def check_setups(table: ReadingsFile, measurement: Measurement) -> None:
     setups = measurement.setups
     names = table.frame["setup"]
     for at in np.flatnonzero(~names.isin(setups).to_numpy())[:1]:
-        remedy = suggest(names[at], setups, limit=LISTED)
+        remedy = suggest(names[at], setups, "known", LISTED)
         raise table.error("no such set-up", remedy, int(at), "setup")
     channels = {c.name for s in setups.values() for c in s.instrument.channels}
     for name, setup in setups.items():

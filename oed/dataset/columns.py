@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from oed.base import units
+from oed import units
 from oed.model.instrument import Channel
 from oed.model.machine import Machine
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.dataset import checks, sessions, table
 from oed.dataset.columns import (
     ReadingsColumn,

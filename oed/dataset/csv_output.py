@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.base import csv_text
-from oed.base.arrays import Array
+from oed import csv_text
+from oed.base import Array
 from oed.dataset.columns import (
     REQUIRED,
     SIGMA,

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset.columns import ReadingsColumn
 from oed.measurement import Measurement, Series
 from oed.model.instrument import Channel, Setup

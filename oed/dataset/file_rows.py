@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: column of the covariates that states the file of each reading, where there are several
 FILE_COLUMN = "file"

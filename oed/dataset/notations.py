@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.model.machine import Coordinate
 
 #: values (n,) of a column as they should be, SI, from those of the file

@@ -8,10 +8,10 @@ from typing import Final
 
 import pandas as pd
 
-from oed.base.text import shorten
 from oed.dataset.columns import (
     ReadingsColumn,
 )
+from oed.text import shorten
 
 #: columns of a frame that no column of a file can have: the row's file and number
 FILE, ROW = "#file", "#row"

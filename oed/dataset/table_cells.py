@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from oed.base import csv_text
-from oed.base.arrays import Array, Index
+from oed import csv_text
+from oed.base import Array, Index
 from oed.dataset.columns import LABELS, ReadingsColumn
 from oed.dataset.dialect import Row
 from oed.dataset.readings_file import ReadingsError

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Mask
+from oed.base import Mask
 from oed.dataset.columns import (
     LABELS,
     SIGMA,

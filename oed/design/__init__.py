@@ -10,7 +10,7 @@ open_candidates   candidates in a file
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.design.candidate_file import open_candidates

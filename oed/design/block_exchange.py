@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.blocks import information
 
 #: gain in log det below which an exchange counts as none

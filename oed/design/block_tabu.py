@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.block_exchange import log_gains
 from oed.design.blocks import information
 

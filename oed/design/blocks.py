@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 
 #: rows beyond which a QR factorisation precedes the singular value decomposition
 MANY_ROWS = 20000

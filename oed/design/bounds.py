@@ -13,7 +13,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design import relaxation
 from oed.design.copies import find_copies
 from oed.design.forms import Criterion

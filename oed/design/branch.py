@@ -14,7 +14,7 @@ import itertools
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import exchange, relaxation
 from oed.design.blocks import as_blocks, information, project_on_estimable
 from oed.design.catalogue import CRITERIA

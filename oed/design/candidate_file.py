@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 
 class CandidateFile(Protocol):

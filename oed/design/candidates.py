@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.design.catalogue import CRITERIA
 from oed.design.forms import Criterion
 from oed.design.nuisances import Nuisances, no_nuisances

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms.protocol import Criterion
 
 #: what a criterion needs besides its name

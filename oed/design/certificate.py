@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: allowance for the rounding of a line's logarithms, in log phi
 ROUNDING = 1e-12

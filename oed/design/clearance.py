@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.segments import Capsule, segment_distance
 from oed.measurement import Measurement, Series
 from oed.mechanism.batch import BatchedFunction

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.eigenvalue_path import ROUNDING, EigenvaluePoint, follow
 from oed.design.interior import build_problem
 from oed.design.relaxation import Relaxation

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import cvxpy as cp
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design import relaxation
 from oed.design.blocks import as_blocks, information
 from oed.design.certificate import ROUNDING

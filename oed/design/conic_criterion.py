@@ -19,7 +19,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms import (
     Criterion,
     Determinant,

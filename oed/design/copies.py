@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 #: seed of the hash's multipliers
 SEED = 20260101

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.blocks import information
 from oed.design.certificate import knapsack_value
 from oed.design.forms.protocol import slopes

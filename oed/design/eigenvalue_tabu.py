@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.copies import Copies, find_copies
 from oed.design.tabu import better_half
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.forms import Criterion, ExtremeEigenvalues
 from oed.design.rules import Rules
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import (
     block_exchange,
     block_tabu,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.blocks import (
     Spectrum,
     as_blocks,

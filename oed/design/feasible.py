@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.special import ndtr
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.design.clearance import Clearance, Surroundings, cup_place
 from oed.design.segments import Point3
 from oed.measurement import Measurement, Series

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import exchange, relaxation
 from oed.design.blocks import as_blocks
 from oed.design.forms import LargestVariance, Variance

@@ -22,7 +22,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import relaxation
 from oed.design.blocks import as_blocks, information
 from oed.design.interior_step import Iterate, StepSystem

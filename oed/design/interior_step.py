@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.blocks import information
 from oed.design.forms.protocol import pairwise_traces, slopes
 

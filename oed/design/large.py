@@ -18,7 +18,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import exchange
 from oed.design.blocks import RANK, Spectrum, information, spectrum
 from oed.design.bounds import bound

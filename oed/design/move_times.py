@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 

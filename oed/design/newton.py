@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.objective import Objective
 
 #: Newton steps in a call, at the most

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: weight of the sum of log variances beside what is lacking to the limits
 BEYOND = 1e-2

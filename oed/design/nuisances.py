@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

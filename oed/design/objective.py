@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.blocks import information
 from oed.design.forms.protocol import Criterion, slopes
 from oed.design.whitening import EXACT, Rounding, gamma

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 #: most runs that are ordered exactly: 2^12 subsets
 EXACT = 12

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

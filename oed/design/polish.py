@@ -22,7 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms import Criterion, Determinant
 from oed.design.polish_program import PolishProgram
 from oed.design.reading_plan import (

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize, sparse
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.certificate import knapsack_value
 
 

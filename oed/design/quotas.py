@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import optimize
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

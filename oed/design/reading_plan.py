@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design import reading_slopes
 from oed.design.reading_slopes import TOOL
 from oed.measurement import Measurement, Series

@@ -21,7 +21,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.blocks import as_blocks, information
 from oed.design.certificate import ROUNDING, knapsack_value
 from oed.design.forms import Criterion, Determinant

@@ -23,7 +23,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import relaxation
 from oed.design.blocks import as_blocks
 from oed.design.catalogue import CRITERIA
@@ -33,7 +33,7 @@ from oed.design.objective import RIDGE, CriterionObjective, Tangent
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
-from oed.result.design import RobustSummary
+from oed.result import RobustSummary
 
 #: sharpness of the smoothed minimum over scenarios, from level to level
 SHARPNESS = (4.0, 16.0, 64.0, 256.0, 1024.0)

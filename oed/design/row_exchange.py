@@ -21,7 +21,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.forms.protocol import inverse, parts, quadratic_forms
 
 #: gain in log t below which an exchange counts as none

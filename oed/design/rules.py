@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
 

@@ -13,7 +13,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.design.order import Route
 
 #: relative tolerance of the longest time

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import tabu
 from oed.design.evaluator import PlanEvaluator
 from oed.design.quotas import QuotaSet

@@ -15,7 +15,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 Point3 = tuple[float, float, float]
 #: sine^2 of the angle between two segments below which they count as parallel

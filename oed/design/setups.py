@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import relaxation
 from oed.design.forms import Criterion
 from oed.design.plan_limits import SetupLimit

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.copies import find_copies
 
 #: plans that are searched together

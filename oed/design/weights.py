@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.blocks import as_blocks, information
 from oed.design.bounds import bound
 from oed.design.exchange import Choice, Problem, pose

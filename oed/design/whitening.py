@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.blocks import ILL, RANK, Spectrum, spectrum
 
 #: unit roundoff

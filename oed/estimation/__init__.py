@@ -18,7 +18,7 @@ with_warnings            an estimate with its sentences for the user
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.estimation.contradictions import contradicted_parameters, tolerance_factor

@@ -38,14 +38,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.estimation.estimate import Estimate
 from oed.estimation.law_stage import MAX_CORRELATED
 from oed.measurement import Measurement, Series
 from oed.model import Parameter
-from oed.result.fit import HeldParameter
-from oed.result.fit_limits import FAR
+from oed.result import HeldParameter
+from oed.trust import FAR
 
 #: probability that a study whose held values are exact has one reported
 FALSE_ALARM = 0.01

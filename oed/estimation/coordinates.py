@@ -17,10 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
-from oed.base.linear_algebra import canonical_rows, right_singular
+from oed.base import Array, Index
 from oed.estimation.fitter import minimise
 from oed.identifiability import analyse, information
+from oed.linear_algebra import canonical_rows, right_singular
 from oed.measurement import Measurement, Series
 from oed.noise import Noise
 

@@ -22,8 +22,8 @@ from typing import ClassVar
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import explained_energy
+from oed.base import Array, Index, Mask
+from oed.linear_algebra import explained_energy
 from oed.noise import Noise
 
 #: energy of a direction, over the largest, below which it is rounding

@@ -15,8 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
-from oed.base.linear_algebra import precision_root
+from oed.base import Array, Index
 from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.discrepancy import (
     Discrepancy,
@@ -24,6 +23,7 @@ from oed.estimation.discrepancy import (
     SampledEffects,
     sample_effects,
 )
+from oed.linear_algebra import precision_root
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import NoisePrior, ResidualModel, robust_residuals
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 if TYPE_CHECKING:
     from oed.estimation.coordinates import IdentifiableCoordinates

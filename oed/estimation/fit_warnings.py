@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.base import text, units
+from oed import text, units
 from oed.estimation.estimate import Estimate
 from oed.measurement import Measurement
-from oed.result.fit_limits import FAR, GUESS, chi2_is_large
+from oed.trust import FAR, GUESS, chi2_is_large
 
 #: distance from a bound, standard deviations, within which an estimate is near it
 BOUND_MARGIN = 2.0

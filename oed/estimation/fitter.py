@@ -23,7 +23,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.mechanism.kinematics import AssemblyError
 
 #: distance to the minimum, in posterior standard deviations, of the last step

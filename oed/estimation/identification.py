@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation import fit_warnings
 from oed.estimation.coordinates import ReadingsProblem
 from oed.estimation.discrepancy import Discrepancy

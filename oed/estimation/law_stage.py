@@ -28,7 +28,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.estimate import Estimate
 from oed.estimation.fit_stages import ReadingsFit, last_stage

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Mask
+from oed import units
+from oed.base import Array, Mask
 from oed.model.instrument import Setup
 from oed.noise import Laws
 from oed.noise_law import NoisePosterior
-from oed.result.goodness import NoiseRecord
+from oed.result import NoiseRecord
 
 #: probability from which on a departure from the stated noise is reported
 P_DEPARTURE = 0.95

@@ -20,10 +20,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg, special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.estimation.estimate import Estimate
 from oed.measurement import Measurement, Series
-from oed.result.goodness import LeftOutRun
+from oed.result import LeftOutRun
 
 #: probability below which a run is surprising, over the number of runs
 SURPRISE = 1e-3

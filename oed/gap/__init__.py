@@ -16,7 +16,7 @@ untestable      why readings cannot test an effect
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.gap.data.diagnosis import AnswerContent, Diagnosis

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.cause import advice, answers, closure, withheld
 from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
 from oed.gap.cause.explained import explain, nearest_effects
@@ -28,7 +28,7 @@ from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.model.effect import Effect
 from oed.noise import NoiseLaw
-from oed.result.gap import PlaceRecord
+from oed.result import PlaceRecord
 
 #: forms that an unknown remainder is reported to be like, at most, and the least
 #: probability of each

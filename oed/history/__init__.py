@@ -16,7 +16,7 @@ provable_growth     growth of an error that some number of sessions prove
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.history.fleet import FleetPrior, MachineInformation, fleet_prior

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.history.sessions import Session, likelihood
 
 #: middles of the steps of a spread over the tolerance

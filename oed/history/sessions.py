@@ -31,9 +31,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import optimize, special
 
-from oed.base.arrays import Array
-from oed.base.linear_algebra import covariance_root
+from oed.base import Array
 from oed.identifiability import analyse
+from oed.linear_algebra import covariance_root
 
 #: information about a change, in tolerances, below which it counts as undetermined: a
 #: standard deviation of ten tolerances

@@ -19,7 +19,7 @@ whiten                rows by the noise of their readings
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.identifiability.assessment import Assessment, assess, recoveries

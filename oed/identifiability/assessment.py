@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.identifiability import identifiability, information
 from oed.identifiability.identifiability import Identifiability
 from oed.measurement import Measurement, Series

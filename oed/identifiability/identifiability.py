@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import first_largest, right_singular
+from oed.base import Array, Index, Mask
+from oed.linear_algebra import first_largest, right_singular
 from oed.model.machine import Machine, PointGroup
 
 #: Singular values below this share of the largest count as zero. Exact zeros come out

@@ -17,7 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement import Measurement, Series
 from oed.noise import Noise
 

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.base import text, units
-from oed.base.arrays import Array, Index, Mask
+from oed import text, units
+from oed.base import Array, Index, Mask
 from oed.identifiability import identifiability
 from oed.identifiability.assessment import Assessment, Readings, recoveries
-from oed.result.identifiability import IdentifiabilityFinding
+from oed.result import IdentifiabilityFinding
 
 #: posterior over prior standard deviation above which a parameter counts as weak
 WEAK = 0.7

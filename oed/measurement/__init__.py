@@ -17,7 +17,7 @@ source_gradients           how readings move with the errors inside an instrumen
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.measurement.fixed_reading import commands_at_fixed_reading

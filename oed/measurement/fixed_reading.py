@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import elementwise
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.measurement.measurement import Measurement
 from oed.model.machine import Coordinate
 

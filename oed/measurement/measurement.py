@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.measurement.reading_noise import stated_noise
 from oed.measurement.setup_readings import Response, SetupReadings
 from oed.mechanism.kinematics import AssemblyError, Kinematics

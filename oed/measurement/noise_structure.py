@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import sparse
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_noise import decoupling, reading_covariances
 from oed.noise import NOTHING_STATED, NoiseStatement, ReadingStructure, SharedError

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement.setup_readings import SetupReadings
 from oed.model.instrument import Setup
 from oed.model.series import Series

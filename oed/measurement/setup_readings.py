@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_slopes import PoseAdjoints

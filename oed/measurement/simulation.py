@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.noise_structure import common_statement, reading_structure
 from oed.noise import Laws

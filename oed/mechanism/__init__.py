@@ -9,7 +9,7 @@ pose_error         the exact twist error of a machine at joints
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.mechanism.inverse import AssemblyError, InverseKinematics

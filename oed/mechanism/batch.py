@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.compiled.lanes import Adjoint, Evaluation, Newton, compiled
 from oed.mechanism.compiled.text import LaneJob
 from oed.mechanism.graph import Graph, read_graph

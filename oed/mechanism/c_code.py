@@ -10,7 +10,7 @@ import dataclasses
 
 import casadi as ca
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.inverse import joint_slopes
 from oed.model.expressions import MachineExpressions, machine_expressions
 from oed.model.machine import Expr, Machine

@@ -16,10 +16,10 @@ import casadi as ca
 import numpy as np
 from scipy import optimize
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.expressions import MachineExpressions, machine_expressions
 from oed.model.machine import Expr, Machine
-from oed.result.closest_closure import ClosestClosure, MachineShape
+from oed.result import ClosestClosure, MachineShape
 
 #: an equation is open above this share of the machine's lever
 OPEN = 1e-6

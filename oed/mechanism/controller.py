@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: what is added (n, nq) to the joints at commands (n, n_dof) that mean poses (n, nx), SI
 Corrections = Callable[[Array, Array], Array]

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 

@@ -14,7 +14,7 @@ import functools
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import ARRAY_SIZE, BatchedFunction
 from oed.mechanism.compiled.lanes import Newton

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.model.expressions import MachineExpressions

@@ -26,7 +26,7 @@ import functools
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.controller import Controller

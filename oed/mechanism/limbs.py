@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 
 #: change of a joint, m or rad, from which the motion of a strut's end is taken

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism import newton
 from oed.mechanism.kinematics import Kinematics
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 
 #: Newton stops after a step (m, rad) below this. Convergence is quadratic, so that the
 #: next step would be at rounding level.

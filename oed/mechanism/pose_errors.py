@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 
 #: the reference tool

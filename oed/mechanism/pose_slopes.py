@@ -16,7 +16,7 @@ import functools
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.forward import ForwardKinematics

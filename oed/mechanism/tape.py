@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.mechanism.graph import OPERATIONS, Graph
 
 #: bytes of a line of the processor's cache, or a multiple

@@ -19,7 +19,7 @@ mount                an instrument as a set-up
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.model.effect import Column, Effect, State

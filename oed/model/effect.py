@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Machine
 
 #: directions in which joints move the tool less than this share of the best are held

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from oed.base.orientation import Orientation
+from oed.base import Orientation
 from oed.model.machine import Expr, Machine, Parameter, Values
 from oed.noise import NOTHING_STATED, NoiseStatement
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
-from oed.base.orientation import Orientation
+from oed.base import Array, Mask, Orientation
 from oed.model.parameter import CommonTolerance as CommonTolerance
 from oed.model.parameter import Parameter as Parameter
 from oed.model.passive_joint import PassiveJoint

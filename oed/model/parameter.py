@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base import units
+from oed import units
 from oed.model.adjustment import Adjustment
 
 

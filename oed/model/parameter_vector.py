@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.model.instrument import Setup
 from oed.model.machine import Machine, Parameter
 

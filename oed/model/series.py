@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.model.instrument import Instrument, Protocol
 
 

@@ -14,7 +14,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: prior probability that a size is beyond what is usual
 FAR_SHARE = 0.1

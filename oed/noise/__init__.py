@@ -17,7 +17,7 @@ reach_phrase      how far an error is carried along a run, in words
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.noise.banded import SharedFactor

@@ -30,7 +30,7 @@ import functools
 import numpy as np
 from scipy.linalg import lapack
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 #: rows of a block
 ROWS = 32

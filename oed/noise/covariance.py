@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.noise.factor import Errors, LinearFactor, WideFactor, joined
 
 

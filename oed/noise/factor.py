@@ -29,7 +29,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.noise.banded import (
     ChainFactor,
     SharedFactor,

@@ -26,7 +26,7 @@ import math
 import numpy as np
 from scipy import sparse
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.noise.banded import ChainFactor, along_chains, taken_out
 from oed.noise.covariance import FactoredNoise, Noise
 from oed.noise.factor import Errors, LinearFactor, WideFactor

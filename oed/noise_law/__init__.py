@@ -19,7 +19,7 @@ scale_over_stated   noise over the stated one, at normal coordinates
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.noise_law.marginal import NoisePosterior, ResidualModel

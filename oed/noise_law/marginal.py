@@ -20,8 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
-from oed.base.linear_algebra import triangle_of_sums
+from oed.base import Array
+from oed.linear_algebra import triangle_of_sums
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law.prior import NoisePrior
 from oed.noise_law.proposal import (

@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 from scipy import optimize, special
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.noise import NOTHING_STATED, Laws, NoiseLaw, NoiseStatement, ReadingStructure
 
 #: degrees of freedom of the Student t that are tried

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.noise import (
     NOTHING_STATED,
     Laws,

@@ -21,8 +21,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize, special
 
-from oed.base.arrays import Array, Index
-from oed.base.linear_algebra import eigenvectors
+from oed.base import Array, Index
+from oed.linear_algebra import eigenvectors
 
 #: largest coordinate of a law that is looked at, prior sd
 MAX_COORDINATE = 8.0

@@ -17,7 +17,7 @@ to_arviz            the draws as ArviZ reads them
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from oed.posterior.chains import MIXED_RHAT

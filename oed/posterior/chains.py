@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.posterior.draws import Posterior
 from oed.posterior.ensembles import Ensembles
 from oed.posterior.log_density import LogDensity, OutOfBoundsError

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.base.whole_file import whole_file
+from oed.base import Array
+from oed.safe_files import whole_file
 
 #: attribute of a block that states to which chain it belongs
 FINGERPRINT = "fingerprint"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.base.own_files import write_own
-from oed.result.fit import EMCEE
+from oed.base import Array
+from oed.result import EMCEE
+from oed.safe_files import write_own
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.posterior.checkpoint import Chain, Checkpoint, open_chain
 from oed.posterior.log_density import LogDensity
 

@@ -15,12 +15,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.posterior.chains import arviz
 from oed.posterior.draws import Posterior
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
 from oed.posterior.proposals import Proposal, proposal_of
-from oed.result.fit import IMPORTANCE, largest_pareto_k
+from oed.result import IMPORTANCE, largest_pareto_k
 
 #: k beyond which more proposals are not worth a try
 HOPELESS_K = 1.0

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.mechanism.nearby_poses import NEAR_ERROR
 
 #: readings from which on interpolation is faster

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.base.linear_algebra import covariance_root
+from oed.base import Array
 from oed.estimation import Estimate
+from oed.linear_algebra import covariance_root
 from oed.measurement import Measurement, Series
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.model.series import take_values

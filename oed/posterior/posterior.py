@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import chains, importance

@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series, reading_structure
 from oed.noise import Laws, ReadingStructure
 from oed.posterior.posterior import Posterior
-from oed.result.fit import PredictiveCheckRecord
+from oed.result import PredictiveCheckRecord
 
 #: draws that are compared
 DRAWS = 400

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.noise_law import KernelMixture, NoisePosterior, ResidualModel
 from oed.posterior.log_density import PROPOSAL_DOF, LogDensity
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from oed.result.record import Record
-from oed.result.verdict import Judgement
+from typing import Annotated
+
+import msgspec
+
+from oed.result.record import Judgement, Record
 
 
 class PromiseRecord(Record, frozen=True):
@@ -45,7 +48,7 @@ class AcceptanceSection(Record, frozen=True):
                  that is known corrected, in the components' units
     """
 
-    poses: list[dict[str, float]]
+    poses: Annotated[list[dict[str, float]], msgspec.Meta(min_length=1)]
     components: dict[str, PromiseRecord]
     reference: str
     miss: float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from oed.result.record import Number, Record
+from oed.result.record import Logarithm, Number, Record
 from oed.result.recording import RecordingSection
 
 
@@ -88,12 +88,12 @@ class RobustSummary(Record, frozen=True):
     risk: str
     level: float
     scenarios: int
-    value: float
-    bound: float
+    value: Logarithm
+    bound: Logarithm
     efficiency: float
-    nominal: float  # of the plan for the nominal machine, by the same risk
-    values: Sequence[Number]
-    nominal_values: Sequence[Number]
+    nominal: Logarithm  # of the plan for the nominal machine, by the same risk
+    values: Sequence[Logarithm | None]
+    nominal_values: Sequence[Logarithm | None]
 
 
 class HowManySummary(Record, frozen=True):
@@ -175,9 +175,8 @@ class DesignSection(Record, frozen=True, kw_only=True):
     words: str = ""  # how good the choice is known to be, as a sentence
     directions: int = 0  # that the candidates see and the criterion is stated over, of `columns` unknowns
     columns: int = 0
-    gap: float | None = (
-        None  # what is known of the bound's own slack (log of an efficiency)
-    )
+    # what is known of the bound's own slack (log of an efficiency)
+    gap: Logarithm | None = None
     proven: bool = False
     compound: dict[str, float] = {}  # shares of the criteria
     setups: list[str] = []  # used, in working order

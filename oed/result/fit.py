@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
+
+import msgspec
 
 from oed.result.mixture import MIXTURE
-from oed.result.record import Number, Record
+from oed.result.record import Number, Record, Size
 
 #: probability below which a discrepancy contradicts the posterior, either way
 CONTRADICTED = 0.005
@@ -15,10 +18,10 @@ class ParameterEstimate(Record, frozen=True):
     """An identified parameter, in its display unit."""
 
     value: float
-    sd: float
+    sd: Size
     unit: str
     nominal: float
-    prior_sd: float
+    prior_sd: Size
     identified: (
         str  # seen | weak | prior  (how much the readings tightened the tolerance)
     )
@@ -78,7 +81,7 @@ class RunCurve(Record, frozen=True):
     run: str
     channel: str
     unit: str
-    kind: str
+    kind: Annotated[str, msgspec.Meta(pattern="^(circle|line)$")]
     at: list[float]
     measured: list[float]
     predicted: list[float]
@@ -99,7 +102,7 @@ class EstimateSection(Record, frozen=True):
     channels: list[str]  # of each residual
     readings: int
     dof: float
-    chi2: float
+    chi2: Size
     iterations: list[dict[str, float]]
     warnings: list[str]
     residuals: list[float]  # of each reading, after

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import msgspec
+
 from oed.result.record import Record
 
 
@@ -49,7 +53,7 @@ class ForecastSection(Record, frozen=True):
 
     components: dict[str, ForecastComponent]
     reference: str
-    nodes: list[dict[str, float]]
+    nodes: Annotated[list[dict[str, float]], msgspec.Meta(min_length=1)]
     setup: str
     minutes: float
     readings: int = 0

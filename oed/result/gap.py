@@ -8,12 +8,13 @@ residuals are in the fine unit of their channel. A number that is not known is n
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import msgspec
 
 from oed.result.gap_before import ChosenRun, SeparationRecord
 from oed.result.mixture import MixtureSection
-from oed.result.record import Record
+from oed.result.record import Point, Record
 
 #: closure below which a figure says no more than that the gap more than doubles
 LEAST_CLOSURE = -1.0
@@ -67,7 +68,7 @@ class ClosureRecord(Record, frozen=True):
     interval, chance of harm.
     """
 
-    split: str  # within | whole
+    split: Annotated[str, msgspec.Meta(pattern="^(within|whole)$")]
     value: float | None
     low: float | None
     high: float | None
@@ -137,7 +138,7 @@ class Trace(Record, frozen=True):
     base: str
     channel: str
     unit: str
-    kind: str
+    kind: Annotated[str, msgspec.Meta(pattern="^(circle|line|points)$")]
     at: list[float]
     before: list[float]
     explained: list[float]
@@ -154,7 +155,7 @@ class Spot(Record, frozen=True):
     before and after.
     """
 
-    at: list[float]
+    at: Point
     before: float
     after: float
 
@@ -208,7 +209,9 @@ class GapSection(Record, frozen=True):
     mixture   parameters and accuracy over all answers; null where no answer can be used
     """
 
-    verdict: str
+    verdict: Annotated[
+        str, msgspec.Meta(pattern="^(none|effect|class|mixture|unknown|scatter)$")
+    ]
     answers: list[AnswerRecord]
     set95: list[AnswerRecord]
     where: list[PlaceRecord]

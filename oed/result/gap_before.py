@@ -8,9 +8,14 @@ has absorbed what it can. Sizes in readings are in the fine unit of their channe
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 
 from oed.result.record import Record
+
+#: two names
+Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]
 
 
 class SharedRecord(Record, frozen=True):
@@ -84,8 +89,8 @@ class DetectabilityTable(Record, frozen=True):
     separation: list[list[float]] = msgspec.field(name="apart")
     angles_deg: list[list[float]]
     classes: list[list[str]]
-    absorbed: list[list[str]]
-    exact: list[list[str]]
+    absorbed: list[Pair]
+    exact: list[Pair]
 
 
 class ChosenRun(Record, frozen=True):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
-from oed.result.record import Number, Record
+import msgspec
+
+from oed.result.record import Number, Record, Size
 
 
 class IdentifiabilityFinding(Record, frozen=True):
@@ -22,10 +25,10 @@ class IdentifiabilitySection(Record, frozen=True):
 
     parameters: list[str]
     n: int
-    rank: int
+    rank: Annotated[int, msgspec.Meta(ge=0)]
     tolerance: float  # singular values below this share of the largest count as zero
     scaling: str
-    singular_values: list[float]
+    singular_values: list[Size]
     combinations: list[dict[str, float]]
     lost: list[dict[str, float]]
     words: list[IdentifiabilityFinding]

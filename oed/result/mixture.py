@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result.prediction import PredictionSection
-from oed.result.record import Record
+from oed.result.record import Probability, Record, Size
 
 #: names of the compensations that are compared
 MIXTURE: Final = "mixture"
@@ -23,7 +23,7 @@ class MixedAnswer(Record, frozen=True):
     """
 
     effects: tuple[str, ...]
-    probability: float
+    probability: Probability
     unseen: bool = False
 
 
@@ -37,7 +37,7 @@ class MixedParameter(Record, frozen=True):
 
     value: float
     sd: float
-    within: float
+    within: Size
     low: float
     high: float
     unit: str

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import bisect
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
+
+import msgspec
 
 from oed.result.budget import BudgetSection
-from oed.result.record import Record
+from oed.result.record import Judgement, Record, Size
 
+#: a figure of drawn machines, and its errors: one, or one for each end
+Figure = Annotated[str, msgspec.Meta(pattern="^(rms|p95|max)(_interval)?$")]
+MonteCarloErrors = Annotated[list[float], msgspec.Meta(min_length=1, max_length=2)]
 #: lower and upper end
 Interval = tuple[float, float]
 #: what held-out readings say of a fit
@@ -30,15 +35,15 @@ class SpreadRecord(Record, frozen=True):
     figure: of `p95`, `max` and both ends of an interval, of `rms` where it is drawn.
     """
 
-    rms: float
-    p95: float
-    max: float
+    rms: Size
+    p95: Size
+    max: Size
     unit: str
     rms_interval: Interval | None = None
     p95_interval: Interval | None = None
     max_interval: Interval | None = None
     rms_quantiles: list[float] = []
-    monte_carlo: dict[str, list[float]] = {}
+    monte_carlo: dict[Figure, MonteCarloErrors] = {}
 
     def probability_within(self, limit: float) -> float:
         """Probability that the rms error of one machine is at most a limit.
@@ -89,7 +94,7 @@ class MapPoint(Record, frozen=True):
     command: dict[str, float]
     before: dict[str, float]
     after: dict[str, float]
-    at: list[float] = []
+    at: Annotated[list[float], msgspec.Meta(max_length=3)] = []
 
 
 class ToolAccuracy(Record, frozen=True):
@@ -105,12 +110,13 @@ class PredictionSection(Record, frozen=True):
     or best_fit).
     """
 
-    reference: str
+    reference: Annotated[str, msgspec.Meta(pattern="^(home|absolute|best_fit)$")]
     components: dict[str, ComponentAccuracy]
     unit: dict[str, str]
     poses: int
     map: list[MapPoint]
-    mode: str  # "plan" (priors only) or "identified" (with the estimate)
+    # priors only, or with the estimate, the effects, or all answers of a diagnosis
+    mode: Annotated[str, msgspec.Meta(pattern="^(plan|identified|corrected|mixture)$")]
     realised: dict[str, SpreadRecord] | None = (
         None  # of virtual machines after compensation
     )
@@ -154,3 +160,23 @@ class HeldOutSection(Record, frozen=True):
     rms_before: float | None = None
     verdict: HeldOutVerdict | None = None
     words: str = ""
+
+
+class WantedVerdict(Record, frozen=True):
+    """Verdict on one component's rms error over the workspace, in `unit`.
+
+    rms          predicted; wanted: what it is compared with
+    probability  that the rms error of this machine is at most what is wanted
+    scope        what the probability holds
+    confirmed    whether readings that no fit used agree with the prediction
+    decide       what would decide, where neither pass nor fail is stated
+    """
+
+    judgement: Judgement
+    probability: float
+    rms: float
+    wanted: float
+    unit: str
+    scope: str
+    confirmed: bool = False
+    decide: str = ""

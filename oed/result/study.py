@@ -7,6 +7,10 @@ Arrays are lists.
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import msgspec
+
 from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.adjustment import AdjustmentSection
 from oed.result.corrected import CorrectedSection
@@ -18,9 +22,8 @@ from oed.result.gap_before import GapBeforeSection
 from oed.result.goodness import GoodnessSection
 from oed.result.identifiability import IdentifiabilitySection, KappaMap
 from oed.result.plan import PlanSection
-from oed.result.prediction import HeldOutSection, PredictionSection
-from oed.result.record import Record
-from oed.result.verdict import WantedVerdict
+from oed.result.prediction import HeldOutSection, PredictionSection, WantedVerdict
+from oed.result.record import Point, Record
 
 SCHEMA = 1
 
@@ -39,7 +42,7 @@ class Polyline(Record, frozen=True):
     """A polyline of the drawing, m."""
 
     kind: str  # machine | path | reading | cup
-    points: list[list[float]]
+    points: list[Point]
 
 
 class DrawingLabel(Record, frozen=True):
@@ -48,7 +51,7 @@ class DrawingLabel(Record, frozen=True):
     text    the names, shortened: `da1x, y, z`
     """
 
-    at: list[float]
+    at: Point
     text: str
     parameters: list[str]
 
@@ -64,9 +67,11 @@ class Drawing(Record, frozen=True):
     """
 
     lines: list[Polyline]
-    tool_points: list[list[float]]
+    tool_points: list[Point]
     reading_of: list[str]  # set-up of each tool point
-    bars: list[list[list[float]]]  # reading's far end to tool point, where there is one
+    bars: list[
+        Annotated[list[Point], msgspec.Meta(max_length=2)]
+    ]  # reading's far end to tool point, where there is one
     runs: list[str] = []
     commands: list[dict[str, float]] = []
     labels: list[DrawingLabel] = []

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.result.record import Number
+from oed.base import Array
+from oed.result import Number
 
 
 def or_nan(value: Number) -> float:

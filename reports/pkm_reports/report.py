@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from oed.base.own_files import write_own
 from oed.result import StudyResult
+from oed.safe_files import write_own
 from pkm_reports.page import Document, build_document, render_html, render_pdf
 
 

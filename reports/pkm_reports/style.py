@@ -25,7 +25,7 @@ from matplotlib.ticker import (
     NullLocator,
 )
 
-from oed.base.text import shorten
+from oed.text import shorten
 from pkm_reports import text
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print

@@ -7,10 +7,9 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from oed.base import text as toolkit_text
-from oed.base import units
-from oed.result.record import Number
-from oed.result.verdict import Judgement
+from oed import text as toolkit_text
+from oed import units
+from oed.result import Judgement, Number
 from pkm_reports.missing import finite, or_nan
 
 MISSING: Final = "–"
@@ -255,9 +254,7 @@ def listing(items: Iterable[str], most: int = 12) -> str:
     names = list(items)
     if len(names) > most:
         names = [*names[:most], f"{len(names) - most} more"]
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+    return toolkit_text.join_words(names)
 
 
 def cleaned(phrase: str) -> str:

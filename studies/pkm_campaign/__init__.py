@@ -11,7 +11,7 @@ read_row       a stored row
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_campaign.jobs import Job, Row, read_row, run_jobs

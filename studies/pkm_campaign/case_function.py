@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from oed.text import shorten
 from pkm_campaign.case import COLUMNS, EXPECTED
 from pkm_studies import catalogue
-from pkm_studies.base import Location, shorten
+from pkm_studies.base import Location
 from pkm_studies.user_code import Origin
 
 #: characters of a failure that are shown

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: standard deviations to either side of a 95 % interval
 HALF_WIDTH = float(special.ndtri(0.975))

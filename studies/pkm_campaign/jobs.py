@@ -22,7 +22,7 @@ from concurrent import futures
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from oed.base import child_process
+from oed import child_process
 from oed.mechanism.batch import begin_job
 from pkm_studies import files
 from pkm_studies.base import InputError

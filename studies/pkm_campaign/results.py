@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed.base import csv_text
-from oed.base.own_files import write_own
+from oed import csv_text
+from oed.safe_files import write_own
 from pkm_campaign import jobs
 from pkm_campaign.case import COLUMNS, ERROR, PROCESSOR_TIME
 from pkm_campaign.interval import mean_interval

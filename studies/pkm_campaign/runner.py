@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from oed.base import own_files
+from oed import safe_files
 from pkm_campaign import jobs
 from pkm_campaign.case import ERROR, SEED, Case, evaluate
 from pkm_campaign.case_function import CaseFunctionError
@@ -68,7 +68,7 @@ def _is_broken(job: Job[Case]) -> bool:
 
 def _set_aside(path: Path) -> str:
     """Rename a broken file; a sentence about it."""
-    name = own_files.set_aside(path, "broken").name
+    name = safe_files.set_aside(path, "broken").name
     return f"{path} is no whole case: it is now {name}, and was computed again"
 
 

@@ -9,11 +9,12 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 
 from oed.mechanism.kinematics import AssemblyError
+from oed.text import shorten
 from pkm_campaign.case import COLUMNS, Figures
 from pkm_campaign.case_function import CaseFunction, UserFunction
 from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies import files, shipped
-from pkm_studies.base import InputError, Location, Name, shorten
+from pkm_studies.base import InputError, Location, Name
 from pkm_studies.resolve import resolve
 from pkm_studies.study import (
     Study,

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from oed import trust, units
 from oed.accuracy.maps import driven_errors, error_maps
-from oed.base import units
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.identifiability import assess
 from oed.mechanism.batch import begin_job
-from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH
 from pkm_studies.resolve import PredictionRequest
 from pkm_studies.stages import (

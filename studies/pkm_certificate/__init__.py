@@ -6,7 +6,7 @@ sentences       conformity, for a terminal
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_certificate.certify import certify_folder, sentences

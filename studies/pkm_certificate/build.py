@@ -9,21 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
+from oed import units
 from oed.accuracy import conformity
 from oed.accuracy.acceptance import Promise
-from oed.base import units
-from oed.base.arrays import Array
-from oed.base.linear_algebra import covariance_root
-from oed.model.machine import Machine
-from oed.result import CorrectedSection, EstimateSection, StudyResult
-from oed.result.certificate import (
+from oed.base import Array
+from oed.certificate import (
     Certificate,
     CertificateHead,
     CertifiedAccuracy,
     CertifiedParameter,
     Conformity,
 )
-from oed.result.verdict import GEOMETRY_ALONE, accuracy_verdicts
+from oed.linear_algebra import covariance_root
+from oed.model.machine import Machine
+from oed.result import CorrectedSection, EstimateSection, StudyResult
+from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies import quantities
 from pkm_studies.acceptance import PromisedAccuracy, covariances, promised_accuracy
 from pkm_studies.base import InputError, Location

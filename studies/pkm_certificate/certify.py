@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from oed.base import own_files, units
-from oed.result.certificate import Certificate
+from oed import safe_files, units
+from oed.certificate import Certificate
 from pkm_certificate import build, dcc, head
 from pkm_studies.compensation import result_study
 from pkm_studies.results import load_result, refuse_bad_fit
@@ -39,7 +39,7 @@ def certify_folder(
     study = result_study(result, folder, study_file, consent)
     file, place = str(folder / "result.json"), build.tolerance_place(path)
     certificate = build.certificate(result, study, stated, tolerance, file, place)
-    written = own_files.write_own(folder / XML, dcc.write_xml(certificate))
+    written = safe_files.write_own(folder / XML, dcc.write_xml(certificate))
     return certificate, (written, write_certificate_page(certificate, folder))
 
 

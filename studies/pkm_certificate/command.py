@@ -26,7 +26,7 @@ def certificate(
     allow_code: AllowCode = False,
 ) -> int:
     """Write a calibration certificate: XML for machines (DCC), PDF for persons."""
-    from oed.result.verdict import all_pass
+    from oed.verdict import all_pass
     from pkm_certificate import certify_folder, sentences
 
     permission = consent(allow_code=allow_code)

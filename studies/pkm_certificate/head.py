@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from oed.result.certificate import (
+from oed.certificate import (
     CertificateHead,
     CertifiedItem,
+    Country,
     Institution,
     Person,
     UsedInstrument,
@@ -24,7 +25,6 @@ from pkm_studies.tables import Positive, StudyTable
 
 FILE = "certificate.toml"
 LIMIT = 1_000_000
-Country = Annotated[str, msgspec.Meta(pattern="^([A-Z][A-Z])?$")]
 #: deg C at a machine: what is beyond was read in another unit
 Temperature = Annotated[float, msgspec.Meta(gt=-100, lt=200)]
 #: what XML cannot hold
@@ -80,45 +80,10 @@ name = ""
 """
 
 
-class ContactTable(StudyTable, frozen=True, kw_only=True):
-    """[customer]: who ordered the calibration."""
-
-    name: str
-    city: str
-    country: Country
-    street: str = ""
-    post_code: str = ""
-    email: str = ""
-
-
-class LaboratoryTable(ContactTable, frozen=True, kw_only=True):
+class Laboratory(Institution, frozen=True, kw_only=True):
     """[laboratory]: who calibrated."""
 
     accreditation: str = ""
-
-
-class ItemTable(StudyTable, frozen=True, kw_only=True):
-    """[item]: the machine."""
-
-    serial: str
-    manufacturer: str = ""
-    model: str = ""
-
-
-class PersonTable(StudyTable, frozen=True, kw_only=True):
-    """[[person]]: who answers for it."""
-
-    name: str
-    role: str = ""
-    signs: bool = False
-
-
-class InstrumentTable(StudyTable, frozen=True, kw_only=True):
-    """[[instrument]]: what was measured with."""
-
-    name: str
-    serial: str = ""
-    certificate: str = ""
 
 
 class HeadFile(StudyTable, frozen=True, kw_only=True):
@@ -134,11 +99,11 @@ class HeadFile(StudyTable, frozen=True, kw_only=True):
     issued: str = ""
     temperature: Temperature | None = msgspec.field(default=None, name="temperature_C")
     decision: Rule | None = None
-    item: ItemTable
-    laboratory: LaboratoryTable
-    customer: ContactTable
-    person: list[PersonTable]
-    instrument: list[InstrumentTable] = msgspec.field(default_factory=list)
+    item: CertifiedItem
+    laboratory: Laboratory
+    customer: Institution
+    person: list[Person]
+    instrument: list[UsedInstrument] = msgspec.field(default_factory=list)
     tolerance: dict[str, Positive] = msgspec.field(default_factory=dict)
 
 
@@ -164,20 +129,16 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
 
 def _head(file: HeadFile) -> CertificateHead:
     names = ("identifier", "country", "begin", "end", "place", "issued")
-    laboratory = msgspec.structs.asdict(file.laboratory)
-    accreditation = laboratory.pop("accreditation")
     return CertificateHead(
         **{name: getattr(file, name) for name in names},
         temperature=file.temperature,
         decision=file.decision,
-        item=CertifiedItem(**msgspec.structs.asdict(file.item)),
-        laboratory=Institution(**laboratory),
-        accreditation=accreditation,
-        customer=Institution(**msgspec.structs.asdict(file.customer)),
-        persons=[Person(**msgspec.structs.asdict(p)) for p in file.person],
-        instruments=[
-            UsedInstrument(**msgspec.structs.asdict(i)) for i in file.instrument
-        ],
+        item=file.item,
+        laboratory=file.laboratory,
+        accreditation=file.laboratory.accreditation,
+        customer=file.customer,
+        persons=file.person,
+        instruments=file.instrument,
     )
 
 

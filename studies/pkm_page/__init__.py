@@ -10,7 +10,7 @@ BackgroundCommand  a command of `oed` that runs beside the page
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_page.job import BackgroundCommand

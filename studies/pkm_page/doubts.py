@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from oed import checks
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks import CheckFinding, Severity
 from oed.checks.ranges import predict_ranges
 from oed.dataset.columns import written
 from oed.measurement import Measurement, Series
-from oed.result.fit_limits import GUESS
+from oed.trust import GUESS
 from pkm_page import typed
 from pkm_studies.base import Stream
 from pkm_studies.sessions import Adviser, FittedReadings

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
-from oed.base import units
+from oed import units
 from oed.dataset.columns import parse_column
 from pkm_page import typed
 from pkm_studies.base import InputError

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-from oed.base.child_process import start_python
+from oed.child_process import start_python
 from pkm_studies.base import InputError
 
 if TYPE_CHECKING:

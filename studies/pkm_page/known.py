@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.design import candidates
 from oed.estimation import Estimate
 from pkm_page.session import MachineSession, SessionState

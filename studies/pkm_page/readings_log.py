@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Final
 
-from oed.base import csv_text
+from oed import csv_text
 from oed.dataset import dialect
 from oed.dataset.columns import parse_column
 from oed.dataset.table import MAX_BYTES

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from oed import dataset
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
 from oed.measurement import Measurement, Series

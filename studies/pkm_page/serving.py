@@ -94,7 +94,7 @@ def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
     if not target.is_dir():
         study = load(shipped.study_path(target), consent)
         return study, target, Path("out") / study.name
-    from oed.base.own_files import write_own
+    from oed.safe_files import write_own
     from pkm_studies.compensation import result_study
     from pkm_studies.results import load_result
 

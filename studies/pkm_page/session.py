@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset.columns import column_name, parse_column
 from oed.estimation import IdentificationError
 from oed.measurement import Measurement, Series

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from oed.result import StudyResult, trust
-from oed.result.verdict import Judgement
+from oed import trust
+from oed.result import Judgement, StudyResult
 from pkm_reports import text
 from pkm_studies import files
 from pkm_studies.base import InputError

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from oed.base import units
+from oed import units
 from oed.dataset.columns import column_name, written
 from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup

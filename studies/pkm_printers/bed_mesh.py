@@ -15,7 +15,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from pkm_printers.delta_study import slope_lines
 from pkm_printers.probed_point import ProbedPoint, contact_row
 from pkm_studies.importers import MeshUse, Row

@@ -7,8 +7,8 @@ import itertools
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.model.machine import Machine
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation

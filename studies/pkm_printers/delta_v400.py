@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from pkm_studies.base import Location, shorten
+from oed.text import shorten
+from pkm_studies.base import Location
 from pkm_studies.study import AS_PUBLISHED, Row, read_csv, read_json
 
 TOWERS = "abc"

@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from oed.text import suggest
 from pkm_printers import gcode
 from pkm_printers.gcode import TextLine
-from pkm_studies.base import suggest
 
 #: how many numbers each has
 COUNTS = {

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from pkm_models.machines import cable_robot

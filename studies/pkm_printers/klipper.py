@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_printers import klipper_config, klipper_mesh
 from pkm_printers.bed_mesh import distinct, explanations
 from pkm_printers.delta_contact import tool_heights

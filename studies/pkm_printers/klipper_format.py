@@ -6,7 +6,7 @@ import configparser
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_printers.delta_numbers import (
     DeltaNumbers,
     delta_joints,

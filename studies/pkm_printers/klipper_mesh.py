@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from pkm_printers import klipper_config
 from pkm_printers.bed_mesh import BedMesh, copied_margin
 from pkm_printers.klipper_config import KlipperConfig

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_printers import facts, gcode, marlin_home
 from pkm_printers.bed_mesh import ROUNDING, BedMesh
 from pkm_printers.delta_probe import delta_session

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_printers import marlin_version
 from pkm_printers.delta_numbers import (
     ANGLES,

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import optimize
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_printers import delta_contact
 from pkm_printers.delta_study import DeltaGeometry
 from pkm_printers.gcode import TextLine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_printers.delta_numbers import (
     ANGLES,
     DeltaNumbers,

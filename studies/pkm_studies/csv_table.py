@@ -19,10 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.base.units import UNITS
+from oed.base import Array
+from oed.text import suggest
+from oed.units import UNITS
 from pkm_studies import files
-from pkm_studies.base import InputError, suggest
+from pkm_studies.base import InputError
 
 #: bytes of the largest file
 LIMIT = 64_000_000

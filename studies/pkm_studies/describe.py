@@ -11,9 +11,8 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import result
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import result, units
+from oed.base import Array, Index
 from oed.measurement import Measurement, Series, reading_sigma
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Channel, Setup

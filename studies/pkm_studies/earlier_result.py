@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.model.machine import Machine
 from oed.result import (
     CorrectedSection,

@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from oed.base.whole_file import flush, temporary_file
+from oed.safe_files import flush, temporary_file
 from pkm_studies.base import InputError
 
 #: what helps where the system refuses, by error number

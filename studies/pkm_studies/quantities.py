@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from oed.base import units
-from pkm_studies.base import InputError, Location, suggest
+from oed import units
+from oed.text import suggest
+from pkm_studies.base import InputError, Location
 
 if TYPE_CHECKING:
     from oed.model.machine import Machine

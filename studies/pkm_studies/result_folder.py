@@ -9,9 +9,9 @@ from pathlib import Path
 
 import msgspec
 
-from oed.base import own_files
+from oed import safe_files
 from oed.result import StudyResult
-from oed.result.verdict import accuracy_verdicts
+from oed.verdict import accuracy_verdicts
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.results import load_result, read_result
@@ -47,7 +47,7 @@ def rewrite(folder: Path, result: StudyResult) -> None:
 
 def changed_files(folder: Path) -> list[str]:
     """Sentences on reports and sheets that the user changed, and that stay."""
-    names = {name: own_files.latest(folder / name).name for name in PAGES}
+    names = {name: safe_files.latest(folder / name).name for name in PAGES}
     return list(renamed_sentences(names))
 
 
@@ -67,11 +67,11 @@ def set_aside_foreign(folder: Path) -> list[str]:
     Results of versions that kept no list of their files are among these.
     """
     path = folder / RESULT
-    if not path.exists() or own_files.is_own(path):
+    if not path.exists() or safe_files.is_own(path):
         return []
     return [
         f"the file {RESULT} was not as this version wrote it, and is now"
-        f" {own_files.set_aside(path, 'earlier').name}"
+        f" {safe_files.set_aside(path, 'earlier').name}"
     ]
 
 
@@ -82,7 +82,7 @@ def write_result(folder: Path, result: StudyResult) -> None:
     """
     encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
     try:
-        own_files.write_own(folder / RESULT, encoded)
+        safe_files.write_own(folder / RESULT, encoded)
     except OSError as error:
         further = "; the result is lost: no temporary folder takes it either"
         with contextlib.suppress(OSError, InputError):

@@ -8,8 +8,9 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
+from oed.text import suggest
 from pkm_studies import files
-from pkm_studies.base import InputError, Location, check_name, suggest
+from pkm_studies.base import InputError, Location, check_name
 from pkm_studies.study import SUFFIX
 
 NAME_LINE = re.compile(r'^name = ".*"$', re.MULTILINE)

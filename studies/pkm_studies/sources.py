@@ -9,7 +9,8 @@ from oed import dataset
 from oed.dataset import Dataset, ReadingsError
 from oed.dataset import table as readings_table
 from oed.measurement import Measurement
-from pkm_studies.base import InputError, SourceAbsentError, suggest
+from oed.text import suggest
+from pkm_studies.base import InputError, SourceAbsentError
 from pkm_studies.plugins import project_plugins
 from pkm_studies.study import Row, Study
 from pkm_studies.tables import ReadingsTable

@@ -12,6 +12,7 @@ import pytest
 import sample
 
 from oed import compensate
+from oed.mechanism import pose_error
 from pkm_campaign import results, runner, tables
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -123,7 +124,7 @@ def test_the_realised_error_is_that_of_the_compensated_machine(
     z = []
     for at in (*command[:, None], home):
         q = compensate.compensated_joints(kinematics, at, estimate.theta[:count])
-        z.append(compensate.pose_error(kinematics, at, q, readings.truth[:count])[0, 2])
+        z.append(pose_error(kinematics, at, q, readings.truth[:count])[0, 2])
     expected = 1e6 * np.sqrt(np.mean((np.array(z[:-1]) - z[-1]) ** 2))
     assert row["realised_z_um"] == pytest.approx(expected, rel=1e-6)
 

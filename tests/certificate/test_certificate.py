@@ -18,8 +18,8 @@ from lxml import etree
 from scipy import stats
 
 from oed.accuracy import conformity
+from oed.certificate import Certificate
 from oed.result import StudyResult, VerdictRecord, VerificationSection
-from oed.result.certificate import Certificate
 from pkm_certificate import certify
 from pkm_certificate.dcc import product
 from pkm_studies.commands import main

@@ -9,7 +9,7 @@ import gap_fixture
 import pytest
 import sample
 
-from oed.base import units
+from oed import units
 from oed.result import StudyResult
 from pkm_studies import stages
 from pkm_studies import study as studies

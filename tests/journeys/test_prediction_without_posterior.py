@@ -13,7 +13,7 @@ import pytest
 from oracles import a3_geometry as a3
 
 import oed
-from oed.base import covariance_root
+from oed.linear_algebra import covariance_root
 from pkm_studies.commands import main
 from pkm_studies.stages.steps import prediction
 

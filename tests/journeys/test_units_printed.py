@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import pytest
 
-from oed.base import units
+from oed import units
 from pkm_studies.commands import main
 
 STUDY = """\

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import oed
-from oed.base import units
+from oed import units
 from pkm_studies.commands import main
 from pkm_studies.importers import ImportedSession, import_files
 

@@ -13,7 +13,7 @@ from oracles.delta_trilateration import travel_to
 from oracles.klipper_cost import Delta, cost
 
 import oed
-from oed.base import units
+from oed import units
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.importers import import_files

@@ -9,7 +9,7 @@ import pytest
 from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
-from oed.base import units
+from oed import units
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 

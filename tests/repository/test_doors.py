@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 MAX_NAMES = 15
 #: rooms that hand out more, and how many: the figure falls, and never grows
 LARGER = {"pkm_studies.resolve": 59, "pkm_studies.stages": 33}
-#: the tables of a study file are records: as many as the file has
-RECORDS = {"pkm_studies.tables.*"}
+#: tables of a study file and records of a result are as many as the files have
+RECORDS = {"oed.result.*", "pkm_studies.tables.*"}
 
 
 def _doors() -> Iterator[tuple[str, Path]]:

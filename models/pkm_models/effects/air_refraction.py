@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, references, terms
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.effect import State
 
 #: instruments that read across a straightedge or a square: its direction (base axis) and

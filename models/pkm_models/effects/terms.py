@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from oed.base import smooth_basis
-from oed.base.arrays import Array
+from oed.base import Array, curve_mode
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.effect import Column, State
 from oed.model.machine import Machine
@@ -121,7 +120,7 @@ def travel_curve(at: Array, number: int) -> Array:
     """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1:
     without mean and slope, for a joint's zero and scale are other effects.
     """
-    return smooth_basis.curve_mode(
+    return curve_mode(
         at, number, correlation_length=CORRELATION_LENGTH, count=CURVES, detrend=2
     )
 
@@ -253,9 +252,7 @@ def free_courses(state: State) -> dict[str, Array]:
     at = np.append(2.0 * session_share(state) - 1.0, -1.0)
     courses = {}
     for k in range(COURSES):
-        mode = smooth_basis.curve_mode(
-            at, k, correlation_length=COURSE_LENGTH, count=COURSES
-        )
+        mode = curve_mode(at, k, correlation_length=COURSE_LENGTH, count=COURSES)
         courses[f"course {k + 1}"] = mode[:-1] - mode[-1]
     return courses
 

@@ -37,7 +37,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.base.orientation import direction
+from oed.base import direction
 from oed.model.instrument import (
     Channel,
     Cost,

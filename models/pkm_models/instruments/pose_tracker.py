@@ -23,7 +23,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.base.orientation import rotation
+from oed.base import rotation
 from oed.model.instrument import Channel, Cost, Frame, Instrument
 from oed.model.machine import Expr, Values
 from pkm_models.parts import registration

@@ -25,7 +25,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import (
     Dimension,
     Expr,

@@ -23,7 +23,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Expr, Values
 from oed.model.passive_joint import PassiveJoint
 from pkm_models.parts import translation

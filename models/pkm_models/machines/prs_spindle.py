@@ -28,7 +28,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.base.orientation import direction, rotation
+from oed.base import direction, rotation
 from oed.model.adjustment import Adjustment
 from oed.model.machine import (
     Component,

@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Dimension, Family, Machine
 from pkm_models.parts import cranks, families, translation
 from pkm_models.parts.families import Geometry, as_rows

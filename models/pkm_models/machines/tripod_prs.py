@@ -19,7 +19,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.parts.carriages import GuidedStruts

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.parts.families import Geometry

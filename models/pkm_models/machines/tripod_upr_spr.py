@@ -22,7 +22,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import (
     Dimension,
     Expr,

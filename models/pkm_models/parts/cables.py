@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.base.orientation import Orientation, rotation
+from oed.base import Orientation, rotation
 from oed.model.machine import Coordinate, Dimension, Expr, Parameter, Start, Values
 from pkm_models.parts import families
 from pkm_models.parts.coordinates import (

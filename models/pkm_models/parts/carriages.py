@@ -6,7 +6,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Expr, Strut, Values
 from pkm_models.parts import legs
 from pkm_models.parts.families import point

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.orientation import Orientation, tilt, tilt_and_spin
+from oed.base import Orientation, tilt, tilt_and_spin
 from oed.model.machine import Component, Coordinate
 
 #: orientation of a platform that tilts and spins, and direction of its tool axis

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import (
     Coordinate,
     Dimension,

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Coordinate, Dimension, Expr, Parameter, PointGroup, Values
 from pkm_models.parts.coordinates import joint
 

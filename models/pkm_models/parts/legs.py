@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import (
     Component,
     Coordinate,

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Expr, Strut
 from oed.model.passive_joint import PassiveJoint
 

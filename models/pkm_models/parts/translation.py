@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Coordinate, Dimension, Expr, Machine, Strut, Values
 from oed.model.passive_joint import PassiveJoint
 from pkm_models.parts import coordinates, families, passive

@@ -24,7 +24,7 @@ from oed.accuracy.budget.model import (
     budget_model,
 )
 from oed.accuracy.maps import ErrorMaps, Reference, maps_by_reference
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement import Measurement, Series, draw_parameters
 from oed.mechanism.kinematics import AssemblyError
 from oed.mechanism.pose_errors import NO_TOOL

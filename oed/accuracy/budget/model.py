@@ -29,7 +29,7 @@ from oed.accuracy.budget.reading_errors import (
     errors_of_readings,
     instrument_source,
 )
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.measurement import Measurement, Series, reading_structure
 from oed.noise import Laws, ReadingStructure
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.noise import Errors, Laws, LinearFactor, ReadingStructure, SharedError
 
 #: names of the errors of readings

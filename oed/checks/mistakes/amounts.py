@@ -15,8 +15,8 @@ from functools import partial
 import numpy as np
 from scipy import linalg
 
-from oed.base import units
-from oed.base.arrays import Array, Index, Mask
+from oed import units
+from oed.base import Array, Index, Mask
 from oed.checks.findings import rounded
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import AGAIN, mounted_again, with_moved

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.findings import rounded
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.base.arrays import Index
+from oed.base import Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import (

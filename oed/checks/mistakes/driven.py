@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.mistakes.moved import Moved
 from oed.measurement import Measurement, Series
 from oed.model.machine import RANGE_SLACK, Machine, Tool

@@ -22,8 +22,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import transform
 
-from oed.base.arrays import Array, Mask
-from oed.base.orientation import Orientation, rotation
+from oed.base import Array, Mask, Orientation, rotation
 from oed.checks.mistakes.driven import Change, commanded, permuted
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import moved_trials

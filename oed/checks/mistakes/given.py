@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.fit import Fit
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.mistakes.driven import exchanged, jointed, of_column, permuted
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import (

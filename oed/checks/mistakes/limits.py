@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.copies import resolution
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.fit import CANNOT_BE, NO_AMOUNTS
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.mistakes.driven import commanded, shifted
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import pose_table

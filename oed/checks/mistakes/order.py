@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.mistakes.driven import exchanged
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope, several_runs

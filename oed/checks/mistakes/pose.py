@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.mistakes.driven import (
     Change,
     commanded,

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Index, Mask
+from oed.base import Index, Mask
 from oed.checks.session import SessionReadings
 
 #: readings that a part of a run, and what remains of it, have at least

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from oed.base.arrays import Index
+from oed.base import Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, by_run, moved_trials
 from oed.checks.mistakes.scope import Scope

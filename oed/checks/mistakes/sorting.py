@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import optimize, special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import (

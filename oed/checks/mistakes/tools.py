@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.fit import CANNOT_BE
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import AGAIN, Moved, mounted_again, with_moved

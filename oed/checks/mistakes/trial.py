@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index, Mask
+from oed import units
+from oed.base import Array, Index, Mask
 from oed.checks.copies import resolution
 from oed.checks.findings import rounded
 from oed.checks.fit import NO_AMOUNTS, Fit, Undo

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Mask
+from oed import units
+from oed.base import Array, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_values, value_trial

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import spatial
 
-from oed.checks.findings import CheckFinding, Severity, capital
+from oed.checks.findings import CheckFinding, Severity
 from oed.checks.times.clock import (
     APART,
     DAY,
@@ -24,6 +24,7 @@ from oed.checks.times.clock import (
     alike,
     are_apart,
 )
+from oed.text import capitalised
 
 #: times that two runs share from which on they contradict: ends may meet in one
 LEAST_SHARED = 2
@@ -123,7 +124,7 @@ def _remedy(runs: Sequence[TimedRun], column: TimeColumn) -> str:
     for k, unit in _other_units(runs, column):
         changed = _with(runs, k, k + 1, column.others[unit], 0.0)
         if first_clash(changed) is None:
-            name = capital(runs[k].name)
+            name = capitalised(runs[k].name)
             return f"{name} is in {unit}, not in {column.unit}: convert its times"
     for k in range(1, len(runs)):
         turns = [turn for turn in LATER if _follows_later(runs, k, turn)]
@@ -195,7 +196,7 @@ def _overlapping(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding |
         if other.start < one.end and not _share_poses(one, other):
             begin, end = other.start, min(one.end, other.end)
             sentence = (
-                f"{capital(one.name)} and {other.name} overlap in time, by {column.name}"
+                f"{capitalised(one.name)} and {other.name} overlap in time, by {column.name}"
                 f" from {column.written(begin)} to {column.written(end)}: a run is read"
                 " without a break. Correct the times, or name runs by when they were read."
             )

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.checks.session import SessionReadings
 from oed.dataset.file_rows import Row
 

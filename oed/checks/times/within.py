@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.checks.findings import CheckFinding, Severity, capital
+from oed.base import Array
+from oed.checks.findings import CheckFinding, Severity
 from oed.checks.times.clock import (
     DAY,
     HALF_DAY,
@@ -21,6 +21,7 @@ from oed.checks.times.clock import (
     typical,
 )
 from oed.dataset.file_rows import Row
+from oed.text import capitalised
 
 #: steps of a turn of the clock from which on a jump forward cannot be a step
 FAR = 10.0
@@ -89,7 +90,7 @@ def _cause(run: TimedRun, steps: Array, column: TimeColumn) -> str:
         return "The whole run is in reversed order: correct order, or its times"
     turn = _turn(steps)
     if turn is not None:
-        return f"{capital(TURNS[turn])}: add {_hours(turn)} from row {row} on"
+        return f"{capitalised(TURNS[turn])}: add {_hours(turn)} from row {row} on"
     unit = _other_unit(run.times, first, column)
     if unit is not None:
         return unit.format(row=row, last=run.rows[first - 1])

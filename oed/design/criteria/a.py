@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.variance import Variance
 

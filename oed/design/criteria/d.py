@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.determinant import Determinant
 

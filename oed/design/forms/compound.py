@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms.protocol import Criterion, Support
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.forms.protocol import (
     Criterion,
     FastSearch,

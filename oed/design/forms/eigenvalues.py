@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms.protocol import (
     Criterion,
     FastSearch,

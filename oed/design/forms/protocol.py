@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 if TYPE_CHECKING:
     from oed.design.relaxation import Relaxation

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.forms.protocol import (
     Criterion,
     FastSearch,

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from oed.accuracy.prediction import ErrorMaps
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms import Criterion, LargestVariance, Variance
 from oed.measurement import Measurement
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import candidates
 from oed.design.candidates import Candidates
 from oed.design.nuisances import Nuisances

@@ -16,8 +16,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.design.forms.protocol import inverse
 from oed.design.stages.bound.goal_bound import GoalBound, bound_goal
 from oed.design.stages.goal import Goal

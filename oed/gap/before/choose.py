@@ -17,13 +17,13 @@ import math
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import relaxation
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 from oed.gap.before.separation import SHARP, Separation, SeparationEvaluator
-from oed.result.gap_before import SeparationRecord
+from oed.result import SeparationRecord
 
 #: share of D in the compound
 SHARE = 0.1

@@ -14,12 +14,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import by_size, canonical_rows, eigenvectors, first_largest
+from oed.base import Array, Index, Mask
 from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
 from oed.gap.data.evidence import separated
-from oed.result.gap_before import RivalRecord, SharedRecord
+from oed.linear_algebra import by_size, canonical_rows, eigenvectors, first_largest
+from oed.result import RivalRecord, SharedRecord
 
 #: sqrt(lambda_k|j) below which the two cannot be distinguished
 SEPARATED = 5.0

@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.gap.before.confusion import SAME, effect_rival, indistinguishable
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
@@ -31,7 +31,7 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
 from oed.model.effect import Effect
 from oed.noise import NoiseLaw
-from oed.result.gap_before import DetectabilityRecord, DetectabilityTable
+from oed.result import DetectabilityRecord, DetectabilityTable
 
 #: draws from an effect's prior for its median least size
 DRAWS = 400

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg, special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 
 #: draws of the readings to come
 DRAWS = 600

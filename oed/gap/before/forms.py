@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
 from oed.model.effect import Effect

@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.gap.before.runs import CONDITIONS, Run
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Series

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.before.confusion import in_words
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.separation import Separation, Target

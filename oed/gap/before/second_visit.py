@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.plan_limits import TimeBudget
 from oed.design.rules import Rules
 from oed.gap.before import choose
@@ -42,7 +42,7 @@ from oed.gap.forms import library as libraries
 from oed.measurement import Series
 from oed.model.effect import Effect
 from oed.noise import NoiseLaw
-from oed.result.gap_before import SeparationRecord
+from oed.result import SeparationRecord
 
 #: share of the readings taken that a second visit has at most
 SHARE = 0.25

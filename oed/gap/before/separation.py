@@ -25,12 +25,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Objective, Tangent
 from oed.gap.before.forms import ColumnSet
 from oed.gap.data.evidence import separated
-from oed.result.gap_before import SeparationRecord
+from oed.result import SeparationRecord
 
 #: least lambda that counts: its logarithm must stay finite
 LEAST = 1e-9

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, UNKNOWN, ExcessScatter
 from oed.gap.data.signature import LACKS
 from oed.model.effect import Effect
-from oed.result.gap import AnswerRecord, visible_probability
+from oed.result import AnswerRecord, visible_probability
+from oed.text import join_words
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
@@ -53,12 +54,12 @@ def advise(
     if missing and not first.effects:
         sentences.append(
             "These readings cannot test all effects. Record with the next ones, and"
-            f" vary: {_listed(missing)}."
+            f" vary: {join_words(missing)}."
         )
     elif missing and UNKNOWN in first.effects:
         sentences.append(
             "What acts may be what these readings cannot test: record and vary"
-            f" {_listed(missing)}."
+            f" {join_words(missing)}."
         )
     return tuple(dict.fromkeys(sentences))
 
@@ -197,7 +198,7 @@ def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:
         exposed_by = known[member].exposed_by
         if exposed_by:
             tests.append(f"{exposed_by} would show {member}")
-    names = _listed(members)
+    names = join_words(members)
     return f"These readings cannot tell {names} apart: " + "; ".join(tests) + "."
 
 
@@ -210,7 +211,11 @@ def _between(
     if not second.effects:
         tests = _tests(first.effects, known)
         shown = [effect for effect in first.effects if _tests([effect], known)]
-        more = f" What would show {_listed(shown)}: {_listed(tests)}." if tests else ""
+        more = (
+            f" What would show {join_words(shown)}: {join_words(tests)}."
+            if tests
+            else ""
+        )
         chance = f"{100.0 * second.probability:.0f} %"
         return [
             f"Noise alone has a probability of {chance}: read again before acting on"
@@ -229,9 +234,3 @@ def _tests(effects: Sequence[str], known: Mapping[str, Effect]) -> list[str]:
     """Measurements that expose some effects."""
     tests = [known[effect].exposed_by for effect in effects if effect in known]
     return [test for test in tests if test]
-
-
-def _listed(names: Sequence[str]) -> str:
-    if len(names) == 1:
-        return names[0]
-    return ", ".join(names[:-1]) + " and " + names[-1]

@@ -15,12 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.cause.compare import equivalent_effects
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN, Verdict
-from oed.result.gap import MISSED_GAP_COST, AnswerRecord
+from oed.result import MISSED_GAP_COST, AnswerRecord
 
 #: least probability of an answer that is reported
 REPORTED = 0.002

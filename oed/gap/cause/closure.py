@@ -31,11 +31,11 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.cause.folds import Paths
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw, SharedFactor
-from oed.result.gap import ClosureRecord
+from oed.result import ClosureRecord
 
 #: draws of the bootstrap
 DRAWS = 2000

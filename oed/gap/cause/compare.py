@@ -30,7 +30,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Further, Search
 from oed.gap.data.evidence import Grams

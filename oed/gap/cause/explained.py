@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.cause.compare import RIVAL, posterior_mean
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
@@ -14,7 +14,7 @@ from oed.gap.data.diagnosis import Explained, Size
 from oed.gap.data.evidence import WhitenedColumns
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.result.gap import CoefficientRecord
+from oed.result import CoefficientRecord
 
 #: share of an unknown remainder that an effect explains which comes near it
 NEAR = 0.5

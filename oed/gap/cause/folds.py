@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse, spatial
 from scipy.sparse import csgraph
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 

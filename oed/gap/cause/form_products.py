@@ -11,7 +11,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.metric import Metric

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.gap.forms.library import Library
 

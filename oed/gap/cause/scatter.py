@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg, special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
@@ -33,7 +33,7 @@ from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
 from oed.noise import NoiseLaw
 from oed.noise_law import KNOWN_TO
-from oed.result.fit_limits import chi2_is_large
+from oed.trust import chi2_is_large
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely
 ROUGH_SHARE = 0.5

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.cause.form_products import SIZES as UNKNOWN_SIZES
 from oed.gap.cause.form_products import FormProducts
 from oed.gap.cause.hypothesis import Hypothesis, log_prior

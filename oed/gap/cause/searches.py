@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import noise_law
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search

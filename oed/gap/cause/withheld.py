@@ -29,7 +29,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.cause import closure
 from oed.gap.cause.compare import probabilities
 from oed.gap.cause.folds import Paths
@@ -38,7 +38,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
-from oed.result.gap import ClosureRecord
+from oed.result import ClosureRecord
 
 #: probability among the hypotheses of a gap from which one is asked of withheld runs
 ASKED = 0.002

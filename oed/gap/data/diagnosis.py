@@ -6,15 +6,10 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
-from oed.result.gap import (
-    AnswerRecord,
-    ClosureRecord,
-    CoefficientRecord,
-    PlaceRecord,
-)
+from oed.result import AnswerRecord, ClosureRecord, CoefficientRecord, PlaceRecord
 
 Verdict = Literal["none", "effect", "class", "mixture", "unknown", "scatter"]
 #: verdicts without an effect: noise as stated, and more scatter than the instrument has

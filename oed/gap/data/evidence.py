@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from oed.base import linear_algebra
-from oed.base.arrays import Array, Index
+from oed import linear_algebra
+from oed.base import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import EFFECT_SIZES

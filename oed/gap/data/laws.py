@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise import Laws, NoiseLaw

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 

@@ -25,7 +25,7 @@ import pandas as pd
 import scipy  # its parts load when first used: plans need no path
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array, Index, rows_by_label
+from oed.base import Array, Index, rows_by_label
 
 #: poses of a run from which on a path is laid through them
 LEAST = 4

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.estimation import identify
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.measurement import Measurement, Response, Series
 from oed.model.effect import Column, Effect, State
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array, Index, rows_by_label
+from oed.base import Array, Index, rows_by_label
 from oed.dataset.columns import TEMPERATURE, TENSION
 from oed.gap.data.motion import motion, tool_places
 from oed.measurement import Measurement, Series

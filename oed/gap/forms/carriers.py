@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Series
 

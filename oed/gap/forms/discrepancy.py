@@ -4,7 +4,7 @@ Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464: what a model leaves is
 function of what the machine does. It is carried by the readings, by the tool's place or
 by each joint; it varies over the session, the workspace or the run; it may come with the
 direction of motion, the payload, the feed or a temperature. Each such term has Matern's
-kernel at a few reaches, which the evidence sums over (`oed.base.smooth_basis`).
+kernel at a few reaches, which the evidence sums over (`oed.base.field_modes`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.base import smooth_basis
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask, field_modes
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 from oed.gap.forms.carriers import JOINTS, Carrier
@@ -322,7 +321,5 @@ def modes(places: Array, reach: float, most: int) -> Array:
     As many as hold `WHOLE` of the variance, `most` at most.
     """
     flat = places.reshape(-1, places.shape[-1])
-    factor = smooth_basis.field_modes(
-        flat, correlation_length=reach, energy_share=WHOLE, count=most
-    )
+    factor = field_modes(flat, correlation_length=reach, energy_share=WHOLE, count=most)
     return factor.reshape(*places.shape[:2], -1)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.forms.discrepancy import known_values
 from oed.model.effect import Column, Effect, State
 

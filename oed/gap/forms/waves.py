@@ -16,8 +16,8 @@ import numpy as np
 import scipy  # scipy.signal takes a while to load: with its first use
 from scipy import special
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric

@@ -26,12 +26,12 @@ import numpy as np
 from msgspec.structs import replace
 from scipy import special
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 from oed.gap.places.draws import Draws, LikelyForms, draw_energies
 from oed.noise import NoiseLaw
-from oed.result.gap import PlaceRecord
+from oed.result import PlaceRecord
 
 #: draws of the posterior
 DRAWS = 400

@@ -22,9 +22,8 @@ from pathlib import Path
 
 import platformdirs
 
-from oed.base import child_process
-from oed.base.private_folder import make_private
-from oed.base.whole_file import whole_file
+from oed import child_process
+from oed.safe_files import make_private, whole_file
 
 #: names of compilers that know the vectors of lanes.h
 COMPILERS = ("cc", "gcc", "clang")

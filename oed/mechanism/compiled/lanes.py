@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.mechanism.compiled.compiler import load
 from oed.mechanism.compiled.text import LaneJob, lane_text
 from oed.mechanism.graph import Graph

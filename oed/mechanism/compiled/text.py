@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.graph import OPERATIONS, Graph, Node
 
 #: operations of one angle that share their work, by the letter of their variable

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.result import StudyResult
-from oed.result.verdict import accuracy_verdicts
+from oed.verdict import accuracy_verdicts
 from pkm_reports import missing, style, text
 from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
 from pkm_reports.comparison.glance import rms_by_component

@@ -14,7 +14,7 @@ write_certificate_page  a calibration certificate, as PDF
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_reports.page.adjustment import write_adjustment_page

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from oed.base.own_files import write_own
 from oed.result import StudyResult
+from oed.safe_files import write_own
 from pkm_reports.blocks import Section
 from pkm_reports.page import document, pdf
 from pkm_reports.page.document import Content

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from oed.base import units
-from oed.base.own_files import write_own
-from oed.result.certificate import Certificate, CertifiedAccuracy, Institution
+from oed import units
+from oed.certificate import Certificate, CertifiedAccuracy, Institution
+from oed.safe_files import write_own
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

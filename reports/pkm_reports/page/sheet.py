@@ -10,9 +10,9 @@ from typing import Final
 
 import msgspec
 
-from oed.base.own_files import write_own
-from oed.base.text import shorten
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
+from oed.safe_files import write_own
+from oed.text import shorten
 from pkm_reports import missing, text
 from pkm_reports.page import pdf
 from pkm_reports.page.document import footer

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from oed.base.lazy import door
+from oed.base import door
 from oed.result import StudyResult
 from pkm_reports.blocks import Chapter, Section
 from pkm_reports.sections import (

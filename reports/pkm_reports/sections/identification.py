@@ -15,7 +15,7 @@ from oed.result import (
     ParameterEstimate,
     StudyResult,
 )
-from oed.result.fit_limits import chi2_is_large
+from oed.trust import chi2_is_large
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,

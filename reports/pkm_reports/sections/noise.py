@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import GoodnessSection, NoiseRecord
-from oed.result.fit_limits import ALARM, LEAST_DOF
+from oed.trust import ALARM, LEAST_DOF
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table, TableColumn, number_columns
 from pkm_reports.missing import or_nan

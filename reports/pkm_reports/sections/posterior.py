@@ -11,12 +11,12 @@ import numpy as np
 from oed.result import (
     IMPORTANCE,
     Marginal,
+    Number,
     PosteriorSection,
     PredictiveCheckRecord,
     StudyResult,
     largest_pareto_k,
 )
-from oed.result.record import Number
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from oed.base.text import shorten
 from oed.result import StudyResult
+from oed.text import shorten
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

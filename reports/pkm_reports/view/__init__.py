@@ -11,7 +11,7 @@ points_mm              points that are given in m, in mm
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_reports.view.scene import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import GapSection, Trace
 from pkm_reports import text
 

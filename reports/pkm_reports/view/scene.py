@@ -9,8 +9,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.result import Drawing, GapSection, PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.missing import or_nan

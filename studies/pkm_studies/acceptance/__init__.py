@@ -14,7 +14,7 @@ check_sentences    that comparison
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.acceptance.promise import (

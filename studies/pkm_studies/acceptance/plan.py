@@ -7,18 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 import numpy as np
 
+from oed import csv_text, units
 from oed.accuracy.acceptance import (
     AcceptancePlan,
     Promise,
     plan_acceptance,
     state_limits,
 )
-from oed.base import csv_text, units
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.dataset.dialect import commented
 from oed.model.machine import Component, Machine
-from oed.result import AcceptanceSection, PromiseRecord, StudyResult
-from oed.result.record import finite_or_none
+from oed.result import AcceptanceSection, PromiseRecord, StudyResult, finite_or_none
 from pkm_studies import describe
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.base import InputError

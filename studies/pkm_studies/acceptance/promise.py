@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from oed import units
 from oed.accuracy.acceptance import Promise, smooth_functions
 from oed.accuracy.maps import ErrorMaps, Reference, driven_errors, error_maps
-from oed.base import units
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Component, Machine
 from oed.result import (

@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 from scipy import linalg, stats
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
 from pkm_studies import result_folder

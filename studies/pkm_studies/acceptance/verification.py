@@ -11,19 +11,18 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from oed import safe_files, verdict
 from oed.accuracy.acceptance import LEAST_POWER, judge, positioning
-from oed.base import own_files
-from oed.base.arrays import Array, Index
-from oed.base.text import rounded
+from oed.base import Array, Index
 from oed.result import (
     AcceptanceSection,
+    Judgement,
     PromiseRecord,
     StudyResult,
     VerdictRecord,
     VerificationSection,
-    verdict,
 )
-from oed.result.verdict import Judgement
+from oed.text import rounded
 from pkm_studies import csv_table, files, result_folder
 from pkm_studies.acceptance import plan
 from pkm_studies.acceptance.plan import AXES, error_columns
@@ -241,7 +240,7 @@ def plan_folder(
     section = msgspec.structs.replace(section, healthy=healthy)
     text = plan.acceptance_form(section, machine)
     earlier_files = list(result.written.values())
-    path = own_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), earlier_files)
+    path = safe_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), earlier_files)
     written = {**result.written, path.name: files.digest(text.encode())}
     result = msgspec.structs.replace(
         result, acceptance=section, verification=None, written=written

@@ -3,8 +3,6 @@
 InputError         bad input: what, where (file, field, value), and the remedy
 Location           a file and a field in it, which make such an error
 SourceAbsentError  published readings that are not on this computer
-shorten            a text or value cut to the length of a sentence
-suggest            the nearest of some names, as a remedy
 Name               the name of a study or campaign, as a type of its files
 NAME_PATTERN       what such a name is
 check_name         refuses what is none
@@ -15,15 +13,13 @@ Stream             the stream of random numbers of each purpose
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.base.errors import (
         InputError,
         Location,
         SourceAbsentError,
-        shorten,
-        suggest,
     )
     from pkm_studies.base.names import NAME_PATTERN, Name, check_name
     from pkm_studies.base.progress import Progress, Silent

@@ -7,15 +7,13 @@ Fields are dotted paths as in the file; entries of lists count from 1
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
-from collections.abc import Iterable
 from typing import Final
+
+from oed.text import shorten
 
 #: most characters of a value, a problem and a remedy
 VALUE, PROBLEM, REMEDY = 60, 220, 240
-#: length from which a word is cut within
-LONGEST_WORD = 30
 _MISSING: Final = object()
 
 
@@ -90,26 +88,3 @@ def quote(value: object) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     return shorten(str(value), VALUE)
-
-
-def shorten(text: str, length: int) -> str:
-    """Text on one line, printable, of at most `length` characters."""
-    printable = (c if c.isprintable() else " " for c in text[: 4 * length])
-    line = " ".join("".join(printable).split())
-    if len(line) <= length:
-        return line
-    cut = line[: length - 4]
-    head, _, part = cut.rpartition(" ")
-    if head and len(part) < LONGEST_WORD and line[length - 4] != " ":
-        cut = head
-    return f"{cut.rstrip()} ..."
-
-
-def suggest(word: str, allowed: Iterable[str], kind: str = "allowed") -> str:
-    """Remedy for an unknown name: the nearest known one, and the list."""
-    names = list(dict.fromkeys(allowed))
-    if not names:
-        return f"nothing is {kind} here: remove it"
-    listing = f"{kind}: {', '.join(names)}"
-    nearest = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    return f"did you mean {nearest[0]}? ({listing})" if nearest else listing

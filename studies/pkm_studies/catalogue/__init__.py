@@ -19,7 +19,7 @@ LONGEST_COMMENT   characters of a line of comment
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.catalogue.catalogue import (

@@ -23,8 +23,9 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
+from oed.text import shorten, suggest
 from pkm_studies import user_code
-from pkm_studies.base import Location, shorten, suggest
+from pkm_studies.base import Location
 from pkm_studies.plugins import GROUPS, plugins, project_plugins
 from pkm_studies.user_code import Origin
 

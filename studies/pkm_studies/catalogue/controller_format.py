@@ -7,14 +7,13 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Machine
 from oed.result import EffectTable
-from pkm_studies.base import shorten
+from oed.text import shorten
 
 if TYPE_CHECKING:
-    from oed.compensate.command_grid import CommandGrid
-    from oed.compensate.further_axes import FurtherAxes
+    from oed.compensate import CommandGrid, FurtherAxes
     from oed.mechanism.kinematics import Kinematics
     from pkm_studies.tables import ControllerTable
 
@@ -92,7 +91,7 @@ class Compensation:
     def further(self) -> FurtherAxes:
         """The motions that no joint of the machine makes; none for most machines."""
         # imported here: light commands list formats without compensation
-        from oed.compensate.further_axes import further_axes
+        from oed.compensate import further_axes
 
         return further_axes(self.kinematics)
 

@@ -13,7 +13,8 @@ from oed.mechanism.closest_closure import closure_at_guess
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.expressions import symbols
 from oed.model.machine import Machine
-from pkm_studies.base import Location, shorten
+from oed.text import shorten
+from pkm_studies.base import Location
 
 #: the machine's default for `read_error`, which reads translations
 DEFAULT_READ_ERROR = {f.name: f.default for f in dataclasses.fields(Machine)}[

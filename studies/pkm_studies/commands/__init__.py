@@ -10,7 +10,7 @@ progress      shows progress on the terminal; elsewhere, one line a stage
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.commands.cli import main

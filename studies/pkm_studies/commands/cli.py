@@ -18,8 +18,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from oed.text import shorten
 from pkm_studies import console, files
-from pkm_studies.base import InputError, shorten
+from pkm_studies.base import InputError
 from pkm_studies.console import BAD_INPUT, DONE, FAILED
 from pkm_studies.plugins import project_plugins
 
@@ -134,7 +135,7 @@ INTERRUPTED = 130
 GARBAGE_THRESHOLD = 50_000
 #: errors of the kernel about the input, by module; looked for only in loaded modules
 KERNEL_ERRORS = {
-    "oed.base.units": "UnitError",
+    "oed.units": "UnitError",
     "oed.mechanism.batch": "CompileSettingError",
     "oed.mechanism.kinematics": "AssemblyError",
     "oed.dataset.readings_file": "ReadingsError",

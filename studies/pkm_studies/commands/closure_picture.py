@@ -10,7 +10,7 @@ import numpy as np
 from oed.mechanism.closest_closure import closest_closure
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from oed.result.closest_closure import ClosestClosure
+from oed.result import ClosestClosure
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Location
 from pkm_studies.resolve import study_machine

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed.base import own_files
+from oed import safe_files
 from pkm_studies import console
 from pkm_studies.commands.options import (
     AllowCode,
@@ -213,7 +213,7 @@ def forecast(
     name, phrase = ("forecast_nodes.csv", "To fill in")
     if result.forecast is not None and result.forecast.readings:
         name, phrase = ("forecast_table.csv", "Table")
-    print(f"{phrase}: {own_files.latest(folder / name)}")
+    print(f"{phrase}: {safe_files.latest(folder / name)}")
     failing = [
         claim_failure(claim, loaded.path.name)
         for claim in result.claims

@@ -13,7 +13,7 @@ command_grid           the coarsest grid of commands that is accurate enough
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.compensation.export import (

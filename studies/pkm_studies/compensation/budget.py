@@ -15,13 +15,10 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 import numpy as np
 
+from oed import units
 from oed.accuracy.maps import driven_errors
-from oed.base import units
-from oed.base.arrays import Array
-from oed.compensate.export_errors import (
-    interpolation_errors,
-    joint_errors,
-)
+from oed.base import Array
+from oed.compensate import interpolation_errors, joint_errors
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import (
     BudgetLine,

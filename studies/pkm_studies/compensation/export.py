@@ -10,19 +10,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.base.own_files import write_own
-from oed.base.text import format_number, quantity
-from oed.compensate import (
-    compensated_joints,
-    component_errors,
-    undriven_components,
-)
-from oed.compensate.command_grid import GridAxis
+from oed import trust, units, verdict
+from oed.base import Array
+from oed.compensate import GridAxis, compensated_joints, undriven_components
+from oed.mechanism.pose_errors import component_errors
 from oed.model.machine import Machine
-from oed.result import StudyResult, trust, verdict
-from oed.result.verdict import accuracy_verdicts
+from oed.result import StudyResult
+from oed.safe_files import write_own
+from oed.text import format_number, quantity
+from oed.verdict import accuracy_verdicts
 from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Location
 from pkm_studies.catalogue import Compensation, ControllerFormat, MeasuringPose, Texts

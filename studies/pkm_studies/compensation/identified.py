@@ -8,9 +8,12 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.model.machine import Machine
 from oed.result import (
+    BEST,
+    MIXTURE,
+    PLAIN,
     AdjustmentSection,
     CorrectedSection,
     EstimateSection,
@@ -18,7 +21,6 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
-from oed.result.mixture import BEST, MIXTURE, PLAIN
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Identified
 from pkm_studies.earlier_result import (

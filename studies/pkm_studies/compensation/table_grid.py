@@ -8,20 +8,19 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.base.text import quantity
-from oed.compensate import FurtherAxes, joint_corrections
-from oed.compensate.command_grid import (
+from oed import units
+from oed.base import Array
+from oed.compensate import (
     CommandGrid,
-    Correction,
+    FurtherAxes,
     GridAxis,
     choose_command_grid,
-    fewest_commands,
+    joint_corrections,
     joint_motion,
 )
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.result import PredictionSection
+from oed.text import quantity
 from pkm_studies.base import InputError
 from pkm_studies.quantities import display_unit
 
@@ -127,7 +126,9 @@ def _joint_offsets(kinematics: Kinematics) -> TableAccuracy:
     )
 
 
-def table_correction(further: FurtherAxes, parameters: Array) -> Correction:
+def table_correction(
+    further: FurtherAxes, parameters: Array
+) -> Callable[[Array], Array]:
     """What a table holds, as a single state: joint corrections, then offsets."""
 
     def correction(command: Array) -> Array:
@@ -140,7 +141,7 @@ def table_correction(further: FurtherAxes, parameters: Array) -> Correction:
 
 def command_grid(
     axes: tuple[GridAxis, ...],
-    correction: Correction,
+    correction: Callable[[Array], Array],
     want: TableAccuracy,
     largest: int,
 ) -> CommandGrid | None:
@@ -149,7 +150,7 @@ def command_grid(
     A box that is partly out of reach shrinks about its middle, full turns aside. Raises
     InputError where `largest` is less than the coarsest grid.
     """
-    fewest = fewest_commands(axes)
+    fewest = math.prod(axis.fewest for axis in axes)
     if largest < fewest:
         raise InputError(
             f"a table over {len(axes)} coordinates needs {fewest} commands",

@@ -12,7 +12,7 @@ format_numbers      numbers in SI as a draft writes them
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.drafts.axis_lines import SHARES, format_numbers, prediction_table

@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.model.machine import Coordinate, Machine
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.tables import PredictionReference

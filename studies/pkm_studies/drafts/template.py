@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, mount

@@ -18,7 +18,7 @@ steps            time from each stamp to the next
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.importers.base import (

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.map_tables import CircleFacts, ColumnMap

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
-from oed.base import csv_text
+from oed import csv_text
 from oed.dataset.dialect import commented
 from pkm_studies.user_code import Consent
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset.columns import LABELS, SIGMA, UNITLESS
 from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.base.units import UnitError
+from oed.base import Array
 from oed.dataset.columns import (
     COVARIATES,
     LABELS,
@@ -24,7 +23,9 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base import InputError, Location, suggest
+from oed.text import suggest
+from oed.units import UnitError
+from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,

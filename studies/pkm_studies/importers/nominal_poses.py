@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument
 from pkm_studies.base import InputError

@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.base import orientation, units
-from oed.base.arrays import Array, Mask
-from oed.base.orientation import Orientation
+from oed import units
+from oed.base import Array, Mask, Orientation, along
 from oed.model.instrument import Instrument
 from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
@@ -261,7 +260,7 @@ def _matrices(form: str, values: Array, *, inverse: bool) -> Array:
     if not len(values):
         return np.empty((0, 3, 3))
     if form == "direction":
-        return orientation.along(-values if inverse else values)
+        return along(-values if inverse else values)
     if form == "quaternion":
         whole = Rotation.from_quat(values, scalar_first=True)
     else:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import warnings
 from importlib.metadata import EntryPoint
 
-from pkm_studies.base import InputError, shorten, suggest
+from oed.text import shorten, suggest
+from pkm_studies.base import InputError
 from pkm_studies.importers.base import Importer
 from pkm_studies.plugins import plugins
 

@@ -21,8 +21,8 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.dataset.columns import SIGMA
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument

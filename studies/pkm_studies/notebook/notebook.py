@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement import Measurement
 from oed.result import StudyResult
 from pkm_studies import shipped

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from oed.base.arrays import Array
+    from oed.base import Array
     from oed.estimation import Estimate
     from oed.posterior import Posterior
 

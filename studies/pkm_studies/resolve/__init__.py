@@ -63,7 +63,7 @@ comments_of_study            such lines of a study
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.resolve.command_ranges import check_tool_workspace

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.base import units
+from oed import units
 from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 from pkm_studies.tables import ConditionsTable

@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.compensate import InterpolationTable, command_of_pose
 from oed.mechanism.controller import Controller
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Machine
+from oed.text import suggest
 from pkm_studies import csv_table, files
-from pkm_studies.base import InputError, Location, suggest
+from pkm_studies.base import InputError, Location
 from pkm_studies.earlier_result import SAME, controller_values, named_result
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.study import Study

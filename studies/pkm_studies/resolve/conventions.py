@@ -6,14 +6,14 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from oed.base import units
-from oed.base.orientation import Orientation
-from oed.base.units import UnitError
+from oed import units
+from oed.base import Orientation
 from oed.dataset.columns import parse_column
 from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Instrument
 from oed.model.machine import Component, Coordinate, Machine, Parameter
 from oed.model.passive_joint import PassiveJoint
+from oed.units import UnitError
 from pkm_studies import catalogue
 from pkm_studies.catalogue import CatalogueEntry
 from pkm_studies.quantities import column

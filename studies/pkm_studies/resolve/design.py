@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.design import CRITERIA
 from oed.design.quotas import QuotaSet
 from oed.measurement import Measurement, Series

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from oed.base import units
+from oed import units
 from oed.model.effect import Effect
 from oed.model.expected_size import coefficient_units, with_expected_size
+from oed.text import suggest
 from pkm_studies import catalogue
-from pkm_studies.base import suggest
 from pkm_studies.study import Study
 
 #: how a quotient is written in the name of a field: `ppm_per_C`

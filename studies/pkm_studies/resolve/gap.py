@@ -9,8 +9,9 @@ import numpy as np
 
 from oed.model.effect import Effect
 from oed.model.machine import Machine
+from oed.text import suggest
 from pkm_studies import catalogue
-from pkm_studies.base import InputError, Location, suggest
+from pkm_studies.base import InputError, Location
 from pkm_studies.resolve.effect_sizes import check_sizes, effect_with_sizes
 from pkm_studies.study import Study
 from pkm_studies.tables import ActingTable, ConditionsTable, GapTable

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
 from oed.design.rules import Rules
 from oed.gap.before.runs import Run

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup

@@ -5,7 +5,8 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 
-from pkm_studies.base import Location, suggest
+from oed.text import suggest
+from pkm_studies.base import Location
 
 
 def known_name(

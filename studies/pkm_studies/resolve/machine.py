@@ -9,8 +9,8 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.adjustment import Adjustment
 from oed.model.machine import Coordinate, Dimension, Machine

@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from oed.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.noise import NoiseStatement
+from oed.text import suggest
 from pkm_studies import quantities
-from pkm_studies.base import Location, suggest
+from pkm_studies.base import Location
 from pkm_studies.study import Study
 
 #: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of

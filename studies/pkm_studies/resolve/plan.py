@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed import units
+from oed.base import Array
 from oed.design.nuisances import Nuisances
 from oed.design.stages.option import Option, build_option
+from oed.effects import PlannedEffects
 from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location

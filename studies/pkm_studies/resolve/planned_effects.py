@@ -7,13 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import dataset
-from oed.base.arrays import Array
-from oed.compensate.effects.course_columns import over_courses
-from oed.compensate.effects.courses import Course, draw_courses
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.expected_columns import expected_columns
-from oed.compensate.effects.planned_effects import PlannedEffects, planned_effects
+from oed.base import Array
 from oed.design.candidates import Candidates
+from oed.effects import (
+    Course,
+    PlannedEffects,
+    SessionStates,
+    draw_courses,
+    expected_columns,
+    over_courses,
+    planned_effects,
+)
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series

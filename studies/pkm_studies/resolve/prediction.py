@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.dataset import columns
 from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import AssemblyError, Kinematics

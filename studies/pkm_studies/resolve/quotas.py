@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Index, Mask
+from oed import units
+from oed.base import Index, Mask
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
 from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
+from oed.text import suggest
 from pkm_studies import quantities
-from pkm_studies.base import Location, suggest
+from pkm_studies.base import Location
 from pkm_studies.resolve import lookup
 from pkm_studies.resolve.command_ranges import command_units
 from pkm_studies.tables import DesignTable, QuotaTable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies.base import Location

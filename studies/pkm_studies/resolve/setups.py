@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base import units
+from oed import units
 from oed.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, Protocol, Setup, mount

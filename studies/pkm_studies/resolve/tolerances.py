@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import special
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import trust, units
+from oed.base import Array
 from oed.dataset.digests import is_counted
 from oed.history import MachineInformation, fleet_prior
 from oed.model.instrument import Setup
 from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
-from oed.result import StudyResult, trust
+from oed.result import StudyResult
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.earlier_result import known_parameters, named_result, result_folder

@@ -6,9 +6,8 @@ import numpy as np
 from scipy import spatial
 from scipy.stats import qmc
 
-from oed.base.arrays import Array
-from oed.compensate.command_grid import GridAxis, box_axes
-from oed.compensate.table import grid_nodes
+from oed.base import Array, grid_nodes
+from oed.compensate import GridAxis, box_axes
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies.resolve.prediction import prediction_request

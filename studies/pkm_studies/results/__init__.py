@@ -18,7 +18,7 @@ unmodelled_sentence  what errors beside the model's parameters add
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.results.budget_advice import (

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from oed.result import Claim
-from pkm_studies.base import shorten, suggest
+from oed.text import shorten, suggest
 from pkm_studies.tables import ClaimTable, StudyFile
 
 #: numbers of result.json that are in the `unit` which stands beside them

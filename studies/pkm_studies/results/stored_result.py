@@ -6,7 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from oed.result import StudyResult, relations, trust
+from oed import trust
+from oed.result import StudyResult, breaches
 from pkm_studies import files
 from pkm_studies.base import Location, check_name
 
@@ -26,7 +27,7 @@ def load_result(folder: Path) -> StudyResult:
     """
     path = folder / "result.json"
     result = read_result(path)
-    for breach in relations.breaches(result):
+    for breach in breaches(result):
         raise Location(str(path), breach.field).error(
             f"this result contradicts itself: {breach.problem}",
             "it was changed after it was written: make it again, or restore the entry",

@@ -18,7 +18,7 @@ adjustment_sentences  its lines, with the accuracy after each
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.sessions.adjustment import adjust_folder, adjustment_sentences

@@ -9,10 +9,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from oed import csv_text, safe_files, units
 from oed.accuracy.maps import Reference
-from oed.base import csv_text, own_files, units
-from oed.base.arrays import Array
-from oed.compensate.adjustment import AdjustableMachine, AdjustmentPlan
+from oed.adjustment import AdjustableMachine, AdjustmentPlan
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import (
@@ -63,7 +63,7 @@ def adjust_folder(
     written, paths = dict(result.written), []
     texts = {CSV: _csv_text(section), NOMINAL: _nominal_table(result)}
     for name, text in texts.items():
-        path = own_files.write_own(folder / name, text.encode(), earlier_files)
+        path = safe_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
         paths.append(path)
     result = msgspec.structs.replace(result, written=written)

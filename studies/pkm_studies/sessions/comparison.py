@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from oed import trust
 from oed.history import (
     CombinationChange,
     Session,
@@ -15,13 +16,7 @@ from oed.history import (
     SingleCause,
     compare_sessions,
 )
-from oed.result import (
-    CorrectedSection,
-    EstimateSection,
-    ParameterEstimate,
-    StudyResult,
-    trust,
-)
+from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.results import load_result

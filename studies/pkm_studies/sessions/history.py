@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.history import (
     CombinationChange,
     Session,

@@ -13,16 +13,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.base import Array
 from oed.design import candidates
 from oed.design.blocks import information
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief, weights_of
+from oed.effects import PlannedEffects
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series, reading_structure
 from oed.noise import Laws, Noise
-from oed.result.verdict import SURE
+from oed.verdict import SURE
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
     MAX_EFFECT_UNKNOWNS,

@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oed import trust
 from oed.accuracy import prediction
-from oed.base.arrays import Array
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.base import Array
 from oed.design import candidates, next_reading
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief
+from oed.effects import PlannedEffects
 from oed.estimation import Estimate, IdentificationError, identify
 from oed.measurement import Measurement, Series
-from oed.result import trust
 from pkm_studies import quantities
 from pkm_studies.base import InputError, Silent, Stream
 from pkm_studies.quantities import component_values

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.base.text import format_number
+from oed import units
+from oed.base import Array
 from oed.measurement import Series
-from oed.result.verdict import SURE, Judgement, judge, overall, percent
+from oed.result import Judgement
+from oed.text import format_number, format_probability
+from oed.verdict import SURE, judge, overall
 from pkm_studies import describe, quantities
 from pkm_studies.sessions.next_effects import Outlook
 
@@ -154,7 +155,7 @@ def _stated(advice: Advice, component: int) -> str:
     """The verdict on a component; what a plan would reach has none."""
     if advice.follows_plan:
         return ""
-    within = percent(float(advice.within[component]))
+    within = format_probability(float(advice.within[component]))
     return f": {advice.judgement(component)} (within it with {within})"
 
 

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from oed.base import units
+from oed import units
 from oed.result import ChosenRun, GapSection, StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.result_folder import VISIT

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
 from oed.design.candidates import Candidates

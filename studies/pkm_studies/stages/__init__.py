@@ -37,7 +37,7 @@ report_outcome      print a result, and return the exit code
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.stages.design.select import select_design

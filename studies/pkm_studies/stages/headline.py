@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from oed.base.text import format_number
+from oed import verdict
 from oed.design import CRITERIA
 from oed.result import (
     IMPORTANCE,
@@ -21,9 +21,9 @@ from oed.result import (
     PosteriorSection,
     PredictionSection,
     StudyResult,
-    verdict,
 )
-from oed.result.verdict import accuracy_verdicts
+from oed.text import format_number, join_words
+from oed.verdict import accuracy_verdicts
 from pkm_studies.results import unmodelled_sentence
 from pkm_studies.stages.design.phrases import (
     design_sentences,
@@ -32,7 +32,7 @@ from pkm_studies.stages.design.phrases import (
 )
 from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.gap import scatter
-from pkm_studies.stages.gap.words import join_words, plain_name
+from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.plan.phrases import bound_sentences, percent, plan_sentences
 
 MAX_SENTENCES = 5

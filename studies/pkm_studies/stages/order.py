@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset import Dataset
 from oed.dataset.digests import digests
 from oed.result import StudyResult
-from oed.result.verdict import accuracy_verdicts
+from oed.verdict import accuracy_verdicts
 from pkm_studies import describe
 from pkm_studies.base import Progress, Silent
 from pkm_studies.resolve import counted_digests

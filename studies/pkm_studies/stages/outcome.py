@@ -29,8 +29,8 @@ def report_outcome(
         from pkm_studies.stages import summary
 
         print(*summary.lines(result, folder, verbose, above), sep="\n")
-    from oed.result import trust
-    from oed.result.verdict import all_pass
+    from oed import trust
+    from oed.verdict import all_pass
 
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:

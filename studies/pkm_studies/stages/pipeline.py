@@ -9,8 +9,7 @@ from typing import Any
 
 import msgspec
 
-from oed import dataset
-from oed.base import own_files
+from oed import dataset, safe_files
 from oed.result import StudyResult
 from pkm_studies import files, result_folder
 from pkm_studies.base import Progress, Silent
@@ -209,7 +208,7 @@ def _write_before(error: Exception, state: RunState, out: Path) -> None:
     if not isinstance(state, Scheduled) or state.identifiability is None:
         return
     if (out / result_folder.RESULT).is_file():
-        own_files.set_aside(out / result_folder.RESULT, "earlier")
+        safe_files.set_aside(out / result_folder.RESULT, "earlier")
     state = state.add_warnings(f"a later part of this run failed: {error}")
     _finish(state, out, report=False, sections=())
     error.add_note(f"What was computed before is in {out / result_folder.RESULT}.")

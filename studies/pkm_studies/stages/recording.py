@@ -8,24 +8,29 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oed import units
 from oed.accuracy import prediction
-from oed.base import units
-from oed.base.arrays import Array, Mask
-from oed.compensate.effects.course_columns import CourseColumns, over_courses
-from oed.compensate.effects.courses import Course
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
-from oed.compensate.effects.planned_effects import PlannedEffects
-from oed.compensate.effects.recording import PlannedReadings, thermometer_scatter
-from oed.compensate.effects.remaining_error import (
-    RemainingError,
-    equal_times,
-    mean_after_once,
-    relative,
+from oed.base import Array, Mask
+from oed.effects import (
+    Course,
+    CourseColumns,
+    ExpectedColumns,
+    PlannedEffects,
+    SessionStates,
+    expected_columns,
+    over_courses,
 )
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
+from oed.recording import (
+    PlannedReadings,
+    RemainingError,
+    equal_times,
+    mean_after_once,
+    relative,
+    thermometer_scatter,
+)
 from oed.result import RecordedChoice, RecordingSection
 from pkm_studies.resolve import (
     DRAWN_COURSES,

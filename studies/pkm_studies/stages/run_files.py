@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import dataset, posterior
-from oed.base import own_files
+from oed import dataset, posterior, safe_files
 from oed.measurement import Measurement, Series
 from oed.posterior import Checkpoint, Posterior
 from oed.result import StudyResult
@@ -59,7 +58,7 @@ def write(
     refused: list[OSError] = []
     for name, text in _texts(result, state).items():
         with _collected(refused):
-            path = own_files.write_own(folder / name, text.encode(), earlier_files)
+            path = safe_files.write_own(folder / name, text.encode(), earlier_files)
             written[path.name] = files.digest(text.encode())
             names[name] = path.name
     if isinstance(state, Fitted) and state.posterior is not None:
@@ -80,7 +79,7 @@ def add_forecast(folder: Path, result: StudyResult, state: RunState) -> StudyRes
     """Write the files of a forecast beside a result of the folder, which names them."""
     earlier_files, written = written_before(folder), dict(result.written)
     for name, text in state.forecast_files.items():
-        path = own_files.write_own(folder / name, text.encode(), earlier_files)
+        path = safe_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
     result = msgspec.structs.replace(result, written=written)
     rewrite(folder, result)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 from oed.measurement import Measurement, Series
 from oed.noise_law import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oed.checks import CheckedSession
-    from oed.compensate.effects.fit import CorrectedEstimate
-    from oed.compensate.effects.mixture import AnswerMixture
+    from oed.corrected import AnswerMixture, CorrectedEstimate
     from oed.estimation import Estimate
     from oed.gap.data.diagnosis import Diagnosis
     from oed.identifiability import Assessment

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from oed.base import own_files
-from oed.base.text import format_number
+from oed import safe_files
+from oed.text import format_number
 from pkm_studies import console, result_folder
 from pkm_studies.earlier_result import corrects_effects
 from pkm_studies.results import improvements
@@ -187,7 +187,7 @@ def _warnings(result: StudyResult, folder: Path) -> list[str]:
 
 def _files(result: StudyResult, folder: Path) -> list[str]:
     """The files that a user opens, and those to fill in."""
-    paths = [own_files.latest(folder / name) for name in PAGES]
+    paths = [safe_files.latest(folder / name) for name in PAGES]
     sheets = [name for name in result.written if name.startswith("poses")]
     return [
         f"Report: {', '.join(str(p) for p in paths if p.is_file())}",

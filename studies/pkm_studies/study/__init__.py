@@ -19,7 +19,7 @@ read_json     content of its JSON file
 
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import door
+from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.study.data_sources.tables import (

@@ -17,7 +17,8 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pkm_studies.base import NAME_PATTERN, InputError, Location, shorten, suggest
+from oed.text import shorten, suggest
+from pkm_studies.base import NAME_PATTERN, InputError, Location
 
 T = TypeVar("T")
 #: what a draft has in place of a number that nobody but its user knows

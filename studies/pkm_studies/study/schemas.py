@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from oed.base import units
+from oed import units
 from oed.result import StudyResult
 from pkm_studies.tables import StudyFile, StudyTable
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import msgspec
 
-from pkm_studies.base import Location, suggest
+from oed.text import suggest
+from pkm_studies.base import Location
 from pkm_studies.study import loader
 from pkm_studies.study.loader import Study
 

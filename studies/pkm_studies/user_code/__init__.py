@@ -14,7 +14,8 @@ import sys
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
 
-from pkm_studies.base import InputError, Location, shorten
+from oed.text import shorten
+from pkm_studies.base import InputError, Location
 from pkm_studies.user_code import permissions
 
 SUFFIX = ".py"

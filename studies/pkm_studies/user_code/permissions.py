@@ -15,9 +15,10 @@ from pathlib import Path
 
 import platformdirs
 
-from oed.base.private_folder import is_private, make_private
+from oed.safe_files import is_private, make_private
+from oed.text import shorten
 from pkm_studies import files
-from pkm_studies.base import Location, shorten
+from pkm_studies.base import Location
 
 APP = "pkm-oed"
 #: trusted folders, separated as in PATH

@@ -8,7 +8,7 @@ import pytest
 from reference import parameter_names
 
 from kernel.cases import CASES, PAIRS, Case, reading_series
-from oed.base import units
+from oed import units
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Coordinate
 

@@ -18,7 +18,7 @@ import stated_order
 from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
-from oed.base import units
+from oed import units
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
 from oed.model import Instrument, Machine, mount

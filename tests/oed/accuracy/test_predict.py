@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, linear_delta
 
 from kernel import a3_plans
-from oed import compensate, identifiability
+from oed import identifiability
 from oed.accuracy import prediction
 from oed.mechanism import Kinematics
+from oed.mechanism.error_model import error_model
 
 ARCSEC = 180 * 3600 / np.pi
 A3 = Kinematics(a3_head.machine)
@@ -56,8 +57,8 @@ def test_the_published_passage(passage: tuple) -> None:
     ).fully_corrected
     for name, um in paper.HOME_REFERENCED_UM.items():
         assert 1e6 * told[name].rms == pytest.approx(um, rel=0.01)
-    home = compensate.error_model(A3, A3.machine.home_command[None])
-    model = compensate.error_model(A3, command)
+    home = error_model(A3, A3.machine.home_command[None])
+    model = error_model(A3, command)
     turns = np.stack(
         [
             1e6
@@ -140,8 +141,8 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
 
 def test_best_fit_removes_any_rigid_motion() -> None:
     command = a3_plans.workspace()
-    model = compensate.error_model(A3, command)
-    home = compensate.error_model(A3, A3.machine.home_command[None])
+    model = error_model(A3, command)
+    home = error_model(A3, A3.machine.home_command[None])
     rng = np.random.default_rng(3)
     shift, turn = rng.standard_normal(3), rng.standard_normal(3)
     rigid = np.hstack(
@@ -302,8 +303,8 @@ def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> N
     fixed in the base does not.
     """
     command = a3_plans.workspace()
-    model = compensate.error_model(A3, command)
-    home = compensate.error_model(A3, A3.machine.home_command[None])
+    model = error_model(A3, command)
+    home = error_model(A3, A3.machine.home_command[None])
     turn = rng.standard_normal(3)
     carried = np.hstack(
         [np.zeros((len(command), 3)), Rotation.from_matrix(model.rotation).apply(turn)]

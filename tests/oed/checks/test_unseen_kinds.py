@@ -12,7 +12,7 @@ import pytest
 from blunder_tables import DEG, Array
 from scipy.spatial.transform import Rotation
 
-from oed.base.orientation import tilt_and_spin
+from oed.base import tilt_and_spin
 from oed.checks.explain import as_given
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.mistakes import (

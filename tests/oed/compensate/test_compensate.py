@@ -11,7 +11,9 @@ from shipped_models import a3_head, linear_delta
 
 from kernel.cases import CASES
 from oed import compensate
-from oed.mechanism import Kinematics
+from oed.mechanism import Kinematics, pose_error
+from oed.mechanism.error_model import error_model
+from oed.mechanism.pose_errors import twist_between
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 SPREAD = np.r_[np.full(21, 1e-3), np.full(3, 10e-3)]
@@ -26,7 +28,7 @@ def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(
     rng: np.random.Generator,
 ) -> None:
     command = commands(rng, 200)
-    model = compensate.error_model(A3, command)
+    model = error_model(A3, command)
     oracle = a3.compensator(*command.T)
     assert np.abs(model.joints - oracle.dq).max() < 1e-11 * np.abs(oracle.dq).max()
     left = A3.error_components_jacobian(command) @ model.remaining
@@ -42,7 +44,7 @@ def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(
 
 def test_home_errors_leave_nothing(rng: np.random.Generator) -> None:
     """Eq. (24) for home errors is their negative, everywhere."""
-    model = compensate.error_model(A3, commands(rng, 50))
+    model = error_model(A3, commands(rng, 50))
     assert np.abs(model.joints[..., :3] + np.eye(3)).max() < 1e-12
     assert np.abs(model.remaining[..., :3]).max() < 1e-12
 
@@ -50,7 +52,7 @@ def test_home_errors_leave_nothing(rng: np.random.Generator) -> None:
 def test_a_longer_tool_holds_its_own_point(rng: np.random.Generator) -> None:
     """z of the longer tool's point is held: the joints of Eq. (24) put no error there."""
     command, tool = commands(rng, 50) + np.array([0.1, 0, 0]), np.array([0, 0, 0.1])
-    model = compensate.error_model(A3, command, tool)
+    model = error_model(A3, command, tool)
     assert np.abs(model.raw - a3.linear_model(*command.T, 0.1)).max() < 1e-12
     left = A3.error_components_jacobian(command) @ model.remaining
     assert np.abs(left[:, 2:5]).max() < 1e-11
@@ -91,18 +93,16 @@ def test_pose_errors_are_the_oracles(rng: np.random.Generator) -> None:
     real = a3.forward(p, q)
     turn = Rotation.from_matrix(real.R @ np.swapaxes(rotation, 1, 2)).as_rotvec()
     assert (
-        np.abs(
-            compensate.pose_error(A3, command, q, p) - np.hstack([real.tip - tip, turn])
-        ).max()
+        np.abs(pose_error(A3, command, q, p) - np.hstack([real.tip - tip, turn])).max()
         < 1e-12
     )
 
 
 def test_small_errors_are_linear(rng: np.random.Generator) -> None:
     command, p = commands(rng, 30), 1e-4 * SPREAD * rng.standard_normal(24)
-    error = compensate.pose_error(A3, command, a3.inverse_nominal(*command.T), p)
+    error = pose_error(A3, command, a3.inverse_nominal(*command.T), p)
     assert (
-        np.abs(error - compensate.error_model(A3, command).raw @ p).max()
+        np.abs(error - error_model(A3, command).raw @ p).max()
         < 1e-3 * np.abs(error).max()
     )
 
@@ -120,9 +120,7 @@ def test_twists_of_finite_turns_are_scipys(
         rng.standard_normal((20, 3)),
         rng.standard_normal((20, 3)),
     )
-    twist = compensate.twist_between(
-        start.as_matrix(), point, (turn * start).as_matrix(), other
-    )
+    twist = twist_between(start.as_matrix(), point, (turn * start).as_matrix(), other)
     assert twist[:, :3] == pytest.approx(other - point)
     assert np.abs(twist[:, 3:] - turn.as_rotvec()).max() < (
         1e-14 if angle < 3 else 1e-8

@@ -8,6 +8,8 @@ from shipped_models import a3_head, hexapod, planar_2dof
 from oed import compensate
 from oed.compensate import InterpolationTable
 from oed.mechanism import Kinematics
+from oed.mechanism.error_model import error_model
+from oed.mechanism.pose_errors import component_errors
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
 TABLE3 = a3.errors(**{k: a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")})
@@ -40,13 +42,13 @@ def reached(joints: np.ndarray, truth: np.ndarray, command: np.ndarray) -> np.nd
 
 def linear_joints(p: np.ndarray, command: np.ndarray) -> np.ndarray:
     """Joints of the nominal machine with the corrections of Eq. (24), Tian et al. (2016)."""
-    return A3.inverse(command)[1] + compensate.error_model(A3, command).joints @ p
+    return A3.inverse(command)[1] + error_model(A3, command).joints @ p
 
 
 def cut_off(p: np.ndarray, command: np.ndarray) -> np.ndarray:
     """Errors (n, 3) in z, psi, theta that a machine with p has at these joints."""
     joints = linear_joints(p, command)
-    return compensate.component_errors(A3, command, joints, p)[:, 2:5]
+    return component_errors(A3, command, joints, p)[:, 2:5]
 
 
 def test_joints_through_the_closure_leave_nothing_that_joints_drive() -> None:
@@ -54,7 +56,7 @@ def test_joints_through_the_closure_leave_nothing_that_joints_drive() -> None:
     error = reached(joints, TABLE3, CIRCLE)
     assert np.abs(error[:, 0]).max() <= 1e-9
     assert np.abs(error[:, 1:]).max() * a3.D <= 1e-9
-    remaining = compensate.component_errors(A3, CIRCLE, joints, TABLE3)
+    remaining = component_errors(A3, CIRCLE, joints, TABLE3)
     assert np.abs(remaining[:, :2]).max() > 1e-4
     (sentence,) = compensate.undriven_components(a3_head.machine, remaining)
     assert "no joint drives" in sentence
@@ -100,7 +102,7 @@ def test_table_3_at_35_degrees_and_100_mm_before_and_after() -> None:
 
     `docs/howto/compensate.md` compares with the printed Table 4.
     """
-    model = compensate.error_model(A3, CIRCLE)
+    model = error_model(A3, CIRCLE)
     predicted = (A3.error_components_jacobian(CIRCLE) @ model.raw @ TABLE3)[:, 2:5]
     before = reached(a3.inverse_nominal(*CIRCLE.T), TABLE3, CIRCLE)
     printed = np.array([1e-3, *np.deg2rad([1.0, 1.0])])

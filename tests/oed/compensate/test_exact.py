@@ -7,7 +7,6 @@ import pytest
 from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
-from oed.compensate import component_errors
 from oed.compensate.exact import (
     compensated_joints,
     corrected_commands,
@@ -15,6 +14,7 @@ from oed.compensate.exact import (
     undriven_components,
 )
 from oed.mechanism import AssemblyError, Kinematics
+from oed.mechanism.pose_errors import component_errors
 
 PLANAR = Kinematics(planar_2dof.machine)
 COMMAND = np.array([[0.0, 0.0], [1.0, 0.5], [-1.3, 1.4]])

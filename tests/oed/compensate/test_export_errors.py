@@ -13,7 +13,7 @@ from oed.compensate.export_errors import (
     interpolation_errors,
     joint_errors,
 )
-from oed.compensate.further_axes import further_axes
+from oed.compensate.further import further_axes
 from oed.mechanism import Kinematics
 
 PLANAR = Kinematics(planar_2dof.machine)

@@ -8,7 +8,7 @@ from shipped_models import a3_head, planar_2dof
 
 from kernel.cases import CASES
 from oed.compensate.exact import compensated_joints
-from oed.compensate.further_axes import TURN, further_axes
+from oed.compensate.further import TURN, further_axes
 from oed.mechanism import Kinematics
 
 A3 = Kinematics(a3_head.machine)

@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.compensate.table import InterpolationTable, grid_nodes
+from oed.base import grid_nodes
+from oed.compensate.table import InterpolationTable
 
 KNOTS = (np.array([0.0, 1.0, 4.0]), np.array([-1.0, 2.0]), np.array([7.0]))
 

@@ -18,7 +18,6 @@ from shipped_models import (
     relative,
 )
 
-from oed.base import UnitError
 from oed.dataset import (
     checks,
     columns,
@@ -34,6 +33,7 @@ from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table_checks import check_rows
 from oed.measurement import Measurement
 from oed.model import mount
+from oed.units import UnitError
 
 HEADER = ["setup", "run", "order", "z_mm", "direction", "length_mm"]
 

@@ -15,8 +15,7 @@ from dataset_files import loaded, refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed import dataset
-from oed.base import units
+from oed import dataset, units
 from oed.dataset import Dataset, ReadingsError, columns
 from oed.measurement import Measurement
 

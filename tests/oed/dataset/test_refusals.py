@@ -11,8 +11,7 @@ import pytest
 import sample
 from dataset_files import loaded, refused
 
-from oed import dataset
-from oed.base import csv_text
+from oed import csv_text, dataset
 from oed.dataset import ReadingsError, table
 from oed.measurement import Measurement
 

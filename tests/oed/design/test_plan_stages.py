@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
-from oed.base import symmetric_root
 from oed.design.forms.protocol import pairwise_traces
 from oed.design.row_exchange import LEAST_SHARE, RowExchange
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
 from oed.design.stages.stage.profiled import profile
+from oed.linear_algebra import symmetric_root
 
 
 def variance(problem: RowExchange, chosen: list[int]) -> float:

@@ -17,9 +17,9 @@ from reference import tian_2016 as paper
 from kernel import a3_plans
 from oed import checks, identifiability
 from oed.accuracy import ErrorMaps, error_maps
-from oed.base import from_si
 from oed.checks import copies
 from oed.measurement import Measurement, Series
+from oed.units import from_si
 
 NOISE, RUN = 0.5e-6, 1.0e-6
 #: circles of each plan: readings, strokes, how often

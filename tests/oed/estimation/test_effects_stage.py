@@ -12,7 +12,7 @@ import pytest
 from shipped_models import backlash, encoder_scale
 
 from kernel.planar_session import ruler_session
-from oed.compensate.effects.expected_columns import expected_columns
+from oed.effects import expected_columns
 from oed.estimation import Discrepancy, Estimate, identify
 from oed.estimation.discrepancy import SampledEffects
 

@@ -12,8 +12,7 @@ from oed.gap.cause.compare import probabilities
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN
-from oed.result import AnswerRecord
-from oed.result.gap import MISSED_GAP_COST
+from oed.result import MISSED_GAP_COST, AnswerRecord
 
 
 def test_verdicts() -> None:

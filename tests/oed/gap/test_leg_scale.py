@@ -10,7 +10,7 @@ import pytest
 from shipped_models import encoder_scale
 
 from kernel.laws import STATED_LAW
-from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
+from oed.corrected import EffectReadings, estimate_with_effects
 from oed.dataset import Dataset
 from oed.estimation import identify
 from oed.gap.data import linearisation, problem

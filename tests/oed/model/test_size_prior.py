@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from oed.compensate.effects import forms
 from oed.model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
 
 
@@ -40,36 +39,3 @@ def test_sizes_that_nothing_shows_are_no_hypotheses() -> None:
     assert weak[:usual].tolist() == [0.0] * (usual - 1) + [pytest.approx(0.9)]
     assert EFFECT_SIZES.values[np.flatnonzero(weak)[1]] == 10_000.0
     assert weak.sum() == pytest.approx(1.0)
-
-
-def _updated(values: np.ndarray, sd: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Sizes of one effect, each coefficient a group, known by readings to +- sd (k,)."""
-    precision = sd**-2.0 + prior**-2.0
-    estimate = values * sd**-2.0 / precision
-    groups = [[np.array([k]) for k in range(len(values))]]
-    return forms.updated_sizes(groups, prior, estimate, np.diag(1.0 / precision))
-
-
-def test_where_readings_tell_nothing_the_expected_size_stays() -> None:
-    sd = np.full(6, 1e3)
-    assert _updated(np.zeros(6), sd, np.ones(6)).tolist() == [1.0] * 6
-
-
-def test_one_leg_far_off_is_free_and_the_others_are_not() -> None:
-    values = np.array([-1200.0, 0.3, -1.1, 0.8, 0.1, -0.6])
-    sd = np.full(6, 1.4)
-    size = np.ones(6)
-    for _ in range(4):
-        size = _updated(values, sd, size)
-    assert size[0] >= 1000.0
-    assert size[1:].tolist() == [1.0] * 5
-    # within a hundredth of a standard deviation of what the readings say
-    pull = values[0] * (1.0 - size[0] ** 2 / (size[0] ** 2 + sd[0] ** 2))
-    assert abs(pull) < 0.01 * sd[0]
-
-
-def test_all_legs_of_a_coarse_machine_share_their_size() -> None:
-    """Ten times what is expected; one leg alone would hardly show it."""
-    values = np.array([9.0, -14.0, 6.0, 11.0, -8.0, -12.0])
-    size = _updated(values, np.full(6, 4.0), np.ones(6))
-    assert set(size.tolist()) == {10.0}

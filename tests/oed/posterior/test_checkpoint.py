@@ -12,8 +12,8 @@ import pytest
 
 from kernel.delta_probe import problem
 from oed import posterior
-from oed.base.whole_file import whole_file
 from oed.posterior import Checkpoint, Posterior, chains
+from oed.safe_files import whole_file
 
 #: steps of the test's chain and of a block: three blocks and a short one
 STEPS, BLOCK = 64, 20

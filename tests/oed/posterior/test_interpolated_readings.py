@@ -7,7 +7,7 @@ import pytest
 from shipped_models import a3_head, ball_bar, height_probe, linear_delta
 
 from oed.base import Array
-from oed.compensate.effects.effect_measurement import MeasurementWithEffects
+from oed.corrected import MeasurementWithEffects
 from oed.estimation import identify
 from oed.measurement import Measurement, Series, draw_parameters
 from oed.model import mount

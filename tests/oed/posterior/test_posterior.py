@@ -11,8 +11,7 @@ from scipy import special
 
 from kernel import a3_plans
 from kernel.delta_probe import problem
-from oed import posterior
-from oed.base import own_files
+from oed import posterior, safe_files
 from oed.estimation import identify
 from oed.measurement import draw_readings
 from oed.posterior import Sampler
@@ -193,7 +192,7 @@ def test_the_file_holds_the_draws(tmp_path: Path) -> None:
     drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), ess=200)
     path = tmp_path / "posterior.nc"
     posterior.save(drawn, path, {"study": "test"})
-    assert {p.name for p in tmp_path.iterdir()} == {"posterior.nc", own_files.LIST}
+    assert {p.name for p in tmp_path.iterdir()} == {"posterior.nc", safe_files.LIST}
     tree = xr.open_datatree(path, engine="h5netcdf")
     assert (tree["posterior"]["theta"].to_numpy() == drawn.draws).all()
     assert tree["posterior"]["parameter"].to_numpy().tolist() == list(m.names)

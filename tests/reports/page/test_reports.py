@@ -19,7 +19,7 @@ import pytest
 import report_fixture
 from report_fixture import result_of, shown_text, text_of
 
-from oed.base import own_files
+from oed import safe_files
 from oed.result import StudyResult
 from pkm_reports import sections, write_report
 from pkm_reports.page import build_document, render_html, render_pdf
@@ -97,7 +97,7 @@ def test_both_files_are_whole(full: tuple[Path, Path]) -> None:
     assert book.read_bytes().startswith(b"%PDF")
     assert b"%%EOF" in book.read_bytes()[-32:]
     files = sorted(p.name for p in page.parent.iterdir())
-    assert files == [own_files.LIST, "report.html", "report.pdf"]
+    assert files == [safe_files.LIST, "report.html", "report.pdf"]
 
 
 def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:

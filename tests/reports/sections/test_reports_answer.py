@@ -7,8 +7,7 @@ import report_fixture
 import report_fixture_plan
 from report_fixture import result_of
 
-from oed.result import StudyResult
-from oed.result.prediction import LEVELS
+from oed.result import LEVELS, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
 from pkm_reports.sections import answer_parts

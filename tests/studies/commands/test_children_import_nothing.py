@@ -18,7 +18,7 @@ import pytest
 import sample
 from page import page_server
 
-from oed.base import child_process
+from oed import child_process
 from pkm_page import BackgroundCommand
 from pkm_studies.commands.cli import Subcommands
 

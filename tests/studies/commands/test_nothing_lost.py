@@ -11,7 +11,7 @@ import pytest
 import sample
 from few_poses import SIMULATED
 
-from oed.base import own_files
+from oed import safe_files
 from pkm_studies.commands import main
 
 
@@ -122,7 +122,7 @@ def test_a_result_that_the_user_edited_is_set_aside(
     edited = json.loads(path.read_bytes()) | {"title": "mine"}
     path.write_text(json.dumps(edited), encoding="utf-8")
     if older:
-        (out / own_files.LIST).unlink()
+        (out / safe_files.LIST).unlink()
     again(study, out)
     assert json.loads((out / "result-earlier.json").read_bytes()) == edited
     assert json.loads(path.read_bytes())["title"] != "mine"

@@ -11,7 +11,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 from scipy.spatial.transform import Rotation
 
 import oed
-from oed.base import units
+from oed import units
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.importers import import_files

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oed.base import units
+from oed import units
 from pkm_studies import quantities
 from pkm_studies.base import InputError, Location
 

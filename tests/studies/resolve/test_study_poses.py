@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sample
 
-from oed.base import from_si
+from oed.units import from_si
 from pkm_studies.base import InputError
 
 TABLE = """

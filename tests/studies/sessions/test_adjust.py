@@ -15,7 +15,7 @@ import pytest
 import sample
 import xarray as xr
 
-from oed.compensate.adjustment import StepProblem, choose_steps, sizes_without
+from oed.adjustment import StepProblem, choose_steps, sizes_without
 from pkm_studies.commands import main
 from pkm_studies.resolve import study_machine
 from pkm_studies.study import parse

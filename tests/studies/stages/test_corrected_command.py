@@ -12,8 +12,9 @@ import pytest
 import sample
 
 from oed.result import CoefficientRecord, StudyResult
-from pkm_studies.commands import main, outcome
+from pkm_studies.commands import main
 from pkm_studies.results import improvements, load_result
+from pkm_studies.stages import outcome
 from pkm_studies.stages.gap import implausible
 from pkm_studies.stages.summary import shown_components
 

@@ -15,8 +15,8 @@ from oed.result import (
     PlaceRecord,
     SizeRecord,
 )
+from oed.text import format_probability
 from pkm_studies.stages.gap.sentences import add_sentences
-from pkm_studies.stages.gap.words import format_probability
 
 
 def _gap(

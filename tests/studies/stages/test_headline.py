@@ -12,8 +12,7 @@ import report_fixture
 from oed.result import StudyResult
 from pkm_reports import sections as answer
 from pkm_reports.blocks import Table
-from pkm_studies.commands import outcome, summary
-from pkm_studies.stages import headline
+from pkm_studies.stages import headline, outcome, summary
 
 
 def spread(rms: float, unit: str) -> dict[str, Any]:

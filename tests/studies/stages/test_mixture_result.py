@@ -9,7 +9,8 @@ import report_fixture
 from result_sample import drop, whole
 from shipped_models import a3_head
 
-from oed.result import MixtureSection, StudyResult, trust
+from oed import trust
+from oed.result import MixtureSection, StudyResult
 from pkm_reports.sections.gap import mixture as chapter
 from pkm_studies.acceptance import promise
 from pkm_studies.compensation import identified_parameters

@@ -11,10 +11,10 @@ from report_fixture import check_inside, result_of, sample
 from kernel import a3_plans
 from kernel.a3_machines import exact, measured
 from oed import compensate
-from oed.base import to_si
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement, Series
-from oed.result import RunCurve, relations
+from oed.result import RunCurve, breaches
+from oed.units import to_si
 from pkm_reports import style
 from pkm_reports.page import build_document
 from pkm_reports.sections.figures import run_curves as figure
@@ -105,7 +105,7 @@ def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
     raw = sample()
     raw["estimate"]["runs"] = msgspec.to_builtins(curves)
     result = result_of(raw)
-    assert not list(relations.breaches(result))
+    assert not list(breaches(result))
     contradicting = [
         msgspec.structs.replace(curves[0], kind="spiral"),
         msgspec.structs.replace(curves[0], predicted=[]),
@@ -113,7 +113,7 @@ def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
     ]
     for curve in contradicting:
         raw["estimate"]["runs"] = msgspec.to_builtins([curve])
-        assert list(relations.breaches(result_of(raw)))
+        assert list(breaches(result_of(raw)))
     report = build_document(result)
     assert "run_curves" in report.images
     with style.applied():

@@ -12,10 +12,10 @@ from result_sample import whole
 from shipped_models import a3_head
 
 from kernel.answer_mixture import Case, case, readings
+from oed import trust
 from oed.accuracy.prediction import Spread, least_error
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.result import MixtureSection, trust
-from oed.result.mixture import BEST, MIXTURE, NOTHING, PLAIN
+from oed.effects import SessionStates
+from oed.result import BEST, MIXTURE, NOTHING, PLAIN, MixtureSection
 from pkm_studies.earlier_result import controller_values, corrects_effects
 from pkm_studies.stages.corrected.section import drop_tables
 from pkm_studies.stages.gap import mixture as sections

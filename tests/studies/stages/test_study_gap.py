@@ -17,7 +17,6 @@ import pytest
 import sample
 
 from oed import result
-from oed.compensate.effects import answer_fits
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import gap_request
@@ -51,8 +50,8 @@ def diagnosis_by_hand() -> Iterator[None]:
             "oed.gap.procedure.diagnose",
             lambda problem, effects, rng: gap_fixture.diagnosis(problem),
         )
-        patch.setattr(answer_fits, "DRAWS", 200)
-        patch.setattr(answer_fits, "LEAST_DRAWS", 60)
+        patch.setattr("oed.corrected.answer_fits.DRAWS", 200)
+        patch.setattr("oed.corrected.answer_fits.LEAST_DRAWS", 60)
         yield
 
 

@@ -13,8 +13,8 @@ from oed.result import StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table
 from pkm_reports.sections.answer import accuracy, measure
-from pkm_studies.commands import display, summary
-from pkm_studies.stages import headline
+from pkm_studies.commands import display
+from pkm_studies.stages import headline, summary
 
 MET = {"claim": "rank", "wanted": "rank = 18", "measured": 18, "met": True}
 UNMET = {"claim": "kappa", "wanted": "kappa <= 9", "measured": 12.5, "met": False}

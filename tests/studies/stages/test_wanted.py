@@ -11,7 +11,8 @@ import report_fixture
 import sample
 from report_fixture import result_of
 
-from oed.result import StudyResult, VerdictRecord, VerificationSection, verdict
+from oed import verdict
+from oed.result import StudyResult, VerdictRecord, VerificationSection
 from pkm_reports.blocks import Table
 from pkm_reports.sections.answer import accuracy
 from pkm_studies import result_folder

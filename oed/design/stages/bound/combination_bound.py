@@ -23,7 +23,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import relaxation
 from oed.design.certificate import ROUNDING
 from oed.design.forms import Criterion

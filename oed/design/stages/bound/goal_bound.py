@@ -20,12 +20,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import precision_root
+from oed.base import Array, Index, Mask
 from oed.design.stages.bound.combination_bound import CombinationBound
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
 from oed.design.stages.stage.travel import is_captured
+from oed.linear_algebra import precision_root
 
 #: largest number of combinations that are bounded
 COMBINATIONS = 200_000

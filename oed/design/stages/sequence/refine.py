@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms.protocol import inverse
 from oed.design.stages.option import Option
 from oed.design.stages.sequence.problem import PlanProblem

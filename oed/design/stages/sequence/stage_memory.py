@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Index
+from oed.base import Index
 from oed.design.stages.option import Option
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.stage.prediction import PlanStage

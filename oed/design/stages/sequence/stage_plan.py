@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.stages.stage.knowledge import Prior
 from oed.design.stages.stage.prediction import PlanStage
 

@@ -17,12 +17,12 @@ from functools import cached_property
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import symmetric_root
+from oed.base import Array, Index, Mask
 from oed.design.stages.option import Option
 from oed.design.stages.stage import travel
 from oed.design.stages.stage.knowledge import Knowledge, multiply_each
 from oed.design.stages.stage.profiled import ProfiledInformation
+from oed.linear_algebra import symmetric_root
 
 #: capture probability from which no machines are drawn
 CERTAIN = 0.999

@@ -16,8 +16,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import symmetric_root
+from oed.base import Array, Index, Mask
+from oed.linear_algebra import symmetric_root
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -21,10 +21,10 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
-from oed.base.linear_algebra import symmetric_root
+from oed.base import Array, Index
 from oed.design.stages.option import Option
 from oed.design.stages.stage.knowledge import multiply_each
+from oed.linear_algebra import symmetric_root
 from oed.measurement import reading_covariances
 
 #: share of a reading's noise below which its residual is neglected

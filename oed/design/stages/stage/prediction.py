@@ -18,7 +18,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.forms.protocol import inverse
 from oed.design.stages.option import Option
 from oed.design.stages.stage import linearisation

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.forms import Criterion
 from oed.design.plan_limits import TimeBudget

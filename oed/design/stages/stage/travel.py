@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import erf
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.design.stages.option import Option
 from oed.design.stages.stage.knowledge import Knowledge, Prior, as_knowledge
 

@@ -21,8 +21,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from oed.accuracy import prediction
-from oed.base.arrays import Array
-from oed.base.linear_algebra import symmetric_root
+from oed.base import Array
 from oed.design.stages.stage.prediction import PlanStage
 from oed.design.stages.virtual_machines.readings import (
     VirtualReadings,
@@ -31,6 +30,7 @@ from oed.design.stages.virtual_machines.readings import (
 )
 from oed.design.stages.virtual_machines.refit import refit_machines
 from oed.design.stages.virtual_machines.workspace import MachineErrors, WorkspaceErrors
+from oed.linear_algebra import symmetric_root
 from oed.measurement import Measurement, draw_parameters
 
 #: machines whose poses are computed together

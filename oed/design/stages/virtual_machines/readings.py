@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.design.stages.stage.prediction import PlanStage
 from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base import Array, Index, Mask
 from oed.estimation import IdentificationError, identify, minimise
 from oed.identifiability import posterior_covariance
 from oed.measurement import Measurement, Series

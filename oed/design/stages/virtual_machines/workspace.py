@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from oed.accuracy import prediction
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.measurement import Measurement
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import Kinematics

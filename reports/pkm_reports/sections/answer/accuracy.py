@@ -13,13 +13,10 @@ from oed.result import (
     PredictionSection,
     SpreadRecord,
     StudyResult,
-)
-from oed.result.verdict import (
-    SURE,
     WantedVerdict,
-    accuracy_verdicts,
-    percent,
 )
+from oed.text import format_probability
+from oed.verdict import SURE, accuracy_verdicts
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
@@ -203,7 +200,7 @@ def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
     phrase = text.VERDICTS[stated.judgement]
     if stated.judgement == "pass":
         phrase += ", confirmed" if stated.confirmed else ", predicted"
-    return [text.number(stated.wanted), percent(stated.probability), phrase]
+    return [text.number(stated.wanted), format_probability(stated.probability), phrase]
 
 
 def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict]) -> str:

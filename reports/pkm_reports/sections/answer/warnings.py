@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from oed.result import StudyResult, trust
+from oed import trust
+from oed.result import StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph
 from pkm_reports.sections.stages.verdict import is_missed

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from oed.design import CRITERIA
-from oed.result import DesignSection
-from oed.result.record import Number
+from oed.result import DesignSection, Number
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import ComponentAccuracy, PredictionSection, SpreadRecord
 from pkm_reports import style, text
 

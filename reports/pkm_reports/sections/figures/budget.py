@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import ComponentAccuracy
 from pkm_reports import missing, style
 

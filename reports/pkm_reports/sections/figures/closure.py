@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.result.closest_closure import ClosestClosure, MachineShape
+from oed import units
+from oed.base import Array
+from oed.result import ClosestClosure, MachineShape
 from pkm_reports import style, text
 from pkm_reports.sections.figures import scene
 

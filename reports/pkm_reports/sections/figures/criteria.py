@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design import CRITERIA
 from oed.result import CriterionComparison, DesignSection
 from pkm_reports import missing, style, text

@@ -10,9 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed.base.arrays import Array
-from oed.result import HowManySummary
-from oed.result.record import Number
+from oed.base import Array
+from oed.result import HowManySummary, Number
 from pkm_reports import missing, style, text
 
 MOST_COLUMNS: Final = 3

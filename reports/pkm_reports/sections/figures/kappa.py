@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import KappaMap
 from pkm_reports import missing, style, text
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import Drawing, DrawingLabel
 from pkm_reports import style
 from pkm_reports.sections.figures import scene

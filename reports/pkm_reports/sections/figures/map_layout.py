@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.base.arrays import Array, Mask
+from oed.base import Array, Mask
 
 POLAR: Final = ("psi_deg", "theta_deg")
 MOST_LEVELS: Final = 4

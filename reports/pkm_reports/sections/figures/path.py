@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.result import PlannedReading
 from pkm_reports import missing, style, text
 

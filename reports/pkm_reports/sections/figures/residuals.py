@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import EstimateSection
 from pkm_reports import missing, style, text
 

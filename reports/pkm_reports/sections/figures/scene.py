@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import proj3d  # type: ignore[import-untyped]
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: lower and upper corner (3,) of what is shown, mm
 Box = tuple[Array, Array]

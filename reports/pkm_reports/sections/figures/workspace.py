@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import PredictionSection
 from pkm_reports import missing, style, text
 from pkm_reports.sections.figures.map_layout import MapLayout, choose_layout

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from oed.base import units
+from oed import units
 from oed.result import (
     ChosenRuns,
     DetectabilityRecord,
     DetectabilityTable,
+    Number,
     RivalRecord,
     SeparationRecord,
     SharedRecord,
     StudyResult,
 )
-from oed.result.record import Number
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

@@ -6,17 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from oed.base import units
+from oed import units
 from oed.result import (
+    LEAST_CLOSURE,
     ClosureRecord,
     CoefficientRecord,
     GapSection,
+    Number,
     PlaceRecord,
     StudyResult,
     Trace,
 )
-from oed.result.gap import LEAST_CLOSURE
-from oed.result.record import Number
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,

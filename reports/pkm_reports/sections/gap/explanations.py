@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from oed.result import AnswerRecord, GapSection
-from oed.result.gap import MISSED_GAP_COST, NO_GAP_PROBABILITY
+from oed.result import MISSED_GAP_COST, NO_GAP_PROBABILITY, AnswerRecord, GapSection
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

@@ -5,8 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from oed.result import MixtureSection, PredictionSection, StudyResult
-from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
+from oed.result import (
+    BEST,
+    BEST_WITH_EFFECTS,
+    MIXTURE,
+    NOTHING,
+    PLAIN,
+    MixtureSection,
+    PredictionSection,
+    StudyResult,
+)
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,

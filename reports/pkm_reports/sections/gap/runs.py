@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from oed.base import units
+from oed import units
 from oed.result import ChosenRun
 from pkm_reports import text
 from pkm_reports.blocks import Table, TableColumn, number_columns, wide_column

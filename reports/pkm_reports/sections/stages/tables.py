@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from oed.base.text import shorten
 from oed.result import MachineInfo, PlanSection, Sd, StageRecord
+from oed.text import shorten
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Table,

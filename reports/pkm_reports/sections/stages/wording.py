@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from oed.result import AlternativePlan, PlanSection
-from oed.result.record import Number
+from oed.result import AlternativePlan, Number, PlanSection
 from pkm_reports import missing, text
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.mechanism.limbs import PlatformOnLimbs, platform_on_limbs
 from oed.model.machine import Machine

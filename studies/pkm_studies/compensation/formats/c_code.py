@@ -8,7 +8,7 @@ from importlib import resources
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.compensate import compensated_joints
 from oed.mechanism import newton
 from oed.mechanism.c_code import generated_functions

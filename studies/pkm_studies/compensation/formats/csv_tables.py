@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.base import csv_text, units
-from oed.base.arrays import Array
+from oed import csv_text, units
+from oed.base import Array
 from oed.result import EffectTable
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.json_file import (

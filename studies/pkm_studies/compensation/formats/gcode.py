@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from oed.base import units
+from oed import units
 from oed.model.machine import Machine
-from pkm_studies.base import InputError, shorten
+from oed.text import shorten
+from pkm_studies.base import InputError
 from pkm_studies.catalogue import (
     LONGEST_COMMENT,
     Compensation,

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.compensate import compensated_joints, corrected_commands, joint_corrections
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.quantities import column, display_unit

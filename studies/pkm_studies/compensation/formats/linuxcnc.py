@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts

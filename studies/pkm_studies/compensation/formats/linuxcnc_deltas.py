@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.compensate import compensated_joints
 from oed.model.machine import Machine
 from pkm_studies.catalogue import Compensation, Texts

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.model.machine import Machine
 from pkm_studies.catalogue import Compensation, Texts
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.limbs import CRANK, LEG, Limb, PlatformOnLimbs, square_directions
 from oed.model.machine import Coordinate, Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts

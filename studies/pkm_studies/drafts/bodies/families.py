@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from pkm_models.machines import (

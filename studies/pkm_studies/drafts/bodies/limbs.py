@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts.bodies.tree import (
     BALL,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_studies.base import Location
 from pkm_studies.drafts.bodies.tree import (
     BALL,

@@ -9,7 +9,7 @@ from collections.abc import Container, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 HINGE, SLIDE, BALL, FREE = "hinge", "slide", "ball", "free"
 WORLD = "world"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from pkm_studies import files
 from pkm_studies.base import Location
 from pkm_studies.csv_table import named_errors

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from oed.base.text import rounded
 from oed.checks import CheckFinding, Severity
 from oed.checks.mistakes import PHYSICAL
-from oed.compensate.effects.senses import TurnedRuns
+from oed.corrected import TurnedRuns
 from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
-from oed.result.fit_limits import noise_ratio
+from oed.text import rounded
+from oed.trust import noise_ratio
 
 
 def resolves(corrected: CorrectedSection, findings: Sequence[CheckFinding]) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from oed.compensate.effects.fit import CorrectedEstimate
+from oed.corrected import CorrectedEstimate
 from oed.result import CoefficientRecord, GapSection
 from pkm_studies.stages.gap import implausible, sentences
 

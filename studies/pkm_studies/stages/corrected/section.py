@@ -8,26 +8,27 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 import numpy as np
 
+from oed import units
 from oed.accuracy.prediction import least_error
-from oed.base import units
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.goodness import Goodness
-from oed.compensate.command_grid import CommandGrid, GridAxis
-from oed.compensate.effects.fit import CorrectedEstimate
-from oed.compensate.effects.forms import ChosenForm
-from oed.compensate.effects.tables import (
-    PAYLOAD,
-    TEMPERATURE,
+from oed.compensate import CommandGrid, GridAxis
+from oed.corrected import (
+    ChosenForm,
+    CorrectedAccuracy,
+    CorrectedEstimate,
     StateTable,
     TabledEffects,
     tabled_effects,
 )
-from oed.compensate.effects.workspace import CorrectedAccuracy
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.measurement import Measurement
 from oed.model.machine import Machine
 from oed.posterior import Posterior
 from oed.result import (
+    BEST,
+    BEST_WITH_EFFECTS,
+    PLAIN,
     CorrectedSection,
     EffectEstimate,
     EffectTable,
@@ -36,7 +37,7 @@ from oed.result import (
     PredictionSection,
     SpreadRecord,
 )
-from oed.result.mixture import BEST, BEST_WITH_EFFECTS, PLAIN
+from oed.text import join_words
 from pkm_studies import describe
 from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
 from pkm_studies.quantities import column, display_unit
@@ -44,7 +45,7 @@ from pkm_studies.stages.corrected.coefficients import coefficient_records
 from pkm_studies.stages.fit.effects import add_controller
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
-from pkm_studies.stages.gap.words import join_words, plain_name
+from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.predict.accuracy import (
     accuracy_section,
     add_wanted,
@@ -125,16 +126,11 @@ def effect_table(
     interpolation: Mapping[str, float],
 ) -> EffectTable:
     """A table in display units, at commands (n, n_dof), SI."""
-    state = table.axis
-    if state == PAYLOAD:
-        state = f"{state}_N"
-    if state.startswith(TEMPERATURE):
-        state = f"{state}_C"
     names = [column(joint.name, joint.unit) for joint in machine.joints]
     factors = [units.factor(display_unit(joint.unit)) for joint in machine.joints]
     return EffectTable(
         effect=table.effect,
-        state=state,
+        state=table.column,
         joint_wise=table.joint_wise,
         values=table.values.tolist(),
         joints=names,

@@ -13,12 +13,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed.accuracy import prediction
-from oed.base.arrays import Array
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.base import Array
 from oed.design import CRITERIA
 from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.forms import Compound, Criterion
+from oed.effects import PlannedEffects
 from oed.identifiability import (
     column_scale,
     parameter_covariance,

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Index
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.base import Index
 from oed.design.blocks import information
 from oed.design.exchange import Choice
+from oed.effects import PlannedEffects
 from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series

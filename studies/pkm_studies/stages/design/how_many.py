@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.design.blocks import information
 from oed.design.exchange import Choice
 from oed.design.how_many import AccuracyGoal, SizeCurve

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.design import move_times, order, schedule
 from oed.measurement import Measurement, Series
 from oed.model.machine import Machine

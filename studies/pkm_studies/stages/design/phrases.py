@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from oed.base.text import format_number, guaranteed_percent
 from oed.design import CRITERIA
 from oed.result import DesignSection, PlanScore
+from oed.text import format_number, guaranteed_percent
 
 
 def gain_sentences(section: DesignSection | None) -> list[str]:

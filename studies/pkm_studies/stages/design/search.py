@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import bounds, branch, exchange
 from oed.design.blocks import information, project_on_estimable
 from oed.design.candidates import Candidates

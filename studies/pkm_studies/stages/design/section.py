@@ -9,8 +9,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.base.text import guaranteed_percent
+from oed.base import Array
 from oed.design import CRITERIA
 from oed.design.forms import Criterion
 from oed.identifiability import Assessment, assess, prior_information
@@ -22,6 +21,7 @@ from oed.result import (
     PlanScore,
     RobustSummary,
 )
+from oed.text import guaranteed_percent
 from pkm_studies.describe import (
     displayed_command,
     displayed_joints,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design import CRITERIA, candidates, robust
 from oed.design.candidates import Candidates
 from oed.design.exchange import Choice

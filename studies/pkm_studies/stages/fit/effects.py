@@ -6,10 +6,10 @@ from typing import TypeVar
 
 import msgspec
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.fit import EffectReadings
+from oed import units
+from oed.base import Array
+from oed.corrected import EffectReadings
+from oed.effects import SessionStates
 from oed.gap.data.problem import GapProblem
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, MixtureSection

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.base.text import rounded
+from oed import units
+from oed.base import Array
 from oed.estimation import Estimate
 from oed.identifiability import Identifiability
 from oed.measurement import Measurement, Series
@@ -19,6 +18,7 @@ from oed.result import (
     HeldParameter,
     ParameterEstimate,
 )
+from oed.text import rounded
 from pkm_studies.describe import displayed_command
 
 

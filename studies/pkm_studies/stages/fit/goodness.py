@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from oed import checks
-from oed.base import text
+from oed import checks, text
 from oed.checks import CheckedSession
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading

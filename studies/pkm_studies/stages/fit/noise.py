@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from oed.base import units
-from oed.base.text import rounded
+from oed import units
 from oed.estimation import Estimate, noise_numbers
 from oed.model.instrument import Setup
 from oed.noise import reach_phrase
 from oed.result import GoodnessSection, NoiseRecord
-from oed.result.fit_limits import ALARM, noise_ratio
+from oed.text import rounded
+from oed.trust import ALARM, noise_ratio
 
 
 def with_noise(

@@ -8,14 +8,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
-from oed.base.linear_algebra import by_size
+from oed import units
+from oed.base import Array
 from oed.estimation import Estimate
+from oed.linear_algebra import by_size
 from oed.measurement import Measurement
 from oed.posterior import MIXED_RHAT, Posterior
-from oed.result import IMPORTANCE, Marginal, PosteriorSection, PredictiveCheckRecord
-from oed.result.record import finite_or_none
+from oed.result import (
+    IMPORTANCE,
+    Marginal,
+    PosteriorSection,
+    PredictiveCheckRecord,
+    finite_or_none,
+)
 from pkm_studies.tables import PosteriorTable
 
 #: draws shown in the corner plot

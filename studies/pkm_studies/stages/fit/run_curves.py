@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.compensate import compensated_joints
 from oed.estimation import Estimate
 from oed.gap.data.state import phase_along_runs

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.dataset.columns import (
     TEMPERATURE,
     column_name,

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base import csv_text, units
-from oed.base.arrays import Array
-from oed.compensate.exact import command_of_pose
-from oed.compensate.forecast import Forecast
+from oed import csv_text, units
+from oed.base import Array
+from oed.compensate import command_of_pose
 from oed.dataset.dialect import commented
+from oed.forecast import Forecast
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Component

@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from oed.base import units
-from oed.base.arrays import Array, Index
-from oed.base.text import quantity
-from oed.compensate import InterpolationTable
-from oed.compensate.command_grid import joint_motion
-from oed.compensate.error_field import (
+from oed import units
+from oed.base import Array, Index
+from oed.compensate import InterpolationTable, joint_motion
+from oed.forecast import (
     ErrorField,
+    Forecast,
     NodeDesign,
     design_nodes,
     fit_error_field,
+    forecast_table,
 )
-from oed.compensate.forecast import Forecast, forecast_table
 from oed.result import ForecastComponent, ForecastSection
+from oed.text import quantity
 from pkm_studies import describe
 from pkm_studies.base import InputError
 from pkm_studies.stages.forecast import files

@@ -7,11 +7,9 @@ import dataclasses
 import numpy as np
 
 from oed.accuracy.maps import driven_errors
-from oed.base.arrays import Array
+from oed.base import Array, grid_nodes
 from oed.compensate import GridAxis, box_axes
-from oed.compensate.error_field import Kernel, expected_kernel, joint_size
-from oed.compensate.joint_errors import JointErrors
-from oed.compensate.table import grid_nodes
+from oed.forecast import JointErrors, Kernel, expected_kernel, joint_size
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from pkm_studies import quantities

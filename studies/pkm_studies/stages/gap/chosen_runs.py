@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from oed import dataset
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.design.rules import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.runs import pool_runs
@@ -17,7 +17,7 @@ from oed.gap.before.separation import Separation
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
-from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
+from oed.result import ChosenRun, ChosenRuns, SeparationRecord
 from pkm_studies.resolve import GapDesignRequest, GapRequest, comments_of
 
 if TYPE_CHECKING:

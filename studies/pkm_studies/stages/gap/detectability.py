@@ -13,14 +13,15 @@ from oed.design.rules import Rules
 from oed.gap.before import detect
 from oed.gap.data import problem
 from oed.measurement import Measurement, Series
-from oed.result.gap_before import GapBeforeSection
+from oed.result import GapBeforeSection
 from pkm_studies.resolve import GapDesignRequest, GapRequest
 from pkm_studies.stages.gap import chosen_runs
 
 if TYPE_CHECKING:
     import pandas as pd
-from oed.result.gap_before import ChosenRuns, DetectabilityTable
-from pkm_studies.stages.gap.words import capitalised, join_words, plain_name
+from oed.result import ChosenRuns, DetectabilityTable
+from oed.text import capitalised, join_words
+from pkm_studies.stages.gap.words import plain_name
 
 #: most effects and pairs in one sentence
 MOST = 6

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from oed.base import units
-from oed.base.text import rounded
+from oed import units
 from oed.model.expected_size import IMPLAUSIBLE
-from oed.result.gap import CoefficientRecord
+from oed.result import CoefficientRecord
+from oed.text import rounded
 
 #: ppm from which a ratio is stated in percent
 PERCENT = 1e4

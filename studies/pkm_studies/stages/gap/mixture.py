@@ -9,33 +9,32 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from oed import units
 from oed.accuracy.budget import budget_model
 from oed.accuracy.maps import Reference
 from oed.accuracy.prediction import least_error
-from oed.base import units
-from oed.base.arrays import Array, Index
-from oed.base.text import format_number
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.fit import CorrectedEstimate
-from oed.compensate.effects.mixture import (
-    AnswerMixture,
-    columns_of_forms,
-    side_by_side,
-)
+from oed.base import Array, Index
+from oed.corrected import AnswerMixture, CorrectedEstimate
+from oed.effects import ExpectedColumns, SessionStates
 from oed.gap.cause.advice import GO_AHEAD
 from oed.measurement import Measurement, Series
 from oed.result import (
+    BEST,
+    BEST_WITH_EFFECTS,
+    LEVELS,
+    MIXTURE,
+    NOTHING,
+    PLAIN,
     CompensationChoice,
     GapSection,
     MixedAnswer,
     MixedParameter,
     MixtureSection,
 )
-from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
-from oed.result.prediction import LEVELS
+from oed.text import format_number, format_probability, join_words
 from pkm_studies.stages.fit.effects import add_controller
 from pkm_studies.stages.fit.states import displayed_states
-from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
+from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, add_wanted
 from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
@@ -145,10 +144,10 @@ def _knowledge(
     parts = [] if drawn.columns is None else [drawn.columns]
     coefficients = drawn.coefficients
     if best.corrected is not None:
-        parts.append(columns_of_forms(best.corrected.forms))
+        parts.append(best.corrected.columns)
         width = len(best.corrected.scales)
         coefficients = np.hstack([coefficients, np.zeros((len(coefficients), width))])
-    columns = side_by_side(parts)
+    columns = ExpectedColumns.side_by_side(parts)
     effects = None
     if columns is not None:
         effects = ActingEffects(columns, session, mixture.mean, coefficients)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from oed.base.text import rounded
 from oed.gap.data.diagnosis import DATA_SHEET
 from oed.result import GapSection, GoodnessSection
+from oed.text import rounded
 
 
 def sentences(gap: GapSection, factor: float) -> list[str]:

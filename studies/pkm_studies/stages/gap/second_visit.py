@@ -8,15 +8,16 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed.base import units
+from oed import units
 from oed.gap.before import repeats
 from oed.gap.before.runs import Run
 from oed.gap.before.second_visit import SecondVisit, needs_second_visit, propose
 from oed.gap.data.diagnosis import Diagnosis
 from oed.result import ChosenRun, GapSection, SecondVisitRecord
+from oed.text import format_probability, join_words
 from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.gap.chosen_runs import poses_csv
-from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
+from pkm_studies.stages.gap.words import plain_name
 
 #: pairs of answers that are named, at most
 MOST = 3

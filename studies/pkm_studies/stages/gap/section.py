@@ -10,20 +10,20 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.gap.data import problem
 from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis, Size
 from oed.measurement import Measurement, Series
 from oed.model.effect import Column, Effect
-from oed.result.gap import (
+from oed.result import (
     ClosureRecord,
     CoefficientRecord,
     EffectNote,
     GapSection,
     SizeRecord,
+    finite_or_none,
 )
-from oed.result.record import finite_or_none
 from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.gap import sentences, traces
 

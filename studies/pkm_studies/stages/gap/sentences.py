@@ -19,7 +19,7 @@ from oed.gap.cause.advice import (
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
-from oed.result.gap import (
+from oed.result import (
     EVEN,
     LEAST_CLOSURE,
     AnswerRecord,
@@ -29,13 +29,9 @@ from oed.result.gap import (
     SizeRecord,
     visible_probability,
 )
+from oed.text import capitalised, format_probability, join_words
 from pkm_studies.stages.gap import implausible, scatter
-from pkm_studies.stages.gap.words import (
-    capitalised,
-    format_probability,
-    join_words,
-    plain_name,
-)
+from pkm_studies.stages.gap.words import plain_name
 
 # States the places of a gap: legs, set-ups, runs, times and parts of runs.
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Index
+from oed import units
+from oed.base import Array, Index
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.metric import Metric
-from oed.result.gap import Spot, Trace
+from oed.result import Spot, Trace
 from pkm_studies.resolve import FEED_MM_PER_MIN, PASS_SUFFIX
 
 if TYPE_CHECKING:

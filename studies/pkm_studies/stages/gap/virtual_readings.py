@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oed import dataset
-from oed.base import units
-from oed.base.arrays import Array
+from oed import dataset, units
+from oed.base import Array
 from oed.gap.data import signature
 from oed.gap.data.state import states as states_of
 from oed.measurement import Measurement, Series

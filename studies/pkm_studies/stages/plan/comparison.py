@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import result
-from oed.base.arrays import Index
+from oed.base import Index
 from oed.design import CRITERIA
 from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult

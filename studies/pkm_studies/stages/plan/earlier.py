@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.design.stages.option import Option
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine

@@ -7,8 +7,7 @@ from typing import Any
 
 import msgspec
 
-from oed import result
-from oed.base import csv_text
+from oed import csv_text, result
 from oed.measurement import Measurement, Series
 from pkm_studies import describe
 from pkm_studies.stages.design.section import planned_readings

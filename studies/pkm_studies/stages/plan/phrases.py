@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from oed import result
-from oed.base import units
+from oed import result, units
 
 
 def percent(share: float) -> str:

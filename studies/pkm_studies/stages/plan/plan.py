@@ -8,14 +8,13 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed import result
-from oed.base import units
-from oed.base.arrays import Array, Index
-from oed.compensate.effects.planned_effects import PlannedEffects
+from oed import result, units
+from oed.base import Array, Index
 from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.virtual_machines.propagation import StageRealisation, propagate
+from oed.effects import PlannedEffects
 from pkm_studies.base import Progress
 from pkm_studies.resolve import PlanRequest, ResolvedStudy, named_effects
 from pkm_studies.stages.plan.comparison import compare_sequence, predict_readings

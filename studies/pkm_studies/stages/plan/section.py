@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import result
-from oed.base import units
-from oed.base.arrays import Array
+from oed import result, units
+from oed.base import Array
 from oed.design import CRITERIA
 from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan

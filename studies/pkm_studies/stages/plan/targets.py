@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.forms.protocol import inverse
 from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult

@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import result
+from oed import result, units
 from oed.accuracy import prediction
-from oed.base import units
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.stages.goal import Goal, ToolErrors, workspace_goal
 from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult, search_plan

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
+from oed import units
 from oed.accuracy.budget import Budget
 from oed.accuracy.budget.lines import shares
 from oed.accuracy.prediction import Prediction, Spread
-from oed.base import units
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import (

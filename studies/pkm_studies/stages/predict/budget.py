@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from oed import units
 from oed.accuracy.budget import Budget, Line
 from oed.accuracy.prediction import Prediction
-from oed.base import units
-from oed.base.arrays import Array
-from oed.compensate.effects.unmodelled import ExpectedEffect, ExpectedEffects
+from oed.base import Array
+from oed.effects import ExpectedEffect, ExpectedEffects
 from oed.model.machine import Machine
 from oed.model.size_prior import EFFECT_SIZES
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine, UsualEffects

@@ -19,8 +19,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base import units
-from oed.base.arrays import Array, Mask
+from oed import units
+from oed.base import Array, Mask
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series, reading_structure
 from oed.model.instrument import Channel

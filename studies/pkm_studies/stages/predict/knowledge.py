@@ -18,15 +18,13 @@ from oed.accuracy.maps import (
     maps_by_reference,
 )
 from oed.accuracy.prediction import Prediction
-from oed.base.arrays import Array
-from oed.compensate import NO_TOOL
-from oed.compensate.effects.absorbed import absorbing_shift
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.expected_columns import ExpectedColumns
+from oed.base import Array
+from oed.effects import ExpectedColumns, SessionStates, absorbing_shift
 from oed.estimation import Estimate
 from oed.identifiability import parameter_covariance
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism.pose_errors import NO_TOOL
 from oed.noise import LawNoise
 from oed.posterior import ApproximateDraws
 

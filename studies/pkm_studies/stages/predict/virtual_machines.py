@@ -9,7 +9,7 @@ import numpy as np
 from oed.accuracy import prediction
 from oed.accuracy.maps import driven_errors
 from oed.accuracy.prediction import Reference, Spread
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation import fit_machines
 from oed.measurement import Measurement, Series, draw_parameters
 

@@ -10,16 +10,17 @@ import msgspec
 import numpy as np
 
 from oed import posterior
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.judgement import goodness_of_delivered
-from oed.compensate.effects.answer_fits import with_constants
-from oed.compensate.effects.fit import (
+from oed.corrected import (
     CorrectedEstimate,
     EffectReadings,
+    TurnedRuns,
     estimate_with_effects,
+    find_turned_runs,
+    predict_corrected,
+    with_constants,
 )
-from oed.compensate.effects.senses import TurnedRuns, find_turned_runs
-from oed.compensate.effects.workspace import predict_corrected
 from oed.estimation import IdentificationError
 from oed.gap.data.signature import untestable
 from oed.model.effect import Effect

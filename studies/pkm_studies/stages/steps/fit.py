@@ -7,7 +7,7 @@ import dataclasses
 import msgspec
 
 from oed import posterior
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.judgement import goodness_of_delivered
 from oed.estimation import (
     Estimate,
@@ -20,7 +20,7 @@ from oed.estimation import (
 )
 from oed.measurement import mode_jumps
 from oed.result import GoodnessSection
-from oed.result.verdict import percent
+from oed.text import format_probability
 from pkm_studies.base import Stream
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.estimate import (
@@ -120,7 +120,7 @@ def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
     warning = (
         f"the parameters are some {factor:.2g} times as far from nominal as their"
         " tolerances allow, all together (probability that these are right"
-        f" {percent(judged.probability)}): the fit takes all tolerances {factor:.2g} times"
+        f" {format_probability(judged.probability)}): the fit takes all tolerances {factor:.2g} times"
         " as large; correct [prior] or the nominal numbers"
     )
     larger = judged.widened(measurement)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from oed.base import units
+from oed import units
 from oed.design.rules import Rules
 from oed.measurement import Measurement
 from pkm_studies.base import Stream

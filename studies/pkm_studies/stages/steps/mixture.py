@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from oed.compensate.effects.answer_fits import AnswerFits
-from oed.compensate.effects.expected_columns import expected_columns
+from oed.corrected import AnswerFits
+from oed.effects import expected_columns
 from oed.gap.data.signature import untestable
 from oed.result import CorrectedSection, PredictionSection
 from pkm_studies.base import Stream

@@ -8,18 +8,17 @@ from typing import get_args
 import msgspec
 import numpy as np
 
-from oed import posterior
+from oed import posterior, trust
 from oed.accuracy.budget import budget_model, budget_of
 from oed.accuracy.maps import ErrorMaps, Reference
 from oed.accuracy.prediction import Spread
-from oed.base.arrays import Array
-from oed.base.units import MM
-from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.unmodelled import ExpectedEffects, expected_effects
+from oed.base import Array
+from oed.effects import ExpectedEffects, SessionStates, expected_effects
 from oed.gap.data import problem as problems
 from oed.measurement import Measurement, Series
 from oed.posterior import ApproximateDraws
-from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
+from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
+from oed.units import MM
 from pkm_studies.base import Stream
 from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.fit.effects import session_states

@@ -12,7 +12,8 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from pkm_studies.base import Location, shorten
+from oed.text import shorten
+from pkm_studies.base import Location
 from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv
 
 REVOLUTIONS = tuple(f"leg_length_{k}" for k in range(1, 7))

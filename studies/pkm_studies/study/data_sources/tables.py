@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from oed.text import shorten
 from pkm_studies import files
-from pkm_studies.base import Location, SourceAbsentError, shorten
+from pkm_studies.base import Location, SourceAbsentError
 from pkm_studies.csv_table import named_errors
 
 #: bytes of the largest file

@@ -11,7 +11,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import DetectabilityTable
 from pkm_reports import missing, style, text
 from pkm_reports.sections.figures.gap.effects import spoken

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import Spot
 from pkm_reports import missing, style, text
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import Trace
 from pkm_reports import missing, style, text
 from pkm_reports.sections.figures.gap import trace as gap_trace

@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from oed.base.arrays import Array
-from oed.result import Trace
-from oed.result.record import Number
+from oed.base import Array
+from oed.result import Number, Trace
 from pkm_reports import missing, style, text
 
 MOST: Final = 9

@@ -1,1 +1,0 @@
-"""Corrected model: parameters and effects estimated together, and what they predict."""

@@ -1,0 +1,133 @@
+"""Offsets for further axes: known pose errors that no joint of the machine corrects.
+
+A machine that drives z and two tilts leaves errors in x, in y and about the tool axis.
+With the joints at what compensation gives, they are known as well as the parameters are,
+and an X-Y table or a part program can take them back. Tian et al. (2016) correct x and y
+by the drives of their table (section 4).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.base import Array
+from oed.compensate.exact import compensated_joints
+from oed.mechanism.error_model import error_model
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL, pose_error
+from oed.model.machine import Component
+
+#: name of the offset about the tool axis
+TURN = "turn"
+#: a rotation lies along the tool axis where it is off it by less than this share
+ALONG = 1e-6
+#: poses at which the directions of what stays are examined
+POSES = 8
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class FurtherAxis:
+    """A motion that no joint makes.
+
+    name       of the offset: that of its pose component, or `turn`
+    unit       SI unit
+    component  pose component that it corrects
+    about      what the offset is, for tables
+    """
+
+    name: str
+    unit: str
+    component: str
+    about: str
+
+
+@dataclasses.dataclass(frozen=True)
+class FurtherAxes:
+    """The m motions that would correct what a machine's joints do not."""
+
+    kinematics: Kinematics
+    axes: tuple[FurtherAxis, ...]
+
+    def __len__(self) -> int:
+        return len(self.axes)
+
+    def offsets(self, command: Array, parameters: Array) -> Array:
+        """How far (n, m) a compensated machine is off its commands (n, n_dof), SI.
+
+        parameters  (np,) identified, which the joints compensate
+
+        A further axis takes them back. Raises AssemblyError.
+        """
+        joints = compensated_joints(self.kinematics, command, parameters)
+        twist = pose_error(self.kinematics, command, joints, parameters)
+        rows = self.rows(command)
+        return (rows @ twist[:, :, None])[:, :, 0]
+
+    def rows(self, command: Array) -> Array:
+        """Rows (n, m, 6) that take the offsets from a twist error at commands."""
+        machine = self.kinematics.machine
+        names = [c.name for c in machine.components]
+        rows = np.empty((len(command), len(self.axes), 6))
+        slopes = self.kinematics.error_components_jacobian(command)
+        for k, axis in enumerate(self.axes):
+            if axis.name == TURN:
+                rows[:, k] = _tool_axis_rows(self.kinematics, command)
+            else:
+                rows[:, k] = slopes[:, names.index(axis.component)]
+        return rows
+
+    def twists(self, command: Array, offsets: Array) -> Array:
+        """Twist errors (n, 6) that offsets (n, m) are, at commands."""
+        inverse = np.linalg.pinv(self.rows(command))
+        return (inverse @ offsets[:, :, None])[:, :, 0]
+
+
+def further_axes(kinematics: Kinematics) -> FurtherAxes:
+    """The motions that a machine's joints do not make; none where they make all."""
+    machine = kinematics.machine
+    undriven = [c for c in machine.components if not c.compensatable]
+    angles = [c for c in undriven if c.unit == "rad"]
+    turns = len(angles) == 1 and _turns_about_tool_axis(kinematics)
+    axes = []
+    for component in undriven:
+        if turns and component.unit == "rad":
+            about = "rotation about the tool axis, right-handed"
+            axes.append(FurtherAxis(TURN, "rad", component.name, about))
+        else:
+            axes.append(_axis(component))
+    return FurtherAxes(kinematics, tuple(axes))
+
+
+def _axis(component: Component) -> FurtherAxis:
+    about = f"error in {component.name}"
+    if component.about:
+        about += f": {component.about}"
+    return FurtherAxis(component.name, component.unit, component.name, about)
+
+
+def _tool_axis_rows(kinematics: Kinematics, command: Array) -> Array:
+    """Rows (n, 6): the rotation vector along the tool axis of the wanted pose."""
+    nominal = kinematics.machine.nominal
+    x, _ = kinematics.inverse(command, nominal)
+    rotation, _, _ = kinematics.frames(x, NO_TOOL)
+    return np.hstack([np.zeros((len(command), 3)), rotation[:, :, 2]])
+
+
+def _turns_about_tool_axis(kinematics: Kinematics) -> bool:
+    """Whether compensation leaves no rotation but that about the tool axis.
+
+    Seen at poses about home, from the slopes over all parameters.
+    """
+    machine = kinematics.machine
+    span = np.array([c.upper - c.lower for c in machine.command])
+    rng = np.random.default_rng(0)
+    shifts = 0.05 * span * rng.uniform(-1.0, 1.0, (POSES, len(span)))
+    low, high = np.array([(c.lower, c.upper) for c in machine.command]).T
+    command = np.clip(machine.home_command + shifts, low, high)
+    turns = error_model(kinematics, command).remaining[:, 3:]
+    axis = _tool_axis_rows(kinematics, command)[:, 3:]
+    along = np.einsum("ni,nip->np", axis, turns)
+    across = turns - axis[:, :, None] * along[:, None]
+    return bool(np.abs(across).max() <= ALONG * np.abs(turns).max())

@@ -1,0 +1,289 @@
+"""Estimates parameters and effects together, under the estimated noise law."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.base import Array
+from oed.corrected.effect_measurement import SEPARATOR, MeasurementWithEffects
+from oed.corrected.forms import (
+    ChosenForm,
+    choose_forms,
+    groups_by_effect,
+    updated_sizes,
+)
+from oed.effects import ActingForm, ExpectedColumns, SessionStates
+from oed.estimation import Discrepancy, Estimate, identify
+from oed.gap.data import problem as problems
+from oed.gap.data import signature as signatures
+from oed.gap.data.linearisation import ActingEffectForm, settle
+from oed.gap.data.state import DOWN
+from oed.measurement import Measurement, Series
+from oed.model.effect import Effect, State
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: rounds of estimation, linearisation and sizes; changes that end them, of values in
+#: standard deviations (laws of the noise that are drawn move them by a few hundredths)
+#: and of the logarithms of sizes
+ROUNDS, SETTLED, SAME_SIZE = 6, 0.1, 0.1
+#: choices of forms and settled points about each other
+PASSES = 2
+#: departure from the linear model, in units of the noise over all readings, up to which it
+#: serves
+LINEAR = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class EffectReadings:
+    """Readings y (N,), SI, with the covariates that effects are functions of.
+
+    covariates  one row a reading of the series, as in a Dataset
+    gravity     its direction in the base frame
+    """
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    y: Array
+    covariates: pd.DataFrame
+    gravity: tuple[float, float, float] = DOWN
+
+    def problem(self, theta: Array) -> problems.GapProblem:
+        """Residuals and states at theta (n,)."""
+        return problems.assemble(
+            self.measurement,
+            self.series,
+            self.covariates,
+            theta,
+            self.y,
+            gravity=self.gravity,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class CorrectedEstimate:
+    """Parameters and effects, estimated together.
+
+    readings     what was fitted
+    measurement  with the effects' coefficients at the end of theta
+    series       the readings' series, each reading with its pose
+    estimate     of theta = [parameters, coefficients]; a coefficient is in prior
+                 standard deviations of its effect
+    forms        of the effects, with their constants
+    scales       (k,) prior standard deviations of the coefficients, in their own units
+    states       of the machine, one a series
+    """
+
+    readings: EffectReadings
+    measurement: MeasurementWithEffects
+    series: tuple[Series, ...]
+    estimate: Estimate
+    forms: tuple[ChosenForm, ...]
+    scales: Array
+    states: tuple[State, ...]
+
+    @property
+    def parameters(self) -> int:
+        """Number of leading entries of theta that are not coefficients."""
+        return len(self.estimate.theta) - len(self.scales)
+
+    @property
+    def session(self) -> SessionStates:
+        """States in which the readings were taken."""
+        of = self.readings
+        return SessionStates(of.measurement, of.covariates, self.states, of.gravity)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Names (k,) of the coefficients, `effect: coefficient`."""
+        return self.measurement.names[self.parameters :]
+
+    @property
+    def columns(self) -> ExpectedColumns:
+        """Effects in the forms of the fit, one column a coefficient."""
+        acting = tuple(
+            ActingForm(form.effect, form.constants, form.signature.names)
+            for form in self.forms
+        )
+        count = len(self.scales)
+        discrepancy = Discrepancy(
+            columns=np.hstack([form.signature.columns for form in self.forms]),
+            group=np.arange(count, dtype=np.intp),
+            names=self.coefficient_names,
+            unknown=np.zeros(count, dtype=bool),
+        )
+        return ExpectedColumns(discrepancy, acting, np.eye(count))
+
+
+def estimate_with_effects(
+    readings: EffectReadings,
+    effects: Sequence[Effect],
+    theta: Array,
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+    estimate_noise: bool = True,
+    max_iterations: int = 100,
+) -> CorrectedEstimate | None:
+    """Estimate parameters and effects together, starting at theta (n,), SI.
+
+    None where no effect changes a reading. Raises IdentificationError.
+    """
+    fit = _JointFit(readings, estimate_noise, max_iterations)
+    start = fit.start(theta, effects)
+    if not start.forms:
+        return None
+    patterns = [["*"]] if start.settled else [*stages[:-1], ["*"]]
+    corrected = fit.settle(start, patterns)
+    clean = corrected.estimate.robust_readings
+    if clean is None:
+        return corrected
+    # Few readings far off inflate the noise level, next to which forms are chosen.
+    cleaned = _JointFit(
+        dataclasses.replace(readings, y=clean), estimate_noise, max_iterations
+    )
+    theta = corrected.estimate.theta[: corrected.parameters]
+    again = cleaned.start(theta, effects)
+    if not again.forms or _same_constants(start.forms, again.forms):
+        return corrected
+    return fit.settle(again, [["*"]])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Start:
+    """Where a joint fit begins.
+
+    forms    of the effects
+    theta    (n,) parameters, SI
+    beta     (k,) coefficients of all forms, in expected sizes
+    settled  whether that is where the forms explain the readings best, as it is where the
+             effects are too large for the linear model about the fit without them
+    """
+
+    forms: tuple[ChosenForm, ...]
+    theta: Array
+    beta: Array
+    settled: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class _JointFit:
+    """How parameters and effects are estimated together."""
+
+    readings: EffectReadings
+    estimate_noise: bool
+    max_iterations: int
+
+    def start(self, theta: Array, effects: Sequence[Effect]) -> _Start:
+        """Forms, chosen about parameters (n,), and where they explain the readings best.
+
+        Large effects bend the readings: about that point the forms are chosen again.
+        """
+        problem = self.readings.problem(theta)
+        forms = choose_forms(problem, effects)
+        if not forms:
+            return _Start((), theta, np.zeros(0), False)
+        for _ in range(PASSES):
+            acting = [
+                ActingEffectForm(f.effect, f.constants, f.signature.names, f.size)
+                for f in forms
+            ]
+            law = problem.stated_law
+            settled = settle(problem, acting, law, np.zeros(len(problem)))
+            if not LINEAR < settled.departure < np.inf:
+                return _Start(forms, theta, np.zeros_like(settled.coefficients), False)
+            before, forms = forms, choose_forms(settled.problem, effects)
+            if _same_forms(before, forms):
+                break
+        return _Start(before, settled.problem.theta, settled.coefficients, True)
+
+    def settle(
+        self, start: _Start, patterns: Sequence[Sequence[str]]
+    ) -> CorrectedEstimate:
+        """Estimate, linearise and find the sizes of the effects in turn."""
+        forms, theta, beta = start.forms, start.theta, start.beta
+        groups = groups_by_effect(forms)
+        parts = [np.full(len(f.signature.names), f.size) for f in forms]
+        sizes = np.maximum(np.concatenate(parts), 1.0)
+        near: Estimate | None = None
+        for _ in range(ROUNDS):
+            problem = self.readings.problem(theta)
+            measurement = _linearised(self.readings, problem, forms, sizes, beta)
+            estimate = identify(
+                measurement,
+                problem.series,
+                self.readings.y,
+                stages=patterns,
+                estimate_noise=self.estimate_noise,
+                start=np.concatenate([theta, beta]) if start.settled else None,
+                near=near,
+                max_iterations=self.max_iterations,
+            )
+            patterns, near = [["*"]], estimate
+            moved = np.abs(estimate.theta - np.concatenate([theta, beta]))
+            theta, beta = np.split(estimate.theta, [len(theta)])
+            before = sizes
+            of_effects = estimate.covariance[len(theta) :, len(theta) :]
+            sizes = updated_sizes(groups, sizes, beta, of_effects)
+            still = np.all(np.abs(np.log(sizes / before)) <= SAME_SIZE)
+            if still and np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
+                break
+        return CorrectedEstimate(
+            readings=self.readings,
+            measurement=measurement,
+            series=problem.series,
+            estimate=estimate,
+            forms=tuple(forms),
+            scales=np.concatenate([f.signature.scales for f in forms]),
+            states=problem.states,
+        )
+
+
+def _coefficient_names(form: ChosenForm) -> list[str]:
+    return [f"{form.effect.name}{SEPARATOR}{name}" for name in form.signature.names]
+
+
+def _same_forms(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
+    """Whether two choices agree in effects, constants, coefficients and sizes."""
+    sizes = [[f.size for f in forms] for forms in (one, other)]
+    names = [[f.signature.names for f in forms] for forms in (one, other)]
+    return _same_constants(one, other) and sizes[0] == sizes[1] and names[0] == names[1]
+
+
+def _same_constants(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
+    """Whether two choices agree in effects and constants."""
+    return [(f.effect.name, f.constants) for f in one] == [
+        (f.effect.name, f.constants) for f in other
+    ]
+
+
+def _linearised(
+    readings: EffectReadings,
+    problem: problems.GapProblem,
+    forms: Sequence[ChosenForm],
+    sizes: Array,
+    beta: Array,
+) -> MeasurementWithEffects:
+    """The measurement with effects, exact at the problem's theta and beta (k,)."""
+    base, theta = readings.measurement, problem.theta
+    columns, names, acting = [], [], []
+    start = 0
+    for form in forms:
+        wanted = form.signature.names
+        signature = problem.signature(form.effect, form.constants)
+        columns.append(signature.columns_of(wanted))
+        names += _coefficient_names(form)
+        values = beta[start : start + len(wanted)]
+        factors = dict(zip(wanted, values.tolist(), strict=True))
+        acting.append((form.effect, form.constants, factors))
+        start += len(wanted)
+    slopes = np.hstack(columns)
+    exact = signatures.exact_readings(
+        base, problem.series, theta, problem.states, acting
+    )
+    offset = exact - base.readings(problem.series, theta) - slopes @ beta
+    return MeasurementWithEffects(base, problem.series, names, sizes, slopes, offset)

@@ -1,0 +1,242 @@
+"""Chooses each effect's constants and sizes by the evidence of the readings.
+
+With prior N(0, 1) on the coefficients and a free noise level, the log evidence of
+columns U is -1/2 log |A| - N/2 log(r^T M r - b^T A^-1 b), A = 1 + U^T M U, b = U^T M r;
+M takes out what the machine's parameters can explain (`oed.gap.data.metric`).
+
+A joint estimate shows the sizes of effects and of their groups. A group is what belongs
+together: the coefficients of one leg, say. They are N(0, t^2). An estimate made with some
+t, divided by its prior, is what the readings alone tell of a group; with it t is
+estimated again:
+
+- the groups of an effect share a size, its expected one or larger (`oed.model.size_prior`);
+- one group in ten is of any larger size, so that one leg whose conversion is wrong is not
+  pulled to zero, and the others are not set free.
+
+Sizes are posterior medians: where the readings tell nothing, the expected one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import linalg, special
+
+from oed.base import Array, Index
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
+from oed.gap.data.signature import Signature
+from oed.model.effect import Effect
+from oed.model.size_prior import EFFECT_SIZES, FAR_SHARE
+
+#: constants beyond which textbook forms alone are scanned
+LARGE_GRID = 64
+#: passes over the effects
+PASSES = 2
+#: least precision that readings may add to a prior's, as a share of it
+LEAST = 1e-6
+#: sizes from the expected one on; those below it count as it
+SIZES = EFFECT_SIZES.values[EFFECT_SIZES.values >= 1.0]
+#: numbers of the coefficients of each group of an effect, among those of all effects
+Groups = Sequence[Index]
+
+
+@dataclasses.dataclass(frozen=True)
+class ChosenForm:
+    """The form of an effect that suits the readings best.
+
+    effect     the effect
+    constants  {constant: value}
+    size       factor on its prior standard deviations
+    signature  change of the readings per prior standard deviation
+    """
+
+    effect: Effect
+    constants: Mapping[str, float]
+    size: float
+    signature: Signature
+
+
+def choose_forms(
+    problem: GapProblem, effects: Sequence[Effect]
+) -> tuple[ChosenForm, ...]:
+    """The forms of effects that act together; effects that change nothing are absent."""
+    evidence = form_evidence(problem)
+    chosen: dict[str, ChosenForm] = {}
+    for _ in range(PASSES):
+        for effect in effects:
+            others = [f for name, f in chosen.items() if name != effect.name]
+            best = _best_form(problem, evidence, effect, others)
+            if best is not None:
+                chosen[effect.name] = best
+    return tuple(chosen.values())
+
+
+def _best_form(
+    problem: GapProblem,
+    evidence: FormEvidence,
+    effect: Effect,
+    others: Sequence[ChosenForm],
+) -> ChosenForm | None:
+    """The form of one effect of highest evidence, next to others; None without any."""
+    parts = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
+    fixed = np.hstack([np.zeros((len(problem), 0)), *parts])
+    grid = effect.constant_grid()
+    textbook = len(grid) > LARGE_GRID
+    best, best_value = None, -np.inf
+    for constants in grid:
+        signature = problem.signature(effect, constants, textbook=textbook)
+        if not signature.names:
+            continue
+        columns = problem.in_noise_units(signature.columns)
+        values = evidence.of_sizes(fixed, columns, problem.residual)
+        if values.max() > best_value:
+            best_value = float(values.max())
+            size = float(EFFECT_SIZES.values[np.argmax(values)])
+            best = ChosenForm(effect, constants, size, signature)
+    if best is None or not textbook:
+        return best
+    adapted = problem.signature(effect, best.constants)
+    return dataclasses.replace(best, signature=adapted)
+
+
+@dataclasses.dataclass(frozen=True)
+class FormEvidence:
+    """Evidence of columns for a residual, the noise level profiled out."""
+
+    metric: Metric
+
+    def log_evidence(self, columns: Array, residual: Array) -> float:
+        """Log evidence of columns (N, k) for a residual (N,), in noise units."""
+        products = self._products(columns, residual)
+        return _log_evidence(products, len(residual))
+
+    def of_sizes(self, fixed: Array, columns: Array, residual: Array) -> Array:
+        """Log evidence (S,) of columns (N, k) at each size, with the size's prior.
+
+        fixed  (N, f) columns that are in the model as they are
+        """
+        products = self._products(np.hstack([fixed, columns]), residual)
+        values = []
+        for size in EFFECT_SIZES.values:
+            scale = np.ones(len(products))
+            scale[fixed.shape[1] : -1] = size
+            values.append(
+                _log_evidence(products * np.outer(scale, scale), len(residual))
+            )
+        return np.array(values) + EFFECT_SIZES.log_shares
+
+    def unexplained(self, columns: Array, residual: Array) -> float:
+        """Sum of squares that columns with their prior leave of a residual."""
+        return _solve(self._products(columns, residual))[1]
+
+    def _products(self, columns: Array, residual: Array) -> Array:
+        """Inner products (k + 1, k + 1) of columns and residual."""
+        both = np.column_stack([columns, residual])
+        return self.metric.gram(both, both)
+
+
+def _log_evidence(products: Array, size: int) -> float:
+    log_det, unexplained = _solve(products)
+    return -0.5 * log_det - 0.5 * size * float(np.log(unexplained))
+
+
+def _solve(products: Array) -> tuple[float, float]:
+    """Log determinant of A, and sum of squares that the columns leave."""
+    inner = products[:-1, :-1] + np.eye(len(products) - 1)
+    b, total = products[:-1, -1], float(products[-1, -1])
+    root = linalg.cholesky(inner, lower=True)
+    explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
+    log_det = 2.0 * float(np.log(np.diag(root)).sum())
+    return log_det, max(total - explained, 1e-12 * total)
+
+
+def form_evidence(problem: GapProblem) -> FormEvidence:
+    """Evidence of columns under independent noise of the stated ratios."""
+    return FormEvidence(Metric(problem, problem.stated_law))
+
+
+def groups_by_effect(forms: Sequence[ChosenForm]) -> list[Groups]:
+    """The groups of each effect: the coefficients of one label together."""
+    effects: list[Groups] = []
+    count = 0
+    for form in forms:
+        members: dict[str, list[int]] = {}
+        for label in form.signature.labels:
+            members.setdefault(label, []).append(count)
+            count += 1
+        every = members.values()
+        effects.append([np.array(numbers, dtype=np.intp) for numbers in every])
+    return effects
+
+
+def updated_sizes(
+    effects: Sequence[Groups], sizes: Array, values: Array, covariance: Array
+) -> Array:
+    """Sizes (k,) after an estimate (k,) of the coefficients that was made with others.
+
+    sizes       (k,) prior standard deviations of the estimate
+    covariance  (k, k) of the estimate
+    """
+    updated = sizes.copy()
+    for groups in effects:
+        table = []
+        for members in groups:
+            of_group = covariance[np.ix_(members, members)]
+            prior = float(sizes[members[0]])
+            likelihood = _by_readings_alone(values[members], of_group, prior)
+            table.append(_log_evidences(*likelihood))
+        for members, size in zip(groups, _group_sizes(np.array(table)), strict=True):
+            updated[members] = size
+    return updated
+
+
+def _by_readings_alone(
+    values: Array, covariance: Array, prior: float
+) -> tuple[Array, Array]:
+    """An estimate divided by its prior N(0, prior^2): values (k,), variances (k,).
+
+    Both are along the principal axes of the covariance (k, k).
+    """
+    variance, axes = np.linalg.eigh(covariance)
+    variance = np.maximum(variance, np.finfo(float).tiny)
+    precision = np.maximum(1.0 / variance - prior**-2, LEAST * prior**-2)
+    return axes.T @ values / variance / precision, 1.0 / precision
+
+
+def _log_evidences(values: Array, variances: Array) -> Array:
+    """Log evidence (S,) of each size for a group's values (k,)."""
+    total = variances + SIZES[:, None] ** 2
+    return np.asarray(-0.5 * (np.log(total) + values**2 / total).sum(axis=1))
+
+
+def _group_sizes(table: Array) -> Array:
+    """Sizes (g,) of the groups of an effect, from their log evidences (g, S)."""
+    log_shares = EFFECT_SIZES.log_shares
+    larger = log_shares[-len(SIZES) + 1 :]
+    log_common = np.append(special.logsumexp(log_shares[: -len(larger)]), larger)
+    common = _median(log_common + _log_mixtures(table).sum(axis=0))
+    far = np.full(len(SIZES), -np.inf)
+    far[common] = np.log1p(-FAR_SHARE)
+    beyond = len(SIZES) - common - 1
+    if beyond:
+        far[common + 1 :] = np.log(FAR_SHARE / beyond)
+    return SIZES[[_median(far + row) for row in table]]
+
+
+def _log_mixtures(table: Array) -> Array:
+    """Log evidence (g, S) of groups at a common size, each with its chance to be far."""
+    mixtures = table.copy()
+    for k in range(len(SIZES) - 1):
+        beyond = special.logsumexp(table[:, k + 1 :], axis=1)
+        far = np.log(FAR_SHARE / (len(SIZES) - k - 1)) + beyond
+        mixtures[:, k] = np.logaddexp(np.log1p(-FAR_SHARE) + table[:, k], far)
+    return mixtures
+
+
+def _median(log_weights: Array) -> int:
+    """Number of the median size."""
+    shares = np.cumsum(special.softmax(log_weights))
+    return int(np.searchsorted(shares, 0.5))

@@ -1,0 +1,224 @@
+"""Pose errors over the workspace that effects cause, in states of a session."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.accuracy.maps import ErrorMaps, Reference, error_maps
+from oed.base import Array
+from oed.gap.data import state as states_of
+from oed.measurement import Measurement, Series
+from oed.mechanism.error_model import ErrorModel, error_model
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL
+from oed.model.effect import Column, Effect, State
+from oed.model.machine import Machine
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from oed.gap.data.problem import GapProblem
+
+
+@dataclasses.dataclass(frozen=True)
+class ActingForm:
+    """An effect at its constants, and the names of the coefficients that count."""
+
+    effect: Effect
+    constants: Mapping[str, float]
+    names: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SessionStates:
+    """States of a session, from which those of the workspace are drawn.
+
+    covariates  one row a reading
+    states      one a series
+    gravity     its direction in the base frame
+    used        values, SI, of covariates at which the machine is used
+    """
+
+    measurement: Measurement
+    covariates: pd.DataFrame
+    states: tuple[State, ...]
+    gravity: tuple[float, float, float]
+    used: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, problem: GapProblem, used: Mapping[str, Array] | None = None
+    ) -> SessionStates:
+        """Those of a problem's readings."""
+        return cls(
+            problem.measurement,
+            problem.covariates,
+            problem.states,
+            problem.gravity,
+            used or {},
+        )
+
+    def draw(self, count: int, rng: np.random.Generator) -> pd.DataFrame:
+        """Covariates of `count` rows: drawn readings of the session, as used."""
+        drawn = rng.integers(len(self.covariates), size=count)
+        rows = self.covariates.iloc[drawn]
+        return rows.assign(
+            **{name: rng.choice(values, count) for name, values in self.used.items()}
+        )
+
+
+def workspace_state(
+    session: SessionStates,
+    theta: Array,
+    command: Array,
+    rng: np.random.Generator,
+    *,
+    tool: Array = NO_TOOL,
+    still: bool = False,
+) -> State:
+    """The machine's state at commands, then at home, in drawn states of the session.
+
+    The commands are those of a tool point (3,), which no set-up's tool replaces. The
+    joints are those of a controller that knows the parameters `theta`: where an effect is
+    periodic in them, a correction of some tenths of a millimetre shifts its phase. The
+    machine moves from one command to the next, or stands at each of them (`still`).
+
+    At home the states are those of the session's first reading. Covariates that the
+    machine is used at are drawn from their values, each by itself. Unless a feed is among
+    them, joints go no faster than in the session.
+    """
+    measurement, first = session.measurement, session.states[0]
+    poses = measurement.machine.and_home(command, tool)
+    sent = theta[: len(measurement.machine.parameters)]
+    x, q = measurement.kinematics.inverse(poses, sent, tool)
+    index = np.arange(len(poses))[:, None]
+    run = index[:, 0].astype(str) if still else np.array(["1"] * len(poses))
+    series = Series(first.setup, q, x, poses, index, run)
+    rows = session.draw(len(q), rng)
+    rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))
+    rows.iloc[-1] = _first_row(session.covariates, rows)
+    (state,) = states_of.states(
+        measurement,
+        (series,),
+        rows.reset_index(drop=True),
+        theta,
+        session.gravity,
+        tool,
+    )
+    if "feed" not in session.used:
+        state = _slowed(state, session.states)
+    return in_session(state, first)
+
+
+def _slowed(state: State, recorded: Sequence[State]) -> State:
+    """The state at feeds at which no joint is faster, or accelerates more, than recorded.
+
+    The largest value of all joints of one unit is the limit of each.
+    """
+    units = np.array([joint.unit for joint in state.machine.joints])
+    share = np.ones(len(state))
+    for unit in np.unique(units):
+        for name, power in (("rate", 1.0), ("acceleration", 0.5)):
+            sizes = [
+                np.nan_to_num(np.abs(getattr(s, name)[:, units == unit])).max(axis=1)
+                for s in (state, *recorded)
+            ]
+            limit = max(size.max() for size in sizes[1:])
+            used = np.maximum(sizes[0], max(limit, np.finfo(float).tiny))
+            share = np.minimum(share, (limit / used) ** power)
+    return dataclasses.replace(
+        state,
+        rate=state.rate * share[:, None],
+        acceleration=state.acceleration * share[:, None] ** 2,
+        feed=state.feed * share,
+    )
+
+
+def in_session(state: State, first: State) -> State:
+    """The state with its place in a session, of which `first` is a state."""
+    progress = state.session_progress
+    low, high = first.session_span
+    if np.isfinite(state.time).all() and high > low:
+        progress = (state.time - low) / (high - low)
+    return dataclasses.replace(
+        state,
+        session_progress=progress,
+        max_payload=first.max_payload,
+        max_feed=first.max_feed,
+        session_times=first.session_times,
+        start_temperature=first.start_temperature,
+        joint_range=first.joint_range,
+        session_span=first.session_span,
+    )
+
+
+def _first_row(covariates: pd.DataFrame, rows: pd.DataFrame) -> pd.Series:
+    """The session's first reading, at the place of the last of `rows`."""
+    first = covariates
+    if "time" in covariates and covariates["time"].notna().any():
+        first = covariates.sort_values("time")
+    row = first.iloc[0].copy()
+    row["run"], row["order"] = "1", rows["order"].iloc[-1]
+    return row[rows.columns]
+
+
+def effect_maps(
+    kinematics: Kinematics,
+    forms: Sequence[ActingForm],
+    state: State,
+    parameters: Array,
+    command: Array,
+    reference: Reference,
+    tool: Array = NO_TOOL,
+) -> ErrorMaps:
+    """Pose errors per prior standard deviation of each coefficient (n, k, m).
+
+    state       at the commands (n, n_dof) of a tool point (3,), then at home
+    parameters  (np,) of the machine, SI
+    """
+    machine = kinematics.machine
+    model = error_model(kinematics, machine.and_home(command, tool), tool)
+    tools = kinematics.frames(state.pose, tool)[2]
+    by_joint = tools @ kinematics.slopes.over_joints(
+        state.pose, state.joints, parameters
+    )
+    raw, remaining = [], []
+    for form in forms:
+        columns = {c.name: c for c in form.effect.columns(state, **form.constants)}
+        for name in form.names:
+            twist = np.zeros((len(state.pose), 6))
+            fixed = np.zeros_like(twist)
+            if name in columns:
+                twist, fixed = _twists(machine, model, by_joint, columns[name])
+            raw.append(twist)
+            remaining.append(fixed)
+    return error_maps(
+        kinematics,
+        command,
+        reference,
+        tool,
+        further=(np.stack(raw, axis=2), np.stack(remaining, axis=2)),
+    )
+
+
+def _twists(
+    machine: Machine, model: ErrorModel, by_joint: Array, column: Column
+) -> tuple[Array, Array]:
+    """Twist errors (n, 6) per prior standard deviation: raw, and with parameters
+    compensated.
+    """
+    twist = np.zeros(by_joint.shape[:2])
+    fixed = np.zeros_like(twist)
+    known = {p.name for p in machine.parameters}
+    for joint, change in column.joints.items():
+        twist += by_joint[:, :, joint] * change[:, None]
+    for parameter, change in column.parameters.items():
+        if parameter in known:
+            k = machine.index(parameter)
+            twist += model.raw[:, :, k] * change[:, None]
+            fixed += model.remaining[:, :, k] * change[:, None]
+    return twist * column.scale, fixed * column.scale

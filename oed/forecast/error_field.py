@@ -1,0 +1,349 @@
+"""Pose errors over a workspace by Gaussian processes, and where to read them.
+
+The errors of the joints (`oed.forecast.joint_errors`) are each a linear trend plus a
+field with Matern's correlation of order 3/2 (the discrepancy's, `oed.base.smooth_basis`)
+or 5/2, with one length for each axis and one size for all joints. Lengths, size and order
+maximise the marginal likelihood times a weak prior on the lengths (Rasmussen and Williams
+2006, Gaussian Processes for Machine Learning, Eqs. 2.25-2.26, 2.42, 4.9, 4.17, 5.8). The
+noise of a reading is known: it is no part of the field. The zero of the instrument is not.
+
+A design takes the readings of least predicted variance. A field of errors is a sum of its
+leading Karhunen-Loeve modes with unit normal coefficients. Then a reading is a row, and
+`oed.design.next_reading` chooses one after the other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from scipy import linalg, optimize
+
+from oed.base import Array, Index
+from oed.design.next_reading import (
+    Belief,
+    best_candidate,
+    open_components,
+    weights_of,
+)
+from oed.forecast.joint_errors import ErrorRows, JointErrors
+
+#: kernels that compete: correlation at scaled distances
+ORDERS = ("3/2", "5/2")
+#: prior of a correlation length, in half spans of the workspace: median, sd of its log
+LENGTH, LENGTH_SPREAD = 1.0, 1.0
+#: standard deviation of the coefficients of trend and zero over the size of the errors
+TREND_SIZE = 10.0
+#: share of a component's variance that is added to each reading: rounding
+NUGGET = 1e-9
+#: lengths from which the optimisation starts
+STARTS = (0.5, 2.0)
+#: share of a field's variance that its modes represent, and most modes
+ENERGY, MODES = 0.999, 40
+
+
+@dataclasses.dataclass(frozen=True)
+class Kernel:
+    """Covariance of the error of each joint, without its trend.
+
+    order   one of ORDERS
+    size    standard deviation, SI
+    length  (a,) correlation lengths, in half spans of the workspace
+    """
+
+    order: str
+    size: float
+    length: Array
+
+    def covariance(self, first: Array, second: Array) -> Array:
+        """Covariance (n, m) between places (n, a) and (m, a)."""
+        difference = (first[:, None] - second[None]) / self.length
+        distance = np.sqrt((difference**2).sum(axis=-1))
+        return self.size**2 * _correlation(self.order, distance)
+
+
+def expected_kernel(size: float, axes: int) -> Kernel:
+    """The kernel before any reading: the discrepancy's, Matern's of order 3/2.
+
+    size  standard deviation that calibration is expected to leave, SI
+    """
+    return Kernel("3/2", size, np.full(axes, LENGTH))
+
+
+def _correlation(order: str, distance: Array) -> Array:
+    if order == "5/2":
+        scaled = np.sqrt(5.0) * distance
+        return np.asarray((1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled))
+    scaled = np.sqrt(3.0) * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Prior:
+    """Prior covariance of errors: of the joints' fields, of trends, and of what is known.
+
+    home   (a,) place of home
+    trend  standard deviation of the trends' coefficients, SI
+    noise  that of a joint error at home which the instrument's zero amounts to, SI
+    """
+
+    home: Array
+    trend: float
+    noise: float
+
+    def columns(self, rows: ErrorRows) -> Array:
+        """Errors (n k, b) per standard deviation of trends and parameters."""
+        here = np.column_stack([np.ones(len(rows.places)), rows.places])
+        at_home = np.r_[1.0, self.home]
+        slopes = np.einsum("nkq,na->nkqa", rows.local, here)
+        slopes += np.einsum("nkq,a->nkqa", rows.at_home, at_home)
+        n, k = rows.local.shape[:2]
+        trends = self.trend * slopes.reshape(n * k, -1)
+        return np.hstack([trends, rows.known.reshape(n * k, -1)])
+
+    def zero(self, rows: ErrorRows) -> Array:
+        """Readings (n k, q) per standard deviation of an error of the zero at home."""
+        n, k = rows.local.shape[:2]
+        return self.noise * rows.at_home.reshape(n * k, -1)
+
+    def field(self, kernel: Kernel, first: ErrorRows, second: ErrorRows) -> Array:
+        """Covariance (n k, m k) of the fields."""
+        home = self.home[None]
+        here = kernel.covariance(first.places, second.places)
+        to_home = kernel.covariance(first.places, home)[:, 0]
+        from_home = kernel.covariance(home, second.places)[0]
+        value = _paired(first.local, second.local) * here[:, None, :, None]
+        value += _paired(first.local, second.at_home) * to_home[:, None, None, None]
+        value += _paired(first.at_home, second.local) * from_home[None, None, :, None]
+        value += kernel.size**2 * _paired(first.at_home, second.at_home)
+        n, k, m, _ = value.shape
+        return np.asarray(value.reshape(n * k, m * k))
+
+    def variance(self, kernel: Kernel, first: ErrorRows, second: ErrorRows) -> Array:
+        """Covariance (n k, m k) of the errors."""
+        columns = self.columns(first) @ self.columns(second).T
+        return self.field(kernel, first, second) + columns
+
+
+def _paired(first: Array, second: Array) -> Array:
+    """Products (n, k, m, k) over the joints."""
+    n, k, q = first.shape
+    product = first.reshape(-1, q) @ second.reshape(-1, q).T
+    return np.asarray(product.reshape(n, k, len(second), k))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ErrorField:
+    """Errors of the driven components, given readings.
+
+    model   of the errors
+    rows    (n, k) of the readings
+    read    (r,) which components of which rows were read, flat
+    errors  (r,) readings less what the parameters predict, SI
+    sigma   (r,) their noise, SI
+    kernel  of the joints' errors
+    prior   of trends
+    """
+
+    model: JointErrors
+    rows: ErrorRows
+    read: Index
+    errors: Array
+    sigma: Array
+    kernel: Kernel
+    prior: _Prior
+
+    def mean(self, command: Array) -> Array:
+        """Expected errors (m, k) at commands, SI, beyond what the parameters predict."""
+        cross = self._cross(self.model.rows(command))
+        return np.asarray((cross @ self._weights).reshape(len(command), -1))
+
+    def covariance(self, command: Array) -> Array:
+        """Covariance (m k, m k) of the errors at commands, SI."""
+        rows = self.model.rows(command)
+        cross = self._cross(rows)
+        reduction = cross @ linalg.cho_solve(self._factor, cross.T)
+        return np.asarray(self.prior.variance(self.kernel, rows, rows) - reduction)
+
+    def left_out(self, group: Index) -> tuple[Array, Array]:
+        """Readings less their prediction by the other groups, and its sd, (r,), SI.
+
+        group  (r,) number of the node of each reading
+        """
+        inverse = linalg.cho_solve(self._factor, np.eye(len(self.errors)))
+        residual, sd = np.empty(len(group)), np.empty(len(group))
+        for number in np.unique(group):
+            members = np.flatnonzero(group == number)
+            covariance = np.linalg.inv(inverse[np.ix_(members, members)])
+            residual[members] = covariance @ self._weights[members]
+            sd[members] = np.sqrt(np.diag(covariance))
+        return residual, sd
+
+    def _cross(self, rows: ErrorRows) -> Array:
+        """Covariance (m k, r) of errors with the readings."""
+        whole = self.prior.variance(self.kernel, rows, self.rows)
+        return np.asarray(whole[:, self.read])
+
+    @functools.cached_property
+    def _factor(self) -> tuple[Array, bool]:
+        whole = _covariance(self.prior, self.kernel, self.rows, self.read, self.sigma)
+        factor, lower = linalg.cho_factor(whole, lower=True)
+        return np.asarray(factor), bool(lower)
+
+    @functools.cached_property
+    def _weights(self) -> Array:
+        return np.asarray(linalg.cho_solve(self._factor, self.errors))
+
+
+def _covariance(
+    prior: _Prior, kernel: Kernel, rows: ErrorRows, read: Index, sigma: Array
+) -> Array:
+    """Covariance (r, r) of readings: errors, the instrument's zero, and noise."""
+    zero = prior.zero(rows)
+    whole = prior.variance(kernel, rows, rows) + zero @ zero.T
+    whole = whole[np.ix_(read, read)]
+    return whole + np.diag(sigma**2 + NUGGET * np.diag(whole))
+
+
+def fit_error_field(
+    model: JointErrors, command: Array, errors: Array, sigma: Array
+) -> ErrorField:
+    """The field that readings `errors` (n, k) at commands make most probable.
+
+    errors  SI, less what the parameters predict; NaN where none was read
+    sigma   (n, k) noise of a reading, SI
+
+    Raises ValueError for fewer commands than a trend needs, with one to spare.
+    """
+    rows = model.rows(command)
+    needed = rows.places.shape[1] + 2
+    nodes = len(np.unique(np.round(command[~np.isnan(errors).all(axis=1)], 9), axis=0))
+    if nodes < needed:
+        raise ValueError(f"{nodes} nodes are too few: read {needed} or more")
+    read = np.flatnonzero(~np.isnan(errors).ravel())
+    values, noise = errors.ravel()[read], sigma.ravel()[read]
+    of_noise = joint_size(rows, np.where(np.isnan(errors), np.nan, sigma))
+    size = max(joint_size(rows, errors), of_noise)
+    prior = _Prior(model.home_place, TREND_SIZE * size, of_noise)
+    kernel = _fit_kernel(prior, rows, read, values, noise, size)
+    return ErrorField(model, rows, read, values, noise, kernel, prior)
+
+
+def joint_size(rows: ErrorRows, errors: Array) -> float:
+    """Size of joint errors that make errors (n, k), SI, by the largest component."""
+    per_joint = np.sqrt((rows.local**2).sum(axis=2).mean(axis=0))
+    read = ~np.isnan(errors).all(axis=0)
+    deviation = np.sqrt(np.nanmean(errors[:, read] ** 2, axis=0))
+    return max(float(np.max(deviation / per_joint[read])), 1e-12)
+
+
+def _fit_kernel(
+    prior: _Prior,
+    rows: ErrorRows,
+    read: Index,
+    values: Array,
+    sigma: Array,
+    size: float,
+) -> Kernel:
+    """The kernel with the largest posterior density among all orders."""
+    axes = rows.places.shape[1]
+
+    def kernel_of(point: Array, order: str) -> Kernel:
+        return Kernel(order, size * float(np.exp(point[0])), LENGTH * np.exp(point[1:]))
+
+    def negative_log_posterior(point: Array, order: str) -> float:
+        covariance = _covariance(prior, kernel_of(point, order), rows, read, sigma)
+        try:
+            root = linalg.cholesky(covariance, lower=True)
+        except linalg.LinAlgError:
+            return 1e10
+        whitened = linalg.solve_triangular(root, values, lower=True)
+        fit = 0.5 * float(whitened @ whitened) + float(np.log(np.diag(root)).sum())
+        return fit + 0.5 * float(np.sum((point[1:] / LENGTH_SPREAD) ** 2))
+
+    best, best_value = expected_kernel(size, axes), np.inf
+    for order in ORDERS:
+        for start in STARTS:
+            solution = optimize.minimize(
+                negative_log_posterior,
+                np.r_[-1.0, np.full(axes, np.log(start))],
+                args=(order,),
+                method="L-BFGS-B",
+                bounds=[(-8.0, 8.0), *[(-3.0, 3.0)] * axes],
+            )
+            if solution.fun < best_value:
+                best, best_value = kernel_of(solution.x, order), solution.fun
+    return best
+
+
+@dataclasses.dataclass(frozen=True)
+class NodeDesign:
+    """Candidates to read.
+
+    indices    chosen candidates, the most useful one first
+    predicted  (k,) rms error that interpolation between these readings leaves, SI
+    """
+
+    indices: Index
+    predicted: Array
+
+
+def design_nodes(
+    model: JointErrors,
+    candidates: Array,
+    most: int,
+    kernel: Kernel,
+    sigma: Array,
+    wanted: Array,
+) -> NodeDesign:
+    """Choose candidates (n, n_dof), SI, until the wanted accuracy, `most` at most.
+
+    sigma   (k,) noise of a reading, SI
+    wanted  (k,) rms error that interpolation may leave, SI; NaN where none is stated.
+            Without any, `most` are chosen
+
+    Each lowers the variance of the errors over the workspace most.
+    """
+    readings, errors = _linear(model, kernel, candidates, sigma)
+    blocks = readings / sigma[:, None]
+    factors = errors.swapaxes(0, 1) / np.sqrt(len(errors))
+    belief = Belief(np.eye(blocks.shape[2]), weights_of(factors))
+    chosen: list[int] = []
+    while len(chosen) < most and open_components(belief, wanted):
+        chosen.append(best_candidate(belief, blocks, wanted))
+        belief = belief.after(blocks[chosen[-1]])
+    return NodeDesign(np.array(chosen), np.sqrt(belief.variances))
+
+
+def _linear(
+    model: JointErrors, kernel: Kernel, candidates: Array, sigma: Array
+) -> tuple[Array, Array]:
+    """Readings (n, k, b) at candidates and errors (m, k, b) over the workspace.
+
+    They are per standard deviation of trends, parameters, modes of the fields and zeros.
+    """
+    both = model.rows(np.vstack([candidates, model.command]))
+    noise = joint_size(both, np.broadcast_to(sigma, both.local.shape[:2]))
+    prior = _Prior(model.home_place, TREND_SIZE * kernel.size, noise)
+    zero = prior.zero(both)
+    parts = [prior.columns(both), _modes(prior, kernel, both), zero]
+    n, k = both.local.shape[:2]
+    whole = np.hstack(parts).reshape(n, k, -1)
+    errors = whole[len(candidates) :].copy()
+    errors[:, :, -zero.shape[1] :] = 0.0
+    return whole[: len(candidates)], errors
+
+
+def _modes(prior: _Prior, kernel: Kernel, rows: ErrorRows) -> Array:
+    """Errors (n k, b) per standard deviation of the fields' leading modes."""
+    places = np.vstack([rows.places, prior.home[None]])
+    values, vectors = np.linalg.eigh(kernel.covariance(places, places))
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    needed = int(np.searchsorted(np.cumsum(values), ENERGY * values.sum())) + 1
+    size = min(needed, MODES)
+    modes = vectors[:, :size] * np.sqrt(values[:size])
+    slopes = np.einsum("nkq,na->nkqa", rows.local, modes[:-1])
+    slopes += np.einsum("nkq,a->nkqa", rows.at_home, modes[-1])
+    n, k = rows.local.shape[:2]
+    return np.asarray(slopes.reshape(n * k, -1))

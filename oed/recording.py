@@ -1,0 +1,161 @@
+"""What planned readings leave where some effects' covariates are recorded, others not.
+
+Recorded columns are those of a course, G(z), and the error is the mean over courses. The
+others count by their moments (`oed.effects.course_columns`). A thermometer adds
+its own uncertainty as scatter: u(T) times the change per kelvin.
+
+With parameters and effects x of prior information P, readings of whitened slopes X taken t
+times and pose errors F x,
+
+    v(t) = tr F (P + t X^T X)^-1 F^T + rest = rest + sum_k s_k / (1 + t l_k),
+
+l_k the eigenvalues of X^T X in units of P. As t grows, v falls to a floor: rest and what
+no reading determines.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg, optimize
+
+from oed.base import Array, Mask
+from oed.effects import CourseColumns
+
+#: standard uncertainty of a thermometer on a machine, K: of class A, and its contact
+THERMOMETER = 0.2
+#: most courses over which errors with a recorded covariate are averaged
+AVERAGED = 4
+#: rate, in units of the prior's information, below which readings determine nothing
+NOTHING = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RemainingError:
+    """Mean square errors of c pose components over a workspace.
+
+    shares  (c, m) mean square by each eigenvector before any reading, SI
+    rates   (m,) information that the readings have of it, in units of the prior's
+    rest    (c,) mean square that no reading reduces, SI
+    """
+
+    shares: Array
+    rates: Array
+    rest: Array
+
+    def after(self, times: float) -> Array:
+        """Mean squares (c,) with the readings taken so many times, inf allowed, SI."""
+        undetermined = np.asarray(self.rates < NOTHING, dtype=float)
+        share = undetermined if np.isinf(times) else 1.0 / (1.0 + times * self.rates)
+        return np.asarray(self.rest + self.shares @ share)
+
+
+def remaining_error(
+    white: Array, information: Array, slopes: Array, rest: Array
+) -> RemainingError:
+    """The error that readings leave.
+
+    white        (N, u) slopes of the readings over all unknowns, in units of the noise
+    information  (u, u) of the prior
+    slopes       (n, c, u) pose errors over the unknowns at n poses, SI
+    rest         (c,) mean square that no reading reduces, SI
+    """
+    root = linalg.cholesky(information, lower=True)
+    standard = linalg.solve_triangular(root, white.T, lower=True).T
+    rates, vectors = np.linalg.eigh(standard.T @ standard)
+    poses, components, unknowns = slopes.shape
+    flat = slopes.reshape(-1, unknowns)
+    turned = linalg.solve_triangular(root, flat.T, lower=True).T @ vectors
+    by_pose = turned.reshape(poses, components, unknowns)
+    return RemainingError((by_pose**2).mean(axis=0), np.maximum(rates, 0.0), rest)
+
+
+def relative(mean_squares: Array, unit: Array) -> float:
+    """Root mean square over the components, each in units of its own (c,); 0 left out."""
+    counted = unit > 0.0
+    return float(np.sqrt((mean_squares[counted] / unit[counted]).mean()))
+
+
+def equal_times(without: RemainingError, reached: Array) -> float:
+    """How often readings must be taken to leave the mean squares `reached` (c,).
+
+    By the root mean square of the components, in units of what the readings taken once
+    leave. Infinite where no number does.
+    """
+    unit = without.after(1.0)
+    wanted = relative(reached, unit)
+
+    def excess(log_times: float) -> float:
+        return relative(without.after(float(np.exp(log_times))), unit) - wanted
+
+    if excess(0.0) <= 0.0:
+        return 1.0
+    if relative(without.after(np.inf), unit) >= wanted:
+        return float("inf")
+    end = 1.0
+    while excess(end) > 0.0:
+        end *= 2.0
+    return float(np.exp(optimize.brentq(excess, 0.0, end, xtol=1e-6)))
+
+
+def mean_after_once(errors: Sequence[RemainingError]) -> Array:
+    """Mean (c,) of the mean squares that several leave, SI."""
+    return np.asarray(np.mean([error.after(1.0) for error in errors], axis=0))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlannedReadings:
+    """N readings and the n unknowns beside effects.
+
+    white        (N, n) slopes, per prior standard deviation, in units of the noise
+    sigma        (N,) noise, SI
+    information  (n, n) of the prior
+    slopes       (p, c, n) pose errors at p poses, SI
+    """
+
+    white: Array
+    sigma: Array
+    information: Array
+    slopes: Array
+
+    def predict(
+        self, effects: CourseColumns, recorded: Mask, extra: Array
+    ) -> list[RemainingError]:
+        """Errors in some courses with recorded (k,) columns; one where none is.
+
+        extra  (N,) standard deviation of further scatter, SI
+        """
+        hidden = effects.of_course & ~recorded
+        scatter = np.hypot(effects.scatter(hidden), extra)
+        rest = effects.tool_rest(hidden)
+        count = min(len(effects.changes), AVERAGED) if recorded.any() else 1
+        errors = []
+        for number in range(count):
+            columns, tool = effects.mean, effects.mean_tool
+            columns[:, recorded] = effects.changes[number][:, recorded]
+            tool[:, :, recorded] = effects.tool[number][:, :, recorded]
+            errors.append(self._remaining(columns, tool, scatter, rest))
+        return errors
+
+    def _remaining(
+        self, columns: Array, tool: Array, scatter: Array, rest: Array
+    ) -> RemainingError:
+        weight = self.sigma / np.hypot(self.sigma, scatter)
+        of_effects = columns / self.sigma[:, None]
+        white = np.hstack([self.white, of_effects]) * weight[:, None]
+        unknowns, first = white.shape[1], self.white.shape[1]
+        information = np.eye(unknowns)
+        information[:first, :first] = self.information
+        slopes = np.concatenate([self.slopes, tool], axis=2)
+        return remaining_error(white, information, slopes, rest)
+
+
+def thermometer_scatter(effects: CourseColumns, kelvin: Array) -> Array:
+    """Scatter (N,) by a thermometer's uncertainty, SI.
+
+    effects  what depends on the body's temperature;  kelvin (d, r) in each course, K
+    """
+    square = (effects.changes**2).sum(axis=2).mean(axis=0)
+    return np.asarray(THERMOMETER * np.sqrt(square / np.mean(kelvin**2)))

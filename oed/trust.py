@@ -1,0 +1,147 @@
+"""Whether a fit is to be trusted: one verdict for all that rests on a result.
+
+Exit codes, reports, exports, acceptance tests, comparisons and campaigns ask here, and
+judge nothing on their own. Fits and checks of readings have the same limits.
+"""
+
+from __future__ import annotations
+
+from oed.result import (
+    NOTHING,
+    CorrectedSection,
+    EstimateSection,
+    GapSection,
+    GoodnessSection,
+    StudyResult,
+)
+
+#: probability of a tail below which residuals are too large or too small
+ALARM = 1e-5
+#: residuals over the stated noise up to which a noise that is to be estimated, and was
+#: stated as a guess, explains them
+GUESS = 10.0
+#: degrees of freedom below which residuals say nothing of the noise
+LEAST_DOF = 1.0
+#: tolerances from nominal from which on an estimate is far off
+FAR = 4.0
+
+
+def noise_ratio(chi2: float | None, dof: float | None) -> float | None:
+    """Residuals over the stated noise; None where too little freedom judges it."""
+    if chi2 is None or dof is None or dof < LEAST_DOF:
+        return None
+    return float((chi2 / dof) ** 0.5)
+
+
+def chi2_is_large(chi2: float, dof: float) -> bool:
+    """Whether the stated noise does not explain chi2."""
+    from scipy import special
+
+    return noise_ratio(chi2, dof) is not None and special.chdtrc(dof, chi2) < ALARM
+
+
+def objections(result: StudyResult) -> list[str]:
+    """Why nothing should rest on the fit of a result; none where it is to be trusted."""
+    sentences = section_objections(
+        result.goodness, result.estimate, result.corrected, result.gap
+    )
+    mixture = None if result.gap is None else result.gap.mixture
+    section = mixture or result.final_estimate
+    if section is not None and section.sent == NOTHING:
+        sentences.append("no correction is expected to lessen the machine's errors")
+    return sentences
+
+
+def section_objections(
+    goodness: GoodnessSection | None,
+    estimate: EstimateSection | None,
+    corrected: CorrectedSection | None = None,
+    gap: GapSection | None = None,
+) -> list[str]:
+    """The same of the sections of a result."""
+    final = corrected or estimate
+    if final is None:
+        return []
+    far = far_parameters(final)
+    sentences = [_of_the_check(goodness)] if _fails_check(goodness) else []
+    if corrected is not None:
+        sentences += corrected.warnings
+    elif not sentences and estimate is not None:
+        sentences += _of_residuals(goodness, estimate)
+    if far:
+        sentences.append(
+            f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)};"
+            " the nominal numbers are those of another machine, or [prior] is too narrow"
+        )
+    if (
+        corrected is None
+        and gap is not None
+        and gap.mixture is None
+        and gap.effect_likely
+    ):
+        sentences.append(
+            f"the diagnosis reports a gap ({gap.verdict}), which bends the parameters of"
+            " a fit without it"
+        )
+    return sentences
+
+
+def remedy(result: StudyResult) -> str:
+    """What to do where there are objections; a diagnosis is not made twice."""
+    if result.gap is None:
+        return "run `oed diagnose`"
+    return "do first what its diagnosis advises"
+
+
+def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
+    """Parameters that ended more than FAR tolerances from nominal.
+
+    None of a virtual machine: its numbers are known.
+    """
+    if any(p.truth is not None for p in section.parameters.values()):
+        return []
+    return [
+        name
+        for name, p in section.parameters.items()
+        if abs(p.value - p.nominal) > FAR * p.prior_sd
+    ]
+
+
+def _fails_check(goodness: GoodnessSection | None) -> bool:
+    return goodness is not None and goodness.bad_fit
+
+
+def _of_the_check(goodness: GoodnessSection | None) -> str:
+    """What a check of the readings found."""
+    if goodness is None:
+        return ""
+    ratio = noise_ratio(goodness.chi2, goodness.dof)
+    if goodness.mistakes:
+        return (
+            f"the readings look mistaken ({goodness.mistakes[0].what}): the fit is bad"
+        )
+    if ratio is None or goodness.p_high is None or goodness.p_high >= ALARM:
+        return "the readings fail their check: the fit is bad"
+    return _large(ratio)
+
+
+def _of_residuals(
+    goodness: GoodnessSection | None, estimate: EstimateSection
+) -> list[str]:
+    """Residuals of readings that no check looked at: those of a virtual machine."""
+    chi2, dof = estimate.chi2, estimate.dof
+    is_large = chi2_is_large(chi2, dof)
+    if goodness is not None and goodness.chi2 is not None and goodness.dof is not None:
+        chi2, dof = goodness.chi2, goodness.dof
+        is_large = goodness.p_high is not None and goodness.p_high < ALARM
+    is_estimated = goodness is not None and (
+        bool(goodness.noise) or (goodness.law_p_high or 0.0) >= ALARM
+    )
+    ratio = noise_ratio(chi2, dof)
+    if ratio is None or not is_large or (is_estimated and ratio <= GUESS):
+        return []
+    return [_large(ratio)]
+
+
+def _large(ratio: float) -> str:
+    return f"the residuals are {ratio:.1f} times the stated noise: the fit is bad"

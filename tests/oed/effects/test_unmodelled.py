@@ -1,0 +1,179 @@
+"""What an effect outside the model does, through calibration, on the oracle's A3 head."""
+
+import numpy as np
+import pytest
+from oracles import a3_geometry as a3
+from shipped_models import gravity, leg_thermal, servo_lag
+
+from kernel import a3_plans
+from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
+from oed import compensate
+from oed.accuracy import budget_model, error_maps
+from oed.effects import SessionStates, expected_effects, workspace_state
+from oed.estimation import identify
+from oed.gap import DOWN, assemble
+from oed.model import State
+from oed.model.expected_size import with_expected_size
+
+
+def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -> None:
+    """A nominal head whose leg 2 grows by 11.5 ppm a kelvin: no noise, no statistics."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    model = budget_model(m, problem.series, m.nominal)
+    command = a3_plans.workspace()[::9]
+    maps = error_maps(m.kinematics, command, "absolute")
+    session = SessionStates(m, rows, problem.states, DOWN)
+    first = expected_effects(
+        problem,
+        session,
+        model,
+        maps,
+        [leg_thermal.effect, servo_lag.effect],  # no feed is stated
+        "absolute",
+        np.random.default_rng(3),
+    )
+    (expected,) = first.effects
+    assert expected.not_testable is None
+    assert expected.sizes["leg 2 per kelvin"] == PER_KELVIN
+    q = series.q[series.index[:, 0]].copy()
+    q[:, WARM_LEG] *= 1.0 + PER_KELVIN * rows["temp_leg2"].to_numpy()
+    cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
+    believed = identify(m, [series], a3.ball_bar_reading(np.zeros(24), q, cup)).theta
+    drawn = np.random.default_rng(3)
+    state = workspace_state(session, m.nominal, command, drawn)
+    joints = compensate.compensated_joints(m.kinematics, command, believed[:24])
+    warm = state.temperature["leg2"][:-1]
+    joints[:, WARM_LEG] *= 1.0 + PER_KELVIN * warm
+    z = a3.forward(np.zeros(24), joints).tip[:, 2] - command[:, 0]
+    wanted = np.sqrt(expected.variance[:, maps.names.index("z")])
+    assert np.abs(z) == pytest.approx(wanted, rel=0.05, abs=0.02 * wanted.max())
+    assert np.sqrt(np.mean(z**2)) > 1e-6
+    smaller = with_expected_size(leg_thermal.effect, "1/K", PER_KELVIN / 4.0)
+    second = expected_effects(
+        problem,
+        session,
+        model,
+        maps,
+        [smaller],
+        "absolute",
+        np.random.default_rng(3),
+    )
+    (quarter,) = second.effects
+    assert quarter.sizes["leg 2 per kelvin"] == pytest.approx(PER_KELVIN / 4.0)
+    assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
+
+
+def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leaves() -> (
+    None
+):
+    """Dense matrices; the leg's columns are differences of the oracle's head."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    command = a3_plans.workspace()[::17]
+    maps = error_maps(m.kinematics, command, "absolute")
+    session = SessionStates(m, rows, problem.states, DOWN)
+    all_of_it = expected_effects(
+        problem,
+        session,
+        budget_model(m, problem.series, m.nominal),
+        maps,
+        [leg_thermal.effect],
+        "absolute",
+        np.random.default_rng(3),
+    )
+    q = series.q[series.index[:, 0]].copy()
+    cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
+    cold = a3.ball_bar_reading(np.zeros(24), q, cup)
+    q[:, WARM_LEG] *= 1.0 + PER_KELVIN * rows["temp_leg2"].to_numpy()
+    change = a3.ball_bar_reading(np.zeros(24), q, cup) - cold
+    state = workspace_state(session, m.nominal, command, np.random.default_rng(3))
+    nominal = np.zeros(24)
+    joints = compensate.compensated_joints(m.kinematics, command, nominal)
+    joints[:, WARM_LEG] *= 1.0 + PER_KELVIN * state.temperature["leg2"][:-1]
+    moved = a3.forward(nominal, joints).tip[:, 2] - command[:, 0]
+    h = np.column_stack([m.jacobian([series], m.nominal) * m.tolerance, change])
+    covariance = np.linalg.inv(np.eye(h.shape[1]) + h.T @ h / NOISE**2)
+    z = maps.names.index("z")
+    by_parameter = np.zeros((len(command), len(m.names)))
+    by_parameter[:, :24] = maps.raw[:, z]
+    unit = np.column_stack([by_parameter * m.tolerance, moved])
+    wanted = np.einsum("ni,ij,nj->n", unit, covariance, unit)
+    assert all_of_it.fitted[:, z] == pytest.approx(wanted, rel=0.02)
+    parameters = covariance_of_parameters(h[:, :-1])
+    geometry = np.einsum("ni,ij,nj->n", unit[:, :-1], parameters, unit[:, :-1])
+    assert np.all(geometry <= wanted * (1.0 + 1e-6))
+    assert np.all(all_of_it.fitted[:, z] <= geometry + all_of_it.added[:, z])
+
+
+def covariance_of_parameters(h: np.ndarray) -> np.ndarray:
+    """Posterior covariance without any effect, in units of the tolerances."""
+    return np.linalg.inv(np.eye(h.shape[1]) + h.T @ h / NOISE**2)
+
+
+def test_an_effect_acts_in_the_states_of_use() -> None:
+    """Twice as warm as stated for half the poses, cold for the others; the rest as before."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    command = a3_plans.workspace()[::3]
+    session = SessionStates.of(problem)
+    used = SessionStates.of(problem, {"temp_leg2": np.array([0.0, 20.0])})
+
+    def states(of: SessionStates) -> State:
+        return workspace_state(of, m.nominal, command, np.random.default_rng(3))
+
+    before, after = states(session), states(used)
+    start = before.start_temperature["leg2"]
+    at = after.temperature["leg2"][:-1]
+    assert set(at) <= {0.0, 20.0}
+    assert 0.2 < np.mean(at > 0.0) < 0.8
+    assert after.temperature["leg2"][-1] == before.temperature["leg2"][-1]
+    np.testing.assert_array_equal(after.joints, before.joints)
+    column = next(
+        c
+        for c in leg_thermal.effect.columns(after, tau=1800.0)
+        if c.name == "leg 2 per kelvin"
+    )
+    growth = column.joints[WARM_LEG][:-1]
+    assert growth == pytest.approx(after.joints[:-1, WARM_LEG] * (at - start))
+
+
+def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    model = budget_model(m, problem.series, m.nominal)
+    maps = error_maps(m.kinematics, a3_plans.workspace()[::30])
+    session = SessionStates(m, rows, problem.states, DOWN)
+    expected = expected_effects(
+        problem,
+        session,
+        model,
+        maps,
+        [gravity.effect, servo_lag.effect],
+        "home",
+        np.random.default_rng(3),
+    )
+    assert [e.effect.name for e in expected.effects] == ["gravity"]
+
+
+def test_nothing_is_expected_of_effects_that_need_what_no_plan_states() -> None:
+    """One machine's only effect depends on the feed, which the rows do not have."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    maps = error_maps(m.kinematics, a3_plans.workspace()[::30])
+    session = SessionStates(m, rows, problem.states, DOWN)
+    expected = expected_effects(
+        problem,
+        session,
+        budget_model(m, problem.series, m.nominal),
+        maps,
+        [servo_lag.effect],
+        "home",
+        np.random.default_rng(3),
+    )
+    assert expected is None

@@ -1,0 +1,76 @@
+"""One function for every verdict: against quantiles of a known distribution."""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import pytest
+import report_fixture
+from report_fixture import result_of
+
+from oed.result import LEVELS, SpreadRecord
+from oed.verdict import accuracy_verdicts, judge, overall
+
+NORMAL = NormalDist(10.0, 2.0)
+SPREAD = SpreadRecord(
+    10.2, 20.0, 30.0, "um", rms_quantiles=[NORMAL.inv_cdf(p) for p in LEVELS]
+)
+
+
+@pytest.mark.parametrize("limit", [6.0, 8.5, 10.0, 11.3, 13.29, 14.0])
+def test_a_probability_is_that_of_the_distribution(limit: float) -> None:
+    """Linear between stored quantiles: within 1 % of the normal distribution."""
+    assert SPREAD.probability_within(limit) == pytest.approx(
+        NORMAL.cdf(limit), abs=0.01
+    )
+
+
+def test_beyond_the_draws_nothing_is_certain() -> None:
+    assert SPREAD.probability_within(1e6) == LEVELS[-1]
+    assert SPREAD.probability_within(0.0) == LEVELS[0]
+    constant = SpreadRecord(0.0, 0.0, 0.0, "um", rms_quantiles=[0.0] * len(LEVELS))
+    assert constant.probability_within(0.0) == LEVELS[-1]
+
+
+def test_the_verdict_follows_the_quantiles() -> None:
+    """pass where the 0.95 quantile is within what is wanted, fail where the 0.05 is not."""
+    upper, lower = NORMAL.inv_cdf(0.95), NORMAL.inv_cdf(0.05)
+    limits = {
+        "pass": 1.001 * upper,
+        "cannot tell": 0.99 * upper,
+        "fail": 0.99 * lower,
+    }
+    for stated, limit in limits.items():
+        assert judge(SPREAD.probability_within(limit)) == stated
+    assert judge(SPREAD.probability_within(1.01 * lower)) == "cannot tell"
+    assert judge(1.0, can_pass=False) == "cannot tell"
+    assert judge(0.0, can_pass=False) == "fail"
+
+
+def test_the_worst_verdict_counts() -> None:
+    assert overall([]) is None
+    assert overall(["pass", "pass"]) == "pass"
+    assert overall(["pass", "cannot tell"]) == "cannot tell"
+    assert overall(["cannot tell", "fail", "pass"]) == "fail"
+
+
+def verdict_of(mode: str, **changes: object) -> str:
+    raw = report_fixture.sample()
+    raw["prediction"] |= {"mode": mode, "wanted": {"z": 1e9}, "budget": None}
+    raw |= {"held_out": [], **changes}
+    return accuracy_verdicts(result_of(raw))["z"].judgement
+
+
+def test_geometry_alone_never_passes() -> None:
+    """However wide the limit is; what holds effects does."""
+    assert verdict_of("corrected", corrected=None, gap=None) == "pass"
+    assert verdict_of("identified", corrected=None, gap=None) == "cannot tell"
+    assert verdict_of("plan", corrected=None, gap=None) == "cannot tell"
+
+
+def test_an_older_result_is_judged_by_its_interval() -> None:
+    older = SpreadRecord(10.0, 20.0, 30.0, "um", rms_interval=(6.0, 14.0))
+    assert older.probability_within(12.0) == pytest.approx(0.7375)
+    assert SpreadRecord(10.0, 20.0, 30.0, "um").probability_within(1e9) == 0.5
+    assert math.isfinite(older.probability_within(0.0))
