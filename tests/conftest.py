@@ -13,6 +13,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 #: real measurements and inputs of users, beside the project
 SHARED = ROOT.parent / "shared"
+#: tests of the search for mistakes, and the running test if its readings are not searched
+CHECKS = ROOT / "tests" / "oed" / "checks"
+UNSEARCHED: list[str] = []
 
 # Functions are compiled by the tests of compiled functions alone: a result does not wait for
 # a compiler, nor depend on what ran before it.
@@ -69,6 +72,39 @@ def sketched_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def searched_mistakes() -> Iterator[None]:
+    """Readings that do not fit are searched for mistakes by tests of that search alone.
+
+    They lie in tests/oed/checks, or have the mark `mistakes`: a search fits the readings
+    some thirty times.
+    """
+    check = importlib.import_module("oed.checks.check")
+    search = check.explain
+
+    def explain(*given: object, **options: object) -> list[object]:
+        return [] if UNSEARCHED else search(*given, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(check, "explain", explain)
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, bool, bool]:
+    """State whether a test's readings are searched for mistakes."""
+    mark = item.get_closest_marker("mistakes")
+    searched = (
+        mark.kwargs.get("searched", True) if mark else CHECKS in item.path.parents
+    )
+    if not searched:
+        UNSEARCHED.append(item.nodeid)
+    try:
+        return (yield)
+    finally:
+        UNSEARCHED.clear()
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """The same random numbers for every test."""
@@ -92,12 +128,6 @@ def oed(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The test runs in a folder of its own."""
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def no_search_for_mistakes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Readings that do not fit are not searched for mistakes, which other tests do."""
-    monkeypatch.setattr("oed.checks.check.explain", lambda *args, **options: [])
 
 
 @pytest.fixture(scope="session")

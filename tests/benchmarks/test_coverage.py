@@ -232,6 +232,7 @@ def test_ranks_of_uniform_values_pass_and_of_narrow_ones_fail() -> None:
     assert calibration("abcdef", uniform, 1).counts.sum() == 1200
 
 
+@pytest.mark.slow
 def test_the_campaign_of_ranks_prints_its_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

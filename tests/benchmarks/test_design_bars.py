@@ -126,7 +126,14 @@ def test_twenty_thousand_candidates_are_certified() -> None:
 CLARABEL = 263.13586
 
 
-@pytest.mark.parametrize(("instance", "efficiency"), [(0, 0.88), (1, 0.86), (2, 0.88)])
+@pytest.mark.parametrize(
+    ("instance", "efficiency"),
+    [
+        (0, 0.88),
+        pytest.param(1, 0.86, marks=pytest.mark.slow),
+        pytest.param(2, 0.88, marks=pytest.mark.slow),
+    ],
+)
 def test_problem_c(instance: int, efficiency: float) -> None:
     """10 of 2000 poses for 42 parameters. On instance 1 the relaxation is loose by more
     than the bar of 88 %.

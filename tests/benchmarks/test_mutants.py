@@ -108,6 +108,7 @@ def test_a_mutant_without_end_is_killed_by_the_time_limit(toy: Path) -> None:
         assert trial.verdict(tree, mutant, 3.0) == trial.TIMED_OUT
 
 
+@pytest.mark.slow
 def test_the_command_names_survivors(
     toy: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -7,7 +7,14 @@ from benchmarks.random_machines import case, machines, noise, run, scaling, tabl
 from benchmarks.random_machines.closures import PLAIN
 from oed.gap.forms import library
 
-FAMILIES = ("delta", "hexapod_ups", "cables_planar", "tripod_rps")
+#: the nightly run has one family of each kind
+FAMILIES = [
+    "delta",
+    *(
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in ("hexapod_ups", "cables_planar", "tripod_rps")
+    ),
+]
 
 
 @pytest.mark.parametrize("model", sorted(PLAIN))

@@ -14,6 +14,7 @@ from pkm_studies.plugins import project_plugins
 from pkm_studies.study.data_sources import jugglebot
 
 
+@pytest.mark.slow
 def test_an_entry_runs(shared_data: Path, tmp_path: Path) -> None:
     """The data's SOURCE.txt: 0.056 and 0.075 mm by least squares, 0.39 and 0.25 nominal."""
     if not (shared_data / "delta_v400").is_dir():

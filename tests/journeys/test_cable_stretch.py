@@ -22,7 +22,11 @@ DRUM = 0.3e-3
 READINGS = 60
 
 
-def _study(geometry: str, setup: str = 'instrument = "redundancy"') -> str:
+def _study(
+    geometry: str,
+    setup: str = 'instrument = "redundancy"',
+    effects: str = '"none"',
+) -> str:
     return f"""\
 schema = 1
 name = "cables"
@@ -41,6 +45,9 @@ name = "drums"
 [noise]
 gap1_mm = {1e3 * DRUM / 2.0}
 gap2_mm = {1e3 * DRUM / 2.0}
+
+[identify]
+effects = {effects}
 
 [posterior]
 enabled = false
@@ -172,12 +179,13 @@ def test_an_unknown_compliance_is_estimated(
     assert any("tension of each cable is known" in c for c in corrected.conditions)
 
 
+@pytest.mark.mistakes
 def test_the_diagnosis_names_the_stretch(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     """Constraints that read 0 by definition are no deviations from the nominal machine."""
     path, data = tmp_path / "cables.study.toml", tmp_path / "drums.csv"
-    path.write_text(_study(""), encoding="utf-8")
+    path.write_text(_study("", effects='"catalogue"'), encoding="utf-8")
     text, _ = _robot_file(rng, planar_cables.drawn(rng), DRUM)
     data.write_text(text, encoding="utf-8")
     out = tmp_path / "out"

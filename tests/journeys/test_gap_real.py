@@ -36,7 +36,10 @@ UNSUPPORTED = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=["delta_v400", "hangprinter_hp4"])
+@pytest.fixture(
+    scope="module",
+    params=["delta_v400", pytest.param("hangprinter_hp4", marks=pytest.mark.slow)],
+)
 def gap(
     request: pytest.FixtureRequest,
     shared_data: Path,

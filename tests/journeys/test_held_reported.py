@@ -46,7 +46,6 @@ pdf = false
 """
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 @pytest.mark.parametrize("lean", [0.0, -4e-3])
 def test_a_lean_of_the_bed_is_reported(
     lean: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -30,7 +30,6 @@ def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
     return json.loads(text)["goodness"]
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_noise_above_the_stated_one_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -51,7 +50,6 @@ def test_noise_above_the_stated_one_is_reported(
     assert sentence in page
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     """Circles shifted by 4 um: an error of the run, not of single readings."""
     readings = bar_readings.a3_readings(2)
@@ -62,7 +60,6 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
     tmp_path: Path,
 ) -> None:
@@ -87,7 +84,6 @@ def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
     assert "By the noise law as estimated" in page
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
     goodness = fit(tmp_path, bar_readings.a3_readings(0), WITHOUT_REPORT)
     assert not goodness["noise_words"]

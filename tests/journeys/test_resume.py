@@ -19,7 +19,7 @@ from pkm_studies.commands import main
 
 STUDY = (
     sample.DELTA
-    + "[readings]\nfiles = ['r.csv']\n[posterior]\nsampler = 'emcee'\nsteps = 300\ness = 1000000\n"
+    + "[readings]\nfiles = ['r.csv']\n[posterior]\nsampler = 'emcee'\nsteps = 100\ness = 1000000\n"
     + "[report]\nhtml = false\npdf = false\n"
 )
 
@@ -78,7 +78,7 @@ def test_killed_ten_times_at_random_in_earnest(tmp_path: Path) -> None:
     study = tmp_path / "s.study.toml"
     (tmp_path / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
     study.write_text(
-        sample.changed(STUDY, ("steps = 300", "steps = 600")), encoding="utf-8"
+        sample.changed(STUDY, ("steps = 100", "steps = 600")), encoding="utf-8"
     )
     calls = {
         name: [

@@ -304,6 +304,7 @@ class PaperHead:
         return 1e-3 * np.array([table[f"dq{i}"]["value"] for i in (1, 2, 3)])
 
 
+@pytest.mark.slow
 def test_home_errors_of_the_paper_converge(tmp_path: Path) -> None:
     """To 7.812, 9.237 and 6.690 mm, as at the paper's machine, in three rounds."""
     head = PaperHead(a3.errors(dq=ROUGH_HOME), tmp_path)
@@ -322,7 +323,6 @@ def test_home_errors_of_the_paper_converge(tmp_path: Path) -> None:
     assert (before[2] < before[1]).all()
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_the_two_steps_of_the_paper(tmp_path: Path) -> None:
     """Home errors in three rounds, then all errors of its Table 3 in a fourth."""
     fine = {k: v for k, v in a3.TABLE3.items() if k != "ds"}

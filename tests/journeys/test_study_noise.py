@@ -69,7 +69,6 @@ def test_seating_is_refused_where_nothing_is_seated() -> None:
     assert "no run of probe, calliper seats anything anew" in error.problem
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
     """Intervals of a bar whose cup stays, and the numbers of the law that are left."""
     readings, results = bar_readings.a3_readings(0), {}

@@ -35,6 +35,7 @@ def write(folder: Path, runs: list[str]) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
+@pytest.mark.mistakes
 def test_a_turned_run_is_the_first_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -52,7 +53,6 @@ def test_a_turned_run_is_the_first_line(
     assert any("80-1" in w for w in result["corrected"]["warnings"])
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_check_names_runs_whose_order_and_direction_contradict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -86,6 +86,7 @@ def pairs(
         yield path, first, second, 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not _is_dynamic(), reason="NumPy's BLAS has one kernel alone")
 def test_another_kernel_changes_nothing_but_rounding(tmp_path: Path) -> None:
     (tmp_path / "s.study.toml").write_text(STUDY, "utf-8")

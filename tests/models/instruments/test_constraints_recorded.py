@@ -212,9 +212,7 @@ def test_a_new_study_is_sound_and_runs(
     assert main(new) == 0
     study = tmp_path / "draft.study.toml"
     text = study.read_text()
-    options = "[report]\nhtml = false\npdf = false\n"
-    if instrument == "touch_plane":  # its posterior takes nearly all of the time
-        options += "[posterior]\nenabled = false\n"
+    options = "[report]\nhtml = false\npdf = false\n[posterior]\nenabled = false\n"
     study.write_text(f"{text}\n{options}")
     assert main(["check", str(study)]) == 0
     assert main(["run", str(study), "--out", "out", "--quiet"]) == 0

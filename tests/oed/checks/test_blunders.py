@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import itertools
-import re
-from pathlib import Path
 
 import blunder_machines as machines
 import numpy as np
 import pytest
-from blunder_table import BLUNDERS
+from blunder_table import BLUNDERS, CHANGES, ROWS, page_rows
 from blunder_tables import LAWS
 from blunders import SIGMA, Blunder
 
 from oed.checks import Severity
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "blunders.md"
 #: blunders that the default suite executes, of each kind; the nightly one executes all,
 #: and tests/oed/checks undoes each kind of mistake
 QUICK = {
     "columns of one line exchanged",
     "one reading off by 50 sigma",
     "computed, not measured",
-    "one run sorted",
     "one set-up's readings in both",
-    "legs turned by one",
     "sign of x",
-    "one gauge in two lines' channels, halved",
-    "dead length of 0.5 mm",
     "a clock of 12 hours",
     "two set-ups at the same times",
 }
@@ -89,13 +82,10 @@ def test_no_false_alarm(machine: str, law: str, seeds: range) -> None:
 
 
 def test_the_page_lists_every_blunder() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\d+) \| (.+?) \| (.+?) \| (.+?) \|", text, re.MULTILINE)
-    assert [int(number) for number, *_ in rows] == list(range(1, len(BLUNDERS) + 1))
-    assert [name for _, name, _, _ in rows] == [b.name for b in BLUNDERS]
-    assert [machine for *_, machine, _ in rows] == [b.machine for b in BLUNDERS]
-    shown = [sentence for *_, sentence in rows]
-    assert shown == [b.sentence or "nothing: it cannot be seen" for b in BLUNDERS]
+    rows = page_rows()
+    assert [int(number) for number, *_ in rows] == list(range(1, len(CHANGES) + 1))
+    assert {name for _, name, *_ in rows} == CHANGES.keys()
+    assert CHANGES.keys() >= ROWS.keys()
 
 
 def test_an_outlier_leaves_the_other_readings() -> None:

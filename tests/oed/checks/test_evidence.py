@@ -13,6 +13,7 @@ from kernel.dense_noise import dense_covariance
 from oed import checks
 from oed.base import Array
 from oed.checks import evidence, screening
+from oed.checks.candidates import candidates
 from oed.checks.fit import fit, fit_amounts
 from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
@@ -175,18 +176,30 @@ def test_an_offset_is_estimated_as_by_generalised_least_squares(
     assert abs(fitted.amounts[0] - 3e-4) < 4.0 * fitted.sd[0]
 
 
-def test_long_sessions_are_cut_where_a_mistake_begins() -> None:
-    """The likeliest coarse part leads to the row; 3 circles of 40 readings."""
+def long_session() -> checks.SessionReadings:
+    """3 circles of 40 readings, of which rows 55 to 81 of the file are in um."""
     session = circles(3, 40)
-    assert cuts_are_coarse(session)
-    assert len(part_scopes(session)) < 300
     y = session.y.copy()
     y[53:80] *= 1e3
-    checked = checks.check_session(
-        session.with_y(y),
-        session.measurement,
-        np.random.default_rng(0),
-    )
+    return session.with_y(y)
+
+
+def test_long_sessions_are_cut_where_a_mistake_begins() -> None:
+    """In the linear model: the likeliest coarse part leads to the row."""
+    session = long_session()
+    assert cuts_are_coarse(session)
+    assert len(part_scopes(session)) < 300
+    given = Given(session)
+    first, _ = candidates(given, screening.Screening(given), thorough=True)
+    likeliest = max(first, key=lambda one: one.log_posterior).trial
+    assert (likeliest.kind, likeliest.scope.name) == ("unit", "rows 55 to 81")
+
+
+@pytest.mark.slow
+def test_the_part_in_which_a_mistake_lies_is_named() -> None:
+    session = long_session()
+    rng = np.random.default_rng(0)
+    checked = checks.check_session(session, session.measurement, rng)
     first = checked.findings[0].sentence
     assert "the readings of rows 55 to 81 are in um, not in mm" in first
 

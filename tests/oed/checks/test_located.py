@@ -138,7 +138,7 @@ def figures(result: Any) -> list[float]:
     return [*numbers, estimate["rms_after"]["length"]]
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
+@pytest.mark.mistakes(searched=False)
 def test_every_figure_is_without_the_row_set_aside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,7 +165,7 @@ def test_every_figure_is_without_the_row_set_aside(
     assert "without the 1 row set aside" in page
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
+@pytest.mark.mistakes(searched=False)
 @pytest.mark.parametrize("rows", [(20, 21, 22)])
 def test_neighbours_off_the_same_way_stay_for_the_diagnosis(
     rows: Sequence[int],

@@ -101,12 +101,10 @@ KINDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("machine", "change", "words"),
-    [
-        pytest.param(m, change, words, marks=() if m == "a3" else SLOW)
-        for m, change, _, words, _ in KINDS
-    ],
+    [(m, change, words) for m, change, _, words, _ in KINDS],
 )
 def test_a_kind_is_named(machine: str, change: Change, words: str) -> None:
     rows = change(machines.readings(machine, 4))

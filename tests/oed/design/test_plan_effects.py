@@ -138,6 +138,7 @@ def test_what_a_plan_cannot_allow_for_is_refused(
         resolve(study, readings=[])
 
 
+@pytest.mark.slow
 def test_the_plan_without_effects_promises_too_much(tmp_path: Path) -> None:
     resolved = resolve(load(with_effects(tmp_path, '"catalogue"', 0)), readings=[])
     assert resolved.plan is not None

@@ -279,6 +279,7 @@ def test_two_hundred_virtual_machines_are_as_accurate_as_predicted(
     check_stages(realisation, (0.8, 1.25), (0.93, 0.97))
 
 
+@pytest.mark.slow
 def test_a_bar_alone_loses_what_is_predicted() -> None:
     """Home positions known to 2 mm: a bar mounted first loses most of its readings."""
     machine = a3(2e-3, 0.3e-3, 5e-3)

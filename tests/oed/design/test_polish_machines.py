@@ -143,7 +143,15 @@ FREE: dict[str, tuple[bool, Mapping[str, tuple[float, float]]]] = {
 }
 
 
-@pytest.mark.parametrize("case", FREE)
+@pytest.mark.parametrize(
+    "case",
+    [
+        "taught, length",
+        "free cup, tool",
+        pytest.param("taught", marks=pytest.mark.slow),
+        pytest.param("free cup", marks=pytest.mark.slow),
+    ],
+)
 def test_polished_bar_stays_on_hold(case: str) -> None:
     taught, ranges = FREE[case]
     m = a3_plans.measurement(taught=taught)
@@ -201,8 +209,8 @@ def test_a_search_cut_short_is_never_worse() -> None:
     "criterion",
     [
         Determinant(13),
-        CRITERIA.over("A", 13),
-        PowerMean(4.0),
+        pytest.param(CRITERIA.over("A", 13), marks=pytest.mark.slow),
+        pytest.param(PowerMean(4.0), marks=pytest.mark.slow),
         CRITERIA.over("Ds", 13, np.eye(13)[:, :7]),
     ],
     ids=["D", "A", "power", "Ds"],

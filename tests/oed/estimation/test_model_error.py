@@ -139,7 +139,14 @@ def platform(shared_data: Path) -> Poses:
     return Poses(table[:, 6:9] * MM, Rotation.from_quat(table[:, 9:13]), legs)
 
 
-@pytest.mark.parametrize("withheld", ["none", "every third", "last third"])
+@pytest.mark.parametrize(
+    "withheld",
+    [
+        "every third",
+        pytest.param("none", marks=pytest.mark.slow),
+        pytest.param("last third", marks=pytest.mark.slow),
+    ],
+)
 def test_a_real_platform_is_fitted_as_well_as_by_least_squares(
     platform: Poses, withheld: str
 ) -> None:

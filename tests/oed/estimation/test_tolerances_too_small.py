@@ -47,7 +47,6 @@ def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
     return json.loads((out / "result.json").read_text()), text
 
 
-@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_the_fit_is_that_of_tolerances_as_they_are(tmp_path: Path) -> None:
     right, _ = identified(tmp_path / "right", 1.0)
     small, _ = identified(tmp_path / "small", 0.1)

@@ -127,8 +127,7 @@ def test_the_oracle_is_the_machine(name: str, rng: np.random.Generator) -> None:
     "name",
     [
         "planar",
-        "delta",
-        *(pytest.param(k, marks=pytest.mark.slow) for k in ("a3", "prs")),
+        *(pytest.param(k, marks=pytest.mark.slow) for k in ("delta", "a3", "prs")),
     ],
 )
 def test_what_is_left_is_as_predicted(name: str) -> None:

@@ -149,7 +149,7 @@ def held(diagnosis: Diagnosis, names: set[str]) -> list[bool]:
     [
         pytest.param("encoder_scale", 1, "white", marks=SLOW),
         pytest.param("encoder_scale", 2, "run", marks=SLOW),
-        ("bar_length", 3, "correlated"),
+        pytest.param("bar_length", 3, "correlated", marks=SLOW),
         pytest.param("bar_length", 4, "heavy", marks=SLOW),
     ],
 )

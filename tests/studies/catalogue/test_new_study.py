@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import sample
+from oracles import new_families
 
 from pkm_studies import catalogue, study
 from pkm_studies.base import InputError, Location
@@ -92,6 +93,7 @@ TURNING = ("a3_head", "hexaglide", "hexapod", "prs_spindle", "prs_spindle_struts
 TURNING_IN_A_SEAT = ("hexaglide", "hexapod")
 #: instruments of passive joints, and machines that name none
 OF_PASSIVE_JOINTS = ("passive_joint", "locked_joint")
+CHECKED_ELSEWHERE = tuple(new_families.CLOSURES)
 UNNAMED = ("cable_robot", "hexaglide", "planar_2dof")
 
 
@@ -108,8 +110,9 @@ def can_read(machine: str, instrument: str) -> bool:
 def _pairs() -> list[Any]:
     """Every machine with every instrument; of families with one position reader.
 
-    By default each instrument with one machine that it reads, in turn, and a sixth of
-    those that it cannot read.
+    By default each instrument with one machine that it reads, in turn, a sixth of those
+    that it cannot read, and families that tests/models/machines/test_new_families.py
+    does not check.
     """
     location = Location("catalogue")
     pairs = []
@@ -124,8 +127,8 @@ def _pairs() -> list[Any]:
     )
 
     def marks(machine: str, tool: str) -> list[pytest.MarkDecorator]:
-        if tool == "camera_known_frame" or (machine, tool) in ONLY:
-            return []
+        if (machine, tool) in ONLY or machine not in machines:
+            return [pytest.mark.slow] if machine in CHECKED_ELSEWHERE else []
         number = tools.index(tool)
         if not can_read(machine, tool):
             refused = (machines.index(machine) + number) % 6 == 0

@@ -104,7 +104,7 @@ def test_the_traps_snap(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [c if c in LIGHT else pytest.param(c, marks=pytest.mark.slow) for c in CALLS],
+    [c if c == "list" else pytest.param(c, marks=pytest.mark.slow) for c in CALLS],
 )
 def test_a_command_imports_nothing_of_the_current_folder(
     folder: Path, command: str

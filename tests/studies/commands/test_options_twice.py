@@ -46,7 +46,7 @@ def test_of_other_values_the_last_counts(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_readings_of_all_files_count(tmp_path: Path) -> None:
     study = tmp_path / "delta.study.toml"
-    text = sample.DELTA + '[identify]\neffects = "none"\n'
+    text = sample.DELTA
     study.write_text(text, encoding="utf-8")
     later = sample.DELTA_READINGS
     for run in ("1", "d1", "d2"):

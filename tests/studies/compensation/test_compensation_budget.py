@@ -203,7 +203,8 @@ EXACT = np.array([97.0, 20.0, 1.2])
 
 
 @pytest.mark.parametrize(
-    ("grid", "limit"), [(GRID, ()), (ROUND, ("--commands", "400"))]
+    ("grid", "limit"),
+    [(GRID, ()), pytest.param(ROUND, ("--commands", "400"), marks=pytest.mark.slow)],
 )
 def test_interpolation_costs_what_its_line_says(
     tmp_path: Path,

@@ -270,7 +270,10 @@ Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ
     [
         (MOTIVE, "{k},0.{k:02d},0,0,0,1,{x},{y},{z},0.0001", 1.0, "Position X"),
         (VICON.format(unit="mm"), "{k},0,1,2,3,{x},{y},{z}", 1.0, "TX [mm]"),
-        (VICON.format(unit="m"), "{k},0,1,2,3,{x},{y},{z}", 1e-3, "TX [m]"),
+        pytest.param(
+            *(VICON.format(unit="m"), "{k},0,1,2,3,{x},{y},{z}", 1e-3, "TX [m]"),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_points_of_motion_capture_need_no_map(

@@ -5,7 +5,6 @@ import csv
 import io
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,14 +20,6 @@ from pkm_studies.stages.summary import shown_components
 
 def run(*arguments: str | Path) -> int:
     return main([str(a) for a in arguments])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def no_explanations() -> Iterator[None]:
-    """Readings that do not fit are not searched for mistakes, which other tests do."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("oed.checks.check.explain", lambda *args, **options: [])
-        yield
 
 
 @pytest.fixture(scope="module")

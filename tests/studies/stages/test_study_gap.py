@@ -40,12 +40,11 @@ pytestmark = pytest.mark.usefixtures("own_folder")
 
 @pytest.fixture(scope="module", autouse=True)
 def diagnosis_by_hand() -> Iterator[None]:
-    """The searches for effects and for mistakes have tests of their own.
+    """The search for effects has tests of its own.
 
     So has the accuracy over all answers: few draws are as good here.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("oed.checks.check.explain", lambda *args, **options: [])
         patch.setattr(
             "oed.gap.procedure.diagnose",
             lambda problem, effects, rng: gap_fixture.diagnosis(problem),
@@ -53,6 +52,12 @@ def diagnosis_by_hand() -> Iterator[None]:
         patch.setattr("oed.corrected.answer_fits.DRAWS", 200)
         patch.setattr("oed.corrected.answer_fits.LEAST_DRAWS", 60)
         yield
+
+
+@pytest.fixture
+def without_mixture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The accuracy over all answers has tests of its own, and takes half of the time."""
+    monkeypatch.setattr("pkm_studies.stages.order.mix_answers", lambda state: state)
 
 
 CLAIMS = """
@@ -179,6 +184,7 @@ def test_the_schema_has_the_tables() -> None:
 # -- the section --------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("without_mixture")
 def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     study = gap_fixture.written(tmp_path, gap_fixture.STUDY + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
@@ -206,6 +212,7 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     assert decoded["prediction"] is None
 
 
+@pytest.mark.usefixtures("without_mixture")
 def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     oed: Run, tmp_path: Path
 ) -> None:
@@ -267,10 +274,11 @@ def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.usefixtures("without_mixture")
 def test_a_study_without_a_table_is_diagnosed_with_all_effects(
     oed: Run, tmp_path: Path
 ) -> None:
-    study = gap_fixture.written(tmp_path, FEW[: FEW.index("[gap]")])
+    study = gap_fixture.written(tmp_path, FEW[: FEW.index("[gap]")] + PREDICTION)
     assert oed("diagnose", study, "--out", "x", "--quiet")[0] == 0
     decoded = json.loads((tmp_path / "x/result.json").read_text())
     assert "gravity" in decoded["gap"]["tried"]
@@ -300,6 +308,7 @@ def _two_sessions(folder: Path) -> None:
     pd.concat([parts[0], later]).to_csv(folder / "one.csv", index=False)
 
 
+@pytest.mark.usefixtures("without_mixture")
 def test_two_sessions_together_are_as_one_file_of_both(
     oed: Run, tmp_path: Path
 ) -> None:
