@@ -16,8 +16,7 @@ import argparse
 
 import numpy as np
 
-from oed.design import conic
-from oed.design.exchange import choose
+from oed.design import choose, conic
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 
 CANDIDATES, COLUMNS, SIZE = 2000, 21, 30

@@ -30,7 +30,7 @@ import numpy as np
 
 from oed import dataset
 from oed.dataset import table
-from oed.design import choose_from_file, exchange, open_candidates, relaxation
+from oed.design import CRITERIA, choose, choose_from_file, open_candidates
 from oed.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
@@ -55,9 +55,9 @@ def run(job: str, count: int) -> None:
     rows = np.random.default_rng(0).standard_normal((count, COLUMNS))
     start = time.process_time()
     if job == JOBS[0]:
-        relaxation.relax(rows, float(SIZE))
+        CRITERIA.over("D", rows.shape[-1]).relax(rows, float(SIZE))
     else:
-        exchange.choose(rows, SIZE, np.random.default_rng(1))
+        choose(rows, SIZE, np.random.default_rng(1))
     seconds = time.process_time() - start
     ratio = (peak() - before) / rows.nbytes
     print(f"| {job} | {rows.nbytes / 1e6:.0f} | {ratio:.2f} | {seconds:.1f} |")

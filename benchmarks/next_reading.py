@@ -29,7 +29,7 @@ import pandas as pd
 
 from benchmarks.coverage import table
 from oed.base import Array
-from oed.design import candidates
+from oed.design import Candidates
 from oed.measurement import Series, draw_readings
 from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
@@ -100,7 +100,7 @@ def session(setting: Mapping[str, Any], seed: int) -> dict[str, float]:
     one = Session(adviser, measurement.nominal + measurement.tolerance * draw, rng)
     one.run()
     chosen = adviser.base.resolved.candidates
-    pool = candidates.build(measurement, chosen, one.theta, "tolerance")
+    pool = Candidates.build(measurement, chosen, one.theta, "tolerance")
     fixed, advised = (
         adviser.accuracy(measurement, pool, indices)
         for indices in (adviser.plan, one.taken)

@@ -7,6 +7,7 @@
 
 The best known value of an instance is the largest of this run: this project's choice at
 its default, the same with `--rounds` rounds (300), and the others. Values are computed
+from oed import design
 from the chosen rows by one formula for all (`peers/numpy_exchange.py`). Seconds are
 processor time on one thread; for this project the least of three runs, with the
 relaxation and its bound. `benchmarks/design.py --install-peers ENVS` makes doetools'
@@ -37,8 +38,7 @@ import numpy as np
 import hexapod
 import peer_runs
 import study_candidates
-from oed.design import exchange
-from oed.design.blocks import as_blocks
+from oed import design
 from peers import numpy_exchange, processor_seconds
 
 #: values that differ by less are equally good
@@ -67,7 +67,7 @@ def instances() -> Iterator[Instance]:
     for seed in range(300, 303):
         rng = np.random.default_rng(seed)
         rows = rng.standard_normal((3000, 42)) @ rng.standard_normal((42, 42))
-        yield Instance(f"mixed {seed}", as_blocks(rows), 60)
+        yield Instance(f"mixed {seed}", rows[:, None], 60)
     for seed in range(400, 403):
         rows = _normal(seed, 2000, 21) * np.logspace(0.0, -5.9, 21)
         yield Instance(f"ill {seed}", rows, 30)
@@ -93,14 +93,14 @@ def _quadratic() -> np.ndarray:
     x = np.array(list(itertools.product(levels, repeat=5)))
     pairs = itertools.combinations_with_replacement(range(5), 2)
     products = [x[:, i] * x[:, j] for i, j in pairs]
-    return as_blocks(np.column_stack([np.ones(len(x)), x, *products]))
+    return np.column_stack([np.ones(len(x)), x, *products])[:, None]
 
 
 def choose(instance: Instance, rounds: int) -> tuple[float, float]:
     """Value and seconds of this project's choice."""
     start = processor_seconds()
     rng = np.random.default_rng(1)
-    choice = exchange.choose(instance.blocks, instance.size, rng, rounds=rounds)
+    choice = design.choose(instance.blocks, instance.size, rng, rounds=rounds)
     seconds = processor_seconds() - start
     return numpy_exchange.log_det(instance.blocks, choice.indices), seconds
 

@@ -15,7 +15,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 import numpy as np
 
 import oed
-from oed.design import candidates
+from oed.design import Candidates
 from oed.design.blocks import project_on_estimable
 from pkm_studies.resolve import resolve
 from pkm_studies.study import Study
@@ -60,7 +60,7 @@ def of_studies() -> Iterator[StudyCandidates]:
 def _of_study(name: str, study: Study) -> StudyCandidates:
     resolved, table = resolve(study), study.design
     measurement = resolved.measurement
-    pool = candidates.build(
+    pool = Candidates.build(
         measurement, resolved.candidates, measurement.nominal, table.scaling
     )
     blocks, _ = project_on_estimable(pool.blocks, None)

@@ -158,3 +158,9 @@ def explained_energy(
     inflation = 1.0 + values[..., None, :] * variance
     gain = np.einsum("...sd,...d->...s", variance / inflation, squares)
     return gain, np.log(inflation).sum(axis=-1)
+
+
+def symmetric_inverse(m: Array) -> Array:
+    """Inverse of a symmetric matrix (n, n), made exactly symmetric."""
+    inverted = np.linalg.inv(m)
+    return 0.5 * (inverted + inverted.T)

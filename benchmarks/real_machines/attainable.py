@@ -22,10 +22,7 @@ import numpy as np
 from benchmarks.real_machines import world
 from oed.accuracy import error_maps
 from oed.base import Array, Index
-from oed.design import candidates
-from oed.design.blocks import information
-from oed.design.exchange import choose
-from oed.design.forms.variance import Variance
+from oed.design import CRITERIA, Candidates, choose
 from oed.effects import PlannedEffects
 from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
@@ -54,14 +51,15 @@ class Problem:
 
     def rms(self, chosen: Index) -> float:
         """Root mean square error of the tool point with chosen readings, um."""
-        total = self.prior + information(self.blocks[chosen])
+        rows = self.blocks[chosen].reshape(-1, self.blocks.shape[2])
+        total = self.prior + rows.T @ rows
         covariance = np.linalg.inv(total)
         variances = np.einsum("ri,ij,rj->r", self.factor, covariance, self.factor)
         return 1e6 * float(np.sqrt(variances.sum()))
 
     def plan(self, size: int, rng: np.random.Generator) -> Index:
         """The readings that serve this machine best."""
-        criterion = Variance(np.linalg.qr(self.factor, mode="r"))
+        criterion = CRITERIA.over("I", self.factor.shape[1], self.factor[None])
         choice = choose(
             self.blocks, size, rng, criterion, prior=self.prior, certify=False
         )
@@ -91,7 +89,7 @@ def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
     """The session's candidates on a machine with these effects, or without any."""
     measurement = bench.measurement
     maps = error_maps(measurement.kinematics, _workspace(bench), "best_fit")
-    pool = candidates.build(
+    pool = Candidates.build(
         measurement,
         bench.series,
         measurement.nominal,

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from oed.design.stages.sequence.stage_plan import StagePlan
+from oed.planning import StagePlan
 from pkm_studies import shipped
 from pkm_studies.resolve import resolve
 from pkm_studies.stages.plan.comparison import predict_readings

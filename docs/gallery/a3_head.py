@@ -12,7 +12,7 @@ of two circles alone has its minimum at 15 points, but no plateau after it.
 import _draw
 import numpy as np
 
-from oed.design import exchange
+from oed.design import choose
 from oed.identifiability import analyse, scaled
 from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.model.instrument import mount
@@ -67,7 +67,7 @@ names = np.array(bar.names)[bar.free]
 verdict = analyse(candidates, names, 1.0 / bar.length_factors[bar.free])
 assert (verdict.rank, len(names)) == (18, 21)  # all 1512 candidates together
 
-chosen = exchange.choose(candidates, 30, np.random.default_rng(1), "D", rounds=3)
+chosen = choose(candidates, 30, np.random.default_rng(1), "D", rounds=3)
 published_value, chosen_value = log_det(circles), log_det(grid[chosen.indices])
 efficiency = np.exp((published_value - chosen_value) / 18.0)
 assert abs(published_value + 65.58) < 0.01

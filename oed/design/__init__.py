@@ -1,8 +1,17 @@
-"""Plans of readings: criteria, bounds, search, stages.
+"""Choice of readings: criteria, rules, search and certificate.
 
-CRITERIA          the catalogue of criteria, by name
+CRITERIA          the criteria by name
+Candidates        readings or runs to choose from, as blocks with noise, time and set-up
 Choice            chosen candidates and their certificate
-NamedCriterion    a criterion as the catalogue lists it
+Criterion         a criterion over the columns of candidates
+DesignProblem     candidates and rules, and the plans chosen from them
+Nuisances         unknowns beside the parameters that candidates allow for
+Objective         a concave function of the candidates' weights
+PlanEvaluator     values of plans, and of plans with each candidate added
+QuotaSet          numbers of readings from selections of the candidates
+Rules             number of readings, time, set-ups, distances and quotas of a plan
+SizeCurve         accuracy by the number of readings
+Tangent           a line above an objective
 choose            candidates chosen by a criterion
 choose_from_file  the same from a file that does not fit in memory
 open_candidates   candidates in a file
@@ -14,9 +23,18 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.design.candidate_file import open_candidates
-    from oed.design.catalogue import CRITERIA, NamedCriterion
+    from oed.design.candidates import Candidates
+    from oed.design.catalogue import CRITERIA
+    from oed.design.design_problem import DesignProblem
+    from oed.design.evaluator import PlanEvaluator
     from oed.design.exchange import Choice, choose
+    from oed.design.forms import Criterion
+    from oed.design.how_many import SizeCurve
     from oed.design.large import choose_from_file
+    from oed.design.nuisances import Nuisances
+    from oed.design.objective import Objective, Tangent
+    from oed.design.quotas import QuotaSet
+    from oed.design.rules import Rules
 else:
     # imported when first used: a report needs the criteria alone
     __getattr__ = door(__name__)

@@ -25,10 +25,10 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base import Array, Index, Mask
+from oed.design.blocks import information
 from oed.design.catalogue import CRITERIA
 from oed.design.forms import Criterion
 from oed.design.nuisances import Nuisances, no_nuisances
-from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 from oed.identifiability import Scaling, column_scale
@@ -69,6 +69,62 @@ class Candidates:
     setup_cost: Array
     nuisances: Nuisances | None = None
 
+    @classmethod
+    def build(
+        cls,
+        measurement: Measurement,
+        series: Sequence[Series],
+        at: Array,
+        scaling: Scaling,
+        *,
+        whole_runs: bool = False,
+        nuisances: Nuisances | None = None,
+    ) -> Candidates:
+        """Candidates from all readings of the series at theta `at` (n,).
+
+        With `whole_runs` a run is one candidate. Raises ValueError where the readings of a
+        run do not follow each other, and for nuisances where the scaling is not "tolerance".
+        """
+        if nuisances is not None and scaling != "tolerance":
+            raise ValueError('effects beside the geometry need scaling = "tolerance"')
+        numbers = [len(s) * len(measurement.setups[s.setup].sigma) for s in series]
+        every = no_nuisances(sum(numbers)) if nuisances is None else nuisances
+        ends = np.cumsum(numbers)
+        parts = [
+            _series_blocks(
+                measurement, s, at, scaling, whole_runs, every.take(slice(end - n, end))
+            )
+            for s, n, end in zip(series, numbers, ends, strict=True)
+        ]
+        n = int(measurement.free.sum())
+        setups = tuple(dict.fromkeys(s.setup for s in series))
+        counts = np.concatenate([part.readings for part in parts])
+        first = np.cumsum(counts) - counts
+        commands = np.vstack([s.reading_commands() for s in series])
+        seconds = [measurement.reading_seconds(s.setup) for s in series]
+        reading_seconds = np.repeat(seconds, [len(s) for s in series])
+        mounting = [measurement.setups[name].instrument.cost.setup for name in setups]
+        positions = [setups.index(s.setup) for s in series]
+        return cls(
+            measurement=measurement,
+            series=tuple(series),
+            blocks=_join_blocks(parts, measurement.free),
+            columns=n,
+            prior_information=_shared_information(n, parts),
+            members=np.column_stack([first, counts]),
+            setups=setups,
+            setup=np.repeat(positions, [len(part.readings) for part in parts]),
+            command=commands[first],
+            cost=np.array(
+                [
+                    reading_seconds[i : i + c].sum()
+                    for i, c in zip(first, counts, strict=True)
+                ]
+            ),
+            setup_cost=np.array(mounting),
+            nuisances=nuisances,
+        )
+
     def __len__(self) -> int:
         return len(self.blocks)
 
@@ -76,6 +132,10 @@ class Candidates:
     def prior(self) -> Array | None:
         """Prior information; None where there is none."""
         return self.prior_information if self.prior_information.any() else None
+
+    def information(self, chosen: Index) -> Array:
+        """Information (n + r, n + r) of the prior and of chosen candidates."""
+        return self.prior_information + information(self.blocks[chosen])
 
     @property
     def shared_errors(self) -> int:
@@ -153,15 +213,19 @@ class Candidates:
                  a set-up are too near where their commands over `apart` are nearer than
                  1 in the norm
         """
-        distance = None
+        position = None
         if apart is not None:
             position = self.command / np.where(apart > 0, apart, np.inf)
-            distance = DistanceLimit(position, 1.0)
-        time = None if budget is None else TimeBudget(self.cost, budget)
-        mounting = None if budget is None else self.setup_cost
-        setups = SetupLimit(self.setup, mounting, most_setups, mounted)
-        return Rules(
-            size=size, time=time, setups=setups, distance=distance, quotas=quotas
+        return Rules.of(
+            size=size,
+            seconds=None if budget is None else self.cost,
+            budget=budget,
+            setup=self.setup,
+            mounting=None if budget is None else self.setup_cost,
+            most_setups=most_setups,
+            mounted=mounted,
+            position=position,
+            quotas=quotas,
         )
 
     def readings_of(self, chosen: Index) -> tuple[Series, ...]:
@@ -193,61 +257,6 @@ class _SeriesBlocks(NamedTuple):
     shared: Array
     readings: Index
     nuisances: Array
-
-
-def build(
-    measurement: Measurement,
-    series: Sequence[Series],
-    at: Array,
-    scaling: Scaling,
-    *,
-    whole_runs: bool = False,
-    nuisances: Nuisances | None = None,
-) -> Candidates:
-    """Candidates from all readings of the series at theta `at` (n,).
-
-    With `whole_runs` a run is one candidate. Raises ValueError where the readings of a
-    run do not follow each other, and for nuisances where the scaling is not "tolerance".
-    """
-    if nuisances is not None and scaling != "tolerance":
-        raise ValueError('effects beside the geometry need scaling = "tolerance"')
-    numbers = [len(s) * len(measurement.setups[s.setup].sigma) for s in series]
-    every = no_nuisances(sum(numbers)) if nuisances is None else nuisances
-    ends = np.cumsum(numbers)
-    parts = [
-        _series_blocks(
-            measurement, s, at, scaling, whole_runs, every.take(slice(end - n, end))
-        )
-        for s, n, end in zip(series, numbers, ends, strict=True)
-    ]
-    n = int(measurement.free.sum())
-    setups = tuple(dict.fromkeys(s.setup for s in series))
-    counts = np.concatenate([part.readings for part in parts])
-    first = np.cumsum(counts) - counts
-    commands = np.vstack([s.reading_commands() for s in series])
-    seconds = [measurement.reading_seconds(s.setup) for s in series]
-    reading_seconds = np.repeat(seconds, [len(s) for s in series])
-    mounting = [measurement.setups[name].instrument.cost.setup for name in setups]
-    positions = [setups.index(s.setup) for s in series]
-    return Candidates(
-        measurement=measurement,
-        series=tuple(series),
-        blocks=_join_blocks(parts, measurement.free),
-        columns=n,
-        prior_information=_shared_information(n, parts),
-        members=np.column_stack([first, counts]),
-        setups=setups,
-        setup=np.repeat(positions, [len(part.readings) for part in parts]),
-        command=commands[first],
-        cost=np.array(
-            [
-                reading_seconds[i : i + c].sum()
-                for i, c in zip(first, counts, strict=True)
-            ]
-        ),
-        setup_cost=np.array(mounting),
-        nuisances=nuisances,
-    )
 
 
 def _shared_information(n: int, parts: Sequence[_SeriesBlocks]) -> Array:

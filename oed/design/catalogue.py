@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from oed.base import Array
+from oed.design.forms.compound import Compound
 from oed.design.forms.protocol import Criterion
 
 #: what a criterion needs besides its name
@@ -142,6 +143,11 @@ class Catalogue:
                 f"criterion {name!r} is none of {', '.join(self.of_plans)}"
             )
         return self[name].over(columns, ingredient)
+
+    def compound(self, parts: Mapping[Criterion, float]) -> Criterion:
+        """A mean of criteria by their shares, which need not sum to 1."""
+        total = sum(parts.values())
+        return Compound(tuple(parts), tuple(s / total for s in parts.values()))
 
     # -- names -------------------------------------------------------------------------
 

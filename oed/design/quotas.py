@@ -38,6 +38,19 @@ class Quota:
     least: int = 0
     most: int | None = None
 
+    @property
+    def sentence(self) -> str:
+        """The quota in words: at least 3 of "high" (12 candidates)."""
+        limits = []
+        if self.least:
+            limits.append(f"at least {self.least}")
+        if self.most is not None:
+            limits.append(f"at most {self.most}")
+        if self.least == self.most:
+            limits = [f"exactly {self.most}"]
+        available = int(self.members.sum())
+        return f'{" and ".join(limits)} of "{self.name}" ({available} candidates)'
+
 
 def equal_numbers(groups: Sequence[str], size: int) -> tuple[Quota, ...]:
     """Quotas that share `size` candidates equally among their groups (C,).
@@ -62,6 +75,21 @@ class QuotaSet:
 
     quotas: tuple[Quota, ...]
     size: int
+
+    def joined(
+        self, name: str, members: Mask, least: int = 0, most: int | None = None
+    ) -> QuotaSet:
+        """The quotas with one more, as `Quota` has it."""
+        quotas = (*self.quotas, Quota(name, members, least, most))
+        return dataclasses.replace(self, quotas=quotas)
+
+    def joined_equally(self, groups: Sequence[str]) -> QuotaSet:
+        """The quotas with equal numbers of each group of candidates (C,).
+
+        Raises ValueError where the size is no multiple of the number of groups.
+        """
+        equal = equal_numbers(groups, self.size)
+        return dataclasses.replace(self, quotas=(*self.quotas, *equal))
 
     @functools.cached_property
     def members(self) -> Array:

@@ -24,13 +24,11 @@ from typing import Literal
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design import relaxation
 from oed.design.blocks import as_blocks
 from oed.design.catalogue import CRITERIA
 from oed.design.evaluator import CriterionEvaluator, PlanEvaluator
 from oed.design.forms import Criterion
 from oed.design.objective import RIDGE, CriterionObjective, Tangent
-from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 from oed.result import RobustSummary
@@ -90,7 +88,15 @@ def choose(
     evaluators = tuple(CriterionEvaluator(b, criterion, base) for b in blocks)
     robust = _ScenarioEvaluator(evaluators, risk, tail_share)
     nominal = evaluators[0]
-    optimum = _relax(objectives, rules, risk, tail_share)
+
+    def objective(cost: Array | None, sharpness: float) -> RiskObjective:
+        parts = objectives
+        if cost is not None:
+            parts = tuple(_per_cost(o, cost) for o in objectives)
+        return RiskObjective(parts, risk, tail_share, sharpness)
+
+    levels = SHARPNESS[:1] if risk == "mean" else SHARPNESS
+    optimum = rules.relax(len(blocks[0]), objective, levels, lambda _: TOLERANCE)
     guide = optimum.weights, optimum.slopes
     ridge = nominal.ridge()
     nominal_start = select_greedily(nominal, rules, ridge)
@@ -116,51 +122,6 @@ def choose(
         nominal_values=robust.scenario_values(nominal_plan).tolist(),
     )
     return RobustChoice(np.sort(best), summary)
-
-
-def _relax(
-    objectives: tuple[CriterionObjective, ...],
-    rules: Rules,
-    risk: Risk,
-    tail_share: float,
-) -> Relaxation:
-    """The relaxation under the number of readings or the budget, the tighter one.
-
-    The time to mount set-ups is left out.
-    """
-    optima = []
-    for total, cost in rules.totals(objectives[0].count):
-        optimum = _relax_total(objectives, total, cost, risk, tail_share)
-        if cost is not None:
-            weights = optimum.weights / cost
-            optimum = dataclasses.replace(optimum, weights=weights)
-        optima.append(optimum)
-    return min(optima, key=lambda optimum: optimum.bound)
-
-
-def _relax_total(
-    objectives: tuple[CriterionObjective, ...],
-    total: float,
-    cost: Array | None,
-    risk: Risk,
-    tail_share: float,
-) -> Relaxation:
-    """The relaxation for one sum of weights (or of costs), sharper level by level."""
-    cap: Array | float = 1.0
-    if cost is not None:
-        objectives = tuple(_per_cost(o, cost) for o in objectives)
-        cap = cost
-    first, *sharper = SHARPNESS
-    objective = RiskObjective(objectives, risk, tail_share, first)
-    optimum = relaxation.solve(objective, total, cap, TOLERANCE)
-    if risk == "mean":
-        return optimum
-    for sharpness in sharper:
-        objective = RiskObjective(objectives, risk, tail_share, sharpness)
-        start, bound = optimum.weights, optimum.bound
-        optimum = relaxation.solve(objective, total, cap, TOLERANCE, start)
-        optimum = dataclasses.replace(optimum, bound=min(optimum.bound, bound))
-    return optimum
 
 
 def _per_cost(objective: CriterionObjective, cost: Array) -> CriterionObjective:

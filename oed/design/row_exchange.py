@@ -22,7 +22,8 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.forms.protocol import inverse, parts, quadratic_forms
+from oed.design.forms.protocol import parts, quadratic_forms
+from oed.linear_algebra import symmetric_inverse
 
 #: gain in log t below which an exchange counts as none
 GAIN = 1e-10
@@ -52,7 +53,7 @@ class RowExchange:
 
     def select_greedily(self, size: int) -> Index:
         """Rows added one by one, each the one that lowers the variance most."""
-        sides = self.rows @ inverse(self.base)
+        sides = self.rows @ symmetric_inverse(self.base)
         leverage = np.einsum("ij,ij->i", sides, self.rows)
         n = len(self.base)
         sides = np.hstack([sides, sides @ self.factor.T])
@@ -147,7 +148,7 @@ class _Design:
 
     def _general_inverse(self, chosen: Index) -> Array:
         rows = self._problem.rows[chosen]
-        return inverse(self._problem.base + rows.T @ rows)
+        return symmetric_inverse(self._problem.base + rows.T @ rows)
 
 
 def exchange_rows(rows: Array, chosen: Index, base: Array) -> Index:

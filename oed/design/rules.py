@@ -1,7 +1,7 @@
 """Rules of a plan: number of readings, time, set-ups, distances, and quotas.
 
 Whether a candidate can be read at all (workspace, joint travel, singularity, bar
-travel, collisions) is decided earlier (`oed.design.feasible`). These rules hold between
+travel, collisions) is decided earlier (`oed.poses.feasible`). These rules hold between
 the readings of one plan.
 """
 
@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from oed.base import Array, Index, Mask
 from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
+
+if TYPE_CHECKING:
+    from oed.design.evaluator import PlanEvaluator
+    from oed.design.forms import Criterion
+    from oed.design.objective import Objective
+    from oed.design.relaxation import Relaxation
 
 #: combinations of set-ups that are bounded one by one, at the most
 MAX_COMBINATIONS = 64
@@ -60,6 +66,46 @@ class Rules:
             free_number = self.budget is not None or self.limits_setups
             if free_number or self.size != self.quotas.size:
                 raise ValueError("quotas need the number of readings, and no budget")
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        size: int | None = None,
+        seconds: Array | None = None,
+        budget: float | None = None,
+        setup: Index | None = None,
+        mounting: Array | None = None,
+        most_setups: int | None = None,
+        mounted: tuple[int, ...] = (),
+        position: Array | None = None,
+        least_distance: float = 1.0,
+        quotas: QuotaSet | None = None,
+    ) -> Rules:
+        """Rules over C candidates.
+
+        seconds         (C,) time of each; with a `budget`, s, their sum is limited
+        setup           (C,) number of the set-up of each
+        mounting        (S,) time to mount each set-up, s; None where that is no rule
+        most_setups     number of set-ups at the most
+        mounted         set-ups that are mounted already
+        position        (C, d) of each; two chosen of one set-up are `least_distance`
+                        apart
+
+        Raises ValueError without size and budget, and for a budget without times.
+        """
+        time = None if seconds is None else ReadingTimes(seconds)
+        if budget is not None:
+            time = TimeBudget(np.zeros(1) if seconds is None else seconds, budget)
+        setups = None
+        if setup is not None:
+            setups = SetupLimit(setup, mounting, most_setups, mounted)
+        distance = None
+        if position is not None:
+            distance = DistanceLimit(position, least_distance)
+        return cls(
+            size=size, time=time, setups=setups, distance=distance, quotas=quotas
+        )
 
     @property
     def budget(self) -> TimeBudget | None:
@@ -188,6 +234,80 @@ class Rules:
             distance=None if self.distance is None else self.distance.subset(pool),
             quotas=None if self.quotas is None else self.quotas.subset(pool),
         )
+
+    # -- plans of any objective --------------------------------------------------------
+
+    def relax(
+        self,
+        count: int,
+        objective: Callable[[Array | None, float], Objective],
+        sharpness: Sequence[float],
+        tolerance: Callable[[float], float],
+    ) -> Relaxation:
+        """The relaxation of an objective that is approached ever more sharply.
+
+        Under the number or the budget, whichever is tighter; set-ups are left out.
+
+        objective  of the weights of `count` candidates, or of what they cost (C,), at a
+                   sharpness
+        tolerance  duality gap at a sharpness
+        """
+        from oed.design import relaxation
+
+        optima = []
+        for total, cost in self.totals(count):
+            start, bound = None, np.inf
+            for sharp in sharpness:
+                optimum = relaxation.solve(
+                    objective(cost, sharp),
+                    total,
+                    1.0 if cost is None else cost,
+                    tolerance(sharp),
+                    start,
+                )
+                start, bound = optimum.weights, min(bound, optimum.bound)
+            weights = optimum.weights if cost is None else optimum.weights / cost
+            optima.append(dataclasses.replace(optimum, weights=weights, bound=bound))
+        return min(optima, key=lambda optimum: optimum.bound)
+
+    def search(
+        self,
+        evaluator: PlanEvaluator,
+        relaxed: Relaxation,
+        rng: np.random.Generator,
+        rounds: int,
+    ) -> Index:
+        """The best plan of a local search from greedy plans at each level."""
+        from oed.design import search
+
+        levels = range(evaluator.levels)
+        starts = [search.select_greedily(evaluator, self, 0.0, k) for k in levels]
+        gains = np.maximum(relaxed.slopes, 0.0)
+        return search.search(
+            evaluator, self, relaxed.weights, gains, starts, rng, rounds
+        )
+
+    def quick_plan(
+        self,
+        blocks: Array,
+        criterion: Criterion,
+        base: Array,
+        starts: Sequence[Index],
+        sweeps: int,
+    ) -> Index:
+        """The best of a greedy plan and some others after a few exchange sweeps.
+
+        blocks  (C, k, n) candidates
+        base    (n, n) prior information
+        """
+        from oed.design import search
+        from oed.design.evaluator import CriterionEvaluator
+
+        evaluator = CriterionEvaluator(blocks, criterion, base)
+        plans = [*starts, search.select_greedily(evaluator, self, 0.0, level=0)]
+        for level in range(evaluator.levels if sweeps else 0):
+            plans = [search.improve(evaluator, self, p, level, sweeps) for p in plans]
+        return max(plans, key=evaluator.value)
 
     # -- convex problems that hold every plan ------------------------------------------
 

@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array
-from oed.design.nuisances import Nuisances
+from oed.design import Nuisances
 from oed.effects.columns import ExpectedColumns
 from oed.effects.course_columns import CourseColumns
 from oed.effects.effect_maps import SessionStates

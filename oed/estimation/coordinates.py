@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.estimation.fitter import minimise
-from oed.identifiability import analyse, information
+from oed.identifiability import analyse, whiten
 from oed.linear_algebra import canonical_rows, right_singular
 from oed.measurement import Measurement, Series
 from oed.noise import Noise
@@ -65,7 +65,7 @@ class IdentifiableCoordinates:
         free = np.flatnonzero(scale > 0)
         units = _PriorUnits(scale[free], measurement.correlation_root(free))
         jacobian = measurement.jacobian(series, theta)
-        whitened = units.slopes(information.whiten(jacobian, noise)[:, free])
+        whitened = units.slopes(whiten(jacobian, noise)[:, free])
         null_space = _null_space(measurement, series, jacobian, free)
         lost, determined = _split_directions(units.changes(null_space))
         # The right singular vectors of H, strongest first, decouple the sampler's

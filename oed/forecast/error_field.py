@@ -9,7 +9,7 @@ noise of a reading is known: it is no part of the field. The zero of the instrum
 
 A design takes the readings of least predicted variance. A field of errors is a sum of its
 leading Karhunen-Loeve modes with unit normal coefficients. Then a reading is a row, and
-`oed.design.next_reading` chooses one after the other.
+`oed.poses.next_reading` chooses one after the other.
 """
 
 from __future__ import annotations
@@ -21,13 +21,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from oed.base import Array, Index
-from oed.design.next_reading import (
-    Belief,
-    best_candidate,
-    open_components,
-    weights_of,
-)
 from oed.forecast.joint_errors import ErrorRows, JointErrors
+from oed.poses import Belief
 
 #: kernels that compete: correlation at scaled distances
 ORDERS = ("3/2", "5/2")
@@ -308,10 +303,10 @@ def design_nodes(
     readings, errors = _linear(model, kernel, candidates, sigma)
     blocks = readings / sigma[:, None]
     factors = errors.swapaxes(0, 1) / np.sqrt(len(errors))
-    belief = Belief(np.eye(blocks.shape[2]), weights_of(factors))
+    belief = Belief.of(np.eye(blocks.shape[2]), factors)
     chosen: list[int] = []
-    while len(chosen) < most and open_components(belief, wanted):
-        chosen.append(best_candidate(belief, blocks, wanted))
+    while len(chosen) < most and belief.open_components(wanted):
+        chosen.append(belief.best_candidate(blocks, wanted))
         belief = belief.after(blocks[chosen[-1]])
     return NodeDesign(np.array(chosen), np.sqrt(belief.variances))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.design import candidates
+from oed.design import Candidates
 from oed.estimation import Estimate
 from pkm_page.session import MachineSession, SessionState
 from pkm_reports import text
@@ -88,7 +88,7 @@ def _course(adviser: Adviser, fitted: FittedReadings | None, advice: Advice) -> 
     pool, belief = outlook.pool, outlook.before
     if not outlook.taken:  # without effects, the pool has no readings taken
         theta = fitted.estimate.theta
-        pool = candidates.build(measurement, taken.series, theta, "tolerance")
+        pool = Candidates.build(measurement, taken.series, theta, "tolerance")
         belief = adviser.prior(measurement, pool)
     order = np.arange(advice.readings)
     if taken.covariates is not None:

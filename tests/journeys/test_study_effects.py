@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import sample
 
-from oed.compensate.effects import answer_fits
+from oed.corrected import answer_fits
 from pkm_studies.commands import main
 
 

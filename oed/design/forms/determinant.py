@@ -23,10 +23,10 @@ from oed.design.forms.protocol import (
     FastSearch,
     Support,
     inner_products,
-    inverse,
     pairwise_traces,
     quadratic_forms,
 )
+from oed.linear_algebra import symmetric_inverse
 
 #: share of its size by which a direction may leave a basis that it belongs to: far above
 #: rounding, and below what a reading could determine
@@ -76,7 +76,7 @@ class Determinant(Criterion):
             return -np.inf
         if self.interest is None:
             return float(log_det) / self.directions
-        covariance = self.interest.T @ inverse(m) @ self.interest
+        covariance = self.interest.T @ symmetric_inverse(m) @ self.interest
         sign, log_det = np.linalg.slogdet(covariance)
         return -float(log_det) / self.size if sign > 0 else -np.inf
 
@@ -109,12 +109,12 @@ class Determinant(Criterion):
             return traces / self.directions
         root = self.support(m).root
         s = root @ root.T
-        first = pairwise_traces(blocks, inverse(m), s)
+        first = pairwise_traces(blocks, symmetric_inverse(m), s)
         return 2.0 * first - self.size * pairwise_traces(blocks, s, s)
 
     def values_after_adding(self, m: Array, blocks: Array) -> Array:
         """Plus log det(1 + X M^-1 X^T), less the part that the nuisances take."""
-        inverted = inverse(m)
+        inverted = symmetric_inverse(m)
         gain = _log_det_gain(blocks, inverted)
         if self.interest is not None:
             root = self.support(m).root * np.sqrt(self.size)

@@ -142,6 +142,35 @@ class Criterion(abc.ABC):
         """Criteria that approach this one, the smoothest first and itself last."""
         return (self,)
 
+    def over_estimable(self, rows: Array) -> tuple[Criterion, Array]:
+        """The criterion over the directions (n, r) that rows (N, n) determine, and these."""
+        from oed.design.blocks import project_on_estimable
+
+        basis = project_on_estimable(rows[:, None], None)[1]
+        return self.restrict(basis), basis
+
+    def relax(
+        self,
+        rows: Array,
+        size: float,
+        prior: Array | None = None,
+        cap: Array | float = 1.0,
+        tolerance: float = 1e-8,
+    ) -> Relaxation:
+        """Optimal weights of rows (C, n) or blocks (C, k, n), with their bound.
+
+        Raises ValueError as `oed.design.relaxation.relax`.
+        """
+        from oed.design import relaxation
+
+        return relaxation.relax(rows, size, prior, cap, tolerance, self)
+
+    @property
+    def relaxed(self) -> Criterion:
+        """The criterion, or the last one of its continuation that has a relaxation."""
+        steps = (*self.continuation(), self)
+        return [step for step in steps if step.concave and step.smooth][-1]
+
     # -- methods of its own ------------------------------------------------------------
 
     @property
@@ -221,12 +250,6 @@ def parts(count: int) -> list[slice]:
         slice(start, start + CANDIDATES_AT_ONCE)
         for start in range(0, count, CANDIDATES_AT_ONCE)
     ]
-
-
-def inverse(m: Array) -> Array:
-    """M^-1, made exactly symmetric."""
-    inverted = np.linalg.inv(m)
-    return 0.5 * (inverted + inverted.T)
 
 
 def is_positive_definite(m: Array) -> bool:

@@ -31,11 +31,11 @@ from oed.design.forms.protocol import (
     FastSearch,
     Support,
     inner_products,
-    inverse,
     is_positive_definite,
     pairwise_traces,
     slopes,
 )
+from oed.linear_algebra import symmetric_inverse
 
 #: exponents that lead from the mean variance to the largest, whose error is then
 #: log(J) / 256
@@ -63,7 +63,9 @@ class Variance(Criterion):
         """-log tr(W M^-1)."""
         if not is_positive_definite(m):
             return -np.inf
-        return -float(np.log(np.sum((self.factor @ inverse(m)) * self.factor)))
+        return -float(
+            np.log(np.sum((self.factor @ symmetric_inverse(m)) * self.factor))
+        )
 
     def support(self, m: Array) -> Support:
         """Root M^-1 F^T / sqrt(t).
@@ -82,12 +84,12 @@ class Variance(Criterion):
         """2 tr(A_i M^-1 A_j S) - g_i g_j."""
         root = self.support(m).root
         g = slopes(blocks, root)
-        traces = 2.0 * pairwise_traces(blocks, inverse(m), root @ root.T)
+        traces = 2.0 * pairwise_traces(blocks, symmetric_inverse(m), root @ root.T)
         return traces - np.outer(g, g)
 
     def values_after_adding(self, m: Array, blocks: Array) -> Array:
         """t less tr((1 + X M^-1 X^T)^-1 X M^-1 W M^-1 X^T)."""
-        inverted = inverse(m)
+        inverted = symmetric_inverse(m)
         projected = inverted @ self.factor.T
         t = float(np.sum(projected * self.factor.T))
         reduction = variance_reduction(blocks, inverted, projected @ projected.T)
@@ -164,7 +166,7 @@ class LargestVariance(Criterion):
 
     def variances(self, m: Array) -> Array:
         """t_j (J,)."""
-        projected = self.factors @ inverse(m)
+        projected = self.factors @ symmetric_inverse(m)
         return np.asarray(np.einsum("jrn,jrn->j", projected, self.factors))
 
     def value(self, m: Array) -> float:
@@ -201,7 +203,7 @@ class LargestVariance(Criterion):
         """sum_j pi_j (2 tr(A_i M^-1 A_k S_j) - g_ji g_jk) + q Cov_pi(g)."""
         variances = self.variances(m)
         shares = self._shares(variances)
-        projected = self.factors @ inverse(m)
+        projected = self.factors @ symmetric_inverse(m)
         s = np.einsum("j,jrn,jrm->nm", shares / variances, projected, projected)
         by_block = np.einsum("ckn,jrn->cjkr", blocks, projected, optimize=True)
         gradients = np.einsum("cjkr,cjkr->jc", by_block, by_block)
@@ -209,12 +211,12 @@ class LargestVariance(Criterion):
         mean = shares @ gradients
         second_moment = (gradients.T * shares) @ gradients
         covariance = second_moment - np.outer(mean, mean)
-        traces = 2.0 * pairwise_traces(blocks, inverse(m), s)
+        traces = 2.0 * pairwise_traces(blocks, symmetric_inverse(m), s)
         return np.asarray(traces - second_moment + self.sharpness * covariance)
 
     def values_after_adding(self, m: Array, blocks: Array) -> Array:
         """Each variance less its reduction by the block."""
-        inverted = inverse(m)
+        inverted = symmetric_inverse(m)
         projected = self.factors @ inverted
         sums = inner_products(blocks, inverted) + np.eye(blocks.shape[1])
         inner = np.linalg.inv(sums)

@@ -12,16 +12,14 @@ relaxation to weights between 0 and 1 bounds every plan (`oed.design.relaxation`
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 
 import numpy as np
 
-from oed.base import Array, Index
-from oed.design import relaxation
-from oed.design.relaxation import Relaxation
-from oed.design.rules import Rules
-from oed.design.search import search, select_greedily
+from oed.base import Index
+from oed.design import Rules
 from oed.gap.before.separation import SHARP, Separation, SeparationEvaluator
 from oed.result import SeparationRecord
 
@@ -147,42 +145,24 @@ def _search(
     constants absorb most lead the search; others join while a plan shows them to be
     worse.
     """
-    numbers = everything.hardest(np.arange(everything.count))
+    count = everything.count
+    numbers = everything.hardest(np.arange(count))
     for _ in range(JOINS):
         separation = everything.with_targets(numbers)
-        relaxed = _relax(separation, rules)
+        slack = functools.partial(_slack, separation)
+        relaxed = rules.relax(count, separation.smoothed, SHARP, slack)
         evaluator = SeparationEvaluator(separation)
-        starts = [select_greedily(evaluator, rules, 0.0, level) for level in (0, 1)]
-        gains = np.maximum(relaxed.slopes, 0.0)
-        runs = search(evaluator, rules, relaxed.weights, gains, starts, rng, rounds)
+        runs = rules.search(evaluator, relaxed, rng, rounds)
         joined = sorted({*numbers, *everything.hardest(runs)})
         if joined == numbers:
             break
         numbers = joined
     alone = dataclasses.replace(everything.with_targets(numbers), share=0.0)
-    return runs, relaxed.bound, _relax(alone, rules).bound
+    slack = functools.partial(_slack, alone)
+    bound = rules.relax(count, alone.smoothed, SHARP, slack).bound
+    return runs, relaxed.bound, bound
 
 
-def _relax(separation: Separation, rules: Rules) -> Relaxation:
-    """The relaxation's weights and bound.
-
-    Under the number of runs or the budget, whichever is tighter.
-    """
-    relaxed = []
-    for total, cost in rules.totals(separation.count):
-        per_run = np.ones(separation.count) if cost is None else cost
-        relaxed.append(_relax_under(separation, total, per_run))
-    return min(relaxed, key=lambda under: under.bound)
-
-
-def _relax_under(separation: Separation, total: float, per_run: Array) -> Relaxation:
-    """The relaxation under one total of costs (C,), ever more sharply."""
-    grams = separation.grams / per_run[:, None, None]
-    log_count = math.log(len(separation.targets))
-    start, bound = None, np.inf
-    for sharp in SHARP:
-        smoothed = dataclasses.replace(separation, grams=grams, sharp=sharp)
-        slack = GAP + log_count / sharp  # the smoothed minimum is off by as much
-        relaxed = relaxation.solve(smoothed, total, per_run, slack, start)
-        start, bound = relaxed.weights, min(bound, relaxed.bound)
-    return dataclasses.replace(relaxed, weights=relaxed.weights / per_run, bound=bound)
+def _slack(separation: Separation, sharp: float) -> float:
+    """Gap that is good enough: the smoothed minimum is off by the second part."""
+    return GAP + math.log(len(separation.targets)) / sharp

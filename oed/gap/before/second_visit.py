@@ -18,8 +18,7 @@ import numpy as np
 import pandas as pd
 
 from oed.base import Array, Index
-from oed.design.plan_limits import TimeBudget
-from oed.design.rules import Rules
+from oed.design import Rules
 from oed.gap.before import choose
 from oed.gap.before.expected import (
     AnswerForm,
@@ -110,7 +109,7 @@ def propose(
     if pool is None:
         return None
     cost = np.array([len(run.command) for run in possible], dtype=float)
-    rules = Rules(time=TimeBudget(cost, budget))
+    rules = Rules.of(seconds=cost, budget=budget)
     plan = choose.choose(pool, rules, rng, share=VOLUME, rounds=ROUNDS)
     runs = tuple(possible[k] for k in plan.runs)
     series, covariates = lay_out(taken.measurement, runs)

@@ -26,8 +26,7 @@ import numpy as np
 from scipy import special
 
 from oed.base import Array, Index
-from oed.design.evaluator import PlanEvaluator
-from oed.design.objective import Objective, Tangent
+from oed.design import Objective, PlanEvaluator, Tangent
 from oed.gap.before.forms import ColumnSet
 from oed.gap.data.evidence import separated
 from oed.result import SeparationRecord
@@ -172,6 +171,11 @@ class Separation(Objective):
     def value(self, active: Index, weights: Array) -> float:
         """The compound, smoothed."""
         return float(self.worth(self.at(active, weights), self.sharp))
+
+    def smoothed(self, cost: Array | None, sharp: float) -> Separation:
+        """The objective over weights, or over their costs (C,), at a sharpness."""
+        grams = self.grams if cost is None else self.grams / cost[:, None, None]
+        return dataclasses.replace(self, grams=grams, sharp=sharp)
 
     def tangent(self, active: Index, weights: Array) -> Tangent:
         """The tangent of the weighted mean of the log lambdas.

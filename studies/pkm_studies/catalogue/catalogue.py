@@ -23,6 +23,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
+from oed.design import CRITERIA
 from oed.text import shorten, suggest
 from pkm_studies import user_code
 from pkm_studies.base import Location
@@ -32,19 +33,15 @@ from pkm_studies.user_code import Origin
 #: characters of an error that are shown
 LONGEST_REASON = 120
 
-#: kinds that installed packages add to
-OPEN_KINDS = ("machines", "instruments", "effects", "formats")
-KINDS = (*OPEN_KINDS, "criteria")
+KINDS = ("machines", "instruments", "effects", "criteria", "formats")
 #: packages with the shipped ones of a kind, and attribute that may be left out, where
 #: these are not `pkm_models.KIND` and the kind's singular
 PACKAGES = {
-    "criteria": "oed.design.criteria",
     "formats": "pkm_studies.compensation.formats",
 }
 ATTRIBUTES = {"formats": "controller"}
 #: module and name of the class of a kind's items
 CLASSES = {
-    "criteria": ("oed.design", "NamedCriterion"),
     "machines": ("oed.model.machine", "Machine"),
     "instruments": ("oed.model.instrument", "Instrument"),
     "effects": ("oed.model.effect", "Effect"),
@@ -71,6 +68,11 @@ class CatalogueEntry:
 
 def listing(kind: str) -> list[CatalogueEntry]:
     """The catalogue of one of KINDS, by name."""
+    if kind == "criteria":  # the kernel's own: no package adds to them
+        return [
+            CatalogueEntry(c.name, c.about, c.source, f"oed.design.criteria:{c.name}")
+            for c in CRITERIA.by_name.values()
+        ]
     return [
         CatalogueEntry(name, item.about, item.source, where)
         for name, (where, item) in sorted(named_items(kind).items())
@@ -130,7 +132,7 @@ def function(reference: str, origin: Origin, location: Location) -> Callable[...
 
 @functools.cache
 def named_items(kind: str) -> dict[str, tuple[str, Any]]:
-    """Machines, instruments, effects, criteria or formats by name, each with its long name."""
+    """Machines, instruments, effects or formats by name, each with its long name."""
     wanted = _item_class(kind)
     package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
     items: dict[str, tuple[str, Any]] = {}
@@ -138,7 +140,7 @@ def named_items(kind: str) -> dict[str, tuple[str, Any]]:
         for attribute, item in vars(importlib.import_module(info.name)).items():
             if isinstance(item, wanted):
                 items.setdefault(item.name, (f"{info.name}:{attribute}", item))
-    for point, item in _installed(kind) if kind in OPEN_KINDS else ():
+    for point, item in _installed(kind):
         if isinstance(item, wanted):
             items.setdefault(item.name, (point.value, item))
     return items
@@ -254,7 +256,7 @@ def _named_modules() -> set[str]:
     points = entry_points()
     groups = [group for group in points.groups if group.startswith(GROUPS)]
     names = {point.module for group in groups for point in points.select(group=group)}
-    for kind in OPEN_KINDS:
+    for kind in ("machines", "instruments", "effects", "formats"):
         package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
         listed = pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
         names |= {info.name for info in listed}

@@ -10,11 +10,17 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Mask
-from oed.design import feasible
-from oed.design.clearance import Surroundings, cup_place
-from oed.design.segments import Capsule
 from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
+from oed.poses import (
+    Capsule,
+    DirectionCone,
+    ReadingLimits,
+    Surroundings,
+    check_readings,
+    cup_position,
+    within_travel,
+)
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
@@ -45,7 +51,7 @@ def keep_within_limits(
     """
     try:
         limits = _limits(table, measurement, series.setup, location)
-        verdict = feasible.check_readings(measurement, series, limits)
+        verdict = check_readings(measurement, series, limits)
         allowed, reasons = verdict.allowed.copy(), dict(verdict.refusal_counts)
         if table.travel_chance is not None:
             likely = _likely(table, measurement, series, location)
@@ -78,13 +84,13 @@ def _likely(
         return np.ones(len(series), dtype=bool)
     covariance = measurement.prior_covariance
     travel = _metres(table.travel_mm)
-    chance = feasible.within_travel(measurement, series, covariance, travel)
+    chance = within_travel(measurement, series, covariance, travel)
     return chance >= (table.travel_chance or 0.0)
 
 
 def _limits(
     table: LimitsTable, measurement: Measurement, name: str, location: Location
-) -> feasible.ReadingLimits:
+) -> ReadingLimits:
     """The limits that apply to a set-up."""
     setup = measurement.setups[name]
     has_cup = setup.teach is not None or {"at_x", "at_y", "at_z"} <= {*setup.settings}
@@ -92,11 +98,11 @@ def _limits(
     if has_cup:
         cup_cone = _cone(table.cup_cone, location.key("cup_cone"))
         tool_cone = _cone(table.tool_cone, location.key("tool_cone"))
-        cup = _point(cup_place(measurement, name))
+        cup = _point(cup_position(measurement, name))
     travel = None
     if table.travel_mm is not None and setup.instrument.fixed_reading is not None:
         travel = _metres(table.travel_mm)
-    return feasible.ReadingLimits(
+    return ReadingLimits(
         joints=_joint_ranges(table, measurement, location.key("joints")),
         singularity=table.singularity,
         travel=travel,
@@ -119,14 +125,14 @@ def _joint_ranges(
     return ranges
 
 
-def _cone(table: ConeTable | None, location: Location) -> feasible.DirectionCone | None:
+def _cone(table: ConeTable | None, location: Location) -> DirectionCone | None:
     if table is None:
         return None
     if not any(table.axis):
         raise location.key("axis").error(
             "a cone needs an axis that is not zero", "give a direction, as [0, 0, 1]"
         )
-    return feasible.DirectionCone(table.axis, math.radians(table.half_angle_deg))
+    return DirectionCone(table.axis, math.radians(table.half_angle_deg))
 
 
 def _surroundings(

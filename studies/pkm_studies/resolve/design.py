@@ -9,8 +9,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.design import CRITERIA
-from oed.design.quotas import QuotaSet
+from oed.design import CRITERIA, QuotaSet
 from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location

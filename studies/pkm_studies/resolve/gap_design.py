@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 
 from oed.base import Array
-from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
-from oed.design.rules import Rules
+from oed.design import Rules
 from oed.gap.before.runs import Run
 from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
@@ -287,23 +286,27 @@ def _rules(
             "some runs have a time and some have none", "give start_min to all or none"
         )
     cost = np.array([run.seconds for run in runs])
-    time = ReadingTimes(cost)
-    if table.budget_min is not None:
-        time = TimeBudget(cost, table.budget_min * MINUTE)
+    budget = None if table.budget_min is None else table.budget_min * MINUTE
     if timed:
         # runs at stated times must not overlap, whatever their set-up: mounting has to
         # fit into the gaps between them
-        starts = np.array([[run.condition["time"]] for run in runs])
-        apart = DistanceLimit(starts, float(cost.max()))
-        return Rules(size=table.runs, time=time, distance=apart)
+        return Rules.of(
+            size=table.runs,
+            seconds=cost,
+            budget=budget,
+            position=np.array([[run.condition["time"]] for run in runs]),
+            least_distance=float(cost.max()),
+        )
     setups = list(dict.fromkeys(run.setup for run in runs))
     owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
-    mounting = SetupLimit(
-        owner,
-        _mounting_times(setups, measurement, timing),
+    return Rules.of(
+        size=table.runs,
+        seconds=cost,
+        budget=budget,
+        setup=owner,
+        mounting=_mounting_times(setups, measurement, timing),
         mounted=tuple(sorted({int(k) for k in owner[:retained]})),
     )
-    return Rules(size=table.runs, time=time, setups=mounting)
 
 
 def _check_number(table: GapDesignTable, candidates: int, location: Location) -> None:

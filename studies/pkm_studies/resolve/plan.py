@@ -14,10 +14,10 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.design.nuisances import Nuisances
-from oed.design.stages.option import Option, build_option
+from oed.design import Nuisances
 from oed.effects import PlannedEffects
 from oed.measurement import Measurement, Series
+from oed.planning import Option, build_option
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids, lookup

@@ -8,7 +8,7 @@ import numpy as np
 
 from oed import dataset
 from oed.base import Array
-from oed.design.candidates import Candidates
+from oed.design import Candidates
 from oed.effects import (
     Course,
     PlannedEffects,

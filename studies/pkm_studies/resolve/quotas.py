@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from oed import units
 from oed.base import Index, Mask
-from oed.design.quotas import Quota, QuotaSet, equal_numbers
+from oed.design import QuotaSet
 from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.text import suggest
@@ -53,19 +53,18 @@ def quota_set(
         return None
     size = _checked_size(table, location)
     groups = _groups(candidates, table.whole_runs)
-    quotas, places = [], []
+    quota_set, places = QuotaSet((), size), []
     for i, quota in enumerate(table.quota):
         field_location = location.key("quota").item(i)
         members = _members(quota, measurement, candidates, groups, field_location)
         least, most = _numbers(quota, size, field_location)
-        quotas.append(Quota(quota.name or f"quota {i + 1}", members, least, most))
+        name = quota.name or f"quota {i + 1}"
+        quota_set = quota_set.joined(name, members, least, most)
         places.append(field_location)
     if table.equal is not None:
         field_location = location.key("equal")
-        shares = _equal(table.equal, groups, size, field_location)
-        quotas += shares
-        places += [field_location] * len(shares)
-    quota_set = QuotaSet(tuple(quotas), size)
+        quota_set = _join_equally(quota_set, table.equal, groups, field_location)
+        places += [field_location] * (len(quota_set.quotas) - len(places))
     _check_feasible(quota_set, places, location)
     return quota_set
 
@@ -209,15 +208,15 @@ def _is_within_ranges(
     return inside
 
 
-def _equal(
-    by: str, groups: Sequence[_Group], size: int, location: Location
-) -> tuple[Quota, ...]:
-    """Quotas of equal numbers a set-up or a run."""
+def _join_equally(
+    quota_set: QuotaSet, by: str, groups: Sequence[_Group], location: Location
+) -> QuotaSet:
+    """The quotas with equal numbers a set-up or a run."""
     labels = [group.setup for group in groups]
     if by == "run":
         labels = [f"{group.setup}, {group.run}" for group in groups]
     try:
-        return equal_numbers(labels, size)
+        return quota_set.joined_equally(labels)
     except ValueError as error:
         remedy = "change readings accordingly, or give a quota for each"
         raise location.error(str(error), remedy, by) from error
@@ -242,27 +241,12 @@ def _check_feasible(
         (index,) = list(fields.values())[:1]
         raise places[index].error(
             f"with {quota_set.size} readings to choose, the candidates do not allow"
-            f" {_statement(quota_set.quotas[index])}",
+            f" {quota_set.quotas[index].sentence}",
             "change its numbers, give other candidates, or change readings",
         )
-    statements = [_statement(quota_set.quotas[k]) for k in fields.values()]
+    statements = [quota_set.quotas[k].sentence for k in fields.values()]
     first = next(iter(fields.values()))
     raise places[first].error(
         f"{' and '.join(statements)} of {quota_set.size} readings contradict each other",
         RELAX,
     )
-
-
-def _statement(quota: Quota) -> str:
-    """The quota in words: at least 3 of "high" (12 candidates)."""
-    numbers: Mapping[str, int | None] = {
-        "at least": quota.least or None,
-        "at most": quota.most,
-    }
-    limits = [
-        f"{word} {number}" for word, number in numbers.items() if number is not None
-    ]
-    if quota.least == quota.most:
-        limits = [f"exactly {quota.most}"]
-    available = int(quota.members.sum())
-    return f'{" and ".join(limits)} of "{quota.name}" ({available} candidates)'

@@ -14,14 +14,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Array
-from oed.design import candidates
-from oed.design.blocks import information
-from oed.design.candidates import Candidates
-from oed.design.next_reading import Belief, weights_of
+from oed.design import Candidates
 from oed.effects import PlannedEffects
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series, reading_structure
 from oed.noise import Laws, Noise
+from oed.poses import Belief
 from oed.verdict import SURE
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
@@ -144,21 +142,23 @@ def outlook_with_effects(
 
     raw  (n, K, p) pose errors over the workspace per unit of each parameter, SI
     """
-    pool = candidates.build(
+    pool = Candidates.build(
         measurement,
         [*taken, *state.resolved.candidates],
         theta,
         "tolerance",
         nuisances=effects.readings,
     )
-    total = pool.prior_information.copy()
-    total[: pool.columns, : pool.columns] += prior_information(measurement)
+    pool = pool.with_prior(prior_information(measurement))
     count = sum(map(len, taken))
-    information_so_far = total + information(pool.blocks[:count])
+    total, information_so_far = (
+        pool.prior_information,
+        pool.information(np.arange(count)),
+    )
     factors = pose_error_slopes(pool, raw, effects)
-    weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(len(raw)))
+    by_component = factors.swapaxes(0, 1) / np.sqrt(len(raw))
     before, now = (
         np.asarray(np.linalg.inv(i), dtype=float) for i in (total, information_so_far)
     )
-    beliefs = Belief(before, weights), Belief(now, weights)
+    beliefs = Belief.of(before, by_component), Belief.of(now, by_component)
     return Outlook(pool, count, *beliefs, effects.others, holds_effects=True)

@@ -13,12 +13,11 @@ import numpy as np
 from oed import trust
 from oed.accuracy import prediction
 from oed.base import Array
-from oed.design import candidates, next_reading
-from oed.design.candidates import Candidates
-from oed.design.next_reading import Belief
+from oed.design import Candidates
 from oed.effects import PlannedEffects
 from oed.estimation import Estimate, IdentificationError, identify
 from oed.measurement import Measurement, Series
+from oed.poses import Belief
 from pkm_studies import quantities
 from pkm_studies.base import InputError, Silent, Stream
 from pkm_studies.quantities import component_values
@@ -182,7 +181,7 @@ class Adviser:
             )
         if self.plan:
             blocks = outlook.blocks
-            planned = next_reading.after_all(outlook.before, blocks, self.plan)
+            planned = outlook.before.after_all(blocks, self.plan)
             self.limits = outlook.accuracy(planned) * (1.0 + ROUNDING)
         count = sum(map(len, series))
         return self._advice(measurement, outlook, theta, count, skipped)
@@ -192,7 +191,7 @@ class Adviser:
     ) -> Outlook:
         """The outlook of a machine without effects."""
         resolved = self.base.resolved
-        pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
+        pool = Candidates.build(measurement, resolved.candidates, theta, "tolerance")
         before = self.prior(measurement, pool)
         now = self._belief(measurement, pool, estimate)
         return Outlook(pool, 0, before, now, np.zeros(len(self.maps.names)))
@@ -202,7 +201,7 @@ class Adviser:
     ) -> Array:
         """Rms (K,) that candidates of a pool reach, without any other reading."""
         prior = self.prior(measurement, pool)
-        after = next_reading.after_all(prior, pool.blocks, indices)
+        after = prior.after_all(pool.blocks, indices)
         return np.sqrt(after.variances)
 
     def prior(self, measurement: Measurement, pool: Candidates) -> Belief:
@@ -249,7 +248,7 @@ class Adviser:
         slopes[:, :, :count] = self.maps.raw.swapaxes(0, 1) / np.sqrt(poses)
         factors = np.zeros((components, poses, columns))
         factors[:, :, : len(scale)] = slopes[:, :, free] * scale
-        return Belief(covariance, next_reading.weights_of(factors))
+        return Belief.of(covariance, factors)
 
     def _advice(
         self,
@@ -298,11 +297,11 @@ def _plan(
     Where fewer than the remaining ones can, the plan is one for the fewest.
     """
     if np.isfinite(limits).any():
-        fewest = next_reading.fewest_remaining(belief, blocks, remaining, limits)
+        fewest = belief.fewest_remaining(blocks, remaining, limits)
         if fewest is not None and fewest[0]:
             return fewest
         remaining = remaining if fewest is None else 1  # all is reached: no more plans
-    plan = next_reading.best_remaining(belief, blocks, remaining, limits)
+    plan = belief.best_remaining(blocks, remaining, limits)
     return plan, _more(belief, blocks, plan, limits)
 
 
@@ -315,10 +314,10 @@ def _more(belief: Belief, blocks: Array, plan: list[int], limits: Array) -> int 
         return None
     rest = list(plan)
     for number in range(MOST_AHEAD + 1):
-        if not next_reading.open_components(belief, limits):
+        if not belief.open_components(limits):
             return number
         pool = blocks[rest] if rest else blocks
-        best = next_reading.best_candidate(belief, pool, limits)
+        best = belief.best_candidate(pool, limits)
         belief = belief.after(pool[best])
         if rest:
             rest.pop(best)

@@ -16,7 +16,7 @@ import numpy as np
 from oed.base import Array, Mask
 from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
-from oed.design.candidates import Candidates
+from oed.design import Candidates
 from oed.measurement import Measurement, Series
 from pkm_studies.base import InputError
 

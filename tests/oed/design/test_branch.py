@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design import CRITERIA, branch, exchange
+from oed.design import CRITERIA, branch, choose
 
 
 def best_subset(
@@ -41,7 +41,7 @@ def test_forty_candidates_are_proven() -> None:
     """8 of 40 (77 million subsets); the exchange's plan is the best or close to it."""
     rng = np.random.default_rng(4)
     rows = rng.standard_normal((40, 4))
-    chosen = exchange.choose(rows, 8, rng)
+    chosen = choose(rows, 8, rng)
     result = branch.solve(rows, 8, rng, start=chosen.indices)
     assert result.bound == pytest.approx(result.value, abs=1e-8)
     assert result.value >= chosen.value / 4 - 1e-9
@@ -69,7 +69,7 @@ def test_a_choice_takes_over_the_bound_of_the_tree(rank: int) -> None:
     """Conventional values, over the directions that the candidates determine."""
     rng = np.random.default_rng(7)
     rows = rng.standard_normal((14, rank)) @ rng.standard_normal((rank, 4))
-    choice = exchange.choose(rows, 5, rng)
+    choice = choose(rows, 5, rng)
     bounded = branch.tighten(choice, rows, rng, CRITERIA.over("D", 4), None, 2000)
     assert bounded.proven
     assert bounded.efficiency == pytest.approx(1.0, abs=1e-7)

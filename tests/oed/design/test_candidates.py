@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed.design.candidates import build
+from oed.design import Candidates
 from oed.design.forms.determinant import Determinant
 
 M = a3_plans.measurement()
@@ -20,7 +20,7 @@ def exact_information(rows: np.ndarray) -> np.ndarray:
 
 
 def test_single_readings_add_up_to_the_information_of_all() -> None:
-    candidates = build(M, [SERIES], M.nominal, "tolerance")
+    candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     assert len(candidates) == len(SERIES)
     assert candidates.shared_errors == 0
     assert candidates.prior is None
@@ -34,7 +34,7 @@ def test_single_readings_add_up_to_the_information_of_all() -> None:
 
 
 def test_a_whole_run_has_the_information_of_its_readings() -> None:
-    candidates = build(M, [SERIES], M.nominal, "tolerance", whole_runs=True)
+    candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance", whole_runs=True)
     runs = list(dict.fromkeys(SERIES.run))
     assert len(candidates) == len(runs)
     for block, run in zip(candidates.blocks, runs, strict=True):
@@ -46,7 +46,7 @@ def test_a_whole_run_has_the_information_of_its_readings() -> None:
 
 
 def test_prior_information_is_added_on_the_parameters() -> None:
-    candidates = build(M, [SERIES], M.nominal, "tolerance")
+    candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     n = candidates.columns
     twice = candidates.with_prior(np.eye(n)).with_prior(2.0 * np.eye(n))
     assert twice.prior == pytest.approx(3.0 * np.eye(n))
@@ -55,7 +55,7 @@ def test_prior_information_is_added_on_the_parameters() -> None:
 
 
 def test_readings_too_near_each_other_are_nearer_than_one() -> None:
-    candidates = build(M, [SERIES], M.nominal, "tolerance")
+    candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     apart = np.array([0.0, 0.5, 0.0])
     distance = candidates.rules(size=4, apart=apart).distance
     assert distance is not None

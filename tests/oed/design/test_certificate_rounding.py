@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from oed.design import CRITERIA, condition, exchange, relaxation
+from oed.design import CRITERIA, choose, condition, relaxation
 from oed.design.forms.determinant import Determinant
 from oed.design.objective import CriterionObjective
 from oed.design.whitening import whiten
@@ -91,7 +91,7 @@ def test_bound_lies_above_the_exact_optimum_and_near_it(
 def test_value_of_a_plan_is_exact(kappa: float, mixed: bool) -> None:
     rows = _candidates(kappa, mixed)
     rng = np.random.default_rng(1)
-    choice = exchange.choose(rows, SIZE, rng, tolerance=1e-12)
+    choice = choose(rows, SIZE, rng, tolerance=1e-12)
     assert choice.directions == DIRECTIONS
     exact = _exact_log_det(rows[choice.indices], np.ones(SIZE))
     assert choice.value == pytest.approx(exact, abs=1e-14 * kappa + 1e-10)
@@ -144,11 +144,11 @@ def test_lines_lie_above_other_criteria_by_their_height(name: str) -> None:
 def test_directions_below_the_tolerance_are_counted() -> None:
     rows = _candidates(1e7, True)
     rng = np.random.default_rng(1)
-    choice = exchange.choose(rows, SIZE, rng)
+    choice = choose(rows, SIZE, rng)
     values = np.linalg.svd(rows, compute_uv=False)
     assert choice.weak == int(np.sum(values <= 1e-6 * values[0])) == 2
     unseen = np.column_stack([rows[:, :3], rows[:, 0] + rows[:, 1]])
-    assert exchange.choose(unseen, SIZE, rng).weak == 0
+    assert choose(unseen, SIZE, rng).weak == 0
 
 
 def test_white_candidates_are_within_their_stated_rounding() -> None:

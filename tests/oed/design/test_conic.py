@@ -10,11 +10,10 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design import conic, relaxation
+from oed.design import Criterion, conic, relaxation
 from oed.design.blocks import information
 from oed.design.forms import (
     Compound,
-    Criterion,
     Determinant,
     ExtremeEigenvalues,
     LargestVariance,

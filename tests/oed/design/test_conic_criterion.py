@@ -4,8 +4,9 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from oed.design import Criterion
 from oed.design.conic_criterion import ConicCriterion, dual_root
-from oed.design.forms import Criterion, PowerMean
+from oed.design.forms import PowerMean
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.variance import LargestVariance, Variance

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.design import CRITERIA
+from oed.design import CRITERIA, Criterion
 from oed.design.criteria.c import CombinationVariance
 from oed.design.criteria.o5 import HarmonicSum
-from oed.design.forms import Criterion, PowerMean
+from oed.design.forms import PowerMean
 from oed.design.forms.compound import Compound
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues

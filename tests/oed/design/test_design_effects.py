@@ -11,9 +11,7 @@ import report_fixture
 from design_sample import EXTRA, KNOWN, chosen, rows, text
 from result_sample import whole
 
-from oed.design import candidates
-from oed.design.exchange import choose
-from oed.design.nuisances import Nuisances
+from oed.design import Candidates, Nuisances, choose
 from oed.result import AllowedEffects
 from pkm_studies.base import InputError
 from pkm_studies.stages.design.phrases import design_sentences
@@ -37,7 +35,7 @@ def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
     measurement, series = resolved.measurement, resolved.candidates
     h, sigma = rows(resolved), 0.5e-6
     g, scatter = 20.0 * rng.standard_normal((8, 3)), 5.0 * rng.random(8)
-    pool = candidates.build(
+    pool = Candidates.build(
         measurement,
         series,
         measurement.nominal,

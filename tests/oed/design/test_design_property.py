@@ -12,9 +12,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from oed.design import exchange
+from oed.design import Choice, Rules, choose
 from oed.design.plan_limits import SetupLimit, TimeBudget
-from oed.design.rules import Rules
 
 CRITERIA = ("D", "A", "O5", "D", "A", "O5", "D", "E")
 
@@ -98,7 +97,7 @@ def greedy(p: Problem) -> np.ndarray:
 def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
     for seed in range(25 * batch, 25 * batch + 25):
         p = problem(seed)
-        choice = exchange.choose(
+        choice = choose(
             p.blocks,
             None,
             np.random.default_rng(seed),
@@ -123,7 +122,7 @@ def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
         assert reached <= log_bound(p, choice) + 1e-7, seed
 
 
-def log_bound(p: Problem, choice: exchange.Choice) -> float:
+def log_bound(p: Problem, choice: Choice) -> float:
     """The bound as log phi."""
     assert choice.bound is not None
     if p.criterion == "D":

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design import exchange, tabu
+from oed.design import choose, tabu
 
 
 def _log_det(rows: np.ndarray, plan: np.ndarray, prior: np.ndarray) -> float:
@@ -49,7 +49,7 @@ def test_not_behind_an_exchange_of_many_starts_on_ill_conditioned_rows() -> None
     nothing = np.zeros((12, 12))
     peer = max(_log_det(white, _exchange(white, start), nothing) for start in starts)
     rows = white * np.logspace(0.0, -5.5, 12)
-    choice = exchange.choose(rows, 18, np.random.default_rng(1))
+    choice = choose(rows, 18, np.random.default_rng(1))
     assert choice.directions == 12
     assert _log_det(white, choice.indices, nothing) >= peer - 2e-3
 

@@ -8,12 +8,11 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from oed.design import choose, eigenvalue_tabu, exchange
+from oed.design import Rules, choose, eigenvalue_tabu
 from oed.design.bounds import bound
 from oed.design.copies import find_copies
 from oed.design.eigenvalue_tabu import _EigenvalueSearch
 from oed.design.forms import Determinant
-from oed.design.rules import Rules
 
 
 def _least(rows: np.ndarray, plan: np.ndarray, prior: np.ndarray) -> float:
@@ -90,7 +89,7 @@ def test_copies_share_the_weight_and_keep_the_bound() -> None:
     assert merged.bound == pytest.approx(apart.bound, abs=1e-8)
     assert merged.weights.sum() == pytest.approx(12.0)
     assert merged.weights.max() <= 1.0 + 1e-9
-    choice = exchange.choose(several, 12, rng)
+    choice = choose(several, 12, rng)
     assert len(set(choice.indices.tolist())) == 12
 
 

@@ -5,10 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from oed.design import choose
+from oed.design import Rules, choose
 from oed.design.enumeration import best_of_all
 from oed.design.exchange import pose
-from oed.design.rules import Rules
 
 
 def values(

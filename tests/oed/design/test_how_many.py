@@ -9,7 +9,8 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design.how_many import AccuracyGoal, SizeCurve
+from oed.design import SizeCurve
+from oed.design.how_many import AccuracyGoal
 
 
 def test_equal_readings_follow_the_square_root_law() -> None:

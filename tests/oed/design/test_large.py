@@ -8,9 +8,8 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from oed.design import choose, large
-from oed.design.candidate_file import NumpyCandidates, open_candidates
-from oed.design.large import choose_from_file
+from oed.design import choose, choose_from_file, large, open_candidates
+from oed.design.candidate_file import NumpyCandidates
 
 SMALL = {"PART": 700, "SAMPLE": 400, "STEEPEST": 500}
 

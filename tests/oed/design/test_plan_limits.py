@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
+from oed.design import Rules
 from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
-from oed.design.rules import Rules
 
 COUNT, SETUPS = 12, 4
 MOUNTING = (30.0, 10.0, 50.0, 20.0)

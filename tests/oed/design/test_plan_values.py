@@ -5,14 +5,13 @@ import itertools
 import numpy as np
 import pytest
 
+from oed.design import Criterion, Rules
 from oed.design.bounds import bound, condition_bound
 from oed.design.evaluator import CriterionEvaluator
-from oed.design.forms import Criterion
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.variance import Variance
 from oed.design.plan_limits import SetupLimit, TimeBudget
-from oed.design.rules import Rules
 from oed.design.search import improve, search, select_greedily
 from oed.design.setups import drop_untouched_columns, rank_combinations, thin
 

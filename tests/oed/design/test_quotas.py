@@ -7,10 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design import CRITERIA, conic, exchange
+from oed.design import CRITERIA, QuotaSet, Rules, choose, conic
 from oed.design.plan_limits import DistanceLimit, TimeBudget
-from oed.design.quotas import Quota, QuotaSet, equal_numbers
-from oed.design.rules import Rules
+from oed.design.quotas import Quota, equal_numbers
 
 COUNT, DIRECTIONS = 11, 3
 
@@ -75,9 +74,7 @@ def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     quotas = random_quotas(rng, 5)
     while not plans_that_keep(quotas):
         quotas = random_quotas(rng, 5)
-    choice = exchange.choose(
-        rows, None, rng, criterion, rules=Rules(size=5, quotas=quotas)
-    )
+    choice = choose(rows, None, rng, criterion, rules=Rules(size=5, quotas=quotas))
     goal = CRITERIA.over(criterion, DIRECTIONS)
     values = {
         plan: goal.value(rows[list(plan)].T @ rows[list(plan)])
@@ -107,7 +104,7 @@ def test_most_plans_are_the_best_of_all() -> None:
         if not plans:
             best += 1
             continue
-        choice = exchange.choose(rows, None, rng, rules=Rules(size=5, quotas=quotas))
+        choice = choose(rows, None, rng, rules=Rules(size=5, quotas=quotas))
         values = [np.linalg.slogdet(rows[list(p)].T @ rows[list(p)])[1] for p in plans]
         best += choice.value >= max(values) - 1e-9
     assert best >= 27
@@ -118,10 +115,10 @@ def test_equal_numbers_share_the_plan() -> None:
     groups = ["a", "b", "c"] * 10
     rows = rng.standard_normal((30, 4)) * np.repeat([[1.0], [2.0], [5.0]], 10, axis=0)
     quotas = QuotaSet(equal_numbers(groups, 12), 12)
-    choice = exchange.choose(rows, None, rng, rules=Rules(size=12, quotas=quotas))
+    choice = choose(rows, None, rng, rules=Rules(size=12, quotas=quotas))
     chosen = [groups[i] for i in choice.indices]
     assert sorted(chosen) == ["a"] * 4 + ["b"] * 4 + ["c"] * 4
-    free = exchange.choose(rows, 12, np.random.default_rng(3))
+    free = choose(rows, 12, np.random.default_rng(3))
     assert choice.value <= free.value
     assert choice.bound <= free.bound + 1e-6
     with pytest.raises(ValueError, match="ask for 12 or 15"):
@@ -137,13 +134,13 @@ def test_quotas_hold_beside_a_least_distance() -> None:
     high = position[:, 0] > 7.0
     quotas = QuotaSet((Quota("high", high, 2, 2),), 8)
     rules = Rules(size=8, distance=DistanceLimit(position, 0.5), quotas=quotas)
-    choice = exchange.choose(rows, None, rng, rules=rules)
+    choice = choose(rows, None, rng, rules=rules)
     places = position[choice.indices, 0]
     assert (np.diff(places) >= 0.5 - 1e-9).all()
     assert (places > 7.0).sum() == 2
     crowded = QuotaSet((Quota("high", high, 7, 8),), 8)
     with pytest.raises(ValueError, match="keeps the quotas with the other rules"):
-        exchange.choose(
+        choose(
             rows,
             None,
             rng,
@@ -164,9 +161,7 @@ def test_quotas_that_contradict_each_other_are_named() -> None:
     )
     assert quotas.conflict() == (0, 2)
     with pytest.raises(ValueError, match="keep the quotas few, none else together"):
-        exchange.choose(
-            rows, None, np.random.default_rng(0), rules=Rules(size=4, quotas=quotas)
-        )
+        choose(rows, None, np.random.default_rng(0), rules=Rules(size=4, quotas=quotas))
     with pytest.raises(ValueError, match="need the number of readings, and no budget"):
         Rules(size=3, quotas=quotas)
     with pytest.raises(ValueError, match="need the number of readings, and no budget"):
@@ -185,9 +180,9 @@ def test_a_condition_number_that_the_solver_misses_is_bounded_without_quotas(
     rows = rng.standard_normal((COUNT, DIRECTIONS))
     quotas = QuotaSet((Quota("first", np.arange(COUNT) < 4, 2, 2),), 5)
     rules = Rules(size=5, quotas=quotas)
-    exact = exchange.choose(rows, None, np.random.default_rng(1), "kappa", rules=rules)
+    exact = choose(rows, None, np.random.default_rng(1), "kappa", rules=rules)
     monkeypatch.setattr(conic, "_relax_condition", fail)
-    loose = exchange.choose(rows, None, np.random.default_rng(1), "kappa", rules=rules)
+    loose = choose(rows, None, np.random.default_rng(1), "kappa", rules=rules)
     assert (loose.indices == exact.indices).all()
     assert loose.bound <= exact.bound * (1 + 1e-4)
     assert loose.bound <= loose.value

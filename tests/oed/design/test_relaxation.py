@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from oed.design import certificate, condition, exchange, relaxation
+from oed.design import certificate, choose, condition, relaxation
 from oed.design.blocks import information
 from oed.design.forms import Determinant
 from oed.design.forms.eigenvalues import trace_after_adding
@@ -127,7 +127,7 @@ def test_a_plan_can_be_proven_optimal() -> None:
     says that it is proven.
     """
     rows = np.vstack([3.0 * np.eye(4), np.eye(4)])
-    choice = exchange.choose(rows, 4, np.random.default_rng(0))
+    choice = choose(rows, 4, np.random.default_rng(0))
     assert set(choice.indices) == {0, 1, 2, 3}
     assert choice.proven
     assert choice.efficiency == pytest.approx(1.0, abs=1e-6)
@@ -163,6 +163,6 @@ def test_the_e_bound_holds_for_every_plan(seed: int) -> None:
     )
     assert best <= optimum.bound
     assert optimum.value == pytest.approx(optimum.bound, rel=1e-3)
-    choice = exchange.choose(blocks, 5, rng, "E", prior=prior)
+    choice = choose(blocks, 5, rng, "E", prior=prior)
     assert choice.value <= choice.bound
     assert choice.value == pytest.approx(best, rel=0.1)

@@ -7,10 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design import robust
+from oed.design import Rules, robust
 from oed.design.forms import Determinant, ExtremeEigenvalues, Variance
 from oed.design.plan_limits import TimeBudget
-from oed.design.rules import Rules
 
 
 def scenarios(

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
+from oed.design import Rules
 from oed.design.plan_limits import SetupLimit, TimeBudget
-from oed.design.rules import Rules
 
 SETUP = np.array([0, 0, 1, 2, 2, 2, 3])
 

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.design import CRITERIA
-from oed.design.forms import Criterion, Determinant, PowerMean, Variance
+from oed.design import CRITERIA, Criterion
+from oed.design.forms import Determinant, PowerMean, Variance
 
 INTEREST = np.array([[1.0, 0.2, 0.0, 0.0], [0.0, 0.0, 1.0, 3.0]]).T
 FACTOR = np.diag(np.sqrt([1.0, 2.0, 0.0, 0.5]))

@@ -12,9 +12,7 @@ import pytest
 from kernel import a3_plans, gap_a3
 from kernel.dense_noise import law_covariance
 from kernel.laws import STATED_LAW, noise_law
-from oed.design import exchange
-from oed.design.plan_limits import SetupLimit, TimeBudget
-from oed.design.rules import Rules
+from oed.design import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.forms import ROOM
 from oed.gap.before.runs import pool_runs
@@ -206,9 +204,7 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
 def test_share_one_is_the_d_optimal_choice_of_runs():
     _, p, rows = laid_out()
     blocks = np.array([p.slopes[r] for r in rows])
-    d = exchange.choose(
-        blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2])
-    )
+    d = choose(blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2]))
     choice = choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
     assert choice.volume == pytest.approx(d.value, abs=1e-6)
     # and telling effects apart costs volume
@@ -222,9 +218,11 @@ def test_budget_pays_runs_and_mounting():
     candidates = laid_out()[0]
     tool = np.array([0 if r.setup == "cup" else 1 for r in candidates])
     cost = np.array([r.seconds for r in candidates])
-    rules = Rules(
-        time=TimeBudget(cost, 1900.0),
-        setups=SetupLimit(tool, np.array([900.0, 900.0])),
+    rules = Rules.of(
+        seconds=cost,
+        budget=1900.0,
+        setup=tool,
+        mounting=np.array([900.0, 900.0]),
     )
     choice = choose.choose(pool(), rules, np.random.default_rng(0), rounds=3)
     # 1900 s do not pay for two set-ups and a run, but for one and eight runs

@@ -17,7 +17,7 @@ from scipy import linalg, stats
 from kernel import a3_plans
 from kernel.dense_noise import dense_covariance, law_covariance
 from oed.accuracy import budget_model
-from oed.design import candidates
+from oed.design import Candidates
 from oed.estimation import identify
 from oed.gap import assemble
 from oed.gap.data import laws as gap_laws
@@ -169,7 +169,7 @@ def test_series_with_and_without_related_readings_stand_together() -> None:
 def test_designs_take_the_seating_as_unknowns_of_each_run() -> None:
     m = stating(dataclasses.replace(NOTHING_STATED, seating=SEATING))
     series = circles(m)
-    chosen = candidates.build(m, [series], m.nominal, "tolerance")
+    chosen = Candidates.build(m, [series], m.nominal, "tolerance")
     rows = chosen.blocks.reshape(24, -1)
     total = rows.T @ rows + chosen.prior_information
     n = chosen.columns

@@ -82,7 +82,7 @@ def test_lists_load_nothing_that_computes() -> None:
 def test_checks_load_no_statistics_and_no_searches() -> None:
     """They would take as long as a third of all that a check imports."""
     heavy = {"scipy.stats", "scipy.interpolate", "oed.gap.procedure", "oed.posterior"}
-    heavy |= {"oed.design.stages.search", "pkm_models.effects"}
+    heavy |= {"oed.planning.search", "pkm_models.effects"}
     code = f"import sys, pkm_studies.commands.checks; print({heavy} & set(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 import sample
 
-from oed.design import candidates, next_reading
-from oed.design.next_reading import Belief
+from oed.design import Candidates
+from oed.poses import Belief
 from pkm_studies import shipped
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -35,7 +35,7 @@ def factors() -> np.ndarray:
 @pytest.fixture
 def belief(factors: np.ndarray) -> Belief:
     root = np.random.default_rng(5).standard_normal((6, 6))
-    return Belief(root @ root.T + np.eye(6), next_reading.weights_of(factors))
+    return Belief.of(root @ root.T + np.eye(6), factors)
 
 
 @pytest.fixture
@@ -69,15 +69,15 @@ def test_the_best_is_better_than_all_others(
         return float(np.sum(np.log(traces)))
 
     scores = [score(block) for block in blocks]
-    assert next_reading.best_candidate(belief, blocks) == int(np.argmin(scores))
+    assert belief.best_candidate(blocks) == int(np.argmin(scores))
 
 
 def test_components_that_are_reached_hardly_count(
     belief: Belief, factors: np.ndarray, blocks: np.ndarray
 ) -> None:
     limits = np.array([1e-9, np.nan, 1e9])
-    assert next_reading.open_components(belief, limits) == [0]
-    index = next_reading.best_candidate(belief, blocks, limits)
+    assert belief.open_components(limits) == [0]
+    index = belief.best_candidate(blocks, limits)
     covariances = [belief.after(block).covariance for block in blocks]
     first = factors[0]
     traces = [np.trace(first @ c @ first.T) for c in covariances]
@@ -92,9 +92,9 @@ def test_planning_together_is_no_worse_than_one_by_one(
 
     greedy = belief
     for _ in range(4):
-        greedy = greedy.after(blocks[next_reading.best_candidate(greedy, blocks)])
-    plan = next_reading.best_remaining(belief, blocks, 4)
-    together = next_reading.after_all(belief, blocks, plan)
+        greedy = greedy.after(blocks[greedy.best_candidate(blocks)])
+    plan = belief.best_remaining(blocks, 4)
+    together = belief.after_all(blocks, plan)
     assert score(together) <= score(greedy) + 1e-12
     alone = [score(belief.after(blocks[k])) for k in plan]
     assert alone[0] == min(alone)
@@ -107,17 +107,17 @@ def test_the_fewest_readings_reach_the_goal(belief: Belief, blocks: np.ndarray) 
     rng = np.random.default_rng(8)
     blocks = blocks[:9]
     some = [int(k) for k in rng.choice(9, size=3, replace=False)]
-    reached = next_reading.after_all(belief, blocks, some)
+    reached = belief.after_all(blocks, some)
     limits = np.sqrt(reached.variances) * (1.0 + 1e-9)
-    answer = next_reading.fewest_remaining(belief, blocks, 9, limits)
+    answer = belief.fewest_remaining(blocks, 9, limits)
     assert answer is not None
     plan, count = answer
     assert len(plan) == count - 1
     assert _reaching(belief, blocks, limits, count)
     assert not _reaching(belief, blocks, limits, count - 1)
-    assert next_reading.fewest_remaining(belief, blocks, count - 1, limits) is None
+    assert belief.fewest_remaining(blocks, count - 1, limits) is None
     wide = np.sqrt(belief.variances) * 2.0
-    assert next_reading.fewest_remaining(belief, blocks, 9, wide) == ([], 0)
+    assert belief.fewest_remaining(blocks, 9, wide) == ([], 0)
 
 
 def _reaching(
@@ -125,8 +125,8 @@ def _reaching(
 ) -> bool:
     """Whether any set of so many candidates reaches all limits."""
     sets = itertools.combinations_with_replacement(range(len(blocks)), count)
-    after = (next_reading.after_all(belief, blocks, chosen) for chosen in sets)
-    return any(not next_reading.open_components(known, limits) for known in after)
+    after = (belief.after_all(blocks, chosen) for chosen in sets)
+    return any(not known.open_components(limits) for known in after)
 
 
 # -- command ---------------------------------------------------------------------------
@@ -250,7 +250,7 @@ def test_the_plan_s_accuracy_can_be_wanted(
     assert before.more is not None
     assert before.more <= 21
     chosen = adviser.base.resolved.candidates
-    pool = candidates.build(measurement, chosen, measurement.nominal, "tolerance")
+    pool = Candidates.build(measurement, chosen, measurement.nominal, "tolerance")
     rows = pool.blocks[list(adviser.plan)].reshape(-1, pool.blocks.shape[2])
     covariance = np.linalg.inv(np.eye(rows.shape[1]) + rows.T @ rows)
     planned = np.einsum(
@@ -266,9 +266,9 @@ def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
     adviser = advice.Adviser(load(study))
     measurement = adviser.base.measurement
     chosen = adviser.base.resolved.candidates
-    pool = candidates.build(measurement, chosen, measurement.nominal, "tolerance")
+    pool = Candidates.build(measurement, chosen, measurement.nominal, "tolerance")
     prior = adviser.prior(measurement, pool)
-    every = next_reading.best_remaining(prior, pool.blocks, 21)
+    every = prior.best_remaining(pool.blocks, 21)
     adviser.limits = adviser.accuracy(measurement, pool, every[:12])
     said = adviser.advise_after(measurement, (), np.zeros(0))
     more = said.more
@@ -276,7 +276,7 @@ def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
     assert more >= 12  # these pass in every other machine, and 19 of 20 are to
     upper = np.quantile(said.outlook.drawn_rms, 0.95, axis=0)
     limits = adviser.limits * said.known / upper
-    fewer = next_reading.best_remaining(prior, pool.blocks, more - 1, limits)
+    fewer = prior.best_remaining(pool.blocks, more - 1, limits)
     assert (adviser.accuracy(measurement, pool, fewer) > limits).any()
 
 
@@ -315,12 +315,12 @@ def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s() -> None:
     measurement = resolved.measurement
     chosen = select_design(resolved, np.random.default_rng(resolved.study.seed))
     assert chosen is not None
-    pool = candidates.build(
+    pool = Candidates.build(
         measurement, resolved.candidates, measurement.nominal, "tolerance"
     )
     goal = adviser.accuracy(measurement, pool, chosen.choice.indices) * (1.0 + 1e-9)
     assert len(chosen.choice.indices) == 30
     prior = adviser.prior(measurement, pool)
-    plan = next_reading.best_remaining(prior, pool.blocks, 27, goal)
+    plan = prior.best_remaining(pool.blocks, 27, goal)
     reached = adviser.accuracy(measurement, pool, plan)
     assert (reached <= goal).all()

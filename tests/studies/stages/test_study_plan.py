@@ -16,10 +16,10 @@ from plan_sample import HERE, STUDY, plan_of, planned
 from sample import changed, table_lines
 
 from oed.accuracy import error_maps
-from oed.design.stages.option import Option
-from oed.identifiability import information
+from oed.identifiability import scaled
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
+from oed.planning import Option
 from oed.result import AlternativePlan, PlanSection, StudyResult
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
@@ -55,7 +55,7 @@ def every_line(options: tuple[Option, ...], m: Measurement) -> list[Line]:
         reading_seconds = m.setups[series.setup].instrument.cost.reading
         for run in dict.fromkeys(series.run):
             line = series.take(np.flatnonzero(series.run == run))
-            h = information.scaled(m, [line], m.nominal, "tolerance")[:, :7]
+            h = scaled(m, [line], m.nominal, "tolerance")[:, :7]
             lines.append(Line(option.name, h.T @ h, len(line) * reading_seconds))
     return lines
 

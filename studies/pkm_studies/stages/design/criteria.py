@@ -14,10 +14,7 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.base import Array
-from oed.design import CRITERIA
-from oed.design.blocks import project_on_estimable
-from oed.design.candidates import Candidates
-from oed.design.forms import Compound, Criterion
+from oed.design import CRITERIA, Candidates, Criterion
 from oed.effects import PlannedEffects
 from oed.identifiability import (
     column_scale,
@@ -66,26 +63,22 @@ class StudyCriteria:
     def candidates_criterion(self, name: str, candidates: Candidates) -> Criterion:
         """The criterion over the candidates' columns; "compound" is the study's own."""
         if name == "compound":
-            parts = [
-                self.candidates_criterion(n, candidates) for n in self.table.compound
-            ]
-            return Compound(tuple(parts), self._shares())
+            shares = self.table.compound
+            return CRITERIA.compound(
+                {self.candidates_criterion(n, candidates): shares[n] for n in shares}
+            )
         ingredient = self.ingredient(name, candidates.measurement, self.effects)
         return candidates.criterion(name, ingredient)
 
     def parameters_criterion(self, name: str, measurement: Measurement) -> Criterion:
         """The criterion over a measurement's free parameters."""
         if name == "compound":
-            parts = [
-                self.parameters_criterion(n, measurement) for n in self.table.compound
-            ]
-            return Compound(tuple(parts), self._shares())
+            shares = self.table.compound
+            return CRITERIA.compound(
+                {self.parameters_criterion(n, measurement): shares[n] for n in shares}
+            )
         count = int(measurement.free.sum())
         return CRITERIA.over(name, count, self.ingredient(name, measurement))
-
-    def _shares(self) -> tuple[float, ...]:
-        total = sum(self.table.compound.values())
-        return tuple(share / total for share in self.table.compound.values())
 
     def ingredient(
         self,
@@ -163,9 +156,8 @@ class StudyCriteria:
         m = self.information(measurement, series)
         criterion = self.parameters_criterion(name, measurement)
         if not self.table.prior:
-            rows = self._rows(measurement, series)
-            _, basis = project_on_estimable(rows[:, None], None)
-            criterion, m = criterion.restrict(basis), basis.T @ m @ basis
+            criterion, basis = criterion.over_estimable(self._rows(measurement, series))
+            m = basis.T @ m @ basis
         log_phi = criterion.value(m)
         return log_phi, criterion.conventional_value(log_phi, sum(map(len, series)))
 

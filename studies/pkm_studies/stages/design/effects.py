@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Index
-from oed.design.blocks import information
-from oed.design.exchange import Choice
+from oed.design import Choice, DesignProblem
 from oed.effects import PlannedEffects
 from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
@@ -28,7 +27,6 @@ from pkm_studies.resolve import (
     pose_error_slopes,
 )
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.stages.recording import PlanToRecord, recording_section
 from pkm_studies.tables import DesignTable
 
@@ -177,10 +175,9 @@ def _accuracy(
     """Rms error of each component with the chosen readings, in its fine unit."""
     c, maps = problem.candidates, study_criteria.needed_maps
     measurement = c.measurement
-    prior = c.prior_information.copy()
     if not study_criteria.table.prior:
-        prior[: c.columns, : c.columns] += prior_information(measurement)
-    total = prior + information(c.blocks[chosen])
+        c = c.with_prior(prior_information(measurement))
+    total = c.information(chosen)
     covariance = np.linalg.inv(total)
     slopes = pose_error_slopes(c, maps.raw, effects)
     variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 
 import msgspec
 import numpy as np
 
 from oed import units
-from oed.base import Array, Index
-from oed.design.blocks import information
-from oed.design.exchange import Choice
-from oed.design.how_many import AccuracyGoal, SizeCurve
-from oed.design.rules import Rules
+from oed.base import Array
+from oed.design import Choice, DesignProblem, SizeCurve
 from oed.result import HowManySummary
 from pkm_studies import quantities
 from pkm_studies.base import Location, Stream
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.tables import HowManyTable
 
 
@@ -36,19 +31,14 @@ def accuracy_by_size(
     InputError for a component that the machine does not have.
     """
     c = problem.candidates
-    pool, basis = chosen_pool(problem, chosen)
     components = {x.name: x.unit for x in c.measurement.machine.components}
     wanted = quantities.read_values(table.wanted, components, location.key("wanted"))
     scale = wanted or _reached_accuracy(study_criteria, problem, chosen)
     names, factors = _factors(study_criteria, problem, scale)
-    size_curve = SizeCurve(
-        c.blocks[pool] @ basis,
-        basis.T @ c.prior_information @ basis,
-        AccuracyGoal(names, factors @ basis),
-        tuple(Stream.HOW_MANY.key(seed)),
-        rules=_free_of_cost(problem, pool),
-    )
-    points = size_curve.curve([n for n in table.readings if n <= len(pool)])
+    seed_key = Stream.HOW_MANY.key(seed)
+    size_curve = problem.size_curve(chosen, names, factors, seed_key)
+    count = len(size_curve.blocks)
+    points = size_curve.curve([n for n in table.readings if n <= count])
     fine = {n: units.FINE[components[n]] for n in names}
     reached = np.array([p.accuracy for p in points])
     bounds = np.array([p.bound for p in points])
@@ -69,27 +59,7 @@ def accuracy_by_size(
     )
     if not wanted:
         return summary
-    return _fewest_sentences(summary, size_curve, min(table.most, len(pool)))
-
-
-def chosen_pool(problem: DesignProblem, chosen: Choice) -> tuple[Index, Array]:
-    """Candidates of the chosen plan's set-ups, and a basis (n, r) of their columns.
-
-    All candidates and columns, where the search did not have to choose set-ups.
-    """
-    c = problem.candidates
-    if not problem.selects_setups:
-        return np.arange(len(c)), np.eye(c.blocks.shape[2])
-    used = c.setup[chosen.indices]
-    return np.flatnonzero(np.isin(c.setup, used)), problem.columns(np.unique(used))
-
-
-def _free_of_cost(problem: DesignProblem, pool: Index) -> Rules:
-    """The rules over a pool of candidates, without time and number of set-ups."""
-    rules, setups = problem.rules.subset(pool), None
-    if rules.setups is not None:
-        setups = dataclasses.replace(rules.setups, seconds=None, most=None)
-    return dataclasses.replace(rules, time=None, setups=setups)
+    return _fewest_sentences(summary, size_curve, min(table.most, count))
 
 
 def _fewest_sentences(
@@ -128,9 +98,7 @@ def _reached_accuracy(
 ) -> dict[str, float]:
     """Accuracy, SI, that the chosen plan reaches in each component that moves."""
     names, factors = _factors(study_criteria, problem, {})
-    c = problem.candidates
-    total = c.prior_information + information(c.blocks[chosen.indices])
-    accuracy = AccuracyGoal(names, factors).accuracy(total)
+    accuracy = problem.accuracy(factors, chosen)
     return {n: float(v) for n, v in zip(names, accuracy, strict=True)}
 
 

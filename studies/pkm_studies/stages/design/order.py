@@ -13,9 +13,9 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Index
-from oed.design import move_times, order, schedule
 from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
+from oed.poses import ChangeTimes, ReadingOrder, order_mounting, order_readings
 from oed.result import WorkingOrder
 from pkm_studies.base import Location
 from pkm_studies.resolve import (
@@ -26,11 +26,6 @@ from pkm_studies.resolve import (
     solve_held,
 )
 from pkm_studies.tables import DesignTable, OrderTable
-
-#: most random changes tried of a way; together with its readings, the most moves
-KICKS, EFFORT = 200, 20_000
-#: run of thermal reference readings
-REFERENCE_RUN = "reference"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,15 +132,12 @@ def _order_setups(
     rng: np.random.Generator,
 ) -> tuple[list[str], float]:
     """Set-ups in the order of least re-mounting, and the time for that, s."""
-    changes = move_times.ChangeTimes(
+    changes = ChangeTimes(
         60.0 * table.change_tool_min,
         60.0 * table.change_place_min,
         60.0 * table.change_settings_min,
     )
-    setups = [measurement.setups[name] for name in names]
-    costs, first = move_times.remounting(setups, changes)
-    route = order.order_setups(costs, rng, first)
-    return [names[k] for k in route.indices], route.length
+    return order_mounting([measurement.setups[name] for name in names], changes, rng)
 
 
 def _order_setup(
@@ -159,64 +151,33 @@ def _order_setup(
     """The readings of one set-up by short joint travel, with thermal references."""
     whole, setup = _joined(measurement, name, parts), measurement.setups[name]
     speeds = _joint_speeds(measurement.machine, table.order)
-    distance = move_times.travel_between(measurement, whole, speeds)
-    start = None
-    if table.order.start == "home":
-        start = move_times.travel_from_home(measurement, whole, speeds)
     passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
-    fixed = table.whole_runs or relative or passes
-    route = order.order_poses(
-        distance,
+    order = order_readings(
+        measurement,
+        whole,
+        speeds,
         rng,
-        start,
-        runs=_runs(whole, distance, fixed, rng),
-        reversible=not fixed,
-        kicks=_kicks(len(whole)),
+        from_home=table.order.start == "home",
+        keeps_runs=table.whole_runs or relative or passes,
     )
-    ordered = whole.take(route.indices)
-    reading = measurement.reading_seconds(name)
-    before = float(distance[np.arange(len(whole) - 1), np.arange(1, len(whole))].sum())
-    before += 0.0 if start is None else float(start[0])
-    scheduled, seconds = ordered, route.length + reading * len(whole)
-    every_min = table.order.reference_every_min
-    if every_min is not None:
-        timing = RouteTiming(route, speeds, reading)
-        scheduled, seconds = add_reference_readings(
-            measurement, whole, timing, table.order, every_min, location
-        )
-    return _SetupOrder(ordered, scheduled, before, route.length, seconds, route.exact)
+    scheduled, seconds = order.ordered, order.seconds
+    if table.order.reference_every_min is not None:
+        scheduled, seconds = _add_references(order, table.order, location)
+    return _SetupOrder(
+        order.ordered,
+        scheduled,
+        order.as_given,
+        order.path.length,
+        seconds,
+        order.path.exact,
+    )
 
 
 def _joint_speeds(machine: Machine, table: OrderTable) -> list[float]:
     linear = float(units.to_si(table.speed_mm_s, "mm"))
     angular = float(units.to_si(table.speed_deg_s, "deg"))
     return [linear if joint.unit == "m" else angular for joint in machine.joints]
-
-
-def _kicks(count: int) -> int:
-    return min(KICKS, EFFORT // count)
-
-
-def _runs(
-    series: Series, distance: Array, fixed: bool, rng: np.random.Generator
-) -> list[list[int]] | None:
-    """Readings that stay together, each run ordered unless `fixed`.
-
-    None where each reading is visited by itself.
-    """
-    labels = list(dict.fromkeys(series.run))
-    if len(labels) == 1 and not fixed:
-        return None
-    runs = []
-    for label in labels:
-        members = np.flatnonzero(series.run == label)
-        if not fixed:
-            within = distance[np.ix_(members, members)]
-            route = order.order_poses(within, rng, kicks=_kicks(len(members)))
-            members = members[route.indices]
-        runs.append([int(k) for k in members])
-    return runs
 
 
 def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series:
@@ -252,59 +213,20 @@ def _joined(measurement: Measurement, setup: str, parts: list[Series]) -> Series
 # -- thermal reference readings --------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class RouteTiming:
-    """A route through the readings, joint speeds (SI) and time of one reading, s."""
-
-    route: order.Route
-    speeds: Sequence[float]
-    reading: float
-
-
-def add_reference_readings(
-    measurement: Measurement,
-    series: Series,
-    timing: RouteTiming,
-    table: OrderTable,
-    every_min: float,
-    location: Location,
+def _add_references(
+    order: ReadingOrder, table: OrderTable, location: Location
 ) -> tuple[Series, float]:
-    """The readings in time with reference readings in between; when the last ends, s.
+    """The readings with reference readings in between; when the last ends, s.
 
     Raises InputError where the set-up has a reference of its own, or time is too short.
     """
-    every = location.key("reference_every_min")
-    command = reference_command(measurement, series.setup, table, every_min, location)
-    if command is None:
-        first = timing.route.indices[0]
-        command = np.asarray(series.reading_commands()[first])
-    reference = measurement.series(series.setup, command[None])
-    joints = series.q[series.index[:, 0]]
-    travel = move_times.travel_times(reference.q[:1], joints, timing.speeds)[0]
-    home = 0.0
-    if table.start == "home":
-        home = float(
-            move_times.travel_from_home(measurement, reference, timing.speeds)[0]
-        )
+    every, setup = table.reference_every_min or 0.0, order.series.setup
+    command = reference_command(order.measurement, setup, table, every, location)
     try:
-        timed = schedule.interleave(
-            timing.route,
-            timing.reading,
-            60.0 * every_min,
-            travel,
-            travel,
-            timing.reading,
-            home,
-        )
+        return order.add_references(command, 60.0 * every)
     except ValueError as error:
-        raise every.error(str(error), "raise it") from error
-    commands, runs = series.reading_commands(), []
-    scheduled = []
-    for k in timed.pose:
-        scheduled.append(command if k < 0 else commands[k])
-        runs.append(REFERENCE_RUN if k < 0 else str(series.run[k]))
-    planned = measurement.series(series.setup, np.array(scheduled), runs)
-    return planned, timed.seconds
+        field_location = location.key("reference_every_min")
+        raise field_location.error(str(error), "raise it") from error
 
 
 def reference_command(

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from oed import units
 from oed.base import Array
-from oed.design import polish
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series
+from oed.poses import polish_readings
 from oed.result import PolishSummary
 from pkm_studies.base import Location
 from pkm_studies.describe import field
@@ -42,7 +42,7 @@ def polish_plan(
     location = study_criteria.resolved.study.location.key("design").key("polish")
     ranges = _free_ranges(study_criteria, series, retained, location)
     try:
-        polished = polish.polish_readings(
+        polished = polish_readings(
             measurement,
             series,
             study_criteria.parameters_criterion(name, measurement),

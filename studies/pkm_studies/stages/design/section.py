@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 
 from oed.base import Array
-from oed.design import CRITERIA
-from oed.design.forms import Criterion
+from oed.design import CRITERIA, Criterion
 from oed.identifiability import Assessment, assess, prior_information
 from oed.measurement import Measurement, Series
 from oed.result import (

@@ -6,15 +6,10 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 
-import msgspec
 import numpy as np
 
-from oed.base import Array, Index
-from oed.design import CRITERIA, candidates, robust
-from oed.design.candidates import Candidates
-from oed.design.exchange import Choice
-from oed.design.forms import Criterion
-from oed.design.weights import choose_by_weights
+from oed.base import Array
+from oed.design import CRITERIA, Candidates, Choice, DesignProblem
 from oed.identifiability import Scaling, assess, prior_information
 from oed.measurement import Measurement, Series, draw_parameters
 from oed.mechanism.kinematics import AssemblyError
@@ -32,19 +27,15 @@ from oed.result import (
 from pkm_studies.base import Location
 from pkm_studies.describe import displayed_command
 from pkm_studies.resolve import NO_EFFECTS, Circles, DesignRequest, ResolvedStudy
-from pkm_studies.stages.design import effects, how_many, order, polish, search
+from pkm_studies.stages.design import effects, how_many, order, polish
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.stages.design.how_many import chosen_pool
-from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.tables import DesignTable, RobustTable
 
 # Chooses a plan for many machines, drawn from the tolerances of parameters.
 
 #: machines drawn for each scenario until one reaches all candidates
 TRIES = 5
-#: share of the search rounds, and the fewest of them
-ROUNDS_SHARE, MIN_ROUNDS = 4, 2
 
 
 def choose_robust(
@@ -60,44 +51,18 @@ def choose_robust(
     Raises InputError for criteria that are not smooth, and where drawn machines cannot
     reach the candidates.
     """
-    c, judged_by = problem.candidates, study_criteria.table.judged_by
-    pool, basis = chosen_pool(problem, nominal)
-    blocks = _scenarios(problem, study_criteria, table.scenarios, rng, location)
-    blocks = blocks[:, pool] @ basis
-    criterion = study_criteria.candidates_criterion(judged_by, c)
-    within = criterion.restrict(basis)
-    prior = basis.T @ c.prior_information @ basis
+    judged_by = study_criteria.table.judged_by
+    scenarios = _scenarios(problem, study_criteria, table.scenarios, rng, location)
+    criterion = study_criteria.candidates_criterion(judged_by, problem.candidates)
     try:
-        choice = robust.choose(
-            blocks,
-            within,
-            problem.rules.subset(pool).without_most_setups,
-            rng,
-            risk=table.risk,
-            tail_share=table.level,
-            prior=prior,
-            rounds=max(problem.rounds // ROUNDS_SHARE, MIN_ROUNDS),
+        return problem.choose_robust(
+            criterion, nominal, scenarios, rng, risk=table.risk, tail_share=table.level
         )
     except ValueError as error:
         raise location.key("risk").error(
             str(error),
             f"choose one of {', '.join(CRITERIA.smooth)}, or leave the table out",
         ) from error
-    nominal_rows = np.searchsorted(pool, nominal.indices)
-    nominal_values = _log_phis(blocks, within, prior, nominal_rows)
-    of_nominal = robust.aggregate(nominal_values, table.risk, table.level)
-    summary = msgspec.structs.replace(
-        choice.summary,
-        nominal=float(of_nominal),
-        nominal_values=nominal_values.tolist(),
-    )
-    indices = pool[choice.indices]
-    value = problem.score(criterion, indices)[1]
-    # the nominal bound holds for this plan as well
-    robust_choice = dataclasses.replace(
-        nominal, indices=indices, value=value, efficiency=None, proven=False
-    )
-    return robust_choice, summary
 
 
 def _scenarios(
@@ -115,7 +80,7 @@ def _scenarios(
     while len(blocks) < count:
         theta = draw_parameters(measurement, rng)
         try:
-            scenario = candidates.build(
+            scenario = Candidates.build(
                 measurement,
                 c.series,
                 theta,
@@ -135,14 +100,6 @@ def _scenarios(
     return np.array(blocks)
 
 
-def _log_phis(
-    blocks: Array, criterion: Criterion, prior: Array, chosen: Index
-) -> Array:
-    """log phi (S,) of a plan in each scenario."""
-    rows = blocks[:, chosen].reshape(len(blocks), -1, blocks.shape[3])
-    return np.array([criterion.value(prior + r.T @ r) for r in rows])
-
-
 # Chooses the readings of largest weight, and states the weights of the candidates.
 
 #: least weight that is stated
@@ -159,12 +116,11 @@ def choose_relaxed(
     c, table = problem.candidates, study_criteria.table
     criterion = study_criteria.candidates_criterion(table.judged_by, c)
     solver = table.solver or "built_in"
-    size = problem.rules.size
-    if size is None:
+    if problem.rules.size is None:
         reason = "weights need the number of readings, which a budget leaves open"
         raise location.error(reason, "give readings, not budget_min", table.method)
     try:
-        weighed = choose_by_weights(c.blocks, size, criterion, c.prior, solver)
+        weighed = problem.weigh(criterion, solver)
     except ValueError as error:
         remedy = "leave method out, ask for more readings, or give more candidates"
         raise location.error(str(error), remedy, table.method) from error
@@ -307,9 +263,7 @@ def check_design(resolved: ResolvedStudy) -> None:
     name = table.judged_by
     field = "compound" if table.compound else "criterion"
     with _refused(name, location.key(field)):
-        search.check_plan(
-            problem, study_criteria.candidates_criterion(name, problem.candidates)
-        )
+        problem.check(study_criteria.candidates_criterion(name, problem.candidates))
 
 
 def _main_choice(
@@ -334,9 +288,7 @@ def _main_choice(
         criterion = study_criteria.candidates_criterion(
             table.judged_by, problem.candidates
         )
-        choice = search.branch_and_bound(
-            problem, criterion, choice, table.branch_nodes, rng
-        )
+        choice = problem.tighten(criterion, choice, table.branch_nodes, rng)
     return choice, summary
 
 
@@ -378,7 +330,7 @@ def _problem(
     table, request = study_criteria.table, study_criteria.request
     measurement, planned = resolved.measurement, study_criteria.effects
     try:
-        pool = candidates.build(
+        pool = Candidates.build(
             measurement,
             resolved.candidates,
             measurement.nominal,
@@ -432,7 +384,7 @@ def _best(
 ) -> Choice:
     with _refused(name, location):
         criterion = study_criteria.candidates_criterion(name, problem.candidates)
-        return search.best_plan(problem, criterion, rng)
+        return problem.best_plan(criterion, rng)
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from oed import dataset
 from oed.base import Array, Index
-from oed.design.rules import Rules
+from oed.design import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.runs import pool_runs
 from oed.gap.before.separation import Separation

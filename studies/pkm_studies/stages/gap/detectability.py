@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from oed.design.rules import Rules
+from oed.design import Rules
 from oed.gap.before import detect
 from oed.gap.data import problem
 from oed.measurement import Measurement, Series

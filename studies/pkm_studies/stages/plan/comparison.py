@@ -13,16 +13,10 @@ import numpy as np
 from oed import result
 from oed.base import Index
 from oed.design import CRITERIA
-from oed.design.stages.option import Option
-from oed.design.stages.search import PlanSearchResult
-from oed.design.stages.sequence.stage_plan import StagePlan
-from oed.design.stages.stage import travel
-from oed.design.stages.stage.knowledge import Prior
-from oed.design.stages.stage.prediction import PlanStage, predict_stage
 from oed.identifiability import assess
+from oed.planning import Option, PlanSearchResult, PlanStreams, StagePlan, predict_plan
 from pkm_studies.base import InputError
 from pkm_studies.stages.plan.phrases import loss_bound_text, minutes, more_accurate
-from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
 
 #: share by which times and values may differ and count as the same
@@ -75,21 +69,8 @@ def predict_readings(
     task: PlanTask, readings: Sequence[tuple[Option, Index]]
 ) -> StagePlan:
     """Some candidates of each measurement, one measurement after the other."""
-    prior: Prior = task.start
-    stages: list[PlanStage] = []
-    for k, (option, chosen) in enumerate(readings):
-        capture = plan_streams(task.seed).capture()
-        probability = travel.capture_probability(option, prior, capture)
-        rng = task.stage_generator(k)
-        stages.append(predict_stage(option, chosen, prior, probability, rng))
-        prior = stages[-1].posterior
-    covariances = [task.start, *(stage.covariance for stage in stages)]
-    return StagePlan(
-        stages=tuple(stages),
-        seconds=sum(stage.seconds for stage in stages),
-        value=task.goal.value(covariances[-1]),
-        accuracy=tuple(task.goal.accuracy(c) for c in covariances),
-    )
+    streams = PlanStreams.of(task.seed)
+    return predict_plan(readings, task.goal, task.start, streams, task.stage_generator)
 
 
 def _keep_within_budget(

@@ -11,9 +11,9 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.design.stages.option import Option
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
+from oed.planning import Option
 from oed.result import StudyResult
 from pkm_studies.earlier_result import known_parameters
 from pkm_studies.resolve import (

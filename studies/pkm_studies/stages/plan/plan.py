@@ -10,11 +10,14 @@ import numpy as np
 
 from oed import result, units
 from oed.base import Array, Index
-from oed.design.stages.option import Option
-from oed.design.stages.search import PlanSearchResult
-from oed.design.stages.sequence.stage_plan import StagePlan
-from oed.design.stages.virtual_machines.propagation import StageRealisation, propagate
 from oed.effects import PlannedEffects
+from oed.planning import (
+    Option,
+    PlanSearchResult,
+    StagePlan,
+    StageRealisation,
+    propagate,
+)
 from pkm_studies.base import Progress
 from pkm_studies.resolve import PlanRequest, ResolvedStudy, named_effects
 from pkm_studies.stages.plan.comparison import compare_sequence, predict_readings

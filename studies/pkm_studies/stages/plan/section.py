@@ -10,11 +10,9 @@ import numpy as np
 from oed import result, units
 from oed.base import Array
 from oed.design import CRITERIA
-from oed.design.stages.search import PlanSearchResult
-from oed.design.stages.sequence.stage_plan import StagePlan
-from oed.design.stages.stage.prediction import PlanStage
 from oed.identifiability import Assessment, assess, combination_text
 from oed.measurement import Measurement, Series
+from oed.planning import PlanSearchResult, PlanStage, StagePlan
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import PlanTask
 from pkm_studies.tables import DesignTable

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 from oed.base import Array
-from oed.design.forms.protocol import inverse
-from oed.design.stages.option import Option
-from oed.design.stages.search import PlanSearchResult
-from oed.design.stages.sequence.stage_plan import StagePlan
-from oed.design.stages.stage.prediction import profiled_information
+from oed.planning import Option, PlanSearchResult, StagePlan, covariance_of_all
 from pkm_studies.stages.plan.phrases import minutes
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
 
@@ -60,14 +54,7 @@ def _proof(task: PlanTask, search: PlanSearchResult) -> str:
 
 def _limit(task: PlanTask) -> str:
     """What all candidate readings together leave: the limit of these measurements."""
-    information = inverse(task.start)
-    for option in task.request.options:
-        every = np.ones(len(option.candidates))
-        blocks = option.candidates.blocks
-        information = information + profiled_information(
-            blocks, every, len(information)
-        )
-    covariance = inverse(information)
+    covariance = covariance_of_all(task.request.options, task.start)
     value = task.goal.value(covariance)
     if value <= 1.0:
         return (

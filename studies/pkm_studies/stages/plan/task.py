@@ -10,17 +10,21 @@ import numpy as np
 from oed import result, units
 from oed.accuracy import prediction
 from oed.base import Array
-from oed.design.stages.goal import Goal, ToolErrors, workspace_goal
-from oed.design.stages.option import Option
-from oed.design.stages.search import PlanSearchResult, search_plan
-from oed.design.stages.sequence.beam import BEAM
-from oed.design.stages.sequence.stage_memory import StageMemory
-from oed.design.stages.sequence.stage_plan import StagePlan
+from oed.planning import (
+    Goal,
+    Option,
+    PlanSearchResult,
+    PlanStreams,
+    StageMemory,
+    StagePlan,
+    ToolErrors,
+    search_plan,
+    workspace_goal,
+)
 from pkm_studies.base import Location
 from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
-from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.tables import PlanTable
 
 #: a loss that any plan keeps: its bound is a single line
@@ -65,7 +69,7 @@ class PlanTask:
         budget: float | None = None,
         *,
         stages: int | None = None,
-        beam: int = BEAM,
+        beam: int | None = None,
         loss: float = 0.05,
         options: Sequence[Option] | None = None,
         progress: Callable[[float], None] | None = None,
@@ -78,7 +82,7 @@ class PlanTask:
             self.request.options if options is None else options,
             self.goal,
             self.budget if budget is None else budget,
-            plan_streams(self.seed),
+            PlanStreams.of(self.seed),
             covariance=self.start,
             stages=self.table.stages if stages is None else stages,
             beam=beam,

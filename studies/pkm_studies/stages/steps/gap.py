@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from oed import units
-from oed.design.rules import Rules
+from oed.design import Rules
 from oed.measurement import Measurement
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (

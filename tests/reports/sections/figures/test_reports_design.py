@@ -13,8 +13,7 @@ import report_fixture
 from report_fixture import result_of, shown_text
 
 from oed.base import Array
-from oed.design import CRITERIA
-from oed.design.forms import Criterion
+from oed.design import CRITERIA, Criterion
 from oed.result import (
     CriterionComparison,
     PlannedReading,

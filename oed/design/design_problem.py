@@ -1,0 +1,307 @@
+"""Searches the best plan by exchange, within promising combinations of set-ups.
+
+An exchange of single readings never opens a new set-up, whose first readings only tell
+where it stands. So combinations of set-ups are ranked by their relaxation first
+(`oed.design.setups`), and the exchange is made in each.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from oed.base import Array, Index
+from oed.design import bounds, branch, exchange, robust
+from oed.design.blocks import project_on_estimable
+from oed.design.candidates import Candidates
+from oed.design.exchange import Choice
+from oed.design.forms import Criterion
+from oed.design.how_many import AccuracyGoal, SizeCurve
+from oed.design.plan_limits import SetupLimit
+from oed.design.rules import MAX_COMBINATIONS, Rules
+from oed.design.setups import rank_combinations
+from oed.design.weights import Solver, Weights, choose_by_weights
+from oed.result import RobustSummary
+
+#: share of the search rounds that a plan for many machines takes, and the fewest of them:
+#: each round computes every scenario
+ROBUST_ROUNDS_SHARE = 0.25
+MIN_ROBUST_ROUNDS = 2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DesignProblem:
+    """Candidates, the rules of a plan, and the number of search rounds."""
+
+    candidates: Candidates
+    rules: Rules
+    rounds: int
+
+    @property
+    def setups(self) -> SetupLimit:
+        """Set-ups of the candidates, and the rule about them."""
+        return self.rules.setups or SetupLimit(self.candidates.setup)
+
+    @property
+    def mounted(self) -> Index:
+        """Set-ups that are mounted already."""
+        return np.array(self.setups.mounted, dtype=np.intp)
+
+    @property
+    def new_setups(self) -> Index:
+        """Set-ups that a plan would have to mount."""
+        return self.setups.mountable
+
+    @property
+    def selects_setups(self) -> bool:
+        """Whether the search has to find out which set-ups to mount."""
+        count, most = len(self.new_setups), self.setups.most
+        too_many = most is not None and most < count
+        costly = self.rules.budget is not None and count > 1
+        return self.candidates.prior is not None and (too_many or costly)
+
+    @property
+    def bound_ignores_setups(self) -> bool:
+        """Whether the bound allows any number of set-ups: too many combinations."""
+        count, most = len(self.new_setups), self.setups.most
+        if most is None:
+            return False
+        return sum(math.comb(count, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
+
+    def columns(self, setup_indices: Index) -> Array:
+        """Identity columns (n, r) of the machine's parameters and of some set-ups'."""
+        candidates = self.candidates
+        chosen = [candidates.setups[k] for k in setup_indices]
+        names = candidates.measurement.free_names
+        columns = [
+            k
+            for k, name in enumerate(names)
+            if "." not in name or name.rpartition(".")[0] in chosen
+        ]
+        columns += range(len(names), len(candidates.prior_information))
+        return np.eye(len(candidates.prior_information))[:, columns]
+
+    def score(self, criterion: Criterion, chosen: Index) -> tuple[float, float]:
+        """log phi of a plan, and the number that users know.
+
+        Over all columns; criteria of eigenvalues over those of the plan's set-ups;
+        without prior information, over the directions that the candidates see.
+        """
+        c = self.candidates
+        m = c.information(chosen)
+        if c.prior is None:
+            basis = project_on_estimable(c.blocks, None)[1]
+            criterion, m = criterion.restrict(basis), basis.T @ m @ basis
+        elif self.selects_setups and criterion.spectral:
+            basis = self.columns(np.union1d(c.setup[chosen], self.mounted))
+            criterion, m = criterion.restrict(basis), basis.T @ m @ basis
+        log_phi = criterion.value(m)
+        return log_phi, criterion.conventional_value(log_phi, len(chosen))
+
+    def check(self, criterion: Criterion) -> None:
+        """Raises ValueError where no plan can keep the rules, whatever the search."""
+        c = self.candidates
+        if not self.selects_setups:
+            rules = self.rules.without_most_setups
+            exchange.pose(c.blocks, rules, criterion, c.prior)
+
+    def best_plan(self, criterion: Criterion, rng: np.random.Generator) -> Choice:
+        """The best plan found, with its certificate. Raises ValueError where none exists."""
+        c = self.candidates
+        if not self.selects_setups:
+            return exchange.choose(
+                c.blocks,
+                None,
+                rng,
+                criterion,
+                prior=c.prior,
+                rounds=self.rounds,
+                rules=self.rules.without_most_setups,
+            )
+        plans: list[Index] = []
+        refusals: list[ValueError] = []
+        for combination in self._combinations(criterion):
+            setup_indices = np.array(combination, dtype=np.intp)
+            try:
+                plans.append(self._best_within(criterion, setup_indices, rng))
+            except ValueError as error:  # set-ups that the budget does not pay for
+                refusals.append(error)
+        if not plans:
+            raise refusals[0]
+        best = max(plans, key=lambda indices: self.score(criterion, indices)[0])
+        return self._certified(criterion, best)
+
+    def tighten(
+        self,
+        criterion: Criterion,
+        choice: Choice,
+        nodes: int,
+        rng: np.random.Generator,
+    ) -> Choice:
+        """A choice with the bound, and perhaps the better plan, of a tree of `nodes`."""
+        c = self.candidates
+        return branch.tighten(choice, c.blocks, rng, criterion, c.prior, nodes)
+
+    def weigh(self, criterion: Criterion, solver: Solver) -> Weights:
+        """The weights of the candidates, and the plan of the largest ones.
+
+        Raises ValueError where a budget leaves the number of readings open, and where
+        the plan leaves directions undetermined.
+        """
+        c = self.candidates
+        if self.rules.size is None:
+            raise ValueError("weights need the number of readings")
+        return choose_by_weights(c.blocks, self.rules.size, criterion, c.prior, solver)
+
+    def within(self, choice: Choice) -> tuple[Index, Array]:
+        """Candidates of a plan's set-ups, and a basis (n, r) of their columns.
+
+        All candidates and columns, where the search did not have to choose set-ups.
+        """
+        c = self.candidates
+        if not self.selects_setups:
+            return np.arange(len(c)), np.eye(c.blocks.shape[2])
+        used = c.setup[choice.indices]
+        return np.flatnonzero(np.isin(c.setup, used)), self.columns(np.unique(used))
+
+    def choose_robust(
+        self,
+        criterion: Criterion,
+        nominal: Choice,
+        scenarios: Array,
+        rng: np.random.Generator,
+        *,
+        risk: robust.Risk,
+        tail_share: float,
+    ) -> tuple[Choice, RobustSummary]:
+        """A plan that serves all scenarios, beside the nominal one, over its set-ups.
+
+        scenarios  (S, C, k, n) blocks of the candidates, those of the problem first
+
+        Raises ValueError as `oed.design.robust.choose`.
+        """
+        pool, basis = self.within(nominal)
+        blocks = scenarios[:, pool] @ basis
+        restricted = criterion.restrict(basis)
+        prior = basis.T @ self.candidates.prior_information @ basis
+        choice = robust.choose(
+            blocks,
+            restricted,
+            self.rules.subset(pool).without_most_setups,
+            rng,
+            risk=risk,
+            tail_share=tail_share,
+            prior=prior,
+            rounds=max(int(self.rounds * ROBUST_ROUNDS_SHARE), MIN_ROBUST_ROUNDS),
+        )
+        nominal_rows = np.searchsorted(pool, nominal.indices)
+        rows = blocks[:, nominal_rows].reshape(len(blocks), -1, blocks.shape[3])
+        log_phi = np.array([restricted.value(prior + r.T @ r) for r in rows])
+        summary = msgspec.structs.replace(
+            choice.summary,
+            nominal=float(robust.aggregate(log_phi, risk, tail_share)),
+            nominal_values=log_phi.tolist(),
+        )
+        indices = pool[choice.indices]
+        value = self.score(criterion, indices)[1]
+        # the nominal bound holds for this plan as well
+        chosen = dataclasses.replace(
+            nominal, indices=indices, value=value, efficiency=None, proven=False
+        )
+        return chosen, summary
+
+    def accuracy(self, factors: Array, choice: Choice) -> Array:
+        """Root mean square (K,) of the combinations `factors` (K, r, n) by a plan."""
+        goal = AccuracyGoal(("",) * len(factors), factors)
+        return goal.accuracy(self.candidates.information(choice.indices))
+
+    def size_curve(
+        self,
+        choice: Choice,
+        names: tuple[str, ...],
+        factors: Array,
+        seed: Sequence[int],
+    ) -> SizeCurve:
+        """Accuracy of components by the number of readings, over a plan's set-ups.
+
+        factors  (K, r, n) of the components `names`, in units of the wanted accuracy
+
+        Time and number of set-ups are no rules there.
+        """
+        c, (pool, basis) = self.candidates, self.within(choice)
+        rules, setups = self.rules.subset(pool), None
+        if rules.setups is not None:
+            setups = dataclasses.replace(rules.setups, seconds=None, most=None)
+        return SizeCurve(
+            c.blocks[pool] @ basis,
+            basis.T @ c.prior_information @ basis,
+            AccuracyGoal(names, factors @ basis),
+            tuple(seed),
+            rules=dataclasses.replace(rules, time=None, setups=setups),
+        )
+
+    def _combinations(self, criterion: Criterion) -> list[tuple[int, ...]]:
+        """Combinations of set-ups worth an exchange.
+
+        The best few of the largest number, or within a budget the best of each number.
+        """
+        c = self.candidates
+        arguments = c.blocks, criterion.relaxed, c.prior_information, self.rules
+        if self.rules.budget is None:
+            return rank_combinations(*arguments, self.setups)
+        combinations = []
+        largest = self.setups.most_of(len(self.new_setups))
+        for most in range(1, largest + 1):
+            limited = dataclasses.replace(self.setups, most=most)
+            combinations += rank_combinations(*arguments, limited)[:1]
+        return combinations
+
+    def _best_within(
+        self,
+        criterion: Criterion,
+        setup_indices: Index,
+        rng: np.random.Generator,
+    ) -> Index:
+        """The best plan with a combination of set-ups and those mounted already."""
+        c = self.candidates
+        mounted = np.union1d(setup_indices, self.mounted)
+        pool = np.flatnonzero(np.isin(c.setup, mounted))
+        basis = self.columns(mounted)
+        rules = self.rules.subset(pool).without_most_setups
+        choice = exchange.choose(
+            c.blocks[pool] @ basis,
+            None,
+            rng,
+            criterion.restrict(basis),
+            prior=basis.T @ c.prior_information @ basis,
+            rounds=self.rounds,
+            certify=False,
+            rules=rules,
+        )
+        return pool[choice.indices]
+
+    def _certified(self, criterion: Criterion, chosen: Index) -> Choice:
+        """A plan with its bound over all combinations of set-ups, where one is known."""
+        c = self.candidates
+        log_phi, value = self.score(criterion, chosen)
+        choice = Choice(
+            indices=np.sort(chosen),
+            criterion=criterion.name,
+            value=value,
+            directions=len(c.prior_information),
+            columns=len(c.prior_information),
+        )
+        if not criterion.concave or criterion.spectral:
+            return choice
+        bound = bounds.bound(c.blocks, criterion, self.rules, c.prior_information)
+        return dataclasses.replace(
+            choice,
+            bound=criterion.conventional_value(bound.bound, len(chosen)),
+            duality_gap=bound.duality_gap,
+            efficiency=float(np.exp(min(log_phi - bound.bound, 0.0))),
+            proven=bound.bound - log_phi <= exchange.PROVEN,
+        )

@@ -1,1 +1,0 @@
-"""Plans of several stages: how they grow, how they are compared and refined."""

@@ -1,1 +1,0 @@
-"""Virtual machines carried exactly through all stages of a plan."""

@@ -1,0 +1,422 @@
+"""Lower bound of the goal over all plans within the budget: a certificate for a plan.
+
+Each combination T of options has an upper bound of log phi, phi = 1 / value^2. One
+supporting line bounds all combinations at once (`combination_bound`). The combination
+with the highest bound is then solved as a relaxation, which gives a new line, tight
+there. This goes on until no combination can be better than the loss allows.
+
+A machine out of the travel of every reading of every option in T stays as it is,
+whatever is mounted first. Their share bounds the goal from below (`bound_uncaptured`).
+Other losses of readings, and the linearisation residual, only make plans worse and are
+left out.
+
+Upper bound of the criterion for every combination of measurements, by duality.
+
+A plan that mounts the options T and reads candidates i of them, at most N_s of option
+s, leaves at most the information L = L0 + sum_(s in T) S_s about the machine, with the
+set-ups' parameters profiled out:
+
+    S_s = min over G of  sum_(i in s) w_i (x_i - z_i G)^T (x_i - z_i G) + G^T G.
+
+x_i and z_i are the parts of a candidate's rows on machine and set-up (prior variances
+of 1). Any G bounds S_s by something linear in w. With a supporting line of the
+criterion at any L, log phi(L') <= v + log <R R^T, L'>, this gives
+
+    phi(T) <= exp(v) ( <R R^T, L0> + min over prices l >= 0 of  l (B - sum_T mounting_s)
+               + sum_(s in T) [ |G_s R|^2 + sum_(N_s largest i in s) max(0, g_i - l c_i) ] )
+
+with gains g_i = |(x_i - z_i G_s) R|^2, times c_i and the budget B.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base import Array, Index, Mask
+from oed.linear_algebra import precision_root
+from oed.planning.goal import Goal
+from oed.planning.option import Option
+from oed.planning.travel import capture_probability_bound, is_captured
+
+#: allowance for the rounding of a line's logarithms, in log phi
+LOG_ROUNDING = 1e-12
+#: prices of time to try, as shares of the highest gain a candidate has for its time
+PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
+#: gap in log phi of a combination's relaxation
+TOLERANCE = 3e-3
+#: relaxations in which the prices of readings settle, and the excess that is accepted
+SETTLING, EXCESS = 6, 0.02
+#: weight of the candidates of options that are not in a relaxation
+OUTSIDE = 0.5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CombinationBound:
+    """The options of a planning problem with their bounds.
+
+    mounting     (options,) time to mount each, s
+    information  (n, n) about the machine before
+    budget       s
+    """
+
+    parts: tuple[OptionBound, ...]
+    mounting: Array
+    goal: Goal
+    information: Array
+    budget: float
+
+    @classmethod
+    def of(
+        cls,
+        options: Sequence[Option],
+        goal: Goal,
+        information: Array,
+        budget: float,
+    ) -> CombinationBound:
+        """The bound for a catalogue of options."""
+        return cls(
+            parts=tuple(OptionBound.of(o, len(information)) for o in options),
+            mounting=np.array([option.mounting_seconds for option in options]),
+            goal=goal,
+            information=information,
+            budget=budget,
+        )
+
+    def relax(self, members: Sequence[int]) -> dict[int, Array]:
+        """Best relaxed weights {option: (C,)} of a combination within the budget."""
+        parts = [self.parts[s] for s in members]
+        rows = _joint_rows(parts, len(self.information))
+        base = np.eye(rows.shape[2])
+        n = len(self.information)
+        base[:n, :n] = self.information
+        time = self.budget - float(self.mounting[list(members)].sum())
+        weights = self._settle_prices(parts, rows, base, time)
+        ends = np.cumsum([len(part.cost) for part in parts])[:-1]
+        return dict(zip(members, np.split(weights, ends), strict=True))
+
+    def _settle_prices(
+        self, parts: Sequence[OptionBound], rows: Array, base: Array, time: float
+    ) -> Array:
+        """Best weights of all candidates, within the time and each option's number.
+
+        Time is the only price. A reading of an option whose number is exceeded costs
+        extra seconds, until no number is exceeded.
+        """
+        sizes = [len(part.cost) for part in parts]
+        part_of = np.repeat(np.arange(len(parts)), sizes)
+        seconds = np.concatenate([part.cost for part in parts])
+        limit = np.array([part.limit for part in parts])
+        mean = np.array([part.cost.mean() for part in parts])
+        time = min(time, sum(part.longest for part in parts))
+        setup_columns = rows.shape[2] - len(self.information)
+        criterion = self.goal.criterion(setup_columns).relaxed
+        price = mean
+        for _ in range(SETTLING):
+            extra = price - mean
+            cost = seconds + extra[part_of]
+            total = min(time + float(extra @ limit), float(cost.sum()))
+            scaled = rows / np.sqrt(cost)[:, None, None]
+            relaxed = criterion.relax(scaled, total, base, cost, TOLERANCE)
+            weights = np.asarray(relaxed.weights / cost)
+            used = np.bincount(part_of, weights)
+            if (used <= limit * (1.0 + EXCESS)).all():
+                break
+            price = np.maximum(mean, price * used / limit)
+        return weights
+
+    def bound_all(self, combinations: Index, weights: dict[int, Array]) -> Array:
+        """Bound (T,) of log phi of every combination, by the line at some weights."""
+        profiles = []
+        for s, part in enumerate(self.parts):
+            outside = np.full(len(part.cost), OUTSIDE)
+            profiles.append(part.profile(weights.get(s, outside)))
+        added = sum(
+            self.parts[s].information(w, profiles[s]) for s, w in weights.items()
+        )
+        line = self.goal.criterion(0).relaxed.support(
+            np.asarray(self.information + added)
+        )
+        worth, prices = self._worth(profiles, line.root)
+        total = worth[combinations].sum(axis=1) + prices * self.budget
+        carried = total.min(axis=1)
+        prior = float(np.sum((self.information @ line.root) * line.root))
+        return np.asarray(line.value + np.log(prior + carried) + LOG_ROUNDING)
+
+    def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
+        """Worth (options + 1, P) of each option at each price, and the prices (P,).
+
+        The last row stands for "no option".
+        """
+        gains = [
+            part.gain(profile, root)
+            for part, profile in zip(self.parts, profiles, strict=True)
+        ]
+        rates = [
+            float((gain / part.cost).max())
+            for gain, part in zip(gains, self.parts, strict=True)
+        ]
+        prices = PRICES * max(rates)
+        rows = []
+        for s, part in enumerate(self.parts):
+            constant = float(np.sum((profiles[s] @ root) ** 2))
+            readings = part.worth(gains[s], prices)
+            rows.append(readings + constant - prices * self.mounting[s])
+        return np.vstack([*rows, np.zeros(len(prices))]), prices
+
+
+def _joint_rows(parts: Sequence[OptionBound], n: int) -> Array:
+    """Rows (C, k, w) of all candidates over machine and all set-ups' parameters."""
+    width = n + sum(part.setup.shape[2] for part in parts)
+    height = max(part.machine.shape[1] for part in parts)
+    blocks = []
+    start = n
+    for part in parts:
+        count, k = part.machine.shape[:2]
+        end = start + part.setup.shape[2]
+        block = np.zeros((count, height, width))
+        block[:, :k, :n] = part.machine
+        block[:, :k, start:end] = part.setup
+        blocks.append(block)
+        start = end
+    return np.concatenate(blocks)
+
+
+# -- one option ------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OptionBound:
+    """Candidates (C) of an option, weighted with a bound of their capture probability.
+
+    machine  (C, k, n) parts of the rows on the machine's parameters
+    setup    (C, k, r) parts of the rows on the option's other unknowns
+    cost     (C,) time of each candidate, s
+    limit    largest number of candidates in a plan
+    """
+
+    machine: Array
+    setup: Array
+    cost: Array
+    limit: int
+
+    @classmethod
+    def of(cls, option: Option, n: int) -> OptionBound:
+        """An option whose readings are lost to its set-up's unknowns alone."""
+        probability = capture_probability_bound(option, np.zeros((n, n)))
+        weights = np.sqrt(probability)[:, None, None]
+        blocks = option.candidates.blocks * weights
+        return cls(
+            machine=blocks[:, :, :n],
+            setup=blocks[:, :, n:],
+            cost=option.candidate_seconds,
+            limit=option.counts[-1],
+        )
+
+    @property
+    def longest(self) -> float:
+        """Longest time (s) that the readings of a plan can take."""
+        return float(np.sort(self.cost)[-self.limit :].sum())
+
+    def profile(self, weights: Array) -> Array:
+        """G (r, n) that attains the minimum S at weights (C,)."""
+        of_setup = np.einsum(
+            "c,ckr,cks->rs", weights, self.setup, self.setup, optimize=True
+        )
+        mixed = np.einsum(
+            "c,ckr,ckn->rn", weights, self.setup, self.machine, optimize=True
+        )
+        return np.linalg.solve(of_setup + np.eye(len(of_setup)), mixed)
+
+    def information(self, weights: Array, profile: Array) -> Array:
+        """S (n, n) at weights (C,) and a profile G (r, n)."""
+        residual = self.machine - self.setup @ profile
+        weighted = residual * np.sqrt(weights)[:, None, None]
+        rows = weighted.reshape(-1, weighted.shape[2])
+        return rows.T @ rows + profile.T @ profile
+
+    def gain(self, profile: Array, root: Array) -> Array:
+        """Gain (C,) of each candidate, |(x - z G) R|^2."""
+        moved = (self.machine - self.setup @ profile) @ root
+        return np.asarray(np.sum(moved**2, axis=(1, 2)))
+
+    def worth(self, gain: Array, prices: Array) -> Array:
+        """Largest total (P,) of gains (C,) minus the price of time, at each price (P,).
+
+        At most `limit` candidates contribute.
+        """
+        net = np.maximum(gain - prices[:, None] * self.cost, 0.0)
+        if self.limit < net.shape[1]:
+            net = np.partition(net, -self.limit, axis=1)[:, -self.limit :]
+        return np.asarray(net.sum(axis=1))
+
+
+#: largest number of combinations that are bounded
+COMBINATIONS = 200_000
+#: combinations that are reported as promising
+PROMISING = 4
+#: gain of a line in log phi below which a relaxation has reached its own tolerance
+STUCK = 1e-9
+#: machines drawn
+MACHINES = 4000
+#: standard errors by which the estimate is lowered
+SAFETY = 4.0
+#: combinations which are treated at once
+CHUNK = 1000
+#: smallest value, so that its logarithm exists
+TINY = 1e-300
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalBound:
+    """No plan within the budget has a smaller goal value than `value`.
+
+    lines      supporting lines that were computed
+    promising  combinations that can hold a better plan, most promising first, as
+               {position of the option: relaxed number of readings}
+    """
+
+    value: float
+    lines: int
+    promising: tuple[dict[int, float], ...] = ()
+
+
+def bound_goal(
+    options: Sequence[Option],
+    goal: Goal,
+    information: Array,
+    budget: float,
+    stages: int,
+    value: float,
+    rng: np.random.Generator,
+    *,
+    loss: float = 0.05,
+    lines: int = 150,
+) -> GoalBound:
+    """Bound the goal over all plans of at most `stages` options within `budget` (s).
+
+    Lines are added until a plan with `value` is certified to be within the share `loss`
+    of the best plan, or until there are `lines` of them.
+
+    information  (n, n) about the machine before
+    rng          draws the machines that no reading captures
+
+    Raises ValueError where there are too many combinations.
+    """
+    mounting = np.array([option.mounting_seconds for option in options])
+    combinations = _combinations(mounting, budget, stages)
+    if not len(combinations):
+        return GoalBound(np.inf, 0)
+    least = bound_uncaptured(options, goal, information, combinations, rng)
+    upper = -2.0 * np.log(least)
+    goal_bound = CombinationBound.of(options, goal, information, budget)
+    rest = goal.least_rest
+    target = _log_phi(_reducible(value / (1.0 + loss), rest))
+    relaxed: dict[int, dict[int, float]] = {}
+    computed = 0
+    while computed < lines:
+        best = int(np.argmax(upper))
+        if upper[best] <= target:
+            break
+        members = [position for position in combinations[best] if position >= 0]
+        weights = goal_bound.relax(members)
+        relaxed[best] = {int(s): float(w.sum()) for s, w in weights.items()}
+        line = goal_bound.bound_all(combinations, weights)
+        is_stuck = line[best] >= upper[best] - STUCK
+        upper = np.minimum(upper, line)
+        computed += 1
+        if is_stuck:
+            break
+    highest = float(upper.max())
+    least_better = _log_phi(_reducible(value, rest))
+    better = [k for k in relaxed if upper[k] > least_better]
+    ranked = sorted(better, key=lambda k: -upper[k])
+    promising = tuple(relaxed[k] for k in ranked[:PROMISING])
+    total = math.sqrt(math.exp(-highest) + rest)
+    return GoalBound(total, computed, promising)
+
+
+def _reducible(value: float, rest: float) -> float:
+    """The part of a goal value that readings reduce."""
+    return math.sqrt(max(value**2 - rest, TINY))
+
+
+def _log_phi(value: float) -> float:
+    return -2.0 * math.log(value)
+
+
+def _combinations(mounting: Array, budget: float, stages: int) -> Index:
+    """Combinations (T, stages) of options that the budget mounts, padded with -1."""
+    count = len(mounting)
+    stages = min(stages, count)
+    total = sum(math.comb(count, size) for size in range(1, stages + 1))
+    if total > COMBINATIONS:
+        raise ValueError(
+            f"{total} combinations of {stages} of {count} measurements are too many to"
+            " bound"
+        )
+    tables = []
+    for size in range(1, stages + 1):
+        rows = list(itertools.combinations(range(count), size))
+        table = np.array(rows, dtype=np.intp)
+        table = table[mounting[table].sum(axis=1) < budget]
+        padding = ((0, 0), (0, stages - size))
+        tables.append(np.pad(table, padding, constant_values=-1))
+    return np.concatenate(tables)
+
+
+# -- machines that no reading captures -------------------------------------------------
+
+
+def bound_uncaptured(
+    options: Sequence[Option],
+    goal: Goal,
+    information: Array,
+    combinations: Index,
+    rng: np.random.Generator,
+) -> Array:
+    """Goal value (T,) at the least of each combination (T, stages) of options.
+
+    It is estimated from drawn machines and lowered by four standard errors. It is next
+    to 0 where every machine is captured.
+
+    information  (n, n) about the machine before
+    """
+    root = precision_root(information)
+    errors = rng.standard_normal((MACHINES, len(information))) @ root.T
+    uncaptured = _uncaptured(options, errors, rng)
+    squared = [np.sum((errors @ factor.T) ** 2, axis=1) for factor in goal.factors]
+    squares = np.stack(squared, axis=1)
+    least = np.zeros(len(combinations))
+    everything = np.arange(len(combinations))
+    for part in np.array_split(everything, max(len(combinations) // CHUNK, 1)):
+        excluded = uncaptured[combinations[part]].all(axis=1).astype(float)
+        mean = excluded @ squares / MACHINES
+        variance = np.maximum(excluded @ squares**2 / MACHINES - mean**2, 0.0)
+        standard_error = np.sqrt(variance / MACHINES)
+        lowered = np.maximum(mean - SAFETY * standard_error, 0.0)
+        least[part] = goal.combine(np.sqrt(lowered))
+    return np.maximum(least, TINY)
+
+
+def _uncaptured(
+    options: Sequence[Option], errors: Array, rng: np.random.Generator
+) -> Mask:
+    """Which machines no candidate of an option captures: (options + 1, machines).
+
+    The last row stands for "no option" and excludes no machine.
+    """
+    uncaptured = np.zeros((len(options) + 1, len(errors)), dtype=bool)
+    uncaptured[-1] = True
+    for k, option in enumerate(options):
+        if not option.limits_travel:
+            continue
+        setup_errors = rng.standard_normal((len(errors), option.setup_columns))
+        everything = np.arange(len(option.candidates))
+        captured = is_captured(option, everything, errors, setup_errors)
+        uncaptured[k] = ~captured.any(axis=1)
+    return uncaptured

@@ -1,0 +1,99 @@
+"""Probability that a reading stays within the instrument's travel.
+
+A ball bar follows a machine no farther than its travel t. A reading
+
+    y_i = h_i d + g_i s + e_i
+
+of a machine with error d, in a set-up with unknowns s ~ N(0, 1), is captured where
+|h_i d + g_i s| <= t, and lost otherwise. The readings of one run are captured or lost
+together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import erf
+
+from oed.base import Array, Index, Mask
+from oed.planning.knowledge import Knowledge, Prior, as_knowledge
+from oed.planning.option import Option
+
+#: machines drawn to estimate how often a whole run is captured
+RUN_DRAWS = 1000
+#: smallest variance to divide by
+TINY = 1e-300
+
+
+def capture_probability(
+    option: Option, prior: Prior, rng: np.random.Generator
+) -> Array:
+    """Probability (C,) that each candidate is captured, given the prior knowledge.
+
+    Single readings have a closed form. Whole runs are counted on machines drawn with
+    `rng`.
+    """
+    if not option.limits_travel:
+        return np.ones(len(option.candidates))
+    first, count = option.candidates.members.T
+    knowledge = as_knowledge(prior)
+    if (count == 1).all():
+        return np.asarray(_reading_probability(option, knowledge)[first])
+    drawn = knowledge.repeat(max(RUN_DRAWS // knowledge.machines, 1))
+    errors = drawn.draw_errors(rng)
+    setup_errors = rng.standard_normal((len(errors), option.setup_columns))
+    everything = np.arange(len(option.candidates))
+    captured = is_captured(option, everything, errors, setup_errors)
+    return np.asarray(captured.mean(axis=0))
+
+
+def capture_probability_bound(option: Option, prior: Prior) -> Array:
+    """Upper bound (C,) of the capture probability.
+
+    A run is no more likely to be captured than its least likely reading.
+    """
+    if not option.limits_travel:
+        return np.ones(len(option.candidates))
+    probability = _reading_probability(option, as_knowledge(prior))
+    members = option.candidates.members
+    least = [probability[first : first + count].min() for first, count in members]
+    return np.array(least)
+
+
+def is_captured(
+    option: Option, chosen: Index, errors: Array, setup_errors: Array
+) -> Mask:
+    """Which machines (P) give which chosen candidates (N): (P, N).
+
+    errors        (P, n) of the machines' parameters, in tolerance units
+    setup_errors  (P, s) of the set-ups' parameters, in tolerance units
+    """
+    deviation = np.hstack([errors, setup_errors]) @ option.first_channel_slopes.T
+    within = np.abs(deviation) <= option.travel
+    first, count = option.candidates.members[chosen].T
+    # `reduceat` needs a column after the last run to name as its end
+    padded = np.hstack([within, np.ones((len(within), 1), dtype=bool)])
+    ends = np.column_stack([first, first + count]).ravel()
+    return np.logical_and.reduceat(padded, ends, axis=1)[:, ::2]
+
+
+def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
+    """Probability (readings,) that each reading by itself is within the travel."""
+    slopes, n = option.first_channel_slopes, option.machine_columns
+    machine_slopes = slopes[:, :n]
+    setup_variance = np.sum(slopes[:, n:] ** 2, axis=1)
+    if knowledge.errors is not None:
+        scale = np.sqrt(np.maximum(2.0 * setup_variance, TINY))
+        deviation = knowledge.errors @ machine_slopes.T
+        below = erf((option.travel - deviation) / scale)
+        above = erf((option.travel + deviation) / scale)
+        return np.asarray(0.5 * (below + above).mean(axis=0))
+    machine_variance = np.einsum(
+        "in,pnm,im->pi",
+        machine_slopes,
+        knowledge.covariances,
+        machine_slopes,
+        optimize=True,
+    )
+    variance = np.maximum(setup_variance + machine_variance, TINY)
+    ratio = option.travel / np.sqrt(variance) / np.sqrt(2.0)
+    return np.asarray(erf(ratio)[knowledge.covariance_of].mean(axis=0))

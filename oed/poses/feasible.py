@@ -1,0 +1,482 @@
+"""Which candidate readings a machine and an instrument can take at all.
+
+The limits are joint travel, singular poses, the instrument's travel and solid angle,
+and collisions. Rules between the readings of one plan are in `oed.design.rules`.
+
+Some instruments read only within a travel about a value they hold (a ball bar: +-1 mm
+about its length). A machine with errors may move a reading out of this travel. With
+theta ~ N(nominal, Sigma) and the reading's slope h, the reading is N(y, h Sigma h^T) to
+first order, and stays within the travel with probability
+
+    P = Phi((held + travel - y) / s) - Phi((held - travel - y) / s),        s^2 = h Sigma h^T.
+
+Distance of machine and bar to obstacles, at poses.
+
+Everything is a capsule (`oed.poses.feasible`); a sphere is one of no length. The
+machine's skeleton moves with capsules along its lines, and the bar reaches from its cup
+to the tool point. Clearance is the least distance between the segments less both radii,
+negative in collision.
+
+Distances between segments, and capsules: all points within a radius of a segment.
+
+The distance of two segments, |a + s u - b - t v| over 0 <= s, t <= 1, is a convex
+quadratic. Its least value is at the free minimum where that is inside, or on an edge,
+where it is the distance of an end point to the other segment.
+
+The formula is written out because it runs over all poses at once. The collision
+libraries python-fcl and coal give the same distances, to 2e-15 m, but take one pair a
+call: 100,000 pairs last 14 and 10 times as long. coal also lacks wheels for Windows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+from scipy.special import ndtr
+
+from oed.base import Array, Mask
+from oed.measurement import Measurement, Series
+from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.kinematics import Kinematics
+from oed.model.expressions import symbols
+
+Point3 = tuple[float, float, float]
+#: sine^2 of the angle between two segments below which they count as parallel
+PARALLEL = 1e-12
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Capsule:
+    """A fixed obstacle in the base frame, m: points within `radius` of a segment."""
+
+    start: Point3
+    end: Point3
+    radius: float
+
+
+def sphere(centre: Point3, radius: float) -> Capsule:
+    """A fixed sphere in the base frame, m."""
+    return Capsule(centre, centre, radius)
+
+
+def point_distance(point: Array, start: Array, end: Array) -> Array:
+    """Distance (...) of points (..., 3) to segments from `start` to `end` (..., 3).
+
+    The arguments broadcast.
+    """
+    direction = end - start
+    square = np.asarray((direction**2).sum(-1))
+    projection = ((point - start) * direction).sum(-1)
+    share = projection / np.where(square > 0.0, square, 1.0)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * direction
+    return np.asarray(np.linalg.norm(point - nearest, axis=-1))
+
+
+def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
+    """Distance (...) between segments a0 a1 and b0 b1 (..., 3).
+
+    The arguments broadcast; a segment may be a point.
+    """
+    u, v, w = a1 - a0, b1 - b0, a0 - b0
+    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
+    uw, vw = (u * w).sum(-1), (v * w).sum(-1)
+    determinant = uu * vv - uv**2
+    # parallel segments are nearest at an end point too
+    skew = determinant > PARALLEL * uu * vv
+    divisor = np.where(skew, determinant, 1.0)
+    s = (uv * vw - vv * uw) / divisor
+    t = (uu * vw - uv * uw) / divisor
+    inside = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
+    free = np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
+    ends = [
+        point_distance(a0, b0, b1),
+        point_distance(a1, b0, b1),
+        point_distance(b0, a0, a1),
+        point_distance(b1, a0, a1),
+    ]
+    return np.minimum(np.minimum.reduce(ends), np.where(inside, free, np.inf))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """Obstacles, and what moves between them; m.
+
+    obstacles  fixed capsules in the base frame; the stand of the cup touches the bar:
+               let it end short of the cup
+    links      radius of the capsules along the lines of the machine's skeleton; None:
+               links are not checked
+    bar        radius of the bar from its cup to the tool point; None: there is none
+    margin     clearance to be kept
+    ignore     numbers of skeleton lines that are left out (such as a fixed base)
+    """
+
+    obstacles: tuple[Capsule, ...]
+    links: float | None = None
+    bar: float | None = None
+    margin: float = 0.0
+    ignore: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.obstacles:
+            raise ValueError("surroundings need at least one obstacle")
+        if self.links is None and self.bar is None:
+            raise ValueError(
+                "nothing that moves is checked: give a radius to the links, to the"
+                " bar, or to both"
+            )
+
+
+class Skeleton:
+    """The lines of a machine's skeleton as segments, over many poses at once."""
+
+    def __init__(
+        self, kinematics: Kinematics, tool: Sequence[float], ignore: Sequence[int] = ()
+    ) -> None:
+        machine = kinematics.machine
+        if machine.skeleton is None:
+            raise ValueError(
+                f"{machine.name} has no skeleton: its links cannot be checked"
+            )
+        x, xs = symbols("x", machine.pose)
+        q, qs = symbols("q", machine.joints)
+        p, ps = symbols("p", machine.parameters)
+        lines = [list(line) for line in machine.skeleton(xs, qs, ps)]
+        unknown = set(ignore) - set(range(len(lines)))
+        if unknown:
+            raise ValueError(
+                f"{machine.name}: its skeleton has lines 0 to {len(lines) - 1}, not"
+                f" {sorted(unknown)}"
+            )
+        if any(tool):  # a longer tool than the skeleton's
+            rotation, point = machine.platform(xs)
+            lines.append([point, point + rotation @ ca.DM(list(tool))])
+        checked = [line for i, line in enumerate(lines) if i not in ignore]
+        pairs = [pair for line in checked for pair in itertools.pairwise(line)]
+        self._count = len(pairs)
+        ends = ca.vertcat(*[ca.vertcat(ca.vec(a), ca.vec(b)) for a, b in pairs])
+        self._ends = BatchedFunction("skeleton_ends", [x, q, p], [ends])
+
+    def segments(self, x: Array, q: Array, p: Array) -> Array:
+        """Segments (n, k, 2, 3) of poses x (n, nx) with joints q (n, nq), m."""
+        return self._ends(x, q, p)[0].reshape(len(x), self._count, 2, 3)
+
+
+def cup_position(
+    measurement: Measurement, setup: str, cup: Sequence[float] | None = None
+) -> Array:
+    """Where the bar of a set-up is held (3,), base frame, m.
+
+    That is `cup` if given, else its place settings at_x, at_y, at_z, else the tool
+    point at its teach pose. Raises ValueError where none of these is known.
+    """
+    if cup is not None:
+        return np.asarray(cup, dtype=float)
+    mounted = measurement.setups[setup]
+    if {"at_x", "at_y", "at_z"} <= set(mounted.settings):
+        return np.array([mounted.settings[f"at_{axis}"] for axis in "xyz"])
+    if mounted.teach is None:
+        raise ValueError(
+            f"set-up {setup}: {mounted.instrument.name} does not state where its other"
+            " end is: give its cup"
+        )
+    tool = np.array(mounted.tool)
+    x, _ = measurement.kinematics.inverse(np.array(mounted.teach)[None], None, tool)
+    return np.asarray(measurement.kinematics.frames(x, tool)[1][0])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Links:
+    """The machine's links: lines of its skeleton, and their radius, m."""
+
+    skeleton: Skeleton
+    radius: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Bar:
+    """The bar: where it is held (3,), base frame, and its radius, m."""
+
+    cup: Array
+    radius: float
+
+
+class Clearance:
+    """Clearance of one set-up on the nominal machine."""
+
+    def __init__(
+        self,
+        measurement: Measurement,
+        setup: str,
+        surroundings: Surroundings,
+        cup: Sequence[float] | None = None,
+    ) -> None:
+        self._measurement, self._surroundings = measurement, surroundings
+        tool = measurement.setups[setup].tool
+        self._tool = np.array(tool)
+        self._links: _Links | None = None
+        if surroundings.links is not None:
+            skeleton = Skeleton(measurement.kinematics, tool, surroundings.ignore)
+            self._links = _Links(skeleton, surroundings.links)
+        self._bar: _Bar | None = None
+        if surroundings.bar is not None:
+            place = cup_position(measurement, setup, cup)
+            self._bar = _Bar(place, surroundings.bar)
+
+    def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
+        """Clearance (n,) at poses x (n, nx) with joints q (n, nq), m.
+
+        `bar` = False: with the bar taken off.
+        """
+        ends, radii = self._moving_segments(x, q, bar)
+        by_segment = self._segment_clearances(ends, radii)
+        return np.asarray(by_segment.min(axis=1, initial=np.inf))
+
+    def at_readings(self, series: Series, x: Array) -> Array:
+        """Clearance (N,) at the readings of a series with poses x (m, nx), m.
+
+        At reference poses the bar is off.
+        """
+        without_bar = np.full(len(x), np.inf)
+        if self._links is not None:
+            without_bar = self.at_poses(x, series.q, bar=False)
+        read = series.index[:, 0]
+        with_bar = self.at_poses(x[read], series.q[read])
+        others = without_bar[series.index].min(axis=1)
+        return np.asarray(np.minimum(with_bar, others))
+
+    def _moving_segments(
+        self, x: Array, q: Array, bar: bool = True
+    ) -> tuple[Array, Array]:
+        """Moving segments (n, k, 2, 3) and their radii (k,)."""
+        parts, radii = [np.empty((len(x), 0, 2, 3))], [np.empty(0)]
+        nominal = self._measurement.machine.nominal
+        if self._links is not None:
+            links = self._links.skeleton.segments(x, q, nominal)
+            parts.append(links)
+            radii.append(np.full(links.shape[1], self._links.radius))
+        if bar and self._bar is not None:
+            tip = self._measurement.kinematics.frames(x, self._tool)[1]
+            cup = np.broadcast_to(self._bar.cup, tip.shape)
+            parts.append(np.stack([cup, tip], axis=1)[:, None])
+            radii.append(np.array([self._bar.radius]))
+        return np.concatenate(parts, axis=1), np.concatenate(radii)
+
+    def _segment_clearances(self, moving: Array, radii: Array) -> Array:
+        """Clearance (n, k) of each moving segment."""
+        clearances = np.full(moving.shape[:2], np.inf)
+        for obstacle in self._surroundings.obstacles:
+            start, end = np.array(obstacle.start), np.array(obstacle.end)
+            distance = segment_distance(moving[:, :, 0], moving[:, :, 1], start, end)
+            clearances = np.minimum(clearances, distance - radii - obstacle.radius)
+        return clearances
+
+
+#: share of a joint's limits that rounding may exceed
+SLACK = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class DirectionCone:
+    """Directions within `half_angle` (rad) of `axis` (any length)."""
+
+    axis: Point3
+    half_angle: float
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.axis) > 0.0:
+            raise ValueError("a cone needs an axis that is not zero")
+
+    def angle(self, direction: Array) -> Array:
+        """Angle (n,) of directions (n, 3) to the axis, rad; exact near 0 and pi too."""
+        axis = np.asarray(self.axis, dtype=float)
+        across = np.linalg.norm(np.cross(direction, axis), axis=1)
+        return np.asarray(np.arctan2(across, direction @ axis))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReadingLimits:
+    """Limits of a candidate reading; None: no limit. Lengths m, angles rad.
+
+    joints         (lower, upper) of joints by name, in place of the machine's range
+    singularity    least reciprocal condition number of phi_x (`Kinematics.singularity`)
+    travel         largest distance of the nominal reading from the value held
+    held           that value, where the instrument does not define it
+    base_cone      directions of the line from the cup to the tool point, base frame
+    platform_cone  directions of the line from the tool point to the cup, platform frame
+    cup            (3,) other end of the line, base frame; None: from the set-up
+                   (`clearance.cup_position`)
+    surroundings   obstacles, and what must stay clear of them
+    """
+
+    joints: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    singularity: float | None = None
+    travel: float | None = None
+    held: float | None = None
+    base_cone: DirectionCone | None = None
+    platform_cone: DirectionCone | None = None
+    cup: Point3 | None = None
+    surroundings: Surroundings | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Feasibility:
+    """Which of n candidate readings can be taken, and why the others cannot.
+
+    allowed  (n,)
+    refused  {reason: (n,)}; a candidate may have several reasons
+    details  {quantity: (n,)} of the limits in use: singularity, travel (distance from
+             the value held), base_cone and platform_cone (angles), clearance; SI
+    """
+
+    allowed: Mask
+    refused: dict[str, Mask]
+    details: dict[str, Array]
+
+    @property
+    def refusal_counts(self) -> dict[str, int]:
+        """{reason: number of candidates that it refuses}."""
+        return {reason: int(mask.sum()) for reason, mask in self.refused.items()}
+
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence a reason, most refusals first.
+
+        For example "37 of 1512 candidates leave the travel of joint q2".
+        """
+        ranked = sorted(self.refusal_counts.items(), key=lambda item: -item[1])
+        total = len(self.allowed)
+        return [f"{count} of {total} candidates {reason}" for reason, count in ranked]
+
+
+def check_readings(
+    measurement: Measurement, series: Series, limits: ReadingLimits
+) -> Feasibility:
+    """Which readings of a series can be taken on the nominal machine.
+
+    A reading may depend on a second pose (teach, reference of the run). This pose must
+    be within joint travel, away from singular poses and clear of obstacles too.
+    """
+    x = measurement.expected_poses(series)
+    refused: dict[str, Mask] = dict(_outside_joints(measurement, series, limits))
+    details: dict[str, Array] = {}
+    if limits.singularity is not None:
+        margin = measurement.kinematics.slopes.reciprocal_condition(
+            x, series.q, measurement.kinematics.held
+        )
+        details["singularity"] = margin[series.index].min(axis=1)
+        too_near = details["singularity"] < limits.singularity
+        refused["are too near a singular pose"] = too_near
+    if limits.travel is not None:
+        held = _held_value(measurement, series, limits.held)
+        readings = measurement.expected_readings(series)
+        distance = np.abs(_first_channel(measurement, series, readings) - held)
+        details["travel"] = distance
+        refused["leave the travel of the instrument"] = distance > limits.travel
+    for name, angle, cone, reason in _cone_angles(measurement, series, x, limits):
+        details[name] = angle
+        refused[reason] = angle > cone.half_angle
+    if limits.surroundings is not None:
+        surroundings = limits.surroundings
+        clearance = Clearance(measurement, series.setup, surroundings, limits.cup)
+        details["clearance"] = clearance.at_readings(series, x)
+        too_near = details["clearance"] < surroundings.margin
+        refused["come too near an obstacle"] = too_near
+    refused = {reason: mask for reason, mask in refused.items() if mask.any()}
+    nobody = np.zeros(len(series), dtype=bool)
+    allowed = ~np.any([*refused.values(), nobody], axis=0)
+    return Feasibility(allowed, refused, details)
+
+
+def within_travel(
+    measurement: Measurement,
+    series: Series,
+    covariance: Array,
+    travel: float,
+    held: float | None = None,
+) -> Array:
+    """Probability (N,) that a reading's first channel stays within `travel`.
+
+    The machine is drawn from N(nominal, covariance); first order in theta, SI.
+
+    covariance  (n_theta, n_theta)
+    travel      about the value held
+    held        that value; by default what the instrument holds by design
+    """
+    theta = measurement.nominal
+    if covariance.shape != (len(theta), len(theta)):
+        raise ValueError(
+            f"the covariance must be {len(theta)} x {len(theta)}, not of shape"
+            f" {covariance.shape}"
+        )
+    held_value = _held_value(measurement, series, held)
+    readings = measurement.readings([series], theta)
+    error = _first_channel(measurement, series, readings) - held_value
+    jacobian = measurement.jacobian([series], theta)
+    rows = _first_channel(measurement, series, jacobian)
+    variance = np.einsum("ni,ij,nj->n", rows, covariance, rows)
+    sigma = np.sqrt(np.maximum(variance, 0.0))
+    certain = sigma <= 0.0
+    safe = np.where(certain, 1.0, sigma)
+    probability = ndtr((travel - error) / safe) - ndtr((-travel - error) / safe)
+    inside = np.abs(error) <= travel
+    return np.asarray(np.where(certain, inside, probability), dtype=float)
+
+
+def _outside_joints(
+    measurement: Measurement, series: Series, limits: ReadingLimits
+) -> Iterator[tuple[str, Mask]]:
+    """(reason, readings refused) of each joint."""
+    names = [c.name for c in measurement.machine.joints]
+    unknown = set(limits.joints) - set(names)
+    if unknown:
+        raise ValueError(
+            f"{measurement.machine.name} has no joint {sorted(unknown)}; it has {names}"
+        )
+    for column, joint in enumerate(measurement.machine.joints):
+        lower, upper = limits.joints.get(joint.name, (joint.lower, joint.upper))
+        sizes = [abs(end) for end in (lower, upper) if np.isfinite(end)]
+        slack = SLACK * max([1.0, *sizes])
+        q = series.q[:, column]
+        outside: Mask = np.asarray((q < lower - slack) | (q > upper + slack))
+        refused = np.asarray(outside[series.index].any(axis=1))
+        yield f"leave the travel of joint {joint.name}", refused
+
+
+def _held_value(measurement: Measurement, series: Series, held: float | None) -> float:
+    if held is not None:
+        return held
+    setup = measurement.setups[series.setup]
+    if setup.instrument.fixed_reading is None:
+        raise ValueError(
+            f"{setup.instrument.name} holds no reading by design: state the value that"
+            " its travel is about"
+        )
+    return float(setup.instrument.fixed_reading(setup.settings))
+
+
+def _first_channel(measurement: Measurement, series: Series, values: Array) -> Array:
+    """Values (N, ...) of the first channel, out of those of all channels."""
+    return values[:: len(measurement.setups[series.setup].sigma)]
+
+
+def _cone_angles(
+    measurement: Measurement, series: Series, x: Array, limits: ReadingLimits
+) -> Iterator[tuple[str, Array, DirectionCone, str]]:
+    """(name, angles, cone, reason) of each cone."""
+    if limits.base_cone is None and limits.platform_cone is None:
+        return
+    setup = measurement.setups[series.setup]
+    cup = cup_position(measurement, series.setup, limits.cup)
+    poses = x[series.index[:, 0]]
+    rotation, tip, _ = measurement.kinematics.frames(poses, np.array(setup.tool))
+    if limits.base_cone is not None:
+        angle = limits.base_cone.angle(tip - cup)
+        yield "base_cone", angle, limits.base_cone, "leave the cone at the cup"
+    if limits.platform_cone is not None:
+        direction = np.einsum("nji,nj->ni", rotation, cup - tip)
+        angle = limits.platform_cone.angle(direction)
+        yield "platform_cone", angle, limits.platform_cone, "leave the cone at the tool"

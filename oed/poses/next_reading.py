@@ -1,0 +1,206 @@
+"""The best next reading from a posterior: which candidate makes a goal most accurate.
+
+With the posterior covariance C of the columns, a candidate block H (k, n) of whitened
+rows leaves, by the Kalman update,
+
+    C - C H^T (I + H C H^T)^-1 H C.
+
+The variance of the combinations F (r, n) is tr(W C) with W = F^T F. With the Cholesky
+factor L of I + H C H^T and G = L^-1 H C it falls by tr(G W G^T).
+
+A step takes the candidate with the smallest sum of log variances over the goal's
+components: each counts by the share that it loses, whatever its unit.
+
+One reading alone is a short-sighted choice. So the readings that remain are planned
+together, by exchange (Fedorov, Theory of Optimal Experiments, 1972, chapter 3), and the
+one among them that gains most by itself is taken first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base import Array
+
+#: weight of the sum of log variances beside what is lacking to the limits
+BEYOND = 1e-2
+#: exchanges of every reading, at the most
+SWEEPS = 2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Belief:
+    """What is known, and what should become accurate.
+
+    covariance  (n, n) of the columns, as scaled in the candidates' blocks
+    weights     (K, n, n) W = F^T F of each component's combinations F (r, n); its
+                variance is tr(W C)
+    """
+
+    covariance: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, covariance: Array, factors: Array) -> Belief:
+        """With the weights of each component's combinations `factors` (K, r, n)."""
+        return cls(covariance, factors.swapaxes(1, 2) @ factors)
+
+    @property
+    def variances(self) -> Array:
+        """Variance (K,) of each component."""
+        return np.tensordot(self.weights, self.covariance, axes=2)
+
+    def after(self, block: Array) -> Belief:
+        """The belief after a candidate (k, n) is read."""
+        gain = self.covariance @ block.T
+        spread = np.eye(len(block)) + block @ gain
+        covariance = self.covariance - gain @ np.linalg.solve(spread, gain.T)
+        return dataclasses.replace(self, covariance=(covariance + covariance.T) / 2.0)
+
+    def variances_after(self, blocks: Array) -> Array:
+        """Variances (C, K) after each of the candidates (C, k, n) alone."""
+        gain = blocks @ self.covariance
+        spread = np.eye(blocks.shape[1]) + gain @ blocks.swapaxes(1, 2)
+        count, rows, columns = gain.shape
+        # A thousand systems of one equation are slow to solve as systems.
+        white = (
+            gain / np.sqrt(spread)
+            if rows == 1
+            else np.linalg.solve(np.linalg.cholesky(spread), gain)
+        )
+        flat = white.reshape(count * rows, columns)
+        falls = [np.einsum("ij,ij->i", flat @ w, flat) for w in self.weights]
+        fall = np.column_stack(falls).reshape(count, rows, -1).sum(axis=1)
+        return np.asarray(self.variances - fall)
+
+    def after_all(self, blocks: Array, indices: Sequence[int]) -> Belief:
+        """The belief after several candidates, in one update."""
+        if not len(indices):
+            return self
+        columns = blocks.shape[2]
+        return self.after(blocks[list(indices)].reshape(-1, columns))
+
+    def open_components(self, limits: Array | None) -> list[int]:
+        """Components whose standard deviation is above its limit; without limits, all."""
+        if limits is None or not np.isfinite(limits).any():
+            return list(range(len(self.weights)))
+        missed = np.sqrt(self.variances) > np.where(np.isfinite(limits), limits, np.inf)
+        return np.flatnonzero(missed).tolist()
+
+    def best_candidate(self, blocks: Array, limits: Array | None = None) -> int:
+        """The candidate of (C, k, n) that lowers the components' variances most.
+
+        limits  (K,) wanted standard deviations, NaN where none is; see `_scores`
+        """
+        return int(np.argmin(_scores(self.variances_after(blocks), limits)))
+
+    def best_remaining(
+        self,
+        blocks: Array,
+        count: int,
+        limits: Array | None = None,
+    ) -> list[int]:
+        """`count` candidates, planned together by exchange, the best by itself first.
+
+        Each sweep replaces every reading by the best candidate given all others, and sweeps
+        stop where nothing changes.
+        """
+        chosen: list[int] = []
+        known = self
+        for _ in range(count):
+            chosen.append(known.best_candidate(blocks, limits))
+            known = known.after(blocks[chosen[-1]])
+        for _ in range(SWEEPS):
+            before = list(chosen)
+            for place in range(count):
+                _exchange(self, blocks, chosen, place, limits)
+            if chosen == before:
+                break
+        return _best_first(self, blocks, chosen, limits)
+
+    def fewest_remaining(
+        self,
+        blocks: Array,
+        most: int,
+        limits: Array,
+    ) -> tuple[list[int], int] | None:
+        """A plan for the fewest readings that reach all limits, and their number n.
+
+        Single best ones until the limits are reached; then one after the other is left out,
+        and exchanges make up for it. The plan is the first that fails, of n - 1 readings:
+        the one that lacks least. What the next readings show may make it suffice, so that a
+        session which follows it ends sooner than with n readings that just reach. None where
+        `most` candidates do not reach the limits; an empty plan where they are reached.
+        """
+        chosen: list[int] = []
+        known = self
+        while known.open_components(limits) and len(chosen) < most:
+            chosen.append(known.best_candidate(blocks, limits))
+            known = known.after(blocks[chosen[-1]])
+        if not _exchange_until_reached(self, blocks, chosen, limits):
+            return None
+        fewer = chosen
+        while len(chosen) > 1:
+            fewer = _without_least(self, blocks, chosen, limits)
+            if not _exchange_until_reached(self, blocks, fewer, limits):
+                break
+            chosen = fewer
+        plan = _best_first(self, blocks, fewer, limits) if fewer else []
+        return plan, len(chosen)
+
+
+def _scores(variances: Array, limits: Array | None) -> Array:
+    """Score (C,) of variances (C, K), the smaller the better: the sum of their logs.
+
+    With limits, what a component lacks counts, and all logs a little: once all limits
+    are reached, everything is improved.
+    """
+    logs = np.log(np.maximum(variances, np.finfo(float).tiny))
+    total = logs.sum(axis=1)
+    if limits is None or not np.isfinite(limits).any():
+        return np.asarray(total)
+    wanted = np.isfinite(limits)
+    lack = np.maximum(logs[:, wanted] - 2.0 * np.log(limits[wanted]), 0.0)
+    return np.asarray(lack.sum(axis=1) + BEYOND * total)
+
+
+def _exchange(
+    belief: Belief, blocks: Array, chosen: list[int], place: int, limits: Array | None
+) -> Belief:
+    """Replace a chosen candidate by the best one given all others; what is then known."""
+    others = [*chosen[:place], *chosen[place + 1 :]]
+    known = belief.after_all(blocks, others)
+    chosen[place] = known.best_candidate(blocks, limits)
+    return known.after(blocks[chosen[place]])
+
+
+def _exchange_until_reached(
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array
+) -> bool:
+    """Exchange until all limits are reached; False where the sweeps do not suffice."""
+    known = belief.after_all(blocks, chosen)
+    for _ in range(SWEEPS):
+        for place in range(len(chosen)):
+            if not known.open_components(limits):
+                return True
+            known = _exchange(belief, blocks, chosen, place, limits)
+    return not known.open_components(limits)
+
+
+def _without_least(
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array
+) -> list[int]:
+    """The chosen candidates without the one that is missed least."""
+    rests = [[*chosen[:k], *chosen[k + 1 :]] for k in range(len(chosen))]
+    variances = [belief.after_all(blocks, rest).variances for rest in rests]
+    return rests[int(np.argmin(_scores(np.array(variances), limits)))]
+
+
+def _best_first(
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array | None
+) -> list[int]:
+    first = belief.best_candidate(blocks[chosen], limits)
+    return [chosen[first], *chosen[:first], *chosen[first + 1 :]]

@@ -1,0 +1,705 @@
+"""The order in which poses are read: a short open path without forbidden moves.
+
+Poses, or runs that stay together (a circle), are visited once each. Lengths may differ
+there and back; inf forbids a move. A run that may be taken in both directions is two
+states, of which one is visited.
+
+The shortest path over few runs comes from dynamic programming over subsets (Held and
+Karp 1962, J. SIAM 10, 196-210). Others are searched. The search starts from nearest
+neighbours. It takes the best reversal of a stretch (2-opt; Croes 1958, Oper. Res. 6,
+791-812) or shift of up to three neighbours (Or-opt; Or 1976), until none helps. It does
+so again after random double bridges (Martin, Otto and Felten 1991, Complex Syst. 5,
+299-326), half of them turned, that leave the path not much longer. Prefix sums in both
+directions give the lengths of reversals, so lengths need not be symmetric.
+
+Readings of a thermal reference between the readings of a path.
+
+Of all places that respect the longest time between two reference readings, those with
+the least travel are taken, by dynamic programming along the path (Prins 2004, Comput.
+Oper. Res. 31, 1985-2002, section 3).
+
+Times of moves between poses, and of changes from one set-up to another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.distance import cdist
+
+from oed.base import Array, Index, Mask
+from oed.measurement import Measurement, Series
+from oed.model.instrument import Setup
+
+#: relative tolerance of the longest time
+TOLERANCE = 1e-12
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Schedule:
+    """Readings in time.
+
+    pose     (m,) pose of each reading, -1 at the thermal reference
+    begins   (m,) when each reading begins, s
+    seconds  until the last reading ends
+    """
+
+    pose: Index
+    begins: Array
+    seconds: float
+
+    @property
+    def reference(self) -> Mask:
+        """Which readings (m,) are of the thermal reference."""
+        return self.pose < 0
+
+
+def interleave(
+    path: Route,
+    reading: ArrayLike,
+    every: float,
+    to_reference: Array,
+    from_reference: Array,
+    reference_reading: float,
+    begin: float = 0.0,
+) -> Schedule:
+    """The path with reference readings first, last, and at most `every` seconds apart.
+
+    The time counts from the end of one reference reading to the begin of the next.
+
+    path               whose lengths are seconds; runs are not broken up
+    reading            (n,) seconds a reading by pose number, or one number
+    to_reference       (n,) seconds from each pose to the reference pose
+    from_reference     (n,) seconds from the reference pose
+    reference_reading  seconds of a reference reading
+    begin              when the machine stands at the reference
+
+    Raises ValueError where a run alone takes longer than `every`.
+    """
+    by_pose = np.broadcast_to(np.asarray(reading, dtype=float), path.indices.shape)
+    timed = _TimedPath(
+        path,
+        by_pose[path.indices],
+        from_reference[path.indices],
+        to_reference[path.indices],
+        reference_reading,
+    )
+    return timed.schedule(timed.stretches(every), begin)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _TimedPath:
+    """A path with the seconds of each place.
+
+    reading  (n,) of the readings
+    out      (n,) from the reference
+    back     (n,) to the reference
+    """
+
+    path: Route
+    reading: Array
+    out: Array
+    back: Array
+    reference_reading: float
+
+    @functools.cached_property
+    def ends(self) -> Array:
+        """When each reading ends (n,), from the begin of the first move of the path."""
+        return np.cumsum(self.path.steps + self.reading)
+
+    def stretches(self, every: float) -> list[tuple[int, int]]:
+        """Places (first, last + 1) between two reference readings, of least travel."""
+        edges = self._run_edges()
+        longest = every * (1.0 + TOLERANCE)
+        least = np.full(len(edges), np.inf)
+        least[0] = 0.0
+        origin = np.zeros(len(edges), dtype=np.intp)
+        for b in range(1, len(edges)):
+            for a in range(b - 1, -1, -1):
+                seconds = self._seconds_away(edges[a], edges[b])
+                if seconds > longest:
+                    if a == b - 1:
+                        self._raise_too_long(edges[a], seconds, every)
+                    continue
+                total = least[a] + seconds + self.reference_reading
+                if total < least[b]:
+                    least[b], origin[b] = total, a
+        stretches = []
+        b = len(edges) - 1
+        while b > 0:
+            stretches.append((int(edges[origin[b]]), int(edges[b])))
+            b = int(origin[b])
+        return stretches[::-1]
+
+    def _run_edges(self) -> Index:
+        """First place of each run, and the number of places."""
+        run, count = self.path.run, len(self.reading)
+        if not count:
+            return np.zeros(1, np.intp)
+        starts = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
+        return np.append(starts, count)
+
+    def _seconds_away(self, first: int, end: int) -> float:
+        """Seconds between reference readings around the places first to end - 1."""
+        until_first = self.out[first] + self.reading[first]
+        until_last = until_first + self.ends[end - 1] - self.ends[first]
+        return float(until_last + self.back[end - 1])
+
+    def _raise_too_long(self, first: int, seconds: float, every: float) -> None:
+        raise ValueError(
+            f"the run of pose {self.path.indices[first]} takes {seconds:.6g} s with the"
+            f" way from and to the reference, longer than {every:.6g} s: read the"
+            " reference less often, or break the run up"
+        )
+
+    def schedule(self, stretches: list[tuple[int, int]], begin: float) -> Schedule:
+        """All readings in time."""
+        pose, begins = [-1], [begin]
+        clock = begin + self.reference_reading
+        for first, end in stretches:
+            for place in range(first, end):
+                move = self.out if place == first else self.path.steps
+                clock += float(move[place])
+                pose.append(int(self.path.indices[place]))
+                begins.append(clock)
+                clock += float(self.reading[place])
+            clock += float(self.back[end - 1])
+            pose.append(-1)
+            begins.append(clock)
+            clock += self.reference_reading
+        return Schedule(np.array(pose, dtype=np.intp), np.array(begins), clock)
+
+
+#: settings that tell where an instrument stands
+PLACE_SETTINGS = ("at_x", "at_y", "at_z")
+
+
+def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
+    """Seconds (n, m) from `before` (n, k) to `after` (m, k), joints or commands, SI.
+
+    The time is the largest move over its speed (k,), or over one speed for all. Joints
+    that move together at full speed take that; a straight move in the command takes
+    longer.
+    """
+    speed = np.broadcast_to(np.asarray(speeds, dtype=float), before.shape[1:])
+    if not (speed > 0.0).all():
+        raise ValueError("speeds must be positive")
+    return np.asarray(cdist(before / speed, after / speed, "chebyshev"))
+
+
+def travel_between(
+    measurement: Measurement, series: Series, speeds: ArrayLike
+) -> Array:
+    """Seconds (n, n) between the poses of the n readings of a series, by their joints.
+
+    speeds (nq,), or one for all.
+    """
+    joints = series.q[series.index[:, 0]]
+    return travel_times(joints, joints, speeds)
+
+
+def travel_from_home(
+    measurement: Measurement, series: Series, speeds: ArrayLike
+) -> Array:
+    """Seconds (n,) from home to the poses of a series; home has the reference tool."""
+    _, q = measurement.kinematics.sent(measurement.machine.home_command)
+    times = travel_times(q, series.q[series.index[:, 0]], speeds)
+    return np.asarray(times[0])
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ChangeTimes:
+    """Seconds to change parts of a set-up; another instrument is mounted anew.
+
+    tool      to change the tool
+    place     to move the cup, or the place or teach pose of the instrument
+    settings  to change other settings, such as the bar's length
+    """
+
+    tool: float
+    place: float
+    settings: float
+
+
+def remounting(setups: Sequence[Setup], changes: ChangeTimes) -> tuple[Array, Array]:
+    """Seconds (S, S) to change from one set-up to another, and (S,) to mount each first."""
+    first = np.array([s.instrument.cost.setup for s in setups], dtype=float)
+    costs = np.zeros((len(setups), len(setups)))
+    for i, before in enumerate(setups):
+        for j, after in enumerate(setups):
+            costs[i, j] = changes.tool * (before.tool != after.tool)
+            if before.instrument.name != after.instrument.name:
+                costs[i, j] += first[j]
+            else:
+                costs[i, j] += _change_time(before, after, changes)
+    return costs, first
+
+
+def _change_time(before: Setup, after: Setup, changes: ChangeTimes) -> float:
+    """Seconds to change place and settings of one instrument."""
+    changed = {
+        name
+        for name, value in after.settings.items()
+        if before.settings.get(name) != value
+    }
+    moved = changed.intersection(PLACE_SETTINGS)
+    place_changes = bool(moved) or before.teach != after.teach
+    seconds = changes.place * place_changes
+    return seconds + changes.settings * bool(changed - moved)
+
+
+#: number of random changes of a path, at most
+MAX_KICKS = 200
+#: the same times the number of readings: a minute of work
+MAX_MOVES = 20_000
+#: run of thermal reference readings
+REFERENCE_RUN = "reference"
+#: most runs that are ordered exactly: 2^12 subsets
+EXACT = 12
+#: neighbouring runs that are shifted together, at the most
+SHIFTED = 3
+#: share of the largest length below which a gain counts as none
+GAIN = 1e-9
+#: a path longer by this share is still a start for the next change
+WORSE = 0.01
+#: change of length, and the path after it
+PathChange = tuple[float, Callable[[], Index]]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Route:
+    """Poses in the order of reading.
+
+    indices  (n,) poses
+    run      (n,) number of the run that each pose belongs to
+    steps    (n,) length of the move to each pose, the first from the start (0 without)
+    length   of the whole path
+    exact    whether no path is shorter
+    """
+
+    indices: Index
+    run: Index
+    steps: Array
+    length: float
+    exact: bool
+
+
+def order_poses(
+    distance: Array,
+    rng: np.random.Generator,
+    start: Array | None = None,
+    runs: Sequence[Sequence[int]] | None = None,
+    reversible: bool = False,
+    kicks: int = 200,
+) -> Route:
+    """A short path through all poses.
+
+    distance    (n, n) length of each move, inf where forbidden
+    start       (n,) length from where the machine stands to each pose
+    runs        poses of each run in its own direction, every pose once
+    reversible  whether runs may be taken backwards instead; passes of a protocol in
+                both directions are runs of their own (`Series.passes`)
+    kicks       random changes where the path is not exact
+
+    The path is never longer than that of nearest neighbours. Raises ValueError where no
+    path without a forbidden move is found.
+    """
+    n = len(distance)
+    members = [[i] for i in range(n)] if runs is None else [list(run) for run in runs]
+    _check(distance, start, members)
+    if n == 0:
+        nothing = np.zeros(0, np.intp)
+        return Route(nothing, nothing, np.zeros(0), 0.0, True)
+    lengths = np.asarray(distance, dtype=float)
+    states = RunStates.of(lengths, start, members, reversible)
+    exact = len(members) <= EXACT
+    tour = shortest_path(states) if exact else search_path(states, rng, kicks)
+    length = states.length(tour)
+    if not np.isfinite(length):
+        problem = "there is no path" if exact else "no path was found"
+        raise ValueError(
+            f"{problem} through all {len(members)} runs or poses without a forbidden"
+            " move: leave out poses that cannot be reached"
+        )
+    indices = np.concatenate([states.members[s] for s in tour])
+    first_step = 0.0 if start is None else float(start[indices[0]])
+    steps = np.append(first_step, distance[indices[:-1], indices[1:]])
+    run_lengths = [len(states.members[s]) for s in tour]
+    run = np.repeat(states.run[tour], run_lengths)
+    return Route(indices, run, steps, length, exact)
+
+
+def order_setups(
+    costs: Array, rng: np.random.Generator, first: Array | None = None
+) -> Route:
+    """The order of set-ups with the least time to re-mount.
+
+    costs (S, S) of changing from one to another, first (S,) of mounting each on the
+    bare machine (`oed.poses.order.remounting`); inf where it is impossible.
+    """
+    return order_poses(costs, rng, start=first)
+
+
+def _check(
+    distance: Array,
+    start: Array | None,
+    members: list[list[int]],
+) -> None:
+    n = len(distance)
+    if np.shape(distance) != (n, n):
+        raise ValueError(f"distances must be square, not of shape {np.shape(distance)}")
+    if start is not None and np.shape(start) != (n,):
+        raise ValueError(
+            f"start must give one length for each of {n} poses, not be of shape"
+            f" {np.shape(start)}"
+        )
+    off_diagonal = distance[~np.eye(n, dtype=bool)]
+    first = np.zeros(0) if start is None else start
+    for lengths in (off_diagonal, first):
+        if np.isnan(lengths).any() or (lengths < 0.0).any():
+            raise ValueError(
+                "lengths must be numbers, not negative; inf forbids a move"
+            )
+    poses = sorted(pose for run in members for pose in run)
+    if poses != list(range(n)) or not all(members):
+        raise ValueError(
+            f"runs must hold each of the poses 0 to {n - 1} once, and none may be empty"
+        )
+
+
+# -- the shortest path -----------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RunStates:
+    """Runs in their directions; state 0 is where the machine starts and ends.
+
+    cost     (S, S) from leaving one state to having passed the next
+    flip     (S,) the same run in the other direction, or itself
+    run      (S,) number of the run
+    members  (S) poses of each state
+    """
+
+    cost: Array
+    flip: Index
+    run: Index
+    members: list[Index]
+
+    @classmethod
+    def of(
+        cls,
+        distance: Array,
+        start: Array | None,
+        runs: list[list[int]],
+        reversible: bool,
+    ) -> RunStates:
+        """States of runs of poses; arguments as for `order.order_poses`."""
+        members, numbers, flip = [np.zeros(0, np.intp)], [-1], [0]
+        for number, run in enumerate(runs):
+            forwards = len(members)
+            if reversible and len(run) > 1:
+                directions, flipped = [run, run[::-1]], [forwards + 1, forwards]
+            else:
+                directions, flipped = [run], [forwards]
+            flip += flipped
+            members += [np.array(poses, dtype=np.intp) for poses in directions]
+            numbers += [number] * len(directions)
+        cost = _state_costs(distance, start, members)
+        return cls(cost, np.array(flip), np.array(numbers), members)
+
+    def length(self, tour: Index) -> float:
+        """Length of a path of states, given without state 0."""
+        closed = np.concatenate([[0], tour, [0]])
+        return float(self.cost[closed[:-1], closed[1:]].sum())
+
+
+def _state_costs(distance: Array, start: Array | None, members: list[Index]) -> Array:
+    states = members[1:]
+    entry = np.array([poses[0] for poses in states])
+    leave = np.array([poses[-1] for poses in states])
+    inner = np.array([distance[poses[:-1], poses[1:]].sum() for poses in states])
+    cost = np.zeros((len(members), len(members)))
+    cost[0, 1:] = (0.0 if start is None else start[entry]) + inner
+    cost[1:, 1:] = distance[np.ix_(leave, entry)] + inner
+    return cost
+
+
+def shortest_path(states: RunStates) -> Index:
+    """The shortest path, one state of each run."""
+    cost, bit = states.cost[1:, 1:], 1 << states.run[1:]
+    full = (1 << (states.run[-1] + 1)) - 1
+    best = np.full((full + 1, len(cost)), np.inf)
+    before = np.full((full + 1, len(cost)), -1)
+    best[bit, np.arange(len(cost))] = states.cost[0, 1:]
+    for subset in range(1, full):
+        free = np.flatnonzero((subset & bit) == 0)
+        lengths = best[subset][:, None] + cost[:, free]
+        last = lengths.argmin(axis=0)
+        best[subset | bit[free], free] = lengths[last, np.arange(free.size)]
+        before[subset | bit[free], free] = last
+    total = best[full] + states.cost[1:, 0]
+    if not np.isfinite(total.min()):
+        # no path is allowed: any one shows it, by its length
+        return 1 + np.unique(states.run[1:], return_index=True)[1]
+    state, subset, tour = int(total.argmin()), full, []
+    while state >= 0:
+        tour.append(state + 1)
+        state, subset = int(before[subset, state]), int(subset ^ bit[state])
+    return np.array(tour[::-1], dtype=np.intp)
+
+
+def search_path(states: RunStates, rng: np.random.Generator, kicks: int) -> Index:
+    """Nearest neighbours, improved, then changed at random and improved again."""
+    finite = states.cost[np.isfinite(states.cost)]
+    largest = float(finite.max(initial=0.0))
+    count = int(states.run[-1]) + 1
+    # one forbidden move costs more than any path without
+    penalty = (count + 1) * largest + 1.0
+    cost = np.where(np.isfinite(states.cost), states.cost, penalty)
+    priced = dataclasses.replace(states, cost=cost)
+    tolerance = GAIN * max(largest, 1e-300)
+    current = best = _improve(_nearest_neighbours(priced), priced, tolerance)
+    for _ in range(kicks):
+        changed = _improve(_double_bridge(current, states, rng), priced, tolerance)
+        if priced.length(changed) < priced.length(current) * (1.0 + WORSE):
+            current = changed
+        if priced.length(current) < priced.length(best) - tolerance:
+            best = current
+    return best
+
+
+def _double_bridge(tour: Index, states: RunStates, rng: np.random.Generator) -> Index:
+    """The path with two neighbouring parts exchanged, the first one perhaps turned."""
+    cuts = rng.choice(np.arange(len(tour) + 1), 3, replace=False)
+    a, b, c = np.sort(cuts)
+    part = tour[a:b]
+    if rng.random() >= 0.5:
+        part = states.flip[part][::-1]
+    return np.concatenate([tour[:a], tour[b:c], part, tour[c:]])
+
+
+def _nearest_neighbours(states: RunStates) -> Index:
+    """The shortest path that always goes to the nearest state, over all first states."""
+    firsts = range(1, len(states.run))
+    tours = [_nearest_neighbours_from(states, first) for first in firsts]
+    return min(tours, key=states.length)
+
+
+def _nearest_neighbours_from(states: RunStates, first: int) -> Index:
+    tour = [first]
+    remaining = states.run != states.run[first]
+    remaining[0] = False
+    while remaining.any():
+        costs = np.where(remaining, states.cost[tour[-1]], np.inf)
+        tour.append(int(costs.argmin()))
+        remaining &= states.run != states.run[tour[-1]]
+    return np.array(tour, dtype=np.intp)
+
+
+def _improve(tour: Index, states: RunStates, tolerance: float) -> Index:
+    """The best reversal or shift, until none helps."""
+    while True:
+        closed = np.concatenate([[0], tour, [0]])
+        changes = [_best_reversal(closed, states)]
+        for size in range(1, min(SHIFTED, len(tour) - 1) + 1):
+            changes.append(_best_shift(closed, states, size))
+        delta, changed = min(changes, key=lambda change: change[0])
+        if delta > -tolerance:
+            return tour
+        tour = changed()
+
+
+def _prefix_lengths(closed: Index, states: RunStates) -> tuple[Array, Array]:
+    """Length up to each place (n + 2,) of the closed path, forwards and backwards.
+
+    Backwards every run is flipped.
+    """
+    flipped = states.flip[closed]
+    forwards = np.cumsum(states.cost[closed[:-1], closed[1:]])
+    backwards = np.cumsum(states.cost[flipped[1:], flipped[:-1]])
+    return np.append(0.0, forwards), np.append(0.0, backwards)
+
+
+def _best_reversal(closed: Index, states: RunStates) -> PathChange:
+    """The best reversal of the places i to j."""
+    cost, flipped = states.cost, states.flip[closed]
+    forwards, backwards = _prefix_lengths(closed, states)
+    into = cost[np.ix_(closed[:-2], flipped[1:-1])]
+    out = cost[np.ix_(flipped[1:-1], closed[2:])]
+    inside = backwards[None, 1:-1] - backwards[1:-1, None]
+    removed = forwards[None, 2:] - forwards[:-2, None]
+    delta = into + out + inside - removed
+    delta[np.tril_indices(len(delta), -1)] = np.inf
+    i, j = np.unravel_index(int(delta.argmin()), delta.shape)
+    tour = closed[1:-1]
+
+    def reverse() -> Index:
+        turned = states.flip[tour[i : j + 1]][::-1]
+        return np.concatenate([tour[:i], turned, tour[j + 1 :]])
+
+    return float(delta[i, j]), reverse
+
+
+def _best_shift(closed: Index, states: RunStates, size: int) -> PathChange:
+    """The best shift of `size` neighbours to another place, in either direction."""
+    cost, flipped = states.cost, states.flip[closed]
+    forwards, backwards = _prefix_lengths(closed, states)
+    i = np.arange(1, len(closed) - size)  # first place of the neighbours
+    j = i + size - 1  # their last place
+    k = np.arange(len(closed) - 1)  # they go between the places k and k + 1
+    step = cost[closed[:-1], closed[1:]]
+    removed = cost[closed[i - 1], closed[j + 1]] - step[i - 1] - step[j]
+    turned = (backwards[j] - backwards[i]) - (forwards[j] - forwards[i])
+    into_first = cost[np.ix_(closed[k], closed[i])].T
+    same_direction = into_first + cost[np.ix_(closed[j], closed[k + 1])]
+    into_last = cost[np.ix_(closed[k], flipped[j])].T
+    out_of_first = cost[np.ix_(flipped[i], closed[k + 1])]
+    other_direction = into_last + out_of_first + turned[:, None]
+    delta = np.minimum(same_direction, other_direction)
+    delta = delta + removed[:, None] - step[None, :]
+    overlaps = (k[None, :] >= i[:, None] - 1) & (k[None, :] <= j[:, None])
+    delta[overlaps] = np.inf
+    a, b = np.unravel_index(int(delta.argmin()), delta.shape)
+
+    def shift() -> Index:
+        part = closed[i[a] : j[a] + 1]
+        if same_direction[a, b] > other_direction[a, b]:
+            part = states.flip[part][::-1]
+        others = np.delete(closed, np.s_[i[a] : j[a] + 1])
+        place = k[b] + 1 if k[b] < i[a] else k[b] + 1 - size
+        return np.insert(others, place, part)[1:-1]
+
+    return float(delta[a, b]), shift
+
+
+# -- readings of a plan ----------------------------------------------------------------
+
+
+def order_mounting(
+    setups: Sequence[Setup], changes: ChangeTimes, rng: np.random.Generator
+) -> tuple[list[str], float]:
+    """Names of set-ups in the order of least re-mounting, and the time for that, s."""
+    costs, first = remounting(setups, changes)
+    route = order_setups(costs, rng, first)
+    return [setups[k].name for k in route.indices], route.length
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReadingOrder:
+    """Readings of one set-up in an order of short joint travel.
+
+    series      as given
+    path        through its readings, s
+    speeds      of the joints, SI
+    from_home   whether the machine begins at home
+    as_given    joint travel in the given order, s
+    """
+
+    measurement: Measurement
+    series: Series
+    path: Route
+    speeds: Sequence[float]
+    from_home: bool
+    as_given: float
+
+    @property
+    def ordered(self) -> Series:
+        """The readings in order."""
+        return self.series.take(self.path.indices)
+
+    @property
+    def reading(self) -> float:
+        """Time of one reading, s."""
+        return self.measurement.reading_seconds(self.series.setup)
+
+    @property
+    def seconds(self) -> float:
+        """Time until the last reading ends, s."""
+        return self.path.length + self.reading * len(self.series)
+
+    def add_references(
+        self, command: Array | None, every: float
+    ) -> tuple[Series, float]:
+        """The readings with those of a thermal reference in between; the time, s.
+
+        command  (n_dof,) of the reference, SI; None: that of the first reading
+        every    longest time between two reference readings, s
+
+        Raises ValueError where a run alone takes longer.
+        """
+        commands, setup = self.series.reading_commands(), self.series.setup
+        if command is None:
+            command = np.asarray(commands[self.path.indices[0]])
+        reference = self.measurement.series(setup, command[None])
+        joints = self.series.q[self.series.index[:, 0]]
+        travel = travel_times(reference.q[:1], joints, self.speeds)[0]
+        begin = 0.0
+        if self.from_home:
+            begin = float(travel_from_home(self.measurement, reference, self.speeds)[0])
+        timed = interleave(
+            self.path, self.reading, every, travel, travel, self.reading, begin
+        )
+        planned = [command if k < 0 else commands[k] for k in timed.pose]
+        runs = [REFERENCE_RUN if k < 0 else str(self.series.run[k]) for k in timed.pose]
+        return self.measurement.series(setup, np.array(planned), runs), timed.seconds
+
+
+def order_readings(
+    measurement: Measurement,
+    series: Series,
+    speeds: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    from_home: bool,
+    keeps_runs: bool,
+) -> ReadingOrder:
+    """The readings of one set-up by short joint travel; those of a run stay together.
+
+    speeds      of the joints, SI
+    keeps_runs  whether runs keep their own order and direction
+    """
+    distance = travel_between(measurement, series, speeds)
+    start = travel_from_home(measurement, series, speeds) if from_home else None
+    path = order_poses(
+        distance,
+        rng,
+        start,
+        runs=_runs(series, distance, keeps_runs, rng),
+        reversible=not keeps_runs,
+        kicks=_kicks(len(series)),
+    )
+    as_given = float(
+        distance[np.arange(len(series) - 1), np.arange(1, len(series))].sum()
+    )
+    as_given += 0.0 if start is None else float(start[0])
+    return ReadingOrder(measurement, series, path, speeds, from_home, as_given)
+
+
+def _kicks(count: int) -> int:
+    """Random changes of a path, fewer the longer each takes."""
+    return min(MAX_KICKS, MAX_MOVES // count)
+
+
+def _runs(
+    series: Series, distance: Array, keeps_runs: bool, rng: np.random.Generator
+) -> list[list[int]] | None:
+    """Readings that stay together, each run ordered unless it keeps its order.
+
+    None where each reading is visited by itself.
+    """
+    labels = list(dict.fromkeys(series.run))
+    if len(labels) == 1 and not keeps_runs:
+        return None
+    runs = []
+    for label in labels:
+        members = np.flatnonzero(series.run == label)
+        if not keeps_runs:
+            within = distance[np.ix_(members, members)]
+            path = order_poses(within, rng, kicks=_kicks(len(members)))
+            members = members[path.indices]
+        runs.append([int(k) for k in members])
+    return runs

@@ -1,0 +1,275 @@
+"""The planner on small catalogues of linear readings, against every plan there is."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from kernel import plan_catalogues as catalogues
+from kernel.plan_catalogues import linear_option, searched, stage_after
+from oed.planning import Goal, Option, StagePlan
+from oed.planning.bound import bound_goal
+from oed.planning.knowledge import Prior
+from oed.planning.stage_plan import best_plan, is_better
+
+THREE = Goal(("a", "b", "c"), np.eye(3)[:, None, :], np.ones(3), has_targets=False)
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [*range(4), *(pytest.param(k, marks=pytest.mark.slow) for k in range(4, 12))],
+)
+@pytest.mark.parametrize("minutes", [12.0, 40.0])
+def test_no_plan_beats_the_bound_and_the_planner_finds_nearly_the_best(
+    seed: int, minutes: float
+) -> None:
+    """All sets of readings of at most two of three options.
+
+    One budget binds, the other one hardly does.
+    """
+    equal_times = seed % 2 == 0
+    options, goal = catalogues.catalogue(
+        np.random.default_rng(seed), equal_times=equal_times
+    )
+    value, time = catalogues.every_plan(options, goal, 2)
+    within = (time > 0.0) & (time <= 60.0 * minutes)
+    assert within.any()
+    best = float(value[within].min())
+    result = searched(options, goal, 60.0 * minutes, stages=2)
+    assert result.bound.value <= best * (1 + 1e-9)
+    assert result.most_accurate.value >= best * (1 - 1e-9)
+    # readings of unequal length are chosen for their information, not for their time
+    assert result.most_accurate.value <= (1.03 if equal_times else 1.4) * best
+    assert result.most_accurate.seconds <= 60.0 * minutes * (1 + 1e-9)
+
+
+def test_the_bound_is_the_relaxation_of_the_only_combination() -> None:
+    """One option without travel: the bound is its plan of all readings."""
+    options, goal = catalogues.catalogue(np.random.default_rng(3), options=1)
+    value, _ = catalogues.every_plan(options, goal, 1)
+    best = float(value.min())
+    rng = np.random.default_rng(19)
+    bound = bound_goal(options, goal, np.eye(3), 1e6, 1, best, rng, loss=1e-4)
+    assert bound.value <= best * (1 + 1e-9)
+    # at most four of the five readings are taken
+    assert bound.value == pytest.approx(best, rel=0.1)
+
+
+def test_stages_without_travel_add_up_in_any_order(rng: np.random.Generator) -> None:
+    """Covariance after two stages, by the joint inverse over machine and set-ups."""
+    (first, second), _ = catalogues.catalogue(rng, options=2)
+    chosen = np.array([0, 2, 3])
+    covariances = []
+    for order in ((first, second), (second, first)):
+        covariance = np.eye(3)
+        for option in order:
+            stage = stage_after(option, chosen, covariance, rng, exact=False)
+            covariance = stage.covariance
+        covariances.append(covariance)
+    assert covariances[0] == pytest.approx(covariances[1], rel=1e-9)
+    joint = np.eye(5)
+    for k, option in enumerate((first, second)):
+        rows = option.candidates.blocks[chosen, 0]
+        joint_rows = np.zeros((3, 5))
+        joint_rows[:, :3], joint_rows[:, 3 + k] = rows[:, :3], rows[:, 3]
+        joint += joint_rows.T @ joint_rows
+    expected = np.linalg.inv(joint)[:3, :3]
+    assert covariances[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_readings_out_of_travel_are_lost_as_monte_carlo_loses_them() -> None:
+    rng = np.random.default_rng(5)
+    rows = rng.standard_normal((6, 4))
+    option = linear_option(
+        "o", rows, 3, counts=(3,), mounting=1.0, seconds=np.ones(6), travel=1.2
+    )
+    covariance = np.diag([1.0, 0.3, 0.1])
+    probability = catalogues.capture(option, covariance)
+    sd = np.sqrt(np.array([1.0, 0.3, 0.1, 1.0]))
+    errors = rng.standard_normal((200_000, 4)) * sd
+    captured = np.abs(errors @ rows.T) <= 1.2
+    assert probability == pytest.approx(captured.mean(axis=0), abs=4e-3)
+    assert (catalogues.capture(option, np.zeros((3, 3))) >= probability - 1e-12).all()
+
+
+def simulate_two_stages(
+    first: np.ndarray,
+    second: np.ndarray,
+    limit: float,
+    rng: np.random.Generator,
+    machines: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Machines d ~ N(0, 1) through two stages of readings with travel `limit`.
+
+    Each stage has a parameter of its own, and noise of 1. Normal equations over machine
+    and set-up give the mean squares (2, 3, 3) of the errors after each stage, the mean
+    covariance (3, 3) at the end, and the shares (2,) of readings taken.
+    """
+    square, covariance = np.zeros((2, 3, 3)), np.zeros((3, 3))
+    taken = np.zeros(2)
+    for _ in range(machines):
+        d, mean, information = rng.standard_normal(3), np.zeros(3), np.eye(3)
+        for k, rows in enumerate((first, second)):
+            deviation = rows[:, :3] @ (d - mean) + rows[:, 3] * rng.standard_normal()
+            within = np.abs(deviation) <= limit
+            noise = rng.standard_normal(len(rows))
+            y, captured = (deviation + noise)[within], rows[within]
+            joint = np.eye(4)
+            joint[:3, :3] = information
+            posterior = np.linalg.inv(joint + captured.T @ captured)
+            mean = mean + (posterior @ captured.T @ y)[:3]
+            information = np.linalg.inv(posterior[:3, :3])
+            square[k] += np.outer(d - mean, d - mean) / machines
+            taken[k] += len(captured) / len(rows) / machines
+        covariance += posterior[:3, :3] / machines
+    return square, covariance, taken
+
+
+def test_machines_that_lose_readings_are_farther_off_than_their_covariance_says() -> (
+    None
+):
+    """Two stages against 6000 machines simulated one by one: losses and errors."""
+    rng = np.random.default_rng(6)
+    rows = [
+        np.column_stack([rng.standard_normal((6, 3)) * s, 0.3 * rng.standard_normal(6)])
+        for s in (6.0, 20.0)
+    ]
+    square, covariance, taken = simulate_two_stages(*rows, 8.0, rng, 6000)
+    prior: Prior = np.eye(3)
+    for k, r in enumerate(rows):
+        option = linear_option(
+            "o", r, 3, counts=(6,), mounting=1.0, seconds=np.ones(6), travel=8.0
+        )
+        stage_rng = np.random.default_rng(k)
+        stage = stage_after(option, np.arange(6), prior, stage_rng, draws=6000)
+        prior = stage.posterior
+        assert stage.probability.mean() == pytest.approx(taken[k], abs=0.02)
+        assert np.diag(stage.covariance) == pytest.approx(np.diag(square[k]), rel=0.12)
+    assert 0.3 < taken[0] < 0.9
+    assert np.trace(square[1]) > 1.25 * np.trace(covariance)
+
+
+def short_options(rows: list[np.ndarray], limit: float) -> list[Option]:
+    """Options of eight readings each, with a travel."""
+    return [
+        linear_option(
+            f"o{k}",
+            r,
+            3,
+            counts=(4, 8),
+            mounting=60.0,
+            seconds=np.full(8, 10.0),
+            travel=limit,
+        )
+        for k, r in enumerate(rows)
+    ]
+
+
+def test_a_machine_that_no_reading_captures_bounds_every_plan() -> None:
+    """A travel far below the machines' errors: plans stay above the bound."""
+    rng = np.random.default_rng(2)
+    rows = [
+        np.column_stack([50.0 * rng.standard_normal((8, 3)), rng.standard_normal(8)])
+        for _ in range(3)
+    ]
+    bounds = []
+    for limit in (10.0, math.inf):
+        result = searched(short_options(rows, limit), THREE, 1e4, stages=2)
+        assert result.bound.value <= result.most_accurate.value
+        bounds.append(result.bound.value)
+    assert bounds[0] > 10.0 * bounds[1]
+    # the share of drawn machines that no reading of two options captures, and how far
+    # off these are
+    machines = rng.standard_normal((20000, 3))
+    uncaptured = []
+    for r in rows:
+        of_setup = rng.standard_normal((20000, 1)) * r[:, 3]
+        deviation = np.abs(machines @ r[:, :3].T + of_setup)
+        uncaptured.append((deviation > 10.0).all(axis=1))
+    never = []
+    for a, b in itertools.combinations(uncaptured, 2):
+        errors = np.where((a & b)[:, None], machines, 0.0)
+        never.append(np.sqrt(np.mean(errors**2)))
+    assert 0.8 * min(never) < bounds[0] < 1.02 * min(never)
+
+
+def test_of_equally_good_orders_the_one_of_more_linear_readings_is_taken() -> None:
+    options, goal = catalogues.catalogue(np.random.default_rng(0), options=2)
+    plan = searched(options, goal, 1e4, stages=2).best
+    swapped = StagePlan(
+        plan.stages[::-1], plan.seconds, plan.value * 1.001, plan.accuracy
+    )
+    bent_stages = tuple(
+        dataclasses.replace(s, linearisation_rms=np.full(len(s.chosen), 0.5))
+        for s in plan.stages
+    )
+    bent = StagePlan(bent_stages, plan.seconds, plan.value, plan.accuracy)
+    assert (plan.nonlinearity, bent.nonlinearity) == (0.0, 0.5)
+    assert best_plan([bent, swapped]) is swapped
+    assert is_better(swapped, bent)
+    assert not is_better(bent, swapped)
+    assert is_better(bent, dataclasses.replace(swapped, value=1.1 * plan.value))
+
+
+def test_a_rough_stage_comes_first_only_where_travel_asks_for_it() -> None:
+    """A fine option of small travel, and a rough one of any.
+
+    Errors far beyond the travel want the rough one first.
+    """
+    rng = np.random.default_rng(1)
+    fine_rows = 300.0 * rng.standard_normal((12, 3))
+    rough_rows = 20.0 * rng.standard_normal((12, 3))
+
+    def option(name: str, rows: np.ndarray, limit: float) -> Option:
+        return linear_option(
+            name,
+            rows,
+            3,
+            counts=(4, 8),
+            mounting=600.0,
+            seconds=np.full(12, 10.0),
+            travel=limit,
+        )
+
+    def best_names(limit: float) -> tuple[str, ...]:
+        options = [
+            option("fine", fine_rows, limit),
+            option("rough", rough_rows, math.inf),
+        ]
+        return searched(options, THREE, 1500.0, stages=2).best.names
+
+    assert best_names(40.0)[0] == "rough"
+    assert "fine" in best_names(40.0)
+    assert best_names(1e6)[0] == "fine"
+
+
+def test_targets_are_reached_at_least_cost_or_reported_out_of_reach() -> None:
+    options, goal = catalogues.catalogue(np.random.default_rng(8), targets=True)
+    value, time = catalogues.every_plan(options, goal, 2)
+    within = (time > 0.0) & (time <= 3000.0)
+    least = float(value[within].min())
+    near = dataclasses.replace(goal, factors=goal.factors / (1.3 * least))
+    result = searched(options, near, 3000.0, stages=2)
+    assert result.reached
+    assert result.best.value <= 1.0
+    cheapest = float(time[within & (value / (1.3 * least) <= 1.0)].min())
+    assert cheapest - 1e-9 <= result.best.seconds <= 1.25 * cheapest
+    far = dataclasses.replace(goal, factors=goal.factors / (0.5 * least))
+    never = searched(options, far, 3000.0, stages=2)
+    assert not never.reached
+    assert never.bound.value > 1.0
+    with pytest.raises(ValueError, match="pays for no measurement"):
+        searched(options, goal, 10.0)
+    with pytest.raises(ValueError, match="no measurement is left to plan"):
+        searched([], goal, 3000.0)
+
+
+def test_same_seed_same_plan() -> None:
+    options, goal = catalogues.catalogue(np.random.default_rng(4))
+    first, again = (searched(options, goal, 2000.0, seed=3, stages=2) for _ in range(2))
+    assert first.best.names == again.best.names
+    assert first.best.value == again.best.value

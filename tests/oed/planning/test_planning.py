@@ -1,0 +1,397 @@
+"""Stages and the search over them, against simulations and closed forms.
+
+Simulated machines, closed forms, another solver, and all plans of small catalogues.
+"""
+
+import dataclasses
+import math
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from oracles import planar_geometry as oracle
+from shipped_models import planar_2dof, relative
+
+from kernel import plan_catalogues as catalogues
+from kernel.plan_catalogues import capture, searched, stage_after
+from oed import Component
+from oed.measurement import Measurement
+from oed.model import Channel, Coordinate, Cost, Instrument, Machine, Parameter, mount
+from oed.planning import Goal, Option, build_option, travel
+from oed.planning import prediction as stage_module
+from oed.planning.prediction import profiled_information
+
+machine = planar_2dof.machine
+
+TILT = 1e-3
+TOLERANCE = np.array([p.tolerance for p in machine.parameters])
+
+
+def line_option(
+    number: int, limit: float = math.inf, whole_runs: bool = False
+) -> Option:
+    """An RM of Chang et al. on the paper's lines; its ruler's direction is unknown."""
+    instrument = getattr(relative, f"rm{number}")
+    tolerances = {n.name: TILT for n in instrument.nuisances}
+    setup = mount(instrument, "rm", tolerances=tolerances)
+    pose, line = oracle.lines(number)
+    series = Measurement(machine, [setup]).series(
+        "rm", pose, run=[str(k) for k in line]
+    )
+    return build_option(
+        machine,
+        [setup],
+        [series],
+        name=f"rm{number}",
+        counts=(3, 30),
+        travel=limit,
+        whole_runs=whole_runs,
+    )
+
+
+def everything(option: Option) -> np.ndarray:
+    return np.arange(len(option.candidates))
+
+
+# -- a stage ---------------------------------------------------------------------------
+
+
+def simulate(
+    number: int,
+    channel: int,
+    sigma: float,
+    limit: float,
+    rng: np.random.Generator,
+    draws: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Linear readings of drawn planar machines by the oracle's rows.
+
+    Returns the estimates' errors (draws, 7) in tolerance units, their covariances
+    (draws, 7, 7), and which readings are within the travel (draws, N). Covariances are
+    joint inverses over machine and tilt, with all readings' correlated noise.
+    """
+    pose, line = oracle.lines(number)
+    values = oracle.rows(pose)
+    along = pose[:, 1 - channel]
+    h = np.column_stack(
+        [oracle.relative(values[:, channel], line), -oracle.relative(along, line)]
+    )
+    h *= np.append(TOLERANCE, TILT)
+    first = {k: int(np.flatnonzero(line == k)[0]) for k in np.unique(line)}
+    labels = np.array([k for i, k in enumerate(line) if i != first[k]])
+    noise = sigma**2 * (np.eye(len(labels)) + (labels[:, None] == labels[None]))
+    theta = rng.standard_normal((draws, 8))
+    exact = theta @ h.T
+    normals = rng.standard_normal((draws, len(labels)))
+    y = exact + normals @ np.linalg.cholesky(noise).T
+    within = np.abs(exact) <= limit
+    covariances, errors = np.zeros((draws, 7, 7)), np.zeros((draws, 7))
+    for k in range(draws):
+        rows = h[within[k]]
+        gain = np.linalg.solve(noise[np.ix_(within[k], within[k])], rows).T
+        covariance = np.linalg.inv(np.eye(8) + gain @ rows)
+        covariances[k] = covariance[:7, :7]
+        errors[k] = (theta[k] - covariance @ gain @ y[k, within[k]])[:7]
+    return errors, covariances, within
+
+
+def test_a_stage_leaves_the_errors_of_simulated_machines(
+    rng: np.random.Generator,
+) -> None:
+    """Estimates of 4000 machines scatter as predicted.
+
+    The tilt is profiled out, and a line's readings share noise.
+    """
+    option = line_option(4)
+    stage = stage_after(option, everything(option), np.eye(7), rng, exact=False)
+    errors, covariances, _ = simulate(4, 0, 3e-6, np.inf, rng, 4000)
+    assert stage.covariance == pytest.approx(covariances.mean(axis=0), abs=1e-8)
+    scatter = errors.T @ errors / len(errors)
+    values, vectors = np.linalg.eigh(stage.covariance)
+    ratio = np.diag(vectors.T @ scatter @ vectors) / values
+    assert ratio == pytest.approx(np.ones(7), abs=0.12)
+    assert stage.information == pytest.approx(
+        np.linalg.inv(stage.covariance) - np.eye(7), rel=1e-6, abs=1e-3
+    )
+
+
+def test_lost_readings_leave_the_mean_covariance_of_the_machines(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    option = line_option(4, limit=0.6e-3)
+    monkeypatch.setattr(stage_module, "FIRST_LOOK_DRAWS", 4000)
+    stage = stage_after(option, everything(option), np.eye(7), rng, exact=False)
+    errors, covariances, within = simulate(4, 0, 3e-6, 0.6e-3, rng, 4000)
+    assert 0.3 < within.mean() < 0.9
+    expected = covariances.mean(axis=0)
+    assert stage.covariance == pytest.approx(expected, abs=0.03)
+    assert np.diag(stage.covariance) == pytest.approx(np.diag(expected), rel=0.05)
+    # machines that lose readings have errors a little larger than their covariance
+    # says: they are far off
+    assert np.mean(errors**2, axis=0) == pytest.approx(np.diag(expected), rel=0.15)
+    # the tilts' difference, which readings of all machines determine to 1 %, is lost
+    # with the machines that give none
+    difference = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, -1.0])
+    unlimited = line_option(4)
+    full = stage_after(unlimited, everything(option), np.eye(7), rng, exact=False)
+    variance = difference @ full.covariance @ difference
+    assert difference @ stage.covariance @ difference > 100.0 * variance
+
+
+@pytest.mark.parametrize("whole_runs", [False, True])
+def test_capture_probabilities_are_shares_of_exact_machines(
+    rng: np.random.Generator, whole_runs: bool
+) -> None:
+    """The oracle's exact readings of 6000 machines and rulers, singly and by line."""
+    option = line_option(5, limit=1e-3, whole_runs=whole_runs)
+    pose, line = oracle.lines(5)
+    p = oracle.NOMINAL + TOLERANCE * rng.standard_normal((6000, 1, 7))
+    errors = oracle.forward(oracle.inverse(pose), p) - pose
+    deviation = np.array([oracle.relative(e[:, 0], line) for e in errors])
+    within = np.abs(deviation) <= 1e-3
+    if whole_runs:
+        within = within.reshape(len(within), 3, -1).all(axis=2)
+    assert 0.2 < within.mean() < 0.95
+    share = within.mean(axis=0)
+    tolerance = 0.05 if whole_runs else 0.025
+    assert capture(option, np.eye(7)) == pytest.approx(share, abs=tolerance)
+    bound = travel.capture_probability_bound(option, np.eye(7))
+    assert (bound >= share - 0.025).all()
+
+
+def test_the_capture_probability_of_a_mixture_is_the_mean() -> None:
+    option = line_option(4, limit=0.6e-3)
+    mixture = np.stack([np.eye(7), 0.01 * np.eye(7)])
+    each = [capture(option, covariance) for covariance in mixture]
+    mean = np.mean(each, axis=0)
+    assert capture(option, mixture) == pytest.approx(mean, abs=1e-12)
+    assert (each[0] < each[1] - 1e-3).all()
+
+
+def test_profiled_unknowns_are_those_of_the_joint_inverse(
+    rng: np.random.Generator,
+) -> None:
+    blocks, weights = rng.standard_normal((9, 2, 7)), rng.uniform(size=9)
+    prior = np.diag(rng.uniform(1.0, 5.0, 4))
+    joint = np.eye(7) + np.einsum("c,ckn,ckm->nm", weights, blocks, blocks)
+    joint[:4, :4] += prior - np.eye(4)
+    covariance = np.linalg.inv(prior + profiled_information(blocks, weights, 4))
+    assert covariance == pytest.approx(np.linalg.inv(joint)[:4, :4], rel=1e-9)
+
+
+def test_the_order_of_stages_without_travel_does_not_matter(
+    rng: np.random.Generator,
+) -> None:
+    one, two = line_option(4), line_option(5)
+    covariances = []
+    for order in ((one, two), (two, one)):
+        covariance = np.eye(7)
+        for option in order:
+            chosen = everything(option)[::2]
+            stage = stage_after(option, chosen, covariance, rng, exact=False)
+            covariance = stage.covariance
+        covariances.append(covariance)
+    assert covariances[0] == pytest.approx(covariances[1], rel=1e-7, abs=1e-12)
+
+
+#: 1/m
+BEND = 100.0
+BENT = Machine(
+    name="bent",
+    source="invented",
+    pose=(Coordinate("u", "m"), Coordinate("v", "m")),
+    joints=(Coordinate("q1", "m", -1.0, 1.0), Coordinate("q2", "m", -1.0, 1.0)),
+    command=(Coordinate("u", "m", -1.0, 1.0), Coordinate("v", "m", -1.0, 1.0)),
+    parameters=(Parameter("p", 0.0, 1e-3, "m"), Parameter("fixed", 0.0, 0.0, "m")),
+    components=(
+        Component("u", "m", compensatable=True),
+        Component("v", "m", compensatable=True),
+    ),
+    home={"u": 0.0, "v": 0.0},
+    lever=1.0,
+    closure=lambda x, q, p: [
+        x["u"] - q["q1"] - p["p"] - BEND * p["p"] ** 2,
+        x["v"] - q["q2"] - p["fixed"],
+    ],
+    platform=lambda x: (ca.SX.eye(3), ca.vertcat(x["u"], x["v"], 0.0)),
+    commanded=lambda x, tip: [tip[0], tip[1]],
+    target=lambda c: [c["u"], c["v"]],
+    guess=lambda c: ([c["u"], c["v"]], [c["u"], c["v"]]),
+    read_error=lambda c, twist: [twist[0], twist[1]],
+)
+RULE = Instrument(
+    name="rule",
+    source="invented",
+    channels=(Channel("u", "m", 2e-3),),
+    settings=(),
+    nuisances=(),
+    cost=Cost(1.0, 1.0),
+    observe=lambda frames, s, k: [frames[0].point[0]],
+)
+
+
+def parabola_option(count: int) -> Option:
+    """The parabola, read `count` times."""
+    setup = mount(RULE, "rule")
+    commands = np.linspace(-0.5, 0.5, 2 * count).reshape(count, 2)
+    series = Measurement(BENT, [setup]).series("rule", commands)
+    return build_option(BENT, [setup], [series], name="rule", counts=(count,))
+
+
+def test_the_linearisation_residual_of_a_parabola(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """y = p + k p^2 read N times: p has the variance v = 1 / (1/t^2 + N/s^2).
+
+    The residual k p^2 has the rms sqrt(3) k v. It is the same in all N readings and
+    scatters by sqrt(2) k v: no number of readings averages it out.
+    """
+    option = parabola_option(4)
+    monkeypatch.setattr(stage_module, "RESIDUAL_DRAWS", 20000)
+    stage = stage_after(option, everything(option), np.eye(1), rng, draws=40000)
+    variance = 1.0 / (1e6 + 4 / 4e-6)
+    rms = np.full(4, np.sqrt(3.0) * BEND * variance)
+    assert stage.linearisation_rms == pytest.approx(rms, rel=0.03)
+    expected = 1.0 / (1e6 + 1.0 / (4e-6 / 4 + 2.0 * (BEND * variance) ** 2))
+    assert stage.covariance[0, 0] == pytest.approx(expected / 1e-6, rel=1e-3)
+    assert stage.covariance[0, 0] > 1.002 * variance / 1e-6
+
+
+def test_machines_fitted_by_the_exact_model_are_no_worse_than_the_residual_says(
+    rng: np.random.Generator,
+) -> None:
+    """20000 parabolas fitted by the best of a fine grid of p.
+
+    They scatter between the slope alone and the prediction with the residual.
+    """
+    option = parabola_option(4)
+    stage = stage_after(option, everything(option), np.eye(1), rng)
+    p = 1e-3 * rng.standard_normal((20000, 1))
+    mean_of_four = p + BEND * p**2 + 1e-3 * rng.standard_normal(p.shape)
+    grid = np.linspace(-5e-3, 5e-3, 401)
+    residual = (mean_of_four - grid - BEND * grid**2) / 1e-3
+    cost = residual**2 + (grid / 1e-3) ** 2
+    estimate = grid[np.argmin(cost, axis=1)]
+    scatter = np.mean((estimate - p[:, 0]) ** 2) / 1e-6
+    assert 0.47 < scatter < 1.03 * stage.covariance[0, 0]
+
+
+# -- the search ------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SmallProblem:
+    """A catalogue with its goal and budget (s); values and times of all its plans."""
+
+    options: list[Option]
+    goal: Goal
+    budget: float
+    value: np.ndarray
+    time: np.ndarray
+
+
+def small_problem(
+    seed: int, equal_times: bool = True, target: float | None = None
+) -> SmallProblem:
+    """A catalogue; its target is `target` times the value of the best plan."""
+    rng = np.random.default_rng(seed)
+    options, goal = catalogues.catalogue(
+        rng, equal_times=equal_times, targets=target is not None
+    )
+    value, time = catalogues.every_plan(options, goal, 3)
+    budget = float(rng.uniform(900.0, 2500.0))
+    within = (time > 0.0) & (time <= budget * (1 + 1e-9))
+    if target is not None:
+        unit = value[within].min() * target
+        goal = dataclasses.replace(goal, factors=goal.factors / unit)
+        value = value / unit
+    return SmallProblem(options, goal, budget, value[within], time[within])
+
+
+def solved(problem: SmallProblem) -> catalogues.PlanSearchResult:
+    return searched(problem.options, problem.goal, problem.budget, stages=3)
+
+
+@pytest.mark.parametrize(
+    "equal_times", [True, pytest.param(False, marks=pytest.mark.slow)]
+)
+def test_the_plan_is_the_best_of_all(equal_times: bool) -> None:
+    """Within 2 % of all sets of readings within the budget.
+
+    Where readings take different times, the share of time of each stage is found less
+    well: two of fifteen miss that.
+    """
+    losses = []
+    for seed in range(15):
+        problem = small_problem(seed, equal_times)
+        result = solved(problem)
+        assert result.best is result.most_accurate
+        assert result.best.seconds <= problem.budget * (1 + 1e-9)
+        losses.append(result.best.value / problem.value.min() - 1.0)
+        assert losses[-1] > -1e-9
+        assert result.loss >= losses[-1] - 1e-9
+        assert result.reached
+    assert np.sum(np.array(losses) > 0.02) <= (0 if equal_times else 2), losses
+    assert max(losses) < 0.06
+
+
+@pytest.mark.slow
+def test_the_cheapest_plan_that_is_accurate_enough() -> None:
+    excess = []
+    for seed in range(6):
+        problem = small_problem(seed, target=1.15)
+        result = solved(problem)
+        assert result.reached
+        assert result.best.value <= 1.0
+        shortest = problem.time[problem.value <= 1.0].min()
+        excess.append(result.best.seconds / shortest - 1.0)
+        assert excess[-1] > -1e-9
+    assert np.sum(np.array(excess) > 0.02) <= 1, excess
+
+
+def test_a_goal_out_of_reach_is_reported() -> None:
+    problem = small_problem(1, target=0.8)
+    result = solved(problem)
+    assert not result.reached
+    assert result.best is result.most_accurate
+    assert 1.0 < problem.value.min() <= result.best.value
+
+
+def test_a_budget_that_pays_for_nothing_is_refused_in_words() -> None:
+    problem = small_problem(1)
+    least = min(o.mounting_seconds + o.candidate_seconds.min() for o in problem.options)
+    with pytest.raises(
+        ValueError,
+        match=f"pays for no measurement: the shortest takes {least / 60.0:.1f} min",
+    ):
+        searched(problem.options, problem.goal, 60.0, stages=3)
+
+
+def test_the_same_seed_gives_the_same_plan() -> None:
+    options = [line_option(k, limit=0.5e-3) for k in (3, 4, 5)]
+    goal = Goal(("all",), np.eye(7)[None], np.ones(1), has_targets=False)
+    one, two = (
+        searched(options, goal, 9000.0, seed=3, stages=2).best for _ in range(2)
+    )
+    assert one.names == two.names
+    assert one.value == two.value
+    for stage, other in zip(one.stages, two.stages, strict=True):
+        assert list(stage.chosen) == list(other.chosen)
+
+
+def test_the_front_only_falls() -> None:
+    front = solved(small_problem(2)).front
+    assert all(a.seconds < b.seconds and a.value > b.value for a, b in pairwise(front))
+    assert front[0].stages == ()
+
+
+def test_a_reading_takes_time() -> None:
+    setup = mount(relative.rm4, "rm")
+    series = Measurement(machine, [setup]).series(
+        "rm", np.array([[0.0, 0.0], [0.0, 1.0]])
+    )
+    with pytest.raises(ValueError, match="every reading takes some time"):
+        build_option(
+            machine, [setup], [series], name="free", counts=(1,), reading_seconds=0.0
+        )

@@ -1,0 +1,121 @@
+"""The bound over all combinations of measurements, against all plans of catalogues."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kernel import plan_catalogues as catalogues
+from oed.planning import Goal, Option
+from oed.planning import bound as bound_module
+from oed.planning import prediction as stage_module
+from oed.planning.bound import GoalBound, bound_goal
+from oed.planning.knowledge import Prior, as_knowledge
+
+
+def bound_of(
+    options: list[Option], goal: Goal, budget: float, value: float, stages: int = 3
+) -> GoalBound:
+    rng = np.random.default_rng(19)
+    return bound_goal(options, goal, np.eye(3), budget, stages, value, rng)
+
+
+@pytest.mark.parametrize(
+    ("equal_times", "seeds"),
+    [
+        (True, range(12)),
+        pytest.param(True, range(12, 30), marks=pytest.mark.slow),
+        pytest.param(False, range(30), marks=pytest.mark.slow),
+    ],
+)
+def test_no_plan_of_many_catalogues_is_below_the_bound(
+    equal_times: bool, seeds: range
+) -> None:
+    """All sets of readings, under budgets that bind or not, of two stages or three."""
+    gaps = []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        options, goal = catalogues.catalogue(rng, equal_times=equal_times)
+        stages = 2 + seed % 2
+        value, time = catalogues.every_plan(options, goal, stages)
+        budget = 1e5 if seed % 5 == 0 else float(rng.uniform(900.0, 2500.0))
+        best = value[(time > 0.0) & (time <= budget)].min()
+        bound = bound_of(options, goal, budget, best, stages)
+        gaps.append(best / bound.value - 1.0)
+    assert min(gaps) >= 0.0
+    certified = sum(gap <= 0.05 + 1e-9 for gap in gaps)
+    assert certified >= len(seeds) * 2 // 3
+    assert np.median(gaps) < 0.03
+
+
+@pytest.mark.slow
+def test_the_worst_component_is_bounded_as_well() -> None:
+    gaps = []
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        options, goal = catalogues.catalogue(rng, targets=True)
+        value, time = catalogues.every_plan(options, goal, 3)
+        budget = float(rng.uniform(900.0, 2500.0))
+        best = value[(time > 0.0) & (time <= budget)].min()
+        gaps.append(best / bound_of(options, goal, budget, best).value - 1.0)
+    assert min(gaps) >= 0.0
+    assert np.median(gaps) < 0.05
+
+
+def test_a_bound_without_limits_on_numbers_of_readings_is_lower() -> None:
+    """Where time does not bind, the numbers of readings do."""
+    options, goal = catalogues.catalogue(np.random.default_rng(3), size=8)
+    few = [dataclasses.replace(option, counts=(2,)) for option in options]
+    value, time = catalogues.every_plan(few, goal, 3)
+    best = value[time > 0.0].min()
+    bound = bound_of(few, goal, 1e5, best)
+    assert bound.value <= best
+    assert bound.value > 1.1 * bound_of(options, goal, 1e5, best).value
+
+
+@pytest.mark.parametrize(
+    "seeds", [range(4), pytest.param(range(4, 10), marks=pytest.mark.slow)]
+)
+def test_readings_lost_to_the_setup_itself_stay_within_the_bound(
+    monkeypatch: pytest.MonkeyPatch, seeds: range
+) -> None:
+    """A travel as large as what the set-ups' parameters do.
+
+    Plans judged by many machines are not below the bound.
+    """
+    monkeypatch.setattr(stage_module, "FIRST_LOOK_DRAWS", 1000)
+    for seed in seeds:
+        rng = np.random.default_rng(200 + seed)
+        options, goal = catalogues.catalogue(rng)
+        short = [dataclasses.replace(option, travel=30.0) for option in options]
+        prior: Prior = np.eye(3)
+        for option in short:
+            chosen = rng.permutation(len(option.candidates))[: option.counts[-1]]
+            stage = catalogues.stage_after(option, chosen, prior, rng, exact=False)
+            prior = stage.posterior
+        value = goal.value(as_knowledge(prior).mean_square_error)
+        assert bound_of(short, goal, 1e5, value).value <= value
+
+
+def test_too_many_combinations_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    options, goal = catalogues.catalogue(np.random.default_rng(0))
+    monkeypatch.setattr(bound_module, "COMBINATIONS", 3)
+    with pytest.raises(
+        ValueError, match="7 combinations of 3 of 3 measurements are too many"
+    ):
+        bound_of(options, goal, 1e5, 1.0)
+
+
+def test_promising_combinations_fit_the_budget_and_could_be_better() -> None:
+    options, goal = catalogues.catalogue(np.random.default_rng(5))
+    value, time = catalogues.every_plan(options, goal, 3)
+    budget = 1500.0
+    worse = value[(time > 0.0) & (time <= budget)].min() * 1.3
+    bound = bound_of(options, goal, budget, worse)
+    assert bound.promising
+    for counts in bound.promising:
+        seconds = sum(
+            options[s].mounting_seconds + count * options[s].candidate_seconds[0]
+            for s, count in counts.items()
+        )
+        assert seconds <= budget * 1.001

@@ -1,0 +1,249 @@
+"""Orders of poses, set-ups and reference readings, against all permutations and
+geometry written out here.
+"""
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import planar_geometry as planar
+from shipped_models import height_probe, planar_2dof
+
+from kernel.orders import along, plane, problem, shortest
+from oed.measurement import Measurement
+from oed.model import Protocol, mount
+from oed.poses import order
+
+
+def nearest_neighbours(distance: np.ndarray) -> float:
+    """Least length over all first poses; inf where it runs into a forbidden move."""
+    lengths = []
+    for first in range(len(distance)):
+        path = [first]
+        while len(path) < len(distance):
+            on_left = [j for j in range(len(distance)) if j not in path]
+            path.append(min(on_left, key=lambda j: distance[path[-1], j]))
+        lengths.append(along(path, distance))
+    return min(lengths)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("placed", [False, True])
+def test_small_paths_are_the_shortest_of_all(
+    monkeypatch: pytest.MonkeyPatch, exact: bool, placed: bool
+) -> None:
+    """3 to 6 poses, half of the moves forbidden; the search finds what is exact, or
+    nearly, and says which it is.
+    """
+    monkeypatch.setattr(order, "EXACT", 12 if exact else 2)
+    excess, impossible = [], 0
+    for seed in range(24):
+        n = 3 + seed % 4
+        distance, first, _ = problem(seed, n, forbidden=0.5)
+        start = first if placed else None
+        first = first if placed else np.zeros(n)
+        best = shortest(distance, first, np.zeros(n))
+        if np.isinf(best):
+            impossible += 1
+            with pytest.raises(
+                ValueError, match="there is no path" if exact else "no path was found"
+            ):
+                order.order_poses(
+                    distance, np.random.default_rng(seed), start, kicks=60
+                )
+            continue
+        path = order.order_poses(distance, np.random.default_rng(seed), start, kicks=60)
+        total = first[path.indices[0]] + along(path.indices, distance)
+        assert path.length == pytest.approx(total, abs=1e-12)
+        assert path.steps.sum() == pytest.approx(total, abs=1e-12)
+        assert path.exact is exact
+        excess.append(path.length / best - 1)
+    assert impossible >= 1
+    assert min(excess) > -1e-12
+    assert max(excess) < (1e-12 if exact else 0.05)
+    assert np.mean(np.array(excess) < 1e-12) > 0.95
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    n=st.integers(1, 25),
+    forbidden=st.sampled_from([0.0, 0.1]),
+)
+@settings(max_examples=40, deadline=None)
+def test_every_pose_once_and_never_longer_than_nearest_neighbours(
+    seed: int, n: int, forbidden: float
+) -> None:
+    distance, _, _ = problem(seed, n, forbidden)
+    try:
+        path = order.order_poses(distance, np.random.default_rng(seed), kicks=5)
+    except ValueError:
+        assert np.isinf(nearest_neighbours(distance))
+        return
+    assert sorted(path.indices) == list(range(n))
+    assert np.isfinite(path.steps).all()
+    assert path.length == pytest.approx(along(path.indices, distance))
+    assert path.length <= nearest_neighbours(distance) + 1e-12
+    again = order.order_poses(distance, np.random.default_rng(seed), kicks=5)
+    assert (again.indices == path.indices).all()
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_search_comes_near_the_exact_path_where_both_can_be_had(
+    monkeypatch: pytest.MonkeyPatch, symmetric: bool
+) -> None:
+    excess = []
+    for seed in range(6):
+        distance = plane(seed, 11) if symmetric else problem(seed, 11)[0]
+        exact = order.order_poses(distance, np.random.default_rng(0))
+        monkeypatch.setattr(order, "EXACT", 2)
+        route = order.order_poses(distance, np.random.default_rng(0))
+        monkeypatch.undo()
+        assert exact.exact
+        assert not route.exact
+        excess.append(route.length / exact.length - 1)
+    assert min(excess) > -1e-12
+    assert np.median(excess) < 1e-12
+    assert max(excess) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
+    """Every stretch turned round, every one to three neighbours put elsewhere either
+    way round: lengths added up.
+    """
+    runs = [[3, 0, 5], [1], [2, 7], [6, 4], [8], [9, 10], [11]]
+    distance, start, _ = problem(seed, 12)
+    states = order.RunStates.of(distance, start, runs, True)
+    tour = np.random.default_rng(seed).permutation([1, 3, 4, 6, 8, 9, 11])
+    assert states.run[tour].tolist() != list(range(7))
+    length, closed = states.length(tour), np.concatenate([[0], tour, [0]])
+
+    def turned(part: np.ndarray) -> np.ndarray:
+        return states.flip[part][::-1]
+
+    def gain(paths: list[np.ndarray]) -> float:
+        assert all(sorted(states.run[p]) == list(range(7)) for p in paths)
+        return min(states.length(p) for p in paths) - length
+
+    delta, changed = order._best_reversal(closed, states)
+    stretches = [(i, j) for i in range(7) for j in range(i + 1, 8)]
+    assert delta == pytest.approx(
+        gain([np.r_[tour[:i], turned(tour[i:j]), tour[j:]] for i, j in stretches])
+    )
+    assert states.length(changed()) - length == pytest.approx(delta)
+    for size in (1, 2, 3):
+        paths = []
+        for i in range(8 - size):
+            part, rest = tour[i : i + size], np.delete(tour, np.s_[i : i + size])
+            for k in (k for k in range(len(rest) + 1) if k != i):
+                paths += [np.r_[rest[:k], p, rest[k:]] for p in (part, turned(part))]
+        delta, changed = order._best_shift(closed, states, size)
+        assert delta == pytest.approx(gain(paths))
+        assert states.length(changed()) - length == pytest.approx(delta)
+
+
+def test_around_a_ring_all_gaps_but_the_widest_are_walked(
+    rng: np.random.Generator,
+) -> None:
+    """The shortest open path on a convex ring does not cross itself; with one wide gap
+    it is the ring without it.
+    """
+    angle = np.sort(rng.uniform(0.0, 1.7 * np.pi, 40))
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    shuffled = rng.permutation(40)
+    distance = np.linalg.norm(ring[shuffled][:, None] - ring[shuffled], axis=-1)
+    path = order.order_poses(distance, rng)
+    assert path.length == pytest.approx(
+        np.linalg.norm(np.diff(ring, axis=0), axis=1).sum()
+    )
+    walked = shuffled[path.indices]
+    assert walked.tolist() in (list(range(40)), list(range(39, -1, -1)))
+
+
+def test_lengths_that_make_no_sense_are_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(ValueError, match="must be square"):
+        order.order_poses(np.ones((3, 2)), rng)
+    with pytest.raises(ValueError, match="not negative"):
+        order.order_poses(np.array([[0.0, -1.0], [1.0, 0.0]]), rng)
+    with pytest.raises(ValueError, match="start must give one length"):
+        order.order_poses(np.ones((3, 3)), rng, start=np.ones(2))
+    with pytest.raises(ValueError, match="each of the poses 0 to 2 once"):
+        order.order_poses(np.ones((3, 3)), rng, runs=[[0, 1], [1, 2]])
+    nothing = order.order_poses(np.zeros((0, 0)), rng)
+    assert nothing.length == 0.0
+    assert nothing.indices.size == 0
+
+
+@pytest.mark.parametrize("reversible", [True, False])
+@pytest.mark.parametrize("exact", [True, False])
+def test_runs_stay_together_in_the_best_order(
+    monkeypatch: pytest.MonkeyPatch, reversible: bool, exact: bool
+) -> None:
+    monkeypatch.setattr(order, "EXACT", 12 if exact else 2)
+    runs = [[3, 0, 5], [1], [2, 7], [6, 4], [8]]
+    excess = []
+    for seed in range(5):
+        distance, start, _ = problem(seed, 9)
+        best = np.inf
+        for p in permutations(runs):
+            for ways in product(*[(r, r[::-1]) if reversible else (r,) for r in p]):
+                whole = [i for r in ways for i in r]
+                best = min(best, start[whole[0]] + along(whole, distance))
+        path = order.order_poses(
+            distance,
+            np.random.default_rng(seed),
+            start=start,
+            runs=runs,
+            reversible=reversible,
+        )
+        excess.append(path.length / best - 1)
+        for number, run in enumerate(runs):
+            places = np.flatnonzero(path.run == number)
+            assert (np.diff(places) == 1).all()
+            assert path.indices[places].tolist() in (
+                [run, run[::-1]] if reversible else [run]
+            )
+    assert min(excess) > -1e-12
+    assert max(excess) < (1e-12 if exact else 0.05)
+    assert np.median(excess) < 1e-12
+
+
+def test_the_passes_of_a_protocol_are_runs_that_follow_each_other() -> None:
+    """A line there and back: the way back begins where the way there ended, and costs
+    no travel.
+    """
+    setup = mount(height_probe.instrument, "probe")
+    m = Measurement(planar_2dof.machine, [setup])
+    command = np.column_stack([np.linspace(-1, 1, 4), np.full(4, 0.5)])
+    protocol = Protocol(both_directions=True, average=False)
+    series = m.series("probe", command, run=["line"] * 4).expand_passes(protocol)
+    labels = list(dict.fromkeys(series.run))
+    runs = [np.flatnonzero(series.run == label).tolist() for label in labels]
+    path = order.order_poses(
+        order.travel_between(m, series, 0.1), np.random.default_rng(0), runs=runs
+    )
+    assert [labels[k] for k in path.run[[0, 4]]] in (
+        ["line, forward 1", "line, backward 1"],
+        labels[::-1],
+    )
+    assert path.steps[4] == 0.0
+
+
+def test_travel_is_the_slowest_joints(rng: np.random.Generator) -> None:
+    m = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
+    command = rng.uniform([-1.5, 0.0], [1.5, 1.5], (12, 2))
+    q, speeds = planar.inverse(command), np.array([0.1, 0.04])
+    series = m.series("probe", command)
+    expected = [[max(abs(a - b) / speeds) for b in q] for a in q]
+    assert order.travel_between(m, series, speeds) == pytest.approx(
+        np.array(expected), abs=1e-9
+    )
+    home = planar.inverse(np.zeros(2))
+    assert order.travel_from_home(m, series, speeds) == pytest.approx(
+        (np.abs(q - home) / speeds).max(axis=1), abs=1e-9
+    )
+    assert order.travel_times(command, command[:3], 2.0).shape == (12, 3)
+    with pytest.raises(ValueError, match="speeds must be positive"):
+        order.travel_between(m, series, [0.1, 0.0])

@@ -1,0 +1,128 @@
+"""Orders with reference readings and set-ups."""
+
+from collections.abc import Callable
+from itertools import combinations, pairwise, product
+
+import numpy as np
+import pytest
+from shipped_models import ball_bar, calliper
+
+from kernel.orders import plane, problem, shortest
+from oed.model import mount
+from oed.poses import order
+
+
+def replay(
+    pose: np.ndarray, move: Callable[[int, int], float], reading: Callable[[int], float]
+) -> list[float]:
+    """When each reading begins, for a machine that stands at its first pose at 0."""
+    clock = [0.0]
+    for a, b in pairwise(pose):
+        clock.append(clock[-1] + reading(a) + move(a, b))
+    return clock
+
+
+@pytest.mark.parametrize("with_runs", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_reference_readings_cost_the_least_of_all_ways_to_place_them(
+    seed: int, with_runs: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    distance, to_reference, from_reference = problem(seed, 8)
+    reading, stay = rng.uniform(0.5, 1.5, 8), 2.0
+    runs = [[0, 1, 2], [3], [4, 5], [6], [7]] if with_runs else None
+    path = order.order_poses(distance, rng, start=from_reference, runs=runs)
+    every = 6.5
+
+    def move(a: int, b: int) -> float:
+        if a < 0 or b < 0:
+            return float(from_reference[b] if a < 0 else to_reference[a])
+        return float(distance[a, b])
+
+    def takes(a: int) -> float:
+        return stay if a < 0 else float(reading[a])
+
+    best = np.inf
+    for count in range(8):
+        for cuts in combinations(range(1, 8), count):
+            if any(path.run[c] == path.run[c - 1] for c in cuts):
+                continue
+            pose = np.concatenate([[-1], np.insert(path.indices, cuts, -1), [-1]])
+            begins = np.array(replay(pose, move, takes))
+            marks = begins[pose < 0]
+            if (marks[1:] - (marks[:-1] + stay) <= every).all():
+                best = min(best, begins[-1] + stay)
+    timed = order.interleave(path, reading, every, to_reference, from_reference, stay)
+    assert timed.seconds == pytest.approx(best)
+    assert timed.begins == pytest.approx(replay(timed.pose, move, takes))
+    assert timed.pose[timed.pose >= 0].tolist() == path.indices.tolist()
+    assert timed.reference[[0, -1]].all()
+    assert 3 <= timed.reference.sum() < 9
+    with pytest.raises(
+        ValueError, match="longer than 1 s: read the reference less often"
+    ):
+        order.interleave(path, reading, 1.0, to_reference, from_reference, stay)
+
+
+def test_without_need_the_reference_is_read_first_and_last_alone() -> None:
+    path = order.order_poses(plane(1, 20), np.random.default_rng(0))
+    timed = order.interleave(
+        path, 6.0, 1e6, np.full(20, 3.0), np.full(20, 2.0), 10.0, begin=100.0
+    )
+    assert timed.pose.tolist() == [-1, *path.indices, -1]
+    assert timed.seconds == pytest.approx(100 + 10 + 2 + path.length + 20 * 6 + 3 + 10)
+
+
+def test_set_ups_are_ordered_with_least_remounting() -> None:
+    """Two tools, two cup places, two bars and a calliper: each difference is paid once,
+    in Gray's order.
+    """
+    places = {
+        0: {"at_x": 0.0, "at_y": 0.0, "at_z": 0.0},
+        1: {"at_x": 0.0, "at_y": 0.3, "at_z": 0.0},
+    }
+    setups = [
+        mount(
+            ball_bar.free_cup,
+            f"{tool}{place}{length}",
+            tool=(0.0, 0.0, tool),
+            length=length,
+            **places[place],
+        )
+        for tool, place, length in product((0.0, 0.05), (0, 1), (0.15, 0.3))
+    ]
+    setups.append(mount(calliper.instrument, "calliper"))
+    changes = order.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
+    costs, first = order.remounting(setups, changes)
+    assert costs[0, 1] == 10.0
+    assert costs[0, 2] == 100.0
+    assert costs[0, 7] == 710.0
+    assert costs[7, 0] == 710.0
+    assert costs[0, 8] == calliper.instrument.cost.setup
+    assert costs[7, 8] == calliper.instrument.cost.setup + 600.0
+    assert (np.diag(costs) == 0.0).all()
+    path = order.order_setups(costs, np.random.default_rng(0), first)
+    bars = ball_bar.free_cup.cost.setup
+    # tool once, cup once with each tool, bar once at each cup and tool
+    assert path.length == pytest.approx(
+        bars + calliper.instrument.cost.setup + 600 + 2 * 100 + 4 * 10
+    )
+    assert path.exact
+
+
+def test_taught_set_ups_move_with_their_teach_pose() -> None:
+    setups = [
+        mount(ball_bar.instrument, n, teach=t)
+        for n, t in (("a", (0.0, 0.2)), ("b", (0.3, 0.2)))
+    ]
+    costs, _ = order.remounting(
+        setups, order.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
+    )
+    assert costs.tolist() == [[0.0, 100.0], [100.0, 0.0]]
+
+
+def test_orders_of_set_ups_are_the_cheapest_of_all_permutations() -> None:
+    for seed in range(6):
+        costs, first, _ = problem(seed, 6)
+        path = order.order_setups(costs, np.random.default_rng(0), first)
+        assert path.length == pytest.approx(shortest(costs, first, np.zeros(6)))

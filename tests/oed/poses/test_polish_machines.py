@@ -1,0 +1,267 @@
+"""Polished readings of machines: rows against the readings' own finite differences,
+gains, holds, ranges.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from shipped_models import ball_bar, pose_tracker
+
+from kernel import a3_plans
+from kernel.cases import CASES, reading_series
+from oed import identifiability
+from oed.design import CRITERIA, Criterion
+from oed.design.forms import Determinant, PowerMean
+from oed.measurement import Measurement, Series
+from oed.model import mount
+from oed.poses import polish, reading_plan
+
+PAIRS = [
+    ("a3_head", "ball_bar"),
+    ("a3_head", "pose_tracker"),
+    ("hexapod", "ball_bar_free_cup"),
+    ("planar_2dof", "rm5"),
+    ("linear_delta", "ball_bar"),
+    ("cable_robot", "redundancy"),
+    ("prs_spindle", "laser_ball_bar"),
+]
+
+
+@pytest.mark.parametrize(("machine", "setup"), PAIRS)
+@pytest.mark.parametrize("scaling", ["si", "length", "tolerance"])
+def test_rows_are_slopes_of_the_readings(
+    machine: str, setup: str, scaling: identifiability.Scaling
+) -> None:
+    """At random commands, against differences of the exact readings over each
+    parameter.
+    """
+    m, series = reading_series(CASES[machine], setup, np.random.default_rng(4), 5)
+    series = _away_from_home(m, series, setup, machine)
+    mounted = m.setups[setup]
+    if scaling == "tolerance" and any(c.shared for c in mounted.instrument.channels):
+        with pytest.raises(ValueError, match="share an error"):
+            reading_plan.symbolic_reading(
+                m, mounted, scaling, np.eye(len(m.parameters))
+            )
+        return
+    rows = _symbolic(m, series, scaling)
+    step = 1e-6
+    thetas = m.nominal + step * np.vstack(
+        [np.eye(len(m.nominal)), -np.eye(len(m.nominal))]
+    )
+    y = m.readings([series], thetas)
+    differences = (y[: len(m.nominal)] - y[len(m.nominal) :]).T / (2 * step)
+    expected = differences * identifiability.column_scale(m, scaling)
+    if scaling == "tolerance":
+        expected = m.noise([series]).whiten(expected)
+        # whitening is known up to a rotation of a reading's channels: products are not
+        rows, expected = rows.T @ rows, expected.T @ expected
+    elif scaling == "length":
+        expected *= m.reading_length_factors([series])[:, None]
+    assert rows == pytest.approx(expected, abs=2e-6 * np.abs(expected).max())
+
+
+def _away_from_home(m: Measurement, series: Series, setup: str, machine: str) -> Series:
+    """Other commands than the upright pose, at which tilts have no second derivative,
+    in the same runs.
+    """
+    case = CASES[machine]
+    n = len(series.q) - (m.setups[setup].teach is not None)
+    command = case.commands(np.random.default_rng(5), n + 1)[1:]
+    if m.setups[setup].teach is not None:
+        command = np.vstack([command, series.command[-1:]])
+    x, q = m.kinematics.inverse(command, None, np.array(m.setups[setup].tool))
+    return dataclasses.replace(series, q=q, start=x, command=command)
+
+
+def _symbolic(
+    m: Measurement, series: Series, scaling: identifiability.Scaling
+) -> np.ndarray:
+    setup = m.setups[series.setup]
+    one = reading_plan.symbolic_reading(m, setup, scaling, np.eye(len(m.parameters)))
+    settings = np.array([setup.settings[s.name] for s in setup.instrument.settings])
+    result = []
+    for index in series.index:
+        poses = [v for i in index for v in (series.start[i], series.q[i])]
+        result.append(np.array(one.rows(*poses, settings, np.array(setup.tool))).T)
+    return np.vstack(result)
+
+
+# -- the A3 head with a ball bar -------------------------------------------------------
+
+
+def _start(m: Measurement) -> Series:
+    """18 readings on three circles, on hold."""
+    stroke = np.repeat([0.03, 0.11, 0.19], 6)
+    psi = np.concatenate(
+        [2 * np.pi * np.arange(6) / 6 + shift for shift in (0.1, 0.5, 0.9)]
+    )
+    return m.series("cup", a3_plans.bar_commands(m, stroke, psi))
+
+
+def _on_hold(result: polish.PolishResult, travel: float = 0.0) -> None:
+    """Lengths from the geometry alone: ball to cup."""
+    setup = result.setups[0]
+    m, (series,) = result.measurement, result.series
+    _, tip, _ = m.kinematics.frames(series.start, np.array(setup.tool))
+    if setup.teach is not None:
+        _, cup, _ = m.kinematics.frames(
+            m.kinematics.inverse(np.array([setup.teach]))[0], np.array(setup.tool)
+        )
+        tip, cup = tip[:-1], cup[0]
+    else:
+        cup = np.array([setup.settings[f"at_{n}"] for n in "xyz"])
+    off = np.linalg.norm(tip - cup, axis=1) - setup.settings["length"]
+    assert np.abs(off).max() <= travel + 1e-9
+    assert not m.machine.out_of_range(series.command[: len(series)], setup.tool)
+
+
+def _check_values(
+    result: polish.PolishResult, start: Series, before: Measurement
+) -> None:
+    """Values are those of the determinant over the 18 directions seen, formed anew."""
+    rows = a3_plans.rows(before, [start])
+    basis = np.linalg.svd(rows)[2][:18].T
+    after = a3_plans.rows(result.measurement, result.series) @ basis
+    assert result.value_before == pytest.approx(
+        np.linalg.slogdet((rows @ basis).T @ (rows @ basis))[1], abs=1e-5
+    )
+    assert result.value_after == pytest.approx(
+        np.linalg.slogdet(after.T @ after)[1], abs=1e-5
+    )
+
+
+FREE: dict[str, tuple[bool, Mapping[str, tuple[float, float]]]] = {
+    "taught": (True, {}),
+    "taught, length": (True, {"length": (0.28, 0.32)}),
+    "free cup": (
+        False,
+        {"at_x": (-0.05, 0.05), "at_y": (-0.05, 0.05), "at_z": (1.25, 1.32)},
+    ),
+    "free cup, tool": (False, {"tool_z": (-0.02, 0.05)}),
+}
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        "taught, length",
+        "free cup, tool",
+        pytest.param("taught", marks=pytest.mark.slow),
+        pytest.param("free cup", marks=pytest.mark.slow),
+    ],
+)
+def test_polished_bar_stays_on_hold(case: str) -> None:
+    taught, ranges = FREE[case]
+    m = a3_plans.measurement(taught=taught)
+    start = _start(m)
+    if (
+        "tool" in case
+    ):  # a tool changes what is seen: a prior makes all directions count
+        result = polish.polish_readings(
+            m, [start], free={"cup": ranges}, prior=np.eye(int(m.free.sum()))
+        )
+    else:
+        result = polish.polish_readings(
+            m, [start], scaling="length", free={"cup": ranges}
+        )
+        _check_values(result, start, m)
+    assert result.value_after > result.value_before + 0.1
+    assert result.summary.startswith("polishing gained")
+    _on_hold(result)
+    setup = result.setups[0]
+    for name, (lower, upper) in ranges.items():
+        value = setup.tool[2] if name == "tool_z" else setup.settings[name]
+        assert lower <= value <= upper
+    assert any(
+        v != m.setups["cup"].settings[n] for n, v in setup.settings.items()
+    ) == bool(ranges and "tool" not in case)
+    assert taught == (setup.teach is not None)
+    if taught:
+        assert result.series[0].command[-1] == pytest.approx(setup.teach, abs=0)
+    assert setup.teach == m.setups["cup"].teach
+
+
+def test_travel_gives_room() -> None:
+    m = a3_plans.measurement()
+    start = _start(m)
+    exact = polish.polish_readings(m, [start], scaling="length", iterations=150)
+    roomy = polish.polish_readings(
+        m, [start], scaling="length", travel=1e-3, iterations=150
+    )
+    _on_hold(roomy, 1e-3)
+    assert roomy.value_after > exact.value_after
+
+
+def test_a_search_cut_short_is_never_worse() -> None:
+    m = a3_plans.measurement()
+    none = polish.polish_readings(m, [_start(m)], scaling="length", iterations=0)
+    assert none.value_after >= none.value_before
+    if none.value_after == none.value_before:
+        assert "the start is kept" in none.summary
+
+
+# -- other machines --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "criterion",
+    [
+        Determinant(13),
+        pytest.param(CRITERIA.over("A", 13), marks=pytest.mark.slow),
+        pytest.param(PowerMean(4.0), marks=pytest.mark.slow),
+        CRITERIA.over("Ds", 13, np.eye(13)[:, :7]),
+    ],
+    ids=["D", "A", "power", "Ds"],
+)
+def test_planar_with_a_tracker(criterion: Criterion) -> None:
+    machine = CASES["planar_2dof"].machine
+    m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
+    command = CASES["planar_2dof"].commands(np.random.default_rng(1), 8)
+    n = int(m.free.sum())
+    result = polish.polish_readings(
+        m, [m.series("tracker", command)], criterion, prior=np.eye(n), clearance=0.2
+    )
+    assert result.value_after > result.value_before
+    rows = identifiability.scaled(m, result.series, m.nominal, "tolerance")[:, m.free]
+    assert result.value_after == pytest.approx(
+        criterion.log_size * criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9
+    )
+    assert not machine.out_of_range(result.series[0].command)
+
+
+def test_impossible_requests_are_refused() -> None:
+    m = a3_plans.measurement()
+    start = _start(m)
+    off = m.series("cup", start.command[:-1] + np.array([1e-4, 0.0, 0.0]))
+    for given, message in (
+        ({"free": {"cap": {"length": (0.2, 0.3)}}}, "has no readings"),
+        ({"free": {"cup": {"height": (0.2, 0.3)}}}, "none of"),
+        ({"free": {"cup": {"length": (0.1, 0.2)}}}, "outside"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            polish.polish_readings(m, [start], scaling="length", **given)
+    with pytest.raises(ValueError, match="off the value that its instrument holds"):
+        polish.polish_readings(m, [off], scaling="length")
+    with pytest.raises(ValueError, match="recorded"):
+        polish.polish_readings(
+            m, [m.series_from_joints("cup", start.q[:-1])], scaling="length"
+        )
+
+
+def test_two_setups_share_nothing_but_the_machine() -> None:
+    setups = [
+        mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0)),
+        mount(pose_tracker.position, "tracker"),
+    ]
+    m = Measurement(CASES["a3_head"].machine, setups)
+    bar = _start(m)
+    index = m.series(
+        "tracker", CASES["a3_head"].commands(np.random.default_rng(0), 5)[1:]
+    )
+    result = polish.polish_readings(m, [bar, index], prior=np.eye(int(m.free.sum())))
+    assert result.value_after > result.value_before
+    assert [len(s) for s in result.series] == [18, 4]
+    _on_hold(dataclasses.replace(result, series=result.series[:1]))
