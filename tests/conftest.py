@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ SHARED = ROOT.parent / "shared"
 #: tests of the search for mistakes, and the running test if its readings are not searched
 CHECKS = ROOT / "tests" / "oed" / "checks"
 UNSEARCHED: list[str] = []
+#: what stands for the figures of reports, by the folder of tests
+SKETCHES: dict[Path, Any] = {}
 
 # Functions are compiled by the tests of compiled functions alone: a result does not wait for
 # a compiler, nor depend on what ran before it.
@@ -57,7 +60,7 @@ def trusted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def sketched_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Figures of reports are not written, and each is drawn once a file: see `sketches`.
+    """Figures of reports are not written, and each is drawn once a folder: see `sketches`.
 
     Files with the mark `pictures` have them written, and so have studies that run as
     tests.
@@ -68,7 +71,8 @@ def sketched_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
     document = importlib.import_module("pkm_reports.page.document")
     sketches = importlib.import_module("sketches")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(document, "drawn_image", sketches.Sketches())
+        drawn = SKETCHES.setdefault(request.path.parent, sketches.Sketches())
+        patch.setattr(document, "drawn_image", drawn)
         yield
 
 

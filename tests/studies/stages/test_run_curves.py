@@ -22,8 +22,6 @@ from pkm_studies.commands import main
 from pkm_studies.results import load_result
 from pkm_studies.stages.fit import run_curves
 
-pytestmark = pytest.mark.pictures
-
 STROKES = (0.0, 0.1, 0.2)  # Fig. 8 of Tian et al. (2016)
 POINTS = 24
 TRUTH = np.r_[
@@ -82,7 +80,7 @@ def test_the_compensated_head_reads_what_is_predicted(
     inside = 0
     for k, curve in enumerate(curves):
         of_run = slice(k * POINTS, (k + 1) * POINTS)
-        phase = run_curves._along(m, series)[1]
+        phase = run_curves._run_phase(m, series)[1]
         order = np.argsort(phase[of_run], kind="stable")
         error = (y + noise)[of_run][order] - curve.compensated
         inside += int((np.abs(error) <= curve.compensated_half_widths).sum())

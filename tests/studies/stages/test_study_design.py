@@ -19,7 +19,11 @@ from pkm_studies.base import InputError
 
 
 @pytest.mark.parametrize(
-    "name", ["D", "Ds", "A", "c", "I", "G", "O1", "O5", "kappa", "O2"]
+    "name",
+    [
+        *("D", "Ds", "A", "c", "I", "O1", "O5", "kappa", "O2"),
+        pytest.param("G", marks=pytest.mark.slow),
+    ],
 )
 def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
     resolved, design = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
