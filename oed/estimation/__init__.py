@@ -24,9 +24,8 @@ if TYPE_CHECKING:
     from oed.estimation.contradictions import contradicted_parameters, tolerance_factor
     from oed.estimation.coordinates import IdentifiableCoordinates
     from oed.estimation.discrepancy import Discrepancy
-    from oed.estimation.estimate import Estimate
+    from oed.estimation.estimate import Estimate, with_warnings
     from oed.estimation.fit_stages import IdentificationError
-    from oed.estimation.fit_warnings import with_warnings
     from oed.estimation.fitter import Minima, minimise
     from oed.estimation.identification import fit_machines, identify
     from oed.estimation.noise_summary import noise_numbers

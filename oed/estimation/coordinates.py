@@ -63,20 +63,25 @@ class IdentifiableCoordinates:
         """
         scale = measurement.tolerance if tolerance is None else tolerance
         free = np.flatnonzero(scale > 0)
-        units = _PriorUnits(scale[free], measurement.correlation_root(free))
+        unit, root = scale[free], measurement.correlation_root(free)
+        root = np.eye(len(free)) if root is None else root
         jacobian = measurement.jacobian(series, theta)
-        whitened = units.slopes(whiten(jacobian, noise)[:, free])
-        null_space = _null_space(measurement, series, jacobian, free)
-        lost, determined = _split_directions(units.changes(null_space))
+        whitened = (whiten(jacobian, noise)[:, free] * unit) @ root
+        null_space = _null_space(measurement, series, jacobian, free) / unit
+        lost, determined = _split_directions(
+            np.asarray(np.linalg.solve(root, null_space.T).T, dtype=float)
+        )
         # The right singular vectors of H, strongest first, decouple the sampler's
         # coordinates.
         _, vectors = right_singular(whitened @ determined)
         directions = determined @ vectors.T
         return cls(
             origin=np.where(scale > 0, measurement.nominal, theta),
-            basis=_at_rows(free, units.directions(directions), len(scale)),
-            null_basis=_at_rows(free, units.directions(lost), len(scale)),
-            dual=_at_rows(free, units.duals(directions), len(scale)).T,
+            basis=_at_rows(free, unit[:, None] * (root @ directions), len(scale)),
+            null_basis=_at_rows(free, unit[:, None] * (root @ lost), len(scale)),
+            dual=_at_rows(
+                free, np.linalg.solve(root, directions) / unit[:, None], len(scale)
+            ).T,
         )
 
     def from_theta(self, theta: Array) -> Array:
@@ -100,14 +105,9 @@ class IdentifiableCoordinates:
         the machine's own coordinates by micrometres, to second order, and its readings not
         at all. A fit in units of the stated noise, without a prior.
         """
-        noise = Noise(measurement.sigma(series))
+        noise, origin = Noise(measurement.sigma(series)), self.origin[None]
         problem = ReadingsProblem(
-            measurement,
-            series,
-            noise,
-            exact[None],
-            self.origin[None],
-            self.basis,
+            measurement, series, noise, exact[None], origin, self.basis
         )
         return np.asarray(minimise(problem, start[None], weight=0.0).z[0])
 
@@ -115,41 +115,6 @@ class IdentifiableCoordinates:
         """The same with tolerances a factor as large, null directions apart."""
         basis, dual = factor * self.basis, self.dual / factor
         return dataclasses.replace(self, basis=basis, dual=dual)
-
-
-@dataclasses.dataclass(frozen=True)
-class _PriorUnits:
-    """Units z of k free parameters: their changes are tolerance * S z.
-
-    scale  (k,) tolerances, SI
-    shape  (k, k) S, symmetric; None: 1
-    """
-
-    scale: Array
-    shape: Array | None
-
-    def slopes(self, rows: Array) -> Array:
-        """Slopes (N, k) over the parameters as slopes over z."""
-        scaled = rows * self.scale
-        return scaled if self.shape is None else np.asarray(scaled @ self.shape)
-
-    def changes(self, rows: Array) -> Array:
-        """Changes (m, k) of the parameters as changes of z."""
-        scaled = rows / self.scale
-        if self.shape is None:
-            return scaled
-        return np.asarray(np.linalg.solve(self.shape, scaled.T).T, dtype=float)
-
-    def directions(self, columns: Array) -> Array:
-        """Directions (k, m) of z as changes of the parameters, SI."""
-        shaped = columns if self.shape is None else self.shape @ columns
-        return self.scale[:, None] * shaped
-
-    def duals(self, columns: Array) -> Array:
-        """Slopes (k, m) over the parameters of the shares of directions (k, m) of z."""
-        if self.shape is not None:
-            columns = np.asarray(np.linalg.solve(self.shape, columns), dtype=float)
-        return columns / self.scale[:, None]
 
 
 def _null_space(

@@ -10,7 +10,8 @@ effect: both the stated law and that of a fit without effects are starts, weighe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import functools
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
@@ -23,19 +24,93 @@ from oed.estimation.discrepancy import (
     SampledEffects,
     sample_effects,
 )
+from oed.estimation.estimate import Estimate
+from oed.estimation.fit_stages import ReadingsFit, last_stage
+from oed.estimation.law_stage import (
+    integrate_settled,
+    mode_of,
+    settle_law,
+    structure_and_prior,
+)
 from oed.linear_algebra import precision_root
-from oed.noise import Laws, ReadingStructure
+from oed.noise import Laws, Noise, ReadingStructure
 from oed.noise_law import NoisePrior, ResidualModel, robust_residuals
 
-#: rounds of effects and law; draws in each, and at the end
-ROUNDS, PARTICLES, DRAWS = 3, 150, 400
-#: singular values of the effects' columns, in units of the noise, below which they are
-#: left out of the covariance
-FAINT = 0.1
+#: rounds of effects and law
+N_ROUNDS = 3
+#: draws of the effects in a round: their root mean square is known to a tenth
+ROUND_DRAWS = 150
+#: draws of the effects at the end: they are those of the result
+N_DRAWS = 400
+#: singular values of the effects' columns, over the noise, below which they are left out
+#: of the covariance
+MIN_SIZE = 0.1
+
+
+def stage_with_effects(
+    fit: ReadingsFit,
+    stated: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+    discrepancy: Discrepancy,
+    rng: np.random.Generator,
+    near: Estimate | None,
+) -> Estimate:
+    """The last stage from theta (n,), with effects and noise law integrated over."""
+    exact = last_stage(fit, stated, theta, start_residuals, patterns)
+    structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
+    mode = mode_of(near, prior)
+    if mode is None:
+        settled = settle_law(fit, stated, exact, structure, prior)
+        theta = settled.coordinates.to_theta(settled.model.centre)
+        mode = settled.mode
+    starts: list[tuple[Array, Array | None]] = [(theta, mode)]
+    if not discrepancy.is_small:  # what is large can pass for noise
+        starts.insert(0, (exact.theta, None))
+    alternation = _Alternation(fit, exact, structure, prior, discrepancy, rng)
+    fits = [alternation.run(*start) for start in starts]
+    weights = special.softmax([one.log_evidence for one in fits])
+    number = rng.choice(len(fits), size=N_DRAWS, p=weights)
+    best = fits[int(np.argmax(weights))]
+    parts = [one.taken(np.flatnonzero(number == k)) for k, one in enumerate(fits)]
+    coefficients, sizes, thetas, means = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
+    sampled = SampledEffects(
+        discrepancy=discrepancy,
+        coefficients=coefficients,
+        size=sizes,
+        theta=thetas,
+        log_evidence=best.log_evidence - alternation.log_evidence_without(best),
+    )
+    theta = fit.closing(exact.theta, means.mean(axis=0))
+    offsets = means - means.mean(axis=0)
+    within = sum(w * one.within() for w, one in zip(weights, fits, strict=True))
+    covariance = within + offsets.T @ offsets / len(offsets)
+    first = dataclasses.replace(exact, theta=theta)
+    wide = dataclasses.replace(structure, effects=alternation.widened(sizes))
+    final = settle_law(fit, stated, first, wide, prior, best.mode)
+    estimate = integrate_settled(fit, first, final)
+    null = estimate.coordinates.null_basis
+    residuals = fit.residuals(theta)
+    white = stated.whiten(residuals - sampled.changes)
+    law_alone = prior.laws(best.mode[None]).noise(structure)
+    jacobian = fit.measurement.jacobian(fit.series, theta)
+    return dataclasses.replace(
+        estimate,
+        theta=theta,
+        chi2=float(white @ white),
+        dof=len(fit.y) - sampled.freedom(law_alone, jacobian),
+        z=estimate.coordinates.from_theta(theta),
+        covariance=covariance + null @ null.T,
+        residuals=residuals,
+        effects=sampled,
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ReadingsAbout:
+class _LinearReadings:
     """Standardised readings to first order about some parameters.
 
     coordinates  identifiable ones, z (r,)
@@ -49,80 +124,6 @@ class ReadingsAbout:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class EffectsStart:
-    """Where effects are sought from: parameters (n,) and the law's coordinates (d,).
-
-    mode  None: the stated law
-    """
-
-    theta: Array
-    mode: Array | None
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FittedEffects:
-    """Effects, and where the fit of the parameters goes on.
-
-    sampled    the draws
-    structure  of the readings, with the effects at the sizes drawn
-    theta      (n,) mean parameters
-    covariance (n, n) of the parameters, without directions that no reading determines
-    mode       (d,) coordinates of the most probable law
-    """
-
-    sampled: SampledEffects
-    structure: ReadingStructure
-    theta: Array
-    covariance: Array
-    mode: Array
-
-
-Linearise = Callable[[Array], ReadingsAbout]
-
-
-def fit_effects(
-    linearise: Linearise,
-    structure: ReadingStructure,
-    prior: NoisePrior,
-    stated: Laws,
-    discrepancy: Discrepancy,
-    starts: list[EffectsStart],
-    rng: np.random.Generator,
-) -> FittedEffects:
-    """Draw effects with the parameters, from all starts.
-
-    linearise  readings about some parameters (n,)
-    stated     the stated law, one of some laws
-    """
-    columns = structure.standardise(discrepancy.columns)
-    alternation = _Alternation(linearise, structure, prior, discrepancy, columns, rng)
-    fits = [alternation.run(start, stated) for start in starts]
-    weights = special.softmax([fit.log_evidence for fit in fits])
-    number = rng.choice(len(fits), size=DRAWS, p=weights)
-    best = fits[int(np.argmax(weights))]
-    parts = [fit.taken(np.flatnonzero(number == k)) for k, fit in enumerate(fits)]
-    means = np.vstack([p[3] for p in parts])
-    theta = means.mean(axis=0)
-    offsets = means - theta
-    within = sum(w * fit.within() for w, fit in zip(weights, fits, strict=True))
-    sampled = SampledEffects(
-        discrepancy=discrepancy,
-        coefficients=np.vstack([p[0] for p in parts]),
-        size=np.concatenate([p[1] for p in parts]),
-        theta=np.vstack([p[2] for p in parts]),
-        log_evidence=best.log_evidence - alternation.log_evidence_without(best),
-    )
-    widened = alternation.widened(sampled.size)
-    return FittedEffects(
-        sampled=sampled,
-        structure=dataclasses.replace(structure, effects=widened),
-        theta=theta,
-        covariance=np.asarray(within + offsets.T @ offsets / len(offsets)),
-        mode=best.mode,
-    )
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class _Settled:
     """Draws of effects under a most probable law, and their evidence.
 
@@ -131,7 +132,7 @@ class _Settled:
     root        (r, r) of the covariance of z given the effects
     """
 
-    linear: ReadingsAbout
+    linear: _LinearReadings
     clean: Array
     draws: EffectDraws
     z: Array
@@ -160,33 +161,50 @@ class _Settled:
 class _Alternation:
     """Effects and law in turn."""
 
-    linearise: Linearise
+    fit: ReadingsFit
+    exact: Estimate
     structure: ReadingStructure
     prior: NoisePrior
     discrepancy: Discrepancy
-    columns: Array
     rng: np.random.Generator
 
-    def run(self, start: EffectsStart, stated: Laws) -> _Settled:
-        """From one start."""
-        theta, law = start.theta, stated
-        mode = np.zeros(len(self.prior.names))
-        if start.mode is not None:
-            mode, law = start.mode, self.prior.laws(start.mode[None])
+    @functools.cached_property
+    def columns(self) -> Array:
+        """Columns (N, k) of the effects, standardised."""
+        return self.structure.standardise(self.discrepancy.columns)
+
+    def linearise(self, theta: Array) -> _LinearReadings:
+        """Readings about parameters (n,), or nearer to those without effects."""
+        fit, structure = self.fit, self.structure
+        theta = fit.closing(self.exact.theta, theta)
+        coordinates = fit.coordinates(theta, self.exact.noise, self.exact.prior_sd)
+        jacobian = fit.measurement.jacobian(fit.series, theta)
+        slopes = structure.standardise(jacobian @ coordinates.basis)
+        z = coordinates.from_theta(theta)
+        residual = structure.standardise(fit.residuals(theta)) + slopes @ z
+        return _LinearReadings(coordinates, residual, slopes)
+
+    def run(self, theta: Array, mode: Array | None) -> _Settled:
+        """From parameters (n,) and coordinates (d,) of a law; None: the stated one."""
+        law = Laws.stated(self.structure)
+        if mode is None:
+            mode = np.zeros(len(self.prior.names))
+        else:
+            law = self.prior.laws(mode[None])
         linear = self.linearise(theta)
         gram = self._gram(law, linear, linear.residual)
-        draws = self._draw(gram, PARTICLES)
-        for _ in range(ROUNDS):
+        draws = self._draw(gram, ROUND_DRAWS)
+        for _ in range(N_ROUNDS):
             linear = self.linearise(theta)
             clean = self._clean(law, linear, draws)
-            draws = self._draw(self._gram(law, linear, clean), PARTICLES)
+            draws = self._draw(self._gram(law, linear, clean), ROUND_DRAWS)
             slopes = np.hstack([linear.slopes, self.widened(draws.size)])
             mode = self._most_probable_law(slopes, clean, mode)
             law = self.prior.laws(mode[None])
             gram = self._gram(law, linear, clean)
             means, _ = self._coordinates(gram, draws)
             theta = linear.coordinates.to_theta(means.mean(axis=0))
-        draws = self._draw(gram, DRAWS)
+        draws = self._draw(gram, N_DRAWS)
         means, root = self._coordinates(gram, draws)
         z = means + self.rng.standard_normal(means.shape) @ root.T
         evidence = self._log_evidence(linear, clean, mode) + draws.log_evidence
@@ -201,16 +219,16 @@ class _Alternation:
         """Principal columns (N, k) that count, at the root mean square of sizes (m,)."""
         scaled = np.sqrt((size**2).mean()) * self.columns
         squares, axes = np.linalg.eigh(scaled.T @ scaled)
-        return np.asarray(scaled @ axes[:, squares > FAINT**2])
+        return np.asarray(scaled @ axes[:, squares > MIN_SIZE**2])
 
-    def _clean(self, law: Laws, linear: ReadingsAbout, draws: EffectDraws) -> Array:
+    def _clean(self, law: Laws, linear: _LinearReadings, draws: EffectDraws) -> Array:
         """Residuals (N,) about nominal, with those far off replaced."""
         structure = dataclasses.replace(
             self.structure, effects=self.widened(draws.size)
         )
         return robust_residuals(structure, law, linear.residual, linear.slopes)
 
-    def _gram(self, law: Laws, linear: ReadingsAbout, clean: Array) -> Array:
+    def _gram(self, law: Laws, linear: _LinearReadings, clean: Array) -> Array:
         """Products, under a law, of the r slopes, clean residuals and effects' columns."""
         values = np.column_stack([linear.slopes, clean, self.columns])
         return np.asarray(law.whitening(self.structure).gram(values)[0])
@@ -232,7 +250,9 @@ class _Alternation:
         """Coordinates (d,) of the most probable law, unknowns of slopes integrated out."""
         return self._model(slopes, clean, near).most_probable(self.prior, near)
 
-    def _log_evidence(self, linear: ReadingsAbout, clean: Array, mode: Array) -> float:
+    def _log_evidence(
+        self, linear: _LinearReadings, clean: Array, mode: Array
+    ) -> float:
         """Log evidence without effects under a law at coordinates (d,), with their prior."""
         model = self._model(linear.slopes, clean, mode)
         solved = model.solve(self.prior.laws(mode[None]))

@@ -18,11 +18,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Array
-from oed.estimation import fit_warnings
 from oed.estimation.coordinates import ReadingsProblem
 from oed.estimation.discrepancy import Discrepancy
-from oed.estimation.effects_stage import EffectsStart, ReadingsAbout, fit_effects
-from oed.estimation.estimate import Estimate
+from oed.estimation.effects_stage import stage_with_effects
+from oed.estimation.estimate import Estimate, with_warnings
 from oed.estimation.fit_stages import (
     IdentificationError,
     ReadingsFit,
@@ -31,15 +30,11 @@ from oed.estimation.fit_stages import (
 )
 from oed.estimation.fitter import PRECISION, minimise
 from oed.estimation.law_stage import (
-    integrate_settled,
     integrated_stage,
-    mode_of,
-    settle_law,
-    structure_and_prior,
 )
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
-from oed.noise import Laws, Noise
+from oed.noise import Noise
 
 
 def identify(
@@ -106,7 +101,7 @@ def identify(
             done.append(stage)
         if discrepancy is not None:
             rng = np.random.default_rng(0) if rng is None else rng
-            estimate = _stage_with_effects(
+            estimate = stage_with_effects(
                 fit, stated, theta, residuals, stages[-1], discrepancy, rng, near
             )
         elif estimate_noise:
@@ -129,75 +124,14 @@ def identify(
         residuals_before=residuals_before,
         stages=(*done, *estimate.stages),
     )
-    return fit_warnings.with_warnings(measurement, estimate)
-
-
-def _stage_with_effects(
-    fit: ReadingsFit,
-    stated: Noise,
-    theta: Array,
-    start_residuals: Array,
-    patterns: Sequence[str],
-    discrepancy: Discrepancy,
-    rng: np.random.Generator,
-    near: Estimate | None,
-) -> Estimate:
-    """The last stage from theta (n,), with effects and noise law integrated over."""
-    exact = last_stage(fit, stated, theta, start_residuals, patterns)
-    structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
-    without, mode = theta, mode_of(near, prior)
-    if mode is None:
-        settled = settle_law(fit, stated, exact, structure, prior)
-        without = settled.coordinates.to_theta(settled.model.centre)
-        mode = settled.mode
-    starts = [EffectsStart(without, mode)]
-    if not discrepancy.is_small:  # what is large can pass for noise
-        starts.insert(0, EffectsStart(exact.theta, None))
-
-    def linearise(about: Array) -> ReadingsAbout:
-        about = fit.closing(exact.theta, about)
-        coordinates = fit.coordinates(about, stated, exact.prior_sd)
-        jacobian = fit.measurement.jacobian(fit.series, about)
-        slopes = structure.standardise(jacobian @ coordinates.basis)
-        z = coordinates.from_theta(about)
-        residual = structure.standardise(fit.residuals(about)) + slopes @ z
-        return ReadingsAbout(coordinates, residual, slopes)
-
-    fitted = fit_effects(
-        linearise,
-        structure,
-        prior,
-        Laws.stated(structure),
-        discrepancy,
-        starts,
-        rng,
-    )
-    theta = fit.closing(exact.theta, fitted.theta)
-    first = dataclasses.replace(exact, theta=theta)
-    final = settle_law(fit, stated, first, fitted.structure, prior, fitted.mode)
-    estimate = integrate_settled(fit, first, final)
-    null = estimate.coordinates.null_basis
-    residuals = fit.residuals(theta)
-    white = stated.whiten(residuals - fitted.sampled.changes)
-    law_alone = prior.laws(fitted.mode[None]).noise(structure)
-    jacobian = fit.measurement.jacobian(fit.series, theta)
-    return dataclasses.replace(
-        estimate,
-        theta=theta,
-        chi2=float(white @ white),
-        dof=len(fit.y) - fitted.sampled.freedom(law_alone, jacobian),
-        z=estimate.coordinates.from_theta(theta),
-        covariance=fitted.covariance + null @ null.T,
-        residuals=residuals,
-        effects=fitted.sampled,
-    )
+    return with_warnings(measurement, estimate)
 
 
 #: distance to the minimum, in posterior standard deviations, at which a stage before the
 #: last ends: it finds a start
-NEAR = 0.1
-#: entries of the slopes of all machines that are held in memory at once
-ENTRIES = 4_000_000
+START_PRECISION = 0.1
+#: entries of the slopes of all machines that are computed at once: 32 MB
+BATCH_ENTRIES = 4_000_000
 
 
 def fit_machines(
@@ -213,7 +147,7 @@ def fit_machines(
 
     Raises IdentificationError where a machine cannot be fitted.
     """
-    size = max(1, ENTRIES // (y.shape[1] * len(measurement.parameters)))
+    size = max(1, BATCH_ENTRIES // (y.shape[1] * len(measurement.parameters)))
     parts = [
         _fit_together(measurement, series, y[start : start + size], stages)
         for start in range(0, len(y), size)
@@ -237,7 +171,7 @@ def _fit_together(
         offset = (theta - origin)[:, freed]
         start = np.asarray(np.linalg.solve(basis[freed], offset.T).T, dtype=float)
         problem = ReadingsProblem(measurement, series, noise, y, origin, basis)
-        precision = PRECISION if k == len(stages) else NEAR
+        precision = PRECISION if k == len(stages) else START_PRECISION
         minima = minimise(problem, start, precision=precision)
         theta = origin + minima.z @ basis.T
         converged &= minima.converged

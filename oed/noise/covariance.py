@@ -96,7 +96,9 @@ class FactoredNoise(Noise):
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
         wide = values[:, None] if values.ndim == 1 else values
-        return self.factor.whiten_in_place(wide).reshape(values.shape)
+        white = np.empty(wide.shape)
+        white[self.factor.order] = self.factor.whiten(wide)
+        return white.reshape(values.shape)
 
     def whiten_back(self, values: Array) -> Array:
         """W^T Y, for Y (N,) or (N, n)."""

@@ -68,12 +68,10 @@ class Errors:
 
     def standardise(self, values: Array) -> Array:
         """Values (N, m) of the readings in order (k, m), over P and scale."""
-        ordered = values
-        if len(values) > len(self.order) or not self.is_in_order:
-            ordered = values[self.order]
+        ordered = values[self.order]
         if self.unmix is not None:
             ordered = self.unmix @ ordered
-        return ordered if self.is_of_unit_scale else ordered / self.scale[:, None]
+        return np.asarray(ordered / self.scale[:, None])
 
     def unstandardise(self, scored: Array) -> Array:
         """P^-T Y (N, m) over scale, each row where its reading stands, for Y (k, m)."""
@@ -99,16 +97,6 @@ class Errors:
             covariance += segment @ segment.T
         return np.asarray(covariance)
 
-    @functools.cached_property
-    def is_in_order(self) -> bool:
-        """Whether the order is that of all readings."""
-        return bool((self.order == np.arange(len(self.order))).all())
-
-    @functools.cached_property
-    def is_of_unit_scale(self) -> bool:
-        """Whether all scales are 1."""
-        return bool((self.scale == 1.0).all())
-
 
 class LinearFactor:
     """Root of errors that are banded but for a few that each segment shares."""
@@ -127,12 +115,8 @@ class LinearFactor:
 
     def whiten(self, values: Array) -> Array:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
-        alone = self._banded.whiten(self.standardise(values))
+        alone = self._banded.whiten(self.errors.standardise(values))
         return self._shared.whiten(alone)
-
-    def whiten_in_place(self, values: Array) -> Array:
-        """W Y (N, m), each row where its reading stands, of a factor of all readings."""
-        return _in_place(self.order, self.whiten(values))
 
     def whiten_back(self, white: Array) -> Array:
         """W^T Y (N, m), for Y (k, m) in order and the W of `whiten`."""
@@ -150,11 +134,8 @@ class LinearFactor:
 
     def precision(self, values: Array) -> Array:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
-        return self.errors.unstandardise(self.scored(self.standardise(values)))
-
-    def standardise(self, values: Array) -> Array:
-        """Y (N, m) in order (k, m), over what only mixes channels and scales readings."""
-        return self.errors.standardise(values)
+        scored = self.scored(self.errors.standardise(values))
+        return self.errors.unstandardise(scored)
 
     def scored(self, standard: Array) -> Array:
         """The precision of standardised values (k, m) times them."""
@@ -222,10 +203,6 @@ class WideFactor:
         """Values (N, m) whitened by C less what the columns absorb of them."""
         shrink = 1.0 - 1.0 / np.hypot(1.0, self.sizes)[:, None]
         return np.asarray(white - self.axes @ (shrink * (self.axes.T @ white)))
-
-    def whiten_in_place(self, values: Array) -> Array:
-        """Whitened values (N, m), each row where its reading stands."""
-        return _in_place(self.order, self.whiten(values))
 
     def whiten_back(self, white: Array) -> Array:
         """The transpose of `whiten` times Y (N, m)."""

@@ -326,12 +326,10 @@ class Whitening:
         count = values.shape[-1]
         if gram.shape[-1] == count:
             return gram, log_determinant
-        inner = gram[:, count:, count:]
-        root = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
-        half = np.linalg.solve(root, gram[:, count:, :count])
-        diagonals = np.diagonal(root, axis1=-2, axis2=-1)
-        log_determinant = log_determinant + 2.0 * np.log(diagonals).sum(axis=1)
-        return gram[:, :count, :count] - half.swapaxes(1, 2) @ half, log_determinant
+        shared = gram[:, None, count:]
+        amounts = np.ones((len(gram), shared.shape[2]))
+        removed, more = taken_out(shared[..., count:], shared[..., :count], amounts)
+        return gram[:, :count, :count] - removed, log_determinant + more
 
     def _products_of_noise(self, values: Array) -> tuple[Array, Array]:
         """The same without what all readings share, of whose columns there are products."""

@@ -22,7 +22,12 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.noise_law.marginal import NoisePosterior, ResidualModel
+    from oed.noise_law.marginal import (
+        KernelMixture,
+        NoisePosterior,
+        ResidualModel,
+        draw_laws,
+    )
     from oed.noise_law.outliers import (
         NORMAL,
         ErrorDensity,
@@ -38,6 +43,5 @@ if TYPE_CHECKING:
         log_prior_of_scale,
         scale_over_stated,
     )
-    from oed.noise_law.proposal import KernelMixture, draw_laws
 else:
     __getattr__ = door(__name__)

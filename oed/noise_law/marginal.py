@@ -9,29 +9,327 @@ e of a law with coordinates u,
 the marginal likelihood with the parameters z integrated out (restricted likelihood with
 a proper prior; Patterson and Thompson 1971). Laws are drawn where they are probable and
 weighted: estimates are means over laws, not those of the best one.
+
+What a run shares may be as large as the readings show, or nothing while an error that is
+correlated far stands for it. Such a posterior is steep on one side of its mode and has a
+long, crooked tail on the other. The split Student (Geweke 1989, Econometrica 57,
+1317-1339) is as wide on either side of each axis as the posterior; the kernels at the
+weighted draws follow the tail (population Monte Carlo; Cappe et al. 2004, Journal of
+Computational and Graphical Statistics 13, 907-929). Points are those of a Sobol sequence,
+so that the same readings give the same laws; a sampler draws from the kernels at random.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
-from oed.base import Array
+from oed.base import Array, Index
+from oed.base.linear_algebra import eigenvectors
 from oed.linear_algebra import triangle_of_sums
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law.prior import NoisePrior
-from oed.noise_law.proposal import (
-    MAX_COORDINATE,
-    KernelMixture,
-    find_mode,
-    kernels_at,
-    root_about,
-    split_student,
-)
+
+#: largest coordinate of a law that is looked at, prior sd
+MAX_COORDINATE = 8.0
+#: step of numerical gradients in a search, prior sd
+GRADIENT_STEP = 1e-4
+#: step of numerical curvatures, prior sd: wide, as the cost is not smooth to its last digit
+CURVATURE_STEP = 0.15
+#: least curvature, over that of the prior: draws are no wider than sqrt(2) prior sd
+MIN_CURVATURE = 0.5
+#: Newton steps after the search, which ends a few hundredths of a prior sd away
+MAX_NEWTON_STEPS = 6
+#: length of a Newton step below which the mode is reached, prior sd
+STEP_TOLERANCE = 3e-4
+#: step of the central differences of Newton's gradient, prior sd
+NEWTON_GRADIENT_STEP = 0.01
+#: rise of the cost that rounding explains
+COST_TOLERANCE = 1e-6
+
+#: minus log posterior density (L,), up to a constant, at coordinates (L, d)
+Cost = Callable[[Array], Array]
+
+
+def find_mode(cost: Cost, starts: Array, farthest: float) -> Array:
+    """Coordinates (d,) of least cost from some starts (s, d), none beyond `farthest`."""
+    dimensions = starts.shape[1]
+    steps = np.vstack([np.zeros(dimensions), np.eye(dimensions)]) * GRADIENT_STEP
+
+    def cost_and_gradient(u: Array) -> tuple[float, Array]:
+        costs = cost(u + steps)
+        return float(costs[0]), (costs[1:] - costs[0]) / GRADIENT_STEP
+
+    limits = [(-farthest, farthest)] * dimensions
+    minima = [
+        optimize.minimize(
+            cost_and_gradient,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=limits,
+            options={"maxiter": 60, "ftol": 1e-6},
+        )
+        for start in starts
+    ]
+    return np.asarray(min(minima, key=lambda minimum: minimum.fun).x)
+
+
+def polish(cost: Cost, u: Array, farthest: float) -> Array:
+    """Coordinates (d,) of least cost near u (d,), where `find_mode` ended.
+
+    That search ends where the cost hardly falls any more, some hundredths away, and where
+    that is depends on rounding. Newton steps go on to where the gradient vanishes.
+    """
+    root = root_about(cost, u)
+    moves = NEWTON_GRADIENT_STEP * np.eye(len(u))
+    moves = np.vstack([np.zeros(len(u)), moves, -moves])
+    lowest, least = u, np.inf
+    for _ in range(MAX_NEWTON_STEPS):
+        costs = cost(u + moves)
+        if costs[0] > least + COST_TOLERANCE:
+            break
+        lowest, least = u, float(costs[0])
+        ahead, behind = np.split(costs[1:], 2)
+        gradient = (ahead - behind) / (2.0 * NEWTON_GRADIENT_STEP)
+        step = -root @ (root.T @ gradient)
+        if np.abs(step).max() < STEP_TOLERANCE:
+            break
+        u = np.clip(u + step, -farthest, farthest)
+    return lowest
+
+
+def root_about(cost: Cost, mode: Array) -> Array:
+    """Root (d, d) of the inverse curvature at the mode, no wider than is sensible."""
+    d = len(mode)
+    unit = CURVATURE_STEP * np.eye(d)
+    pairs = [(i, j) for i in range(d) for j in range(i)]
+    both = [unit[i] + unit[j] for i, j in pairs]
+    points = np.vstack([np.zeros(d), unit, -unit, *both])
+    costs = cost(mode + points)
+    middle, ahead, behind = costs[0], costs[1 : d + 1], costs[d + 1 : 2 * d + 1]
+    curvature = np.diag(ahead + behind - 2.0 * middle)
+    for (i, j), value in zip(pairs, costs[2 * d + 1 :], strict=True):
+        mixed = value - ahead[i] - ahead[j] + middle
+        curvature[i, j] = curvature[j, i] = mixed
+    values, vectors = eigenvectors(curvature / CURVATURE_STEP**2)
+    root: Array = vectors / np.sqrt(np.maximum(values, MIN_CURVATURE))
+    return root
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DrawnLaws:
+    """Laws of a posterior: draws (n, d), the mode (d,), the log of its integral."""
+
+    draws: Array
+    mode: Array
+    log_integral: float
+
+
+def draw_laws(
+    cost: Cost, starts: Array, farthest: float, *, points: int, draws: int
+) -> DrawnLaws:
+    """Draw laws by their cost, spread along the widest axis of the posterior.
+
+    starts    (s, d) coordinates from which the mode is sought
+    farthest  largest coordinate
+    points    number of those by which the integral is computed
+
+    Where there is no coordinate, or the mode is in a corner, as where rows are copies of
+    others, one law is possible.
+    """
+    if not starts.shape[1]:
+        mode = starts[0]
+        return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
+    mode = polish(cost, find_mode(cost, starts, farthest), farthest)
+    proposal = split_student(cost, mode, _signed(root_about(cost, mode)))
+    sample = proposal.points(points)
+    sample = sample[np.abs(sample).max(axis=1) < farthest]
+    if not len(sample):
+        return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
+    log_weights = -cost(sample) - proposal.log_density(sample)
+    total = float(special.logsumexp(log_weights))
+    rows = _systematic(sample, np.exp(log_weights - total), draws)
+    return DrawnLaws(sample[rows], mode, total - float(np.log(points)))
+
+
+def _systematic(points: Array, weights: Array, count: int) -> Index:
+    """Numbers (count,) of points by their weights, spread along the widest axis."""
+    offsets = points - weights @ points
+    _, vectors = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
+    order = np.argsort(offsets @ _signed(vectors)[:, -1])
+    levels = (np.arange(count) + 0.5) / count
+    ranks = np.searchsorted(np.cumsum(weights[order]), levels)
+    return order[np.minimum(ranks, len(order) - 1)]
+
+
+def _signed(vectors: Array) -> Array:
+    """Vectors in columns (d, k), each with its largest component positive.
+
+    An eigenvector's sign is a matter of rounding.
+    """
+    largest = np.argmax(np.abs(vectors), axis=0)
+    return vectors * np.sign(vectors[largest, range(vectors.shape[1])])
+
+
+#: degrees of freedom of the Student t. Tails of 5 waste nearly all draws of ten
+#: coordinates, as six channels have: 17 of 320 were left, and intervals a third too wide
+DEGREES = 20.0
+#: distances from the mode at which widths are read off, standard deviations by curvature
+TAIL_DISTANCES = (1.0, 2.0, 3.5)
+#: least and largest width, over that by the curvature
+WIDTH_LIMITS = (0.7, 4.0)
+#: least rise of the cost at these distances: the cost may be flat
+MIN_RISE = 1e-3
+#: power of the weights by which kernels are placed: a single draw must not take all
+WEIGHT_POWER = 0.5
+#: numbers of offsets from kernels that are computed at once: 4 MB
+KERNEL_VALUES = 500_000
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SplitStudent:
+    """Student t about a mode, with a width of its own on either side of each axis.
+
+    mode           (d,)
+    root           (d, d) axes in columns
+    behind, ahead  (d,) widths on either side, over the axes' lengths
+    """
+
+    mode: Array
+    root: Array
+    behind: Array
+    ahead: Array
+
+    def points(self, count: int) -> Array:
+        """Points (count, d)."""
+        uniform = _sobol(count, len(self.mode) + 1)
+        share = self.behind / (self.behind + self.ahead)
+        level, chi2 = uniform[:, :-1], _chi2(uniform[:, -1:])
+        below = 0.5 * level / share
+        above = 1.0 - 0.5 * (1.0 - level) / (1.0 - share)
+        normal = special.ndtri(np.where(level < share, below, above))
+        student = normal / np.sqrt(chi2 / DEGREES)
+        width = np.where(student < 0.0, self.behind, self.ahead)
+        return np.asarray(self.mode + (width * student) @ self.root.T)
+
+    def log_density(self, u: Array) -> Array:
+        """Log density (L,) at points (L, d)."""
+        along = np.linalg.solve(self.root, (u - self.mode).T).T
+        student = along / np.where(along < 0.0, self.behind, self.ahead)
+        size = np.log(0.5 * (self.behind + self.ahead)).sum()
+        size += np.linalg.slogdet(self.root)[1]
+        return np.asarray(_log_student(student) - size)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class KernelMixture:
+    """Student t kernels at points.
+
+    centres  (m, d)
+    weights  (m,) sum 1
+    root     (d, d) of the kernels' scale matrix
+    """
+
+    centres: Array
+    weights: Array
+    root: Array
+
+    def points(self, count: int) -> Array:
+        """Points (count, d)."""
+        uniform = _sobol(count, self.centres.shape[1] + 2)
+        ends = np.cumsum(self.weights)
+        number = np.searchsorted(ends, uniform[:, -2] * ends[-1])
+        normal = special.ndtri(uniform[:, :-2])
+        student = normal / np.sqrt(_chi2(uniform[:, -1:]) / DEGREES)
+        return np.asarray(self.centres[number] + student @ self.root.T)
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """`count` random points or fewer (m, d): those that are not too far."""
+        number = rng.choice(len(self.weights), size=count, p=self.weights)
+        normal = rng.standard_normal((count, self.centres.shape[1]))
+        student = normal / np.sqrt(rng.chisquare(DEGREES, (count, 1)) / DEGREES)
+        points = self.centres[number] + student @ self.root.T
+        return np.asarray(points[np.abs(points).max(axis=1) < MAX_COORDINATE])
+
+    def log_density(self, u: Array) -> Array:
+        """Log density (L,) at points (L, d)."""
+        few = max(1, KERNEL_VALUES // self.centres.size)
+        starts = range(0, len(u), few)
+        return np.concatenate([self._log_density(u[k : k + few]) for k in starts])
+
+    def _log_density(self, u: Array) -> Array:
+        offsets = (u[:, None] - self.centres).reshape(-1, u.shape[1])
+        student = np.asarray(np.linalg.solve(self.root, offsets.T).T, dtype=float)
+        kernels = _log_student(student).reshape(len(u), -1)
+        total = special.logsumexp(kernels, axis=1, b=self.weights)
+        return np.asarray(total - np.linalg.slogdet(self.root)[1])
+
+
+def split_student(cost: Cost, mode: Array, root: Array) -> SplitStudent:
+    """The split Student for a cost.
+
+    root  (d, d) of the inverse curvature at the mode
+    """
+    steps = np.array(TAIL_DISTANCES)[:, None, None]
+    moves = (steps * np.vstack([-root.T, root.T])).reshape(-1, len(root))
+    costs = cost(mode + np.vstack([np.zeros(len(root)), moves]))
+    rise = np.maximum(costs[1:] - costs[0], MIN_RISE)
+    ratio = steps[..., 0] / np.sqrt(2.0 * rise).reshape(len(steps), -1)
+    behind, ahead = np.split(np.clip(ratio.max(axis=0), *WIDTH_LIMITS), 2)
+    return SplitStudent(mode, root, behind, ahead)
+
+
+def kernels_at(
+    draws: Array, log_weights: Array, widening: float = 1.0
+) -> KernelMixture:
+    """Kernels at draws (m, d), more where their weights are larger.
+
+    widening  of the kernels, over the best for a normal density
+    """
+    weights = np.exp(WEIGHT_POWER * (log_weights - log_weights.max()))
+    weights /= weights.sum()
+    offsets = draws - weights @ draws
+    covariance = (offsets * weights[:, None]).T @ offsets
+    d = draws.shape[1]
+    # Silverman's rule for as many normal draws as the weights are worth.
+    effective = 1.0 / (weights**2).sum()
+    width = (4.0 / ((d + 2.0) * effective)) ** (1.0 / (d + 4.0))
+    values, vectors = eigenvectors(covariance)
+    least = 1e-6 * values.max()
+    root = widening * width * vectors * np.sqrt(np.maximum(values, least))
+    return KernelMixture(draws, weights, root)
+
+
+def _log_student(student: Array) -> Array:
+    """Log density (L,) of a Student t of unit scale at points (L, d)."""
+    d = student.shape[1]
+    power = 0.5 * (DEGREES + d)
+    size = special.gammaln(power) - special.gammaln(0.5 * DEGREES)
+    size -= 0.5 * d * np.log(np.pi * DEGREES)
+    return np.asarray(size - power * np.log1p((student**2).sum(axis=1) / DEGREES))
+
+
+def _chi2(uniform: Array) -> Array:
+    return np.asarray(special.chdtri(DEGREES, 1.0 - uniform))
+
+
+@functools.cache
+def _sobol(count: int, dimensions: int) -> Array:
+    """Points (count, dimensions) of a Sobol sequence, the one at the origin left out."""
+    from scipy.stats import qmc  # takes a second to import
+
+    sequence = qmc.Sobol(dimensions, scramble=False)
+    with warnings.catch_warnings():
+        # Balance asks for powers of two, and the first point has no finite quantile.
+        warnings.simplefilter("ignore", UserWarning)
+        return np.asarray(sequence.random(count + 1)[1:])
+
 
 #: laws drawn in a round
 DRAWS = 320
@@ -94,7 +392,7 @@ class ResidualModel:
         mode  (d,) most probable coordinates; sought by default
 
         Where a first round of laws is worth too few, a second is drawn where the first has
-        weight, and all are weighted by both rounds' density together (`oed.noise_law.proposal`).
+        weight, and all are weighted by both rounds' density together (`oed.noise_law.marginal`).
         """
         if mode is None:
             mode = self.most_probable(prior)

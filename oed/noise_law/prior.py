@@ -10,7 +10,6 @@ A stated amount is the middle of a narrow prior, and 0 takes the part out of the
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -43,10 +42,18 @@ READINGS_PER_WEIGHT = 10
 LEAST_FREEDOM = 10
 #: distance of the correlated share from 0 and 1, where the filter is singular
 MIN_SHARE = 1e-6
-#: median of the correlated share where it is mostly small
-SMALL_SHARE = 0.05
-#: sd of the logit of that share
-SMALL_SHARE_SD = 2.5
+#: median, over the stated noise, of a run's level, of a renewed unknown and of a course,
+#: and sd of its log: for estimates, where what is forgotten makes intervals too narrow,
+#: from a thirtieth of the noise to five times it
+SHARED_MEDIAN = 0.4
+SHARED_SD = 1.3
+#: the same for questions of cause, where what is assumed hides a gap: two in five are
+#: below a tenth of the noise, one in seven exceeds it
+SPARSE_MEDIAN = 0.15
+SPARSE_SD = 1.8
+#: median of the correlated share, and sd of its logit, for questions of cause
+SPARSE_SHARE = 0.05
+SPARSE_SHARE_SD = 2.5
 #: sd of the log of the reach, in readings
 REACH_SD = 1.0
 #: sd of the logs of a run's level and of its seating over the stated ones
@@ -57,57 +64,6 @@ STATED_SHARE_SD = 0.7
 STATED_REACH_SD = 0.3
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Amounts:
-    """How large the parts of the noise are that no data sheet states.
-
-    shared_median, shared_sd  median, in units of the stated noise, of a run's level, of a
-                              renewed unknown and of a session's course, and sd of their
-                              logs
-    carried                   share (L,) of the variance that is carried along, of
-                              normal coordinates (L,)
-    """
-
-    shared_median: float
-    shared_sd: float
-    carried: Callable[[Array], Array]
-
-
-def _share(u: Array) -> Array:
-    """A share between 0 and 1 of normal coordinates, by the arcsine law.
-
-    It is Jeffreys' prior of a share: all is carried along, nothing is, or anything
-    between. A prior about a middle value made the intervals too narrow where all is.
-    """
-    share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
-    return np.asarray(np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE))
-
-
-def share_about(stated: float) -> Callable[[Array], Array]:
-    """A share of normal coordinates whose logit is normal about a stated one's."""
-    middle = special.logit(np.clip(stated, MIN_SHARE, 1.0 - MIN_SHARE))
-
-    def share(u: Array) -> Array:
-        values = special.expit(middle + STATED_SHARE_SD * u)
-        return np.asarray(np.clip(values, MIN_SHARE, 1.0 - MIN_SHARE))
-
-    return share
-
-
-def _small_share(u: Array) -> Array:
-    """A share between 0 and 1 that is mostly small: its logit is normal."""
-    middle = special.logit(SMALL_SHARE)
-    return np.asarray(special.expit(middle + SMALL_SHARE_SD * u))
-
-
-#: for estimates, where what is forgotten makes intervals too narrow: from a thirtieth of
-#: the noise to five times it
-CAUTIOUS = Amounts(0.4, 1.3, _share)
-#: for questions of cause, where what is assumed hides a gap: each part may as well be
-#: absent, two in five are below a tenth of the noise, one in seven exceeds it
-SPARSE = Amounts(0.15, 1.8, _small_share)
-
-
 @dataclasses.dataclass(frozen=True)
 class NoisePrior:
     """A prior over laws: coordinates u (d,) are standard normal.
@@ -115,8 +71,9 @@ class NoisePrior:
     names      of the coordinates: the scales, then those of the parts of the noise that
                are in the model
     groups     number of groups of readings with a noise of their own
-    amounts    of what is not stated
     statement  what is stated
+    is_sparse  whether parts that are not stated may as well be absent, as for questions
+               of cause
     is_common  whether all groups have one scale, and weights near the stated ones: with
                several groups, each has a factor of its own as of a stated noise
 
@@ -134,9 +91,9 @@ class NoisePrior:
 
     names: tuple[str, ...]
     groups: int
-    amounts: Amounts = CAUTIOUS
     statement: NoiseStatement = NOTHING_STATED
     is_common: bool = False
+    is_sparse: bool = False
 
     @classmethod
     def of(cls, structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
@@ -179,8 +136,8 @@ class NoisePrior:
         return len(self.names)
 
     def sparse(self) -> NoisePrior:
-        """The prior for questions of cause, where each part may as well be absent."""
-        return dataclasses.replace(self, amounts=SPARSE)
+        """The prior for questions of cause."""
+        return dataclasses.replace(self, is_sparse=True)
 
     def without(self, name: str) -> NoisePrior:
         """The prior with a part taken out of the model."""
@@ -195,8 +152,9 @@ class NoisePrior:
         def size(name: str) -> Array:
             if name not in of_name:
                 return nothing
-            spread = np.exp(self.amounts.shared_sd * of_name[name])
-            return np.asarray(self.amounts.shared_median * spread)
+            median = SPARSE_MEDIAN if self.is_sparse else SHARED_MEDIAN
+            sd = SPARSE_SD if self.is_sparse else SHARED_SD
+            return np.asarray(median * np.exp(sd * of_name[name]))
 
         def factor(name: str) -> Array:
             return np.asarray(np.exp(STATED_SD * of_name.get(name, nothing)))
@@ -228,10 +186,22 @@ class NoisePrior:
         return scale_over_stated(by_group)
 
     def _share(self, u: Array) -> Array:
-        """Share (L,) of the variance that is carried along."""
+        """Share (L,) of the variance that is correlated.
+
+        Where nothing is stated it has the arcsine law, Jeffreys' prior of a share: all is
+        correlated, nothing is, or anything between. A prior about a middle value made the
+        intervals too narrow where all is. Otherwise its logit is normal.
+        """
         stated = self.statement.carried
-        share = self.amounts.carried if stated is None else share_about(stated)
-        return share(u)
+        if stated is None and self.is_sparse:
+            middle = special.logit(SPARSE_SHARE)
+            return np.asarray(special.expit(middle + SPARSE_SHARE_SD * u))
+        if stated is None:
+            share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
+        else:
+            middle = special.logit(np.clip(stated, MIN_SHARE, 1.0 - MIN_SHARE))
+            share = special.expit(middle + STATED_SHARE_SD * u)
+        return np.asarray(np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE))
 
     def _reach(self, u: Array) -> Array:
         """Reach (L,) of what is carried along, in readings."""

@@ -1,18 +1,20 @@
 """The posterior of the parameters: log density, sampling, checks of the sampler.
 
-MIXED_RHAT          R-hat of independent ensembles below which they agree
-ApproximateDraws    draws from the approximation about an estimate
-Checkpoint          where an unfinished chain is saved
-LogDensity          log posterior density in identifiable coordinates
-OutOfBoundsError    readings and bounds contradict each other
-Posterior           draws of the posterior, and their diagnostics
-Sampler             the names of samplers
-draw_approximation  draws without sampling
-import_samplers     imports what sampling needs, as it takes seconds
-predictive_checks   whether readings look like those that the posterior predicts
-sample              samples the posterior
-save                writes the draws as NetCDF
-to_arviz            the draws as ArviZ reads them
+MIXED_RHAT            R-hat of independent ensembles below which they agree
+ApproximateDraws      draws from the approximation about an estimate
+Checkpoint            where an unfinished chain is saved
+LogDensity            log posterior density in identifiable coordinates
+OutOfBoundsError      readings and bounds contradict each other
+Posterior             draws of the posterior, and their diagnostics
+Sampler               the names of samplers
+draw_approximation    draws without sampling
+draw_coordinates      draws of the identifiable coordinates
+draw_lost_directions  parameters at coordinates, with lost directions drawn
+import_samplers       imports what sampling needs, as it takes seconds
+predictive_checks     whether readings look like those that the posterior predicts
+sample                samples the posterior
+save                  writes the draws as NetCDF
+to_arviz              the draws as ArviZ reads them
 """
 
 from typing import TYPE_CHECKING
@@ -20,12 +22,21 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.posterior.chains import MIXED_RHAT
-    from oed.posterior.checkpoint import Checkpoint
+    from oed.posterior.chains import MIXED_RHAT, Checkpoint
     from oed.posterior.draws import Posterior, save, to_arviz
-    from oed.posterior.laplace import ApproximateDraws, draw_approximation
-    from oed.posterior.log_density import LogDensity, OutOfBoundsError
-    from oed.posterior.posterior import Sampler, import_samplers, sample
-    from oed.posterior.posterior_checks import predictive_checks
+    from oed.posterior.log_density import (
+        ApproximateDraws,
+        LogDensity,
+        OutOfBoundsError,
+        draw_approximation,
+        draw_coordinates,
+        draw_lost_directions,
+    )
+    from oed.posterior.posterior import (
+        Sampler,
+        import_samplers,
+        predictive_checks,
+        sample,
+    )
 else:
     __getattr__ = door(__name__)

@@ -5,6 +5,10 @@ quantiles of the generalised Pareto distribution that fits them (PSIS; Vehtari, 
 Gelman, Yao and Gabry 2024, Journal of Machine Learning Research 25(72)). Its shape k says
 whether means converge: above min(1 - 1 / log10(count), 0.7) they do not, and the weights
 are not used. Else draws are taken by their weights, so that all count alike.
+
+Proposals are Student t about the estimate. With an estimated noise law the posterior is wide
+where the noise is large: the law is drawn first, from kernels at laws that are probable,
+and the parameters from the Student t that the linear model has under this law.
 """
 
 from __future__ import annotations
@@ -16,27 +20,92 @@ from collections.abc import Callable
 import numpy as np
 
 from oed.base import Array, Index
+from oed.noise_law import KernelMixture, NoisePosterior, ResidualModel
 from oed.posterior.chains import arviz
 from oed.posterior.draws import Posterior
-from oed.posterior.log_density import LogDensity, OutOfBoundsError
+from oed.posterior.log_density import (
+    LogDensity,
+    OutOfBoundsError,
+    draw_student,
+    log_student,
+)
 from oed.posterior.proposals import Proposal, proposal_of
 from oed.result import IMPORTANCE, largest_pareto_k
 
 #: k beyond which more proposals are not worth a try
-HOPELESS_K = 1.0
+MAX_K = 1.0
 #: draws, over the wanted effective sample size: more where some are repeated
 SPARES = (1.2, 2.0, 3.0)
 #: proposals at most, over the wanted effective sample size
-MOST = 30.0
+MAX_PROPOSALS_PER_ESS = 30.0
 #: proposals at first at least: the tail of fewer has no shape
-LEAST = 1000
+MIN_PROPOSALS = 1000
+#: share of proposals of density above 0 below which there is no sampling
+MIN_SHARE = 0.01
 #: effective sample size beyond which proposals need too much memory
-LARGEST_ESS = 100_000.0
-#: further proposals where the draws are worth less than wanted, over those that would do
-#: if their worth were their share, and least of those so far
-ENOUGH, LEAST_MORE = 1.3, 0.25
-#: proposals in one round at most
-ROUND = 20_000
+MAX_ESS = 100_000.0
+#: further proposals, over those that would do if their worth were their share
+SPARE_PROPOSALS = 1.3
+#: further proposals at least, over those so far
+MIN_MORE = 0.25
+#: proposals whose densities are computed at once
+BATCH = 20_000
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StudentProposal:
+    """Student t about a point.
+
+    centre         (d,)
+    root           (d, d) of the scale matrix
+    points_of_ess  points that are usually enough, over the effective sample size
+    """
+
+    centre: Array
+    root: Array
+    points_of_ess: float = 1.6
+
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+        """Points (count, d) and log densities (count,), up to a constant."""
+        white = draw_student(rng, (count, len(self.centre)))
+        return self.centre + white @ self.root.T, log_student(white)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LawProposal:
+    """A law from kernels, then parameters as in the linear model under this law.
+
+    model    of the readings about the estimate
+    fitted   posterior of the law in the linear model
+    kernels  in the law's coordinates
+    """
+
+    model: ResidualModel
+    fitted: NoisePosterior
+    kernels: KernelMixture
+    points_of_ess: float = 2.5
+
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+        """Points (m, r + d) and log densities (m,), up to a constant."""
+        laws = self.kernels.draw(rng, count)
+        solutions = self.model.solve(self.fitted.prior.laws(laws))
+        white = draw_student(rng, solutions.mean.shape)
+        z = solutions.mean + np.einsum("mij,mj->mi", solutions.root, white)
+        log_size = np.log(np.einsum("mii->mi", solutions.root)).sum(axis=1)
+        log_density = self.kernels.log_density(laws) + log_student(white) - log_size
+        return np.hstack([z, laws]), log_density
+
+
+#: draws points and knows their density
+Proposal = StudentProposal | LawProposal
+
+
+def proposal_of(target: LogDensity, rng: np.random.Generator) -> Proposal:
+    """The proposal for a density; an estimated law takes some draws to place it."""
+    if target.law is None:
+        return StudentProposal(target.centre, target.root)
+    model, fitted = target.linear_model(), target.law
+    return LawProposal(model, fitted, fitted.kernels(model, rng))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,41 +164,37 @@ def draw_weighted(
     proposal: Proposal,
     rng: np.random.Generator,
     ess: float,
-    most: float,
+    max_draws: float,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Proposals, float, Index | None]:
     """Proposals, k, and numbers of those drawn; None where weights cannot be used.
 
-    Draws are as many as are worth `ess` independent ones for every parameter, and `most`
+    Draws are as many as are worth `ess` independent ones for every parameter, and `max_draws`
     at most. Raises KeyboardInterrupt.
     """
     proposals, k = Proposals.empty(target.dimensions), math.inf
-    count = max(math.ceil(proposal.points_of_ess * ess), LEAST)
-    while proposals.drawn < max(MOST * ess, LEAST):
-        for some in _rounds(count):
-            proposals = proposals.extend(target, proposal, rng, some)
-        if len(proposals.points) < 0.01 * proposals.drawn:
+    count = max(math.ceil(proposal.points_of_ess * ess), MIN_PROPOSALS)
+    while proposals.drawn < max(MAX_PROPOSALS_PER_ESS * ess, MIN_PROPOSALS):
+        for start in range(0, count, BATCH):
+            batch = min(BATCH, count - start)
+            proposals = proposals.extend(target, proposal, rng, batch)
+        if len(proposals.points) < MIN_SHARE * proposals.drawn:
             break
         weights, k = proposals.smoothed()
-        if k > HOPELESS_K:
+        if k > MAX_K:
             break
         more = 1.0
         if k <= largest_pareto_k(proposals.drawn):
             for spare in SPARES:
-                chosen = resample(weights, math.ceil(min(spare * ess, most)), rng)
+                chosen = resample(weights, math.ceil(min(spare * ess, max_draws)), rng)
                 reached = float(np.min(worth(target, proposals.points, chosen)))
-                if reached >= ess or len(chosen) >= most:
+                if reached >= ess or len(chosen) >= max_draws:
                     return proposals, k, chosen
             if progress is not None:
                 progress(min(1.0, reached / ess))
-            more = np.clip(ENOUGH * ess / reached - 1.0, LEAST_MORE, 1.0)
+            more = np.clip(SPARE_PROPOSALS * ess / reached - 1.0, MIN_MORE, 1.0)
         count = math.ceil(more * proposals.drawn)
     return proposals, k, None
-
-
-def _rounds(count: int) -> list[int]:
-    whole, rest = divmod(count, ROUND)
-    return [ROUND] * whole + [rest] * (rest > 0)
 
 
 def resample(weights: Array, count: int, rng: np.random.Generator) -> Index:
@@ -137,9 +202,9 @@ def resample(weights: Array, count: int, rng: np.random.Generator) -> Index:
 
     Systematic: each is taken as often as its weight says, rounded up or down.
     """
-    places = (np.arange(count) + rng.random()) / count
+    levels = (np.arange(count) + rng.random()) / count
     ends = np.cumsum(weights)
-    numbers = np.searchsorted(ends, places * ends[-1])
+    numbers = np.searchsorted(ends, levels * ends[-1])
     return rng.permutation(np.minimum(numbers, len(weights) - 1))
 
 
@@ -171,11 +236,9 @@ def collect(
 
     Raises OutOfBoundsError where no draw is within bounds.
     """
-    coordinates, r = target.coordinates, target.r
-    points, null = proposals.points[chosen], coordinates.null_basis
-    change = rng.standard_normal((len(points), null.shape[1])) @ null.T
-    theta = target.move_along_null(coordinates.to_theta(points[:, :r]), change)
-    inside = target.in_bounds(theta)
+    points, r = proposals.points[chosen], target.r
+    theta = target.draw_theta(rng, points[:, :r])
+    inside = target.measurement.in_bounds(theta)
     if not inside.any():
         raise OutOfBoundsError(target.measurement, theta)
     ess = np.full(theta.shape[1], np.nan)
@@ -199,27 +262,27 @@ def sample_independent(
     target: LogDensity,
     rng: np.random.Generator,
     ess: float,
-    most: float = math.inf,
+    max_draws: float = math.inf,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Posterior | None, Proposals, float]:
     """Independent draws worth `ess`, or None; the proposals and k of their weights.
 
-    most  draws at most
+    max_draws  draws at most
 
     Raises KeyboardInterrupt, OutOfBoundsError.
     """
     proposal = proposal_of(target, rng)
-    wanted = reachable = min(ess, most / SPARES[0])
+    wanted = reachable = min(ess, max_draws / SPARES[0])
     while True:
         proposals, k, chosen = draw_weighted(
-            target, proposal, rng, wanted, most, progress
+            target, proposal, rng, wanted, max_draws, progress
         )
         if chosen is None:
             return None, proposals, k
         drawn = collect(target, proposals, k, chosen, rng)
         share = drawn.draws.shape[1] / len(chosen)
         least = float(np.nanmin(drawn.ess, initial=len(chosen)))
-        if least >= reachable or wanted > reachable or len(chosen) >= most:
+        if least >= reachable or wanted > reachable or len(chosen) >= max_draws:
             return drawn, proposals, k
         # bounds left out some
         wanted = SPARES[0] * wanted / share

@@ -6,16 +6,23 @@
 z are the identifiable coordinates (`oed.estimation.coordinates`), u those of the noise law
 (`oed.noise_law.prior`), sampled where the law is estimated, so that few readings give wide
 tails.
+
+Without sampling, draws come from the approximation about an estimate: under each noise law
+the identifiable coordinates are normal, and laws are drawn by their weight. Directions
+that no reading determines are drawn from their prior and followed exactly: the readings
+stay as they were, however far a lost direction leads.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base import Array, Index, Mask
+from oed.base import Array, Index
+from oed.base.linear_algebra import covariance_root
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.model.series import take_values
@@ -30,17 +37,20 @@ from oed.posterior.interpolated_readings import (
 
 #: degrees of freedom of the independent proposals' Student tails
 PROPOSAL_DOF = 20.0
+#: draws of the parameters: their covariance is known to 2 %
+N_DRAWS = 2000
+#: rounds of draws until enough keep to the bounds
+MAX_ROUNDS = 30
 #: Gauss-Newton steps that keep the readings as they were along null directions
-CORRECTIONS = 2
-#: readings of draws that are predicted at once
-VALUES = 200_000
+N_CORRECTIONS = 2
+#: readings of draws that are predicted at once: 2 MB
+BATCH_READINGS = 200_000
 #: spread of the points that readings are interpolated between, over the posterior's
-WIDER = 1.5
-
-#: movement by a lost direction, in tolerances, that is rounding
-STILL = 1e-9
+SPREAD_OF_POINTS = 1.5
+#: movement by a lost direction, in tolerances, below which it is rounding
+MOVE_TOLERANCE = 1e-9
 #: draws of a start at most, until it keeps to the bounds
-MOST_STARTS = 2000
+MAX_DRAWS = 2000
 
 
 class OutOfBoundsError(RuntimeError):
@@ -74,10 +84,11 @@ class LogDensity:
     moving        indices of the parameters that identifiable coordinates move
     centre, root  (dimensions,) and (dimensions, dimensions): mean of the Laplace
                   approximation, and a root of its covariance
+    law           posterior of the noise law in the linear model; None where it is known
     interrupted   whether Ctrl-C arrived during an evaluation
 
     Bounds of parameters hold here where no lost direction moves a parameter; of others
-    draws are left out once lost directions are drawn (`in_bounds`).
+    draws are left out once lost directions are drawn.
     """
 
     def __init__(
@@ -89,14 +100,14 @@ class LogDensity:
     ) -> None:
         jacobian = measurement.jacobian(series, estimate.theta)
         self.coordinates = estimate.coordinates
-        self._posterior = estimate.noise_posterior
-        self.noise_names = self._posterior.prior.names if self._posterior else ()
+        self.law: NoisePosterior | None = estimate.noise_posterior
+        self.noise_names = self.law.prior.names if self.law else ()
         self.r = self.coordinates.basis.shape[1]
         self.dimensions = self.r + len(self.noise_names)
         self.measurement = measurement
         lost = np.abs(self.coordinates.null_basis).max(axis=1, initial=0.0)
         bounded = measurement.bounded
-        moved = lost > STILL * measurement.tolerance
+        moved = lost > MOVE_TOLERANCE * measurement.tolerance
         self._bounded = bounded[~moved[bounded]]
         largest = np.abs(self.coordinates.basis).max(axis=1)
         self.moving = np.flatnonzero(largest > 0)
@@ -107,7 +118,7 @@ class LogDensity:
         self._exact = measurement.readings_near(series, estimate.theta)
         self._noise = estimate.noise
         self._slope = estimate.noise.whiten(jacobian) @ self.coordinates.basis
-        mode = self._posterior.mode if self._posterior else np.zeros(0)
+        mode = self.law.mode if self.law else np.zeros(0)
         self.centre = np.concatenate([estimate.z, mode])
         self.root = self._laplace_root()
 
@@ -131,7 +142,7 @@ class LogDensity:
         count = POINTS + CHECKS
         # which points they are matters little: always the same
         rng = np.random.default_rng(0)
-        normal = rng.standard_normal((count, self.r + null.shape[1])) * WIDER
+        normal = rng.standard_normal((count, self.r + null.shape[1])) * SPREAD_OF_POINTS
         root = self.root[: self.r, : self.r]
         theta = self.coordinates.to_theta(
             self.centre[: self.r] + normal[:, : self.r] @ root.T
@@ -143,11 +154,11 @@ class LogDensity:
         """Readings (m, k) of some rows (k,)."""
         setups = self.measurement.setups
         channels = [len(setups[s.setup].sigma) for s in self._series]
-        taken, places = take_values(self._series, channels, rows)
+        taken, columns = take_values(self._series, channels, rows)
         measurement = self.measurement.of_taken(taken)
         parts = [some.part for some in taken]
         readings = measurement.readings_near(parts, self._theta)
-        return lambda theta: readings(theta)[:, places]
+        return lambda theta: readings(theta)[:, columns]
 
     def __call__(self, points: Array) -> Array:
         """Log density (walkers,) at points (walkers, dimensions).
@@ -162,12 +173,17 @@ class LogDensity:
             return np.full(len(points), -np.inf)
 
     def _log_density(self, points: Array) -> Array:
-        few = max(VALUES // len(self._y), 1)
-        starts = range(0, len(points), few)
-        return np.concatenate([self._part(points[k : k + few]) for k in starts])
+        return np.concatenate(
+            [self._part(points[batch]) for batch in self._batches(points)]
+        )
+
+    def _batches(self, points: Array) -> list[slice]:
+        """Parts of some points whose readings fit into memory."""
+        size = max(BATCH_READINGS // len(self._y), 1)
+        return [slice(k, k + size) for k in range(0, len(points), size)]
 
     def _part(self, points: Array) -> Array:
-        """The log density of as many points as fit into memory with their readings."""
+        """Log density of points whose readings fit into memory."""
         z, u = points[:, : self.r], points[:, self.r :]
         theta = self.coordinates.to_theta(z)
         residual = self._readings(theta) - self._y
@@ -176,15 +192,10 @@ class LogDensity:
         possible = np.isfinite(value) & self.measurement.in_bounds(theta, self._bounded)
         return np.where(possible, value, -np.inf)
 
-    @property
-    def noise_posterior(self) -> NoisePosterior | None:
-        """Posterior of the noise law in the linear model; None where noise is known."""
-        return self._posterior
-
     def linear_model(self) -> ResidualModel:
         """Readings as a linear model about the estimate, for an estimated noise law."""
-        assert self._posterior is not None
-        structure, series = self._posterior.structure, self._series
+        assert self.law is not None
+        structure, series = self.law.structure, self._series
         jacobian = self.measurement.jacobian(series, self._theta)
         residual = self._y - self.measurement.readings(series, self._theta)
         return ResidualModel(
@@ -202,7 +213,7 @@ class LogDensity:
         points = (
             self.centre + rng.standard_normal((count, self.dimensions)) @ self.root.T
         )
-        for _ in range(MOST_STARTS):
+        for _ in range(MAX_DRAWS):
             theta = self.coordinates.to_theta(points[:, : self.r])
             outside = np.flatnonzero(~self.measurement.in_bounds(theta, self._bounded))
             if not outside.size:
@@ -211,19 +222,15 @@ class LogDensity:
             points[outside] = self.centre + normal @ self.root.T
         raise OutOfBoundsError(self.measurement, self.coordinates.to_theta(points))
 
-    def in_bounds(self, theta: Array) -> Mask:
-        """Which draws theta (..., n) keep to the bounds of all parameters."""
-        return self.measurement.in_bounds(theta)
-
     def _misfit(self, residual: Array, u: Array) -> Array:
         """r^T C^-1 r + log |C| (walkers,) of residuals (walkers, N); infinite for NaN."""
-        if self._posterior is None:
+        if self.law is None:
             return np.asarray(np.sum(self._noise.whiten_last(residual) ** 2, axis=1))
-        structure = self._posterior.structure
+        structure = self.law.structure
         misfit = np.full(len(residual), np.inf)
         good = np.flatnonzero(np.isfinite(residual).all(axis=1))
         if good.size:
-            whitening = self._posterior.prior.laws(u[good]).whitening(structure)
+            whitening = self.law.prior.laws(u[good]).whitening(structure)
             standard = structure.standardise(residual[good].T).T
             square = whitening.gram(standard[:, :, None])[:, 0, 0]
             misfit[good] = square + whitening.log_determinant
@@ -237,17 +244,10 @@ class LogDensity:
         They are Student t about the Laplace approximation. Returns the proposals and
         log q(old) - log q(new).
         """
-        normal = random.standard_normal(points.shape)
-        chi2 = random.chisquare(PROPOSAL_DOF, size=(len(points), 1))
-        new = normal / np.sqrt(chi2 / PROPOSAL_DOF)
+        new = draw_student(random, points.shape)
         proposed = self.centre + new @ self.root.T
         old = np.linalg.solve(self.root, (points - self.centre).T).T
-        return proposed, self._log_proposal(old) - self._log_proposal(new)
-
-    def _log_proposal(self, white: Array) -> Array:
-        """Log density (walkers,), up to a constant, of whitened proposals."""
-        power = -0.5 * (PROPOSAL_DOF + self.dimensions)
-        return np.asarray(power * np.log1p(np.sum(white**2, axis=1) / PROPOSAL_DOF))
+        return proposed, log_student(old) - log_student(new)
 
     def _laplace_root(self) -> Array:
         """Root of the covariance of the Laplace approximation, symmetric where it can be:
@@ -255,11 +255,11 @@ class LogDensity:
         that one does not depend on the signs of eigenvectors.
         """
         root = np.zeros((self.dimensions, self.dimensions))
-        if self._posterior is not None:
-            values, vectors = np.linalg.eigh(self._posterior.covariance)
+        if self.law is not None:
+            values, vectors = np.linalg.eigh(self.law.covariance)
             sizes = np.sqrt(np.maximum(values, 1e-12))
             root[: self.r, : self.r] = (vectors * sizes) @ vectors.T
-            root[self.r :, self.r :] = self._posterior.root
+            root[self.r :, self.r :] = self.law.root
             return root
         values, vectors = np.linalg.eigh(self._precision)
         return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
@@ -268,6 +268,12 @@ class LogDensity:
     def _precision(self) -> Array:
         """Precision (r, r) of the identifiable coordinates under the estimate's noise."""
         return self._slope.T @ self._slope + np.eye(self.r)
+
+    def draw_theta(self, rng: np.random.Generator, z: Array) -> Array:
+        """Parameters (..., n) at coordinates (..., r), null directions from their prior."""
+        null = self.coordinates.null_basis
+        change = rng.standard_normal((*z.shape[:-1], null.shape[1])) @ null.T
+        return self.move_along_null(self.coordinates.to_theta(z), change)
 
     def move_along_null(self, theta: Array, change: Array) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.
@@ -283,12 +289,128 @@ class LogDensity:
         before = theta.reshape(-1, theta.shape[-1])
         after = before + change.reshape(before.shape)
         step = self._slope @ np.linalg.solve(self._precision, self.coordinates.basis.T)
-        # readings of all draws of a long session would not fit into memory
-        few, readings = max(VALUES // len(self._y), 1), self._readings_along_null
-        for k in range(0, len(before), few):
-            some = slice(k, k + few)
-            wanted = readings(before[some])
-            for _ in range(CORRECTIONS):
-                excess = readings(after[some]) - wanted
-                after[some] = after[some] - self._noise.whiten_last(excess) @ step
+        readings = self._readings_along_null
+        for batch in self._batches(before):
+            exact = readings(before[batch])
+            for _ in range(N_CORRECTIONS):
+                excess = readings(after[batch]) - exact
+                after[batch] = after[batch] - self._noise.whiten_last(excess) @ step
         return after.reshape(theta.shape)
+
+
+def draw_student(
+    random: np.random.Generator | np.random.RandomState, shape: tuple[int, ...]
+) -> Array:
+    """Draws (m, d) of a Student t of unit scale."""
+    normal = random.standard_normal(shape)
+    chi2 = random.chisquare(PROPOSAL_DOF, (shape[0], 1))
+    return np.asarray(normal / np.sqrt(chi2 / PROPOSAL_DOF))
+
+
+def log_student(white: Array) -> Array:
+    """Log density (m,) of a Student t of unit scale at (m, d), up to a constant."""
+    power = -0.5 * (PROPOSAL_DOF + white.shape[1])
+    return np.asarray(power * np.log1p(np.sum(white**2, axis=1) / PROPOSAL_DOF))
+
+
+@dataclasses.dataclass(frozen=True)
+class ApproximateDraws:
+    """Draws of parameters (m, n), SI, and coordinates (m, d) of the law.
+
+    worth    number of independent draws that they are worth; None: all
+    effects  (m, k) coefficients of effects that belong to them; k is 0 without effects
+    """
+
+    theta: Array
+    noise_law: Array
+    worth: float | None = None
+    effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def draw_approximation(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    rng: np.random.Generator,
+    count: int = N_DRAWS,
+) -> ApproximateDraws:
+    """Draws from the approximation, `count` of them or few less.
+
+    y  (N,) the readings, SI
+
+    Draws that cannot be assembled, or are out of bounds, are left out; in place of the
+    latter others are drawn. Raises AssemblyError at the estimate, OutOfBoundsError where
+    hardly any draw keeps to the bounds.
+    """
+    if estimate.effects is not None:
+        count = len(estimate.effects.theta)
+    parts: list[Array] = []
+    laws: list[Array] = []
+    effects: list[Array] = []
+    missing = count
+    for _ in range(MAX_ROUNDS):
+        points = _draw_points(estimate, rng, count)
+        z, law = points.z, points.law
+        theta = draw_lost_directions(measurement, series, y, estimate, z, rng)
+        assembled = np.isfinite(theta).all(axis=1)
+        inside = assembled & measurement.in_bounds(theta)
+        parts.append(theta[inside][:missing])
+        laws.append(law[inside][:missing])
+        effects.append(points.effects[inside][:missing])
+        missing -= int(inside.sum())
+        if missing <= 0 or (inside == assembled).all():
+            return ApproximateDraws(
+                np.concatenate(parts),
+                np.concatenate(laws),
+                effects=np.concatenate(effects),
+            )
+    raise OutOfBoundsError(measurement, theta[assembled])
+
+
+def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:
+    """Draws (count, r) of the identifiable coordinates."""
+    return _draw_points(estimate, rng, count).z
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Points:
+    """Draws of identifiable coordinates (m, r), of the law's (m, d), of effects (m, k)."""
+
+    z: Array
+    law: Array
+    effects: Array
+
+
+def _draw_points(estimate: Estimate, rng: np.random.Generator, count: int) -> _Points:
+    """`count` draws; with effects, those that were drawn with them, in a drawn order."""
+    posterior, none = estimate.noise_posterior, np.zeros((count, 0))
+    if estimate.effects is not None and posterior is not None:
+        sampled = estimate.effects
+        number = rng.permutation(np.arange(count) % len(sampled.theta))
+        coordinates = estimate.coordinates
+        z = (sampled.theta[number] - coordinates.origin) @ coordinates.dual.T
+        _, law = posterior.draw(rng, count)
+        return _Points(z, law, sampled.coefficients[number])
+    if posterior is not None:
+        return _Points(*posterior.draw(rng, count), none)
+    dual = estimate.coordinates.dual
+    root = covariance_root(dual @ estimate.covariance @ dual.T)
+    normal = rng.standard_normal((count, len(estimate.z)))
+    return _Points(estimate.z + normal @ root.T, none, none)
+
+
+def draw_lost_directions(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    z: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Parameters (m, n), SI, at coordinates (m, r), with lost directions drawn.
+
+    y  (N,) the readings, SI. Raises AssemblyError at the estimate.
+    """
+    target = LogDensity(measurement, series, y, estimate)
+    return target.draw_theta(rng, z)

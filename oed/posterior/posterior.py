@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -19,26 +19,103 @@ import numpy as np
 from oed.base import Array
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
+from oed.noise import Laws, ReadingStructure
 from oed.posterior import chains, importance
-from oed.posterior.chains import MIXED_RHAT
-from oed.posterior.checkpoint import Checkpoint
-from oed.posterior.draws import Posterior, save, to_arviz
-from oed.posterior.ensembles import Ensembles, ensemble_sizes
+from oed.posterior.chains import Checkpoint, Ensembles, ensemble_sizes
+from oed.posterior.draws import Posterior
 from oed.posterior.log_density import LogDensity
+from oed.result import PredictiveCheckRecord
 
-__all__ = [
-    "MIXED_RHAT",
-    "Posterior",
-    "Sampler",
-    "import_samplers",
-    "sample",
-    "save",
-    "to_arviz",
-]
+# Posterior predictive checks: do readings look like those that the posterior predicts?
+#
+# For a draw of parameters and noise law, a discrepancy D of the residuals r = y - f(theta) is
+# compared with that of a draw of the noise. The share of draws in which the noise has the
+# larger one is near 0 or 1 where readings contradict the posterior (Gelman, Meng and Stern
+# 1996, Statistica Sinica 6, 733-807, realised discrepancies).
 
-#: draws that emcee returns by default, over the wanted effective sample size, which counts
-#: up to the largest
-DRAWS_OF_ESS, LARGEST_ESS = 4.0, 5000.0
+#: draws that are compared
+DRAWS = 400
+
+
+def predictive_checks(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    posterior: Posterior,
+    rng: np.random.Generator,
+) -> dict[str, PredictiveCheckRecord]:
+    """Checks of readings y (N,), SI, by the names of `DISCREPANCIES`."""
+    structure = reading_structure(measurement, series, estimate.theta)
+    theta = posterior.pooled
+    chosen = rng.choice(len(theta), min(DRAWS, len(theta)), replace=False)
+    predicted = measurement.readings_near(series, estimate.theta)(theta[chosen])
+    residuals = structure.standardise((y - predicted).T).T
+    laws = Laws.stated(structure, len(chosen), estimate.scatter)
+    estimated = estimate.noise_posterior is not None
+    if estimate.noise_posterior is not None:
+        flat = posterior.noise_law.reshape(-1, posterior.noise_law.shape[2])
+        laws = estimate.noise_posterior.prior.laws(flat[chosen])
+    noise = laws.whitening(structure).draw(
+        rng, structure.statement, estimated=estimated
+    )
+    checks = {}
+    for name, discrepancy in DISCREPANCIES.items():
+        observed, drawn = (discrepancy(structure, e) for e in (residuals, noise))
+        if np.isfinite(observed).all():
+            checks[name] = PredictiveCheckRecord(
+                observed=float(observed.mean()),
+                low=float(np.quantile(drawn, 0.025)),
+                high=float(np.quantile(drawn, 0.975)),
+                p_high=float(np.mean(drawn >= observed)),
+            )
+    return checks
+
+
+def _rms(structure: ReadingStructure, errors: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
+
+
+def _largest(structure: ReadingStructure, errors: Array) -> Array:
+    return np.asarray(np.abs(errors).max(axis=1))
+
+
+def _neighbours(structure: ReadingStructure, errors: Array) -> Array:
+    """Mean product of neighbours in a chain over the mean square (draws,)."""
+    order = np.lexsort((structure.position, structure.chain))
+    same = np.diff(structure.chain[order]) == 0
+    if not same.any():
+        return np.full(len(errors), np.nan)
+    along = errors[:, order]
+    products = (along[:, 1:] * along[:, :-1])[:, same]
+    return np.asarray(products.mean(axis=1) / np.mean(errors**2, axis=1))
+
+
+def _run_means(structure: ReadingStructure, errors: Array) -> Array:
+    """Root mean square of the chains' means (draws,); NaN for a single chain."""
+    counts = np.bincount(structure.chain)
+    if len(counts) < 2:
+        return np.full(len(errors), np.nan)
+    member = structure.chain == np.arange(len(counts))[:, None]
+    means = errors @ (member / counts[:, None]).T
+    return np.asarray(np.sqrt(np.mean(means**2, axis=1)))
+
+
+Discrepancy = Callable[[ReadingStructure, Array], Array]
+#: root mean square, largest residual, correlation of neighbours, means of runs
+DISCREPANCIES: Mapping[str, Discrepancy] = {
+    "rms": _rms,
+    "largest": _largest,
+    "neighbours": _neighbours,
+    "run_means": _run_means,
+}
+
+
+#: draws that emcee returns by default, over the wanted effective sample size
+DRAWS_PER_ESS = 4.0
+#: effective sample size up to which that counts: more draws fill the result's file
+MAX_ESS_OF_DRAWS = 5000.0
 
 #: "auto": independent draws where their weights allow it, else emcee
 Sampler = Literal["auto", "emcee"]
@@ -112,10 +189,10 @@ def sample(
     """
     target = LogDensity(measurement, series, y, estimate)
     proposals, k = importance.Proposals.empty(target.dimensions), math.nan
-    if sampler == "auto" and ess <= importance.LARGEST_ESS:
-        most = math.inf if max_draws is None else max_draws
+    if sampler == "auto" and ess <= importance.MAX_ESS:
+        limit = math.inf if max_draws is None else max_draws
         drawn, proposals, k = importance.sample_independent(
-            target, rng, ess, most, progress
+            target, rng, ess, limit, progress
         )
         if drawn is not None:
             return drawn
@@ -126,18 +203,12 @@ def sample(
         return proposals.starts(rng, count)
 
     sizes = ensemble_sizes(walkers, target.dimensions)
-    determining = (y, target.centre, target.root, *_bounds(measurement))
-    ensembles = Ensembles(target, sizes, rng, checkpoint, determining, starts)
-    if ensembles.saved > 0 and resumed is not None:
-        resumed(ensembles.saved)
+    ensembles = Ensembles(target, sizes, rng, starts, checkpoint)
+    if ensembles.resumed and resumed is not None:
+        resumed(ensembles.resumed)
     autocorrelation, burn_in = chains.run(ensembles, target, ess, max_steps, progress)
-    draws = max_draws or int(DRAWS_OF_ESS * min(ess, LARGEST_ESS))
+    draws = max_draws or int(DRAWS_PER_ESS * min(ess, MAX_ESS_OF_DRAWS))
     collected = chains.collect(
         target, ensembles, autocorrelation, burn_in, rng, max_draws=draws, thin=thin
     )
     return dataclasses.replace(collected, pareto_k=k, proposals=proposals.drawn)
-
-
-def _bounds(measurement: Measurement) -> tuple[Array, ...]:
-    """The bounds, where there are any."""
-    return (measurement.bounds,) if measurement.bounded.size else ()

@@ -14,7 +14,7 @@ import pytest
 import sample
 import xarray as xr
 
-from oed.posterior import checkpoint
+from oed.posterior import Checkpoint
 from pkm_studies.commands import main
 
 STUDY = (
@@ -25,7 +25,7 @@ STUDY = (
 
 
 class KilledError(BaseException):
-    """Stands for a kill after the first block of the chain is saved."""
+    """Stands for a kill after the chain is saved for the first time."""
 
 
 def command(study: Path, out: Path) -> list[str]:
@@ -51,14 +51,14 @@ def test_run_resumes_by_itself(
     study = tmp_path / "s.study.toml"
     study.write_text(STUDY, encoding="utf-8")
     (tmp_path / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
-    save = checkpoint.Chain.save
+    save = Checkpoint.save
 
-    def kill_after_saving(chain: checkpoint.Chain, begin: int) -> None:
-        save(chain, begin)
+    def kill_after_saving(chain: Checkpoint, arrays: dict[str, object]) -> None:
+        save(chain, arrays)
         raise KilledError
 
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint.Chain, "save", kill_after_saving)
+        patch.setattr(Checkpoint, "save", kill_after_saving)
         with pytest.raises(KilledError):
             main(command(study, tmp_path / "killed"))
     assert names(tmp_path / "killed") == {"posterior.unfinished"}

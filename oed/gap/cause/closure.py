@@ -150,14 +150,14 @@ class RunNoise:
 
     def score(self, values: Array) -> Array:
         """The noise's precision times values (N, k), for `innovations`."""
-        return self._factor.scored(self._factor.standardise(values))
+        return self._factor.scored(self._factor.errors.standardise(values))
 
     def information(self, slopes: Array, scored: Array) -> Information:
         """Information on the coefficients of slopes (N, n), prior N(0, I).
 
         All readings count. `scored` (N, n + 1) is of the slopes and the residual.
         """
-        product = self._factor.standardise(slopes).T @ scored
+        product = self._factor.errors.standardise(slopes).T @ scored
         return product[:, :-1] + np.eye(len(product)), product[:, -1]
 
     def innovations(self, held: Index, scored: Sequence[Array]) -> list[Array]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from oed.estimation.fit_warnings import large_residuals
+from oed.estimation.estimate import large_residuals
 
 
 def estimate(ratio: float, posterior: object = None) -> Any:

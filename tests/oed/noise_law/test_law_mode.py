@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from oed.noise_law import proposal
+from oed.noise_law import marginal
 
 
 def test_the_mode_of_a_law_does_not_hang_on_rounding() -> None:
@@ -18,8 +18,8 @@ def test_the_mode_of_a_law_does_not_hang_on_rounding() -> None:
 
     starts = np.zeros((2, 4))
     starts[1, 0] = 2.0
-    mode = proposal.polish(cost, proposal.find_mode(cost, starts, 4.5), 4.5)
+    mode = marginal.polish(cost, marginal.find_mode(cost, starts, 4.5), 4.5)
     np.testing.assert_allclose(mode, wanted, atol=1e-3)
-    root = proposal._signed(proposal.root_about(cost, mode))
+    root = marginal._signed(marginal.root_about(cost, mode))
     largest = np.argmax(np.abs(root), axis=0)
     assert (root[largest, range(4)] > 0.0).all()

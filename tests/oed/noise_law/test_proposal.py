@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from oed.noise_law.proposal import (
+from oed.noise_law.marginal import (
     DEGREES,
     KernelMixture,
     SplitStudent,

@@ -68,7 +68,7 @@ def test_killed_ten_times_at_random(
 ) -> None:
     unbroken = sampled(None)
     folder = tmp_path / "chain"
-    for step in np.random.default_rng(7).integers(1, 28, size=10):
+    for step in np.random.default_rng(7).integers(1, 28 * chains.N_ENSEMBLES, size=10):
         with monkeypatch.context() as patch:
             kill_at(int(step), patch)
             try:
@@ -89,16 +89,14 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
 ) -> None:
     folder = tmp_path / "chain"
     with monkeypatch.context() as patch:
-        kill_at(BLOCK + 8, patch)
+        kill_at(chains.N_ENSEMBLES * BLOCK + 8, patch)
         with pytest.raises(KilledError):
             sampled(folder)
-    first = folder / "0"
-    assert [p.name for p in first.iterdir()] == ["00000000.h5"]
-    (first / f"{BLOCK:08d}.h5").write_bytes(b"no HDF")
+    (saved,) = folder.iterdir()
     resumed_after: list[int] = []
     m, series, y, estimate = problem_once()
     for key, seed in (("another study", 5), ("a study", 6), ("a study", 5)):
-        copies = {p.name: p.read_bytes() for p in first.iterdir()}
+        copy = saved.read_bytes()
         posterior.sample(
             m,
             series,
@@ -112,10 +110,22 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
         )
         Checkpoint(folder, key).clear()
         assert not folder.exists()
-        first.mkdir(parents=True)
-        for name, content in copies.items():
-            (first / name).write_bytes(content)
+        folder.mkdir()
+        saved.write_bytes(copy)
     assert resumed_after == [BLOCK]
+
+
+def test_a_chain_that_is_cut_is_no_chain(tmp_path: Path) -> None:
+    """The next run begins anew, and what the user put beside it stays."""
+    checkpoint = Checkpoint(tmp_path, "a study")
+    sampled(tmp_path)
+    content = checkpoint.file.read_bytes()
+    (tmp_path / "mine").write_text("a note")
+    for cut in (0, 100, len(content) - 30):
+        checkpoint.file.write_bytes(content[:cut])
+        assert checkpoint.load() == {}
+    checkpoint.clear()
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
 def fail_half_way(path: Path, error: BaseException) -> None:

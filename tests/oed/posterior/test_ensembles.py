@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from oed.posterior.ensembles import ENSEMBLES, Ensembles, ensemble_sizes
+from oed.posterior.chains import N_ENSEMBLES, Ensembles, ensemble_sizes
 
 MEAN, ROOT = np.array([3.0, -1.0]), np.array([[2.0, 0.0], [1.0, 0.5]])
 
@@ -30,15 +30,15 @@ class Normal:
 def ensembles(seed: int = 4) -> Ensembles:
     target: Any = Normal()
     rng = np.random.default_rng(seed)
-    return Ensembles(target, [8, 9, 8], rng, None, [])
+    return Ensembles(target, [8, 9, 8], rng, target.starts)
 
 
 def test_walkers_are_shared_out() -> None:
-    assert ensemble_sizes(None, 3) == [16] * ENSEMBLES
-    assert ensemble_sizes(None, 20) == [44] * ENSEMBLES
+    assert ensemble_sizes(None, 3) == [16] * N_ENSEMBLES
+    assert ensemble_sizes(None, 20) == [44] * N_ENSEMBLES
     sizes = ensemble_sizes(50, 4)
     assert sum(sizes) == 50
-    assert len(sizes) == ENSEMBLES
+    assert len(sizes) == N_ENSEMBLES
     assert min(sizes) >= 8
     # fewer than twice the dimensions would not span them
     assert ensemble_sizes(3, 10) == [22]
@@ -48,7 +48,7 @@ def test_points_have_the_moments_of_the_density() -> None:
     members = ensembles()
     assert (members.iteration, members.walkers) == (0, 25)
     members.run_to(400)
-    assert members.iteration == members.saved == 400
+    assert members.iteration == 400
     points = members.chains(burn_in=50)
     assert points.shape == (25, 350, 2)
     flat = points.reshape(-1, 2)

@@ -11,8 +11,7 @@ import pytest
 from kernel.delta_probe import problem
 from oed import posterior
 from oed.posterior import LogDensity, importance
-from oed.posterior.importance import draw_weighted, resample
-from oed.posterior.proposals import StudentProposal
+from oed.posterior.importance import StudentProposal, draw_weighted, resample
 from oed.result import largest_pareto_k
 
 Density = Callable[[np.ndarray], np.ndarray]

@@ -11,7 +11,7 @@ from scipy import stats
 from kernel.delta_probe import problem
 from oed.measurement import reading_structure
 from oed.posterior import predictive_checks
-from oed.posterior.posterior_checks import DISCREPANCIES
+from oed.posterior.posterior import DISCREPANCIES
 
 problem_once = functools.cache(functools.partial(problem, distances=False))
 

@@ -1,16 +1,14 @@
-"""An error names its file: draws, candidates, checkpoints, tables that are no such thing."""
+"""An error names its file: draws, candidates, tables that are no such thing."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import xarray
 
 from oed.design import open_candidates
-from oed.posterior import checkpoint
 from pkm_studies import csv_table
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -73,22 +71,6 @@ def test_broken_candidates_are_named(tmp_path: Path, name: str, content: bytes) 
     with pytest.raises(ValueError, match=name) as error:
         open_candidates(path)
     assert str(error.value).count(str(path)) == 1
-
-
-def test_a_block_that_is_cut_is_no_block(tmp_path: Path) -> None:
-    """A chain goes on before it, as where it was never written."""
-    shape = (4, 2)
-    chain = checkpoint.open_chain(checkpoint.Checkpoint(tmp_path, "k"), shape, [])
-    chain.backend.grow(3, None)
-    chain.backend.iteration = 3
-    chain.backend.random_state = np.random.mtrand.RandomState(1).get_state()
-    chain.save(0)
-    (block,) = tmp_path.glob("*.h5")
-    with h5py.File(block, "a") as file:
-        del file[checkpoint.GROUP]["chain"]
-    again = checkpoint.open_chain(checkpoint.Checkpoint(tmp_path, "k"), shape, [])
-    assert again.backend.iteration == 0
-    assert not block.exists()
 
 
 DEEP = "x = " + "[" * 5000
