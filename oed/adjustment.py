@@ -13,7 +13,7 @@ fitter's errors and the workspace, of components with weights, is the loss
 
 Greedy forward selection and backward elimination, with all amounts fitted again at each
 step, give a list of each length. Amounts are rounded to steps, then improved by one step
-of one or two lines at a time. The shortest list within `WORTH` of the best is taken;
+of one or two lines at a time. The shortest list within `WORTH_SHARE` of the best is taken;
 lines that are worth less than that are removed. All is linear about the adjusted machine,
 and repeated until the list stays the same.
 """
@@ -34,31 +34,31 @@ from oed.model.adjustment import Adjustment
 from oed.model.machine import Parameter
 
 #: share of the error by which it must grow without a line that is worth its work
-WORTH = 0.05
+WORTH_SHARE = 0.05
 #: rounds of linearisation about the adjusted machine
-ROUNDS = 6
+MAX_ROUNDS = 6
 #: moves by a step, at most, for each line: rounding is nearly best
-MOVES = 8
+MAX_MOVES = 8
 #: largest amount where none is stated, in tolerances of the parameter
-TOLERANCES = 4.0
+MAX_TOLERANCES = 4.0
 #: amounts (m, rad) of what is turned continuously are rounded to this
-FINE = 1e-6
+AMOUNT_STEP = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
 class StepProblem:
     """Amounts of m adjustments that make N weighted errors small.
 
-    known    (N,) errors without adjustments
-    slopes   (N, m) by each amount
-    floor    mean square of what no adjustment changes
-    scatter  (m,) mean square that the fitter's error of each adjustment adds
-    step     (m,) smallest amounts
-    most     (m,) largest amounts to either side
+    errors     (N,) errors without adjustments
+    gradients  (N, m) by each amount
+    floor      mean square of what no adjustment changes
+    scatter    (m,) mean square that the fitter's error of each adjustment adds
+    step       (m,) smallest amounts
+    most       (m,) largest amounts to either side
     """
 
-    known: Array
-    slopes: Array
+    errors: Array
+    gradients: Array
     floor: float
     scatter: Array
     step: Array
@@ -66,7 +66,7 @@ class StepProblem:
 
     def size(self, amounts: Array) -> float:
         """Root mean square error with amounts (m,)."""
-        left_over = self.known + self.slopes @ amounts
+        left_over = self.errors + self.gradients @ amounts
         added = self.scatter[amounts != 0.0].sum()
         return float(np.sqrt(left_over @ left_over + added + self.floor))
 
@@ -74,22 +74,24 @@ class StepProblem:
         """Best amounts (m,) of the chosen adjustments, within their limits."""
         amounts = np.zeros(len(self.step))
         if chosen:
-            at = list(chosen)
-            limits = (-self.most[at], self.most[at])
-            amounts[at] = lsq_linear(self.slopes[:, at], -self.known, limits).x
+            indices = list(chosen)
+            limits = (-self.most[indices], self.most[indices])
+            amounts[indices] = lsq_linear(
+                self.gradients[:, indices], -self.errors, limits
+            ).x
         return amounts
 
     def fit_steps(self, chosen: Sequence[int]) -> Array:
         """As `fit`, in whole steps: rounded, then improved by one or two steps at once."""
         limit = np.floor(self.most / self.step * (1.0 + 1e-12))
         steps = np.clip(np.rint(self.fit(chosen) / self.step), -limit, limit)
-        columns = self.slopes * self.step
+        columns = self.gradients * self.step
         gram, moves = columns.T @ columns, _moves(chosen, len(steps))
         curvature = np.einsum("ij,jk,ik->i", moves, gram, moves)
         least = -1e-9 * self.size(np.zeros(len(steps))) ** 2
-        for _ in range(MOVES * len(chosen)):
-            slope = columns.T @ (self.known + columns @ steps)
-            change = 2.0 * moves @ slope + curvature
+        for _ in range(MAX_MOVES * len(chosen)):
+            gradient = columns.T @ (self.errors + columns @ steps)
+            change = 2.0 * moves @ gradient + curvature
             change[(np.abs(steps + moves) > limit).any(axis=1)] = np.inf
             best = int(np.argmin(change))
             if change[best] >= least:
@@ -111,7 +113,7 @@ def choose_steps(problem: StepProblem) -> Array:
     lists = [*_growing(problem), *_shrinking(problem)]
     fitted = [problem.fit_steps(chosen) for chosen in lists]
     sizes = np.array([problem.size(amounts) for amounts in fitted])
-    good = np.flatnonzero(sizes <= (1.0 + WORTH) * sizes.min())
+    good = np.flatnonzero(sizes <= (1.0 + WORTH_SHARE) * sizes.min())
     best = min(good, key=lambda k: (len(lists[k]), sizes[k]))
     return _without_idle_lines(problem, _swapped(problem, fitted[best]))
 
@@ -132,7 +134,7 @@ def _without_idle_lines(problem: StepProblem, amounts: Array) -> Array:
         lines = np.flatnonzero(amounts).tolist()
         sizes = sizes_without(problem, amounts)
         least = int(np.argmin(sizes))
-        if sizes[least] > (1.0 + WORTH) * problem.size(amounts):
+        if sizes[least] > (1.0 + WORTH_SHARE) * problem.size(amounts):
             break
         amounts = _without(problem, lines, lines[least])
     return amounts
@@ -240,7 +242,7 @@ class AdjustableMachine:
         """What to adjust. Raises AssemblyError."""
         columns = self.adjustable
         amounts = np.zeros(len(columns))
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             problem = self._problem(columns, amounts)
             before, amounts = amounts, choose_steps(problem)
             if np.array_equal(before, amounts):
@@ -262,12 +264,12 @@ class AdjustableMachine:
 
     def accuracy(self, numbers: Sequence[int], amounts: Array) -> AdjustedAccuracy:
         """Accuracy once parameters of these numbers are moved by amounts, SI."""
-        at = list(numbers)
+        indices = list(numbers)
         parameters = self.identified.copy()
-        parameters[at] += amounts
+        parameters[indices] += amounts
         machine = self.kinematics.machine
         covariance = self.covariance.copy()
-        covariance[at, at] += self._errors(at) ** 2
+        covariance[indices, indices] += self._errors(indices) ** 2
         here = (self.kinematics, self.command, parameters, self.reference)
         corrected = driven_errors(*here, believed=parameters)
         plain = driven_errors(*here, believed=machine.nominal)
@@ -306,18 +308,20 @@ class AdjustableMachine:
         parameters[columns] += amounts
         here = (self.kinematics, self.command, parameters, self.reference)
         weights = self.weights[:, None] / np.sqrt(len(self.command))
-        known = driven_errors(*here, believed=parameters) * weights[:, 0]
-        raw, remaining = (slope * weights for slope in self._maps(parameters))
+        errors = driven_errors(*here, believed=parameters) * weights[:, 0]
+        raw, remaining = (gradient * weights for gradient in self._maps(parameters))
         floor = np.einsum("nkp,pq,nkq->", raw, self.covariance, raw, optimize=True)
-        slopes = remaining[:, :, columns].reshape(known.size, len(columns))
+        gradients = remaining[:, :, columns].reshape(errors.size, len(columns))
         squares = np.sum(raw[:, :, columns] ** 2, axis=(0, 1))
         return StepProblem(
-            known=known.ravel() - slopes @ amounts,
-            slopes=slopes,
+            errors=errors.ravel() - gradients @ amounts,
+            gradients=gradients,
             floor=float(floor),
             scatter=self._errors(columns) ** 2 * squares,
-            step=self._each(columns, lambda p, a: a.step or FINE),
-            most=self._each(columns, lambda p, a: a.most or TOLERANCES * p.tolerance),
+            step=self._each(columns, lambda p, a: a.step or AMOUNT_STEP),
+            most=self._each(
+                columns, lambda p, a: a.most or MAX_TOLERANCES * p.tolerance
+            ),
         )
 
 

@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: how a formula begins, also behind blanks that a spreadsheet may drop
-FORMULA: Final = ("=", "+", "-", "@", "\t", "\r", "\n")
-MARK: Final = "'"
+FORMULA_STARTS: Final = ("=", "+", "-", "@", "\t", "\r", "\n")
+TEXT_MARK: Final = "'"
 
 
 def safe(cell: object) -> object:
     """A cell as it may stand in a file: a text that would be a formula is marked."""
     if isinstance(cell, str) and _is_formula(cell) and not _is_number(cell):
-        return MARK + cell
+        return TEXT_MARK + cell
     return cell
 
 
 def plain(cell: str) -> str:
     """The text that `safe` marked."""
-    return cell[1:] if cell.startswith(MARK) and _is_formula(cell) else cell
+    return cell[1:] if cell.startswith(TEXT_MARK) and _is_formula(cell) else cell
 
 
 def of_rows(rows: Iterable[Sequence[object]]) -> str:
@@ -56,9 +56,9 @@ def _is_formula(cell: str) -> bool:
     """Whether a text begins as a formula does, once its marks are gone."""
     # some spreadsheets take the wide signs of Japanese and Chinese as well
     return (
-        unicodedata.normalize("NFKC", cell.lstrip(MARK)[:8])
+        unicodedata.normalize("NFKC", cell.lstrip(TEXT_MARK)[:8])
         .lstrip(" ")
-        .startswith(FORMULA)
+        .startswith(FORMULA_STARTS)
     )
 
 

@@ -16,11 +16,11 @@ import numpy as np
 from oed.base import Array, Index
 
 #: relative difference of values up to which their vectors count as one space
-ALIKE: Final = 1e-7
+EQUAL_VALUE_TOLERANCE: Final = 1e-7
 #: share of the largest value below which a value is rounding
-ROUNDING: Final = 1e-13
+ZERO_VALUE_SHARE: Final = 1e-13
 #: seed of the directions that choose signs and turns
-DIRECTIONS: Final = 20160801
+DIRECTION_SEED: Final = 20160801
 
 
 def right_singular(matrix: Array) -> tuple[Array, Array]:
@@ -63,8 +63,10 @@ def _new_groups(values: Array) -> list[int]:
     if len(values) < 2:
         return []
     size = np.maximum(np.abs(values[1:]), np.abs(values[:-1]))
-    rounding = ROUNDING * np.abs(values).max()
-    differs = np.abs(np.diff(values)) > np.maximum(ALIKE * size, rounding)
+    rounding = ZERO_VALUE_SHARE * np.abs(values).max()
+    differs = np.abs(np.diff(values)) > np.maximum(
+        EQUAL_VALUE_TOLERANCE * size, rounding
+    )
     return [int(k) + 1 for k in np.flatnonzero(differs)]
 
 
@@ -76,7 +78,7 @@ def _chosen_basis(rows: Array, n: int) -> Array:
     """
     if not len(rows):
         return rows
-    fixed = np.random.default_rng(DIRECTIONS).standard_normal((n, len(rows)))
+    fixed = np.random.default_rng(DIRECTION_SEED).standard_normal((n, len(rows)))
     turn, triangle = np.linalg.qr(rows @ fixed)
     signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
     return (turn * signs).T @ rows
@@ -85,7 +87,7 @@ def _chosen_basis(rows: Array, n: int) -> Array:
 def first_largest(values: Array) -> int:
     """Number of the entry of largest size; of equal ones, but for rounding, the first."""
     sizes = np.abs(values)
-    return int(np.argmax(sizes >= (1.0 - ALIKE) * sizes.max()))
+    return int(np.argmax(sizes >= (1.0 - EQUAL_VALUE_TOLERANCE) * sizes.max()))
 
 
 def by_size(values: Array) -> Index:

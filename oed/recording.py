@@ -1,7 +1,7 @@
 """What planned readings leave where some effects' covariates are recorded, others not.
 
 Recorded columns are those of a course, G(z), and the error is the mean over courses. The
-others count by their moments (`oed.effects.course_columns`). A thermometer adds
+others count by their moments (`oed.effects.courses`). A thermometer adds
 its own uncertainty as scatter: u(T) times the change per kelvin.
 
 With parameters and effects x of prior information P, readings of whitened slopes X taken t
@@ -25,11 +25,11 @@ from oed.base import Array, Mask
 from oed.effects import CourseColumns
 
 #: standard uncertainty of a thermometer on a machine, K: of class A, and its contact
-THERMOMETER = 0.2
+THERMOMETER_UNCERTAINTY = 0.2
 #: most courses over which errors with a recorded covariate are averaged
-AVERAGED = 4
+MAX_COURSES = 4
 #: rate, in units of the prior's information, below which readings determine nothing
-NOTHING = 1e-9
+MIN_RATE = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,26 +47,26 @@ class RemainingError:
 
     def after(self, times: float) -> Array:
         """Mean squares (c,) with the readings taken so many times, inf allowed, SI."""
-        undetermined = np.asarray(self.rates < NOTHING, dtype=float)
+        undetermined = np.asarray(self.rates < MIN_RATE, dtype=float)
         share = undetermined if np.isinf(times) else 1.0 / (1.0 + times * self.rates)
         return np.asarray(self.rest + self.shares @ share)
 
 
 def remaining_error(
-    white: Array, information: Array, slopes: Array, rest: Array
+    white: Array, information: Array, pose_gradients: Array, rest: Array
 ) -> RemainingError:
     """The error that readings leave.
 
-    white        (N, u) slopes of the readings over all unknowns, in units of the noise
-    information  (u, u) of the prior
-    slopes       (n, c, u) pose errors over the unknowns at n poses, SI
-    rest         (c,) mean square that no reading reduces, SI
+    white           (N, u) slopes of the readings over all unknowns, in units of the noise
+    information     (u, u) of the prior
+    pose_gradients  (n, c, u) pose errors over the unknowns at n poses, SI
+    rest            (c,) mean square that no reading reduces, SI
     """
     root = linalg.cholesky(information, lower=True)
     standard = linalg.solve_triangular(root, white.T, lower=True).T
     rates, vectors = np.linalg.eigh(standard.T @ standard)
-    poses, components, unknowns = slopes.shape
-    flat = slopes.reshape(-1, unknowns)
+    poses, components, unknowns = pose_gradients.shape
+    flat = pose_gradients.reshape(-1, unknowns)
     turned = linalg.solve_triangular(root, flat.T, lower=True).T @ vectors
     by_pose = turned.reshape(poses, components, unknowns)
     return RemainingError((by_pose**2).mean(axis=0), np.maximum(rates, 0.0), rest)
@@ -85,14 +85,14 @@ def equal_times(without: RemainingError, reached: Array) -> float:
     leave. Infinite where no number does.
     """
     unit = without.after(1.0)
-    wanted = relative(reached, unit)
+    target = relative(reached, unit)
 
     def excess(log_times: float) -> float:
-        return relative(without.after(float(np.exp(log_times))), unit) - wanted
+        return relative(without.after(float(np.exp(log_times))), unit) - target
 
     if excess(0.0) <= 0.0:
         return 1.0
-    if relative(without.after(np.inf), unit) >= wanted:
+    if relative(without.after(np.inf), unit) >= target:
         return float("inf")
     end = 1.0
     while excess(end) > 0.0:
@@ -109,16 +109,16 @@ def mean_after_once(errors: Sequence[RemainingError]) -> Array:
 class PlannedReadings:
     """N readings and the n unknowns beside effects.
 
-    white        (N, n) slopes, per prior standard deviation, in units of the noise
-    sigma        (N,) noise, SI
-    information  (n, n) of the prior
-    slopes       (p, c, n) pose errors at p poses, SI
+    white           (N, n) slopes, per prior standard deviation, in units of the noise
+    sigma           (N,) noise, SI
+    information     (n, n) of the prior
+    pose_gradients  (p, c, n) pose errors at p poses, SI
     """
 
     white: Array
     sigma: Array
     information: Array
-    slopes: Array
+    pose_gradients: Array
 
     def predict(
         self, effects: CourseColumns, recorded: Mask, extra: Array
@@ -130,7 +130,7 @@ class PlannedReadings:
         hidden = effects.of_course & ~recorded
         scatter = np.hypot(effects.scatter(hidden), extra)
         rest = effects.tool_rest(hidden)
-        count = min(len(effects.changes), AVERAGED) if recorded.any() else 1
+        count = min(len(effects.changes), MAX_COURSES) if recorded.any() else 1
         errors = []
         for number in range(count):
             columns, tool = effects.mean, effects.mean_tool
@@ -148,8 +148,8 @@ class PlannedReadings:
         unknowns, first = white.shape[1], self.white.shape[1]
         information = np.eye(unknowns)
         information[:first, :first] = self.information
-        slopes = np.concatenate([self.slopes, tool], axis=2)
-        return remaining_error(white, information, slopes, rest)
+        pose_gradients = np.concatenate([self.pose_gradients, tool], axis=2)
+        return remaining_error(white, information, pose_gradients, rest)
 
 
 def thermometer_scatter(effects: CourseColumns, kelvin: Array) -> Array:
@@ -158,4 +158,4 @@ def thermometer_scatter(effects: CourseColumns, kelvin: Array) -> Array:
     effects  what depends on the body's temperature;  kelvin (d, r) in each course, K
     """
     square = (effects.changes**2).sum(axis=2).mean(axis=0)
-    return np.asarray(THERMOMETER * np.sqrt(square / np.mean(kelvin**2)))
+    return np.asarray(THERMOMETER_UNCERTAINTY * np.sqrt(square / np.mean(kelvin**2)))

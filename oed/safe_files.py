@@ -24,17 +24,17 @@ from pathlib import Path
 from typing import Final
 
 #: this computer's sign in the names of temporary files: folders may be shared
-HOST: Final = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
+HOST_MARK: Final = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 #: names of temporary files: name, computer, process
-PART: Final = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)\.part", re.DOTALL)
+PART_NAME: Final = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)\.part", re.DOTALL)
 #: age from which a temporary file is left over, whichever computer wrote it, s
-STALE: Final = 7 * 86400.0
+STALE_AGE: Final = 7 * 86400.0
 #: the list: SHA-256 of the last contents by name, the file written last at the end
-LIST: Final = ".oed-files.json"
+LIST_NAME: Final = ".oed-files.json"
 #: bytes of the largest list that is read
-LIMIT: Final = 4_000_000
+MAX_LIST_BYTES: Final = 4_000_000
 #: number of the administrator
-ROOT: Final = 0
+ROOT_USER: Final = 0
 
 
 @contextlib.contextmanager
@@ -56,7 +56,7 @@ def temporary_file(path: Path) -> Iterator[Path]:
 
     Raises OSError about `path`: the user never sees the temporary name.
     """
-    part = path.with_name(f".{path.name}.{HOST}-{os.getpid()}.part")
+    part = path.with_name(f".{path.name}.{HOST_MARK}-{os.getpid()}.part")
     _remove_stale(path.parent)
     try:
         yield part
@@ -74,15 +74,15 @@ def _remove_stale(folder: Path) -> None:
     """Remove temporary files in a folder whose process is gone; once a process."""
     with contextlib.suppress(OSError):
         for entry in os.scandir(folder):
-            name = PART.fullmatch(entry.name)
+            name = PART_NAME.fullmatch(entry.name)
             if name is not None and _is_stale(entry, name[1], int(name[2])):
                 Path(entry.path).unlink(missing_ok=True)
 
 
 def _is_stale(entry: os.DirEntry[str], host: str, process: int) -> bool:
-    if time.time() - entry.stat().st_mtime > STALE:
+    if time.time() - entry.stat().st_mtime > STALE_AGE:
         return True
-    return host == HOST and process != os.getpid() and not _runs(process)
+    return host == HOST_MARK and process != os.getpid() and not _runs(process)
 
 
 def _runs(process: int) -> bool:
@@ -110,15 +110,15 @@ def _about(path: Path, error: OSError) -> OSError:
     A full disk is reported without a name, and HDF5 reports it without a number.
     """
     reason = error.strerror or str(error) or "cannot be written"
-    if PART.search(reason):
+    if PART_NAME.search(reason):
         reason = "cannot be written"
     return OSError(error.errno or 0, reason, str(path))
 
 
-def write_own(path: Path, content: bytes, known: Collection[str] = ()) -> Path:
+def write_own(path: Path, content: bytes, replaceable: Collection[str] = ()) -> Path:
     """Write a file whole, and return its path: `path`, or one with a number.
 
-    known  further digests of files that may be replaced
+    replaceable  further digests of files that may be replaced
 
     Raises OSError.
     """
@@ -126,7 +126,7 @@ def write_own(path: Path, content: bytes, known: Collection[str] = ()) -> Path:
         part.write_bytes(content)
         flush(part)
         new = digest(part)
-        target = _unused(path, new, known)
+        target = _unused(path, new, replaceable)
         _list(target, new)
         part.replace(target)
     return target
@@ -162,7 +162,7 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _unused(path: Path, new: str, known: Collection[str]) -> Path:
+def _unused(path: Path, new: str, replaceable: Collection[str]) -> Path:
     """The path, or the first one with a number that no file of the user has."""
     listed = _listed(path.parent)
     for number in itertools.count(1):
@@ -170,7 +170,7 @@ def _unused(path: Path, new: str, known: Collection[str]) -> Path:
         candidate = path.with_name(name)
         if not candidate.is_file():
             return candidate
-        if digest(candidate) in (new, *listed.get(name, []), *known):
+        if digest(candidate) in (new, *listed.get(name, []), *replaceable):
             return candidate
     raise AssertionError
 
@@ -184,15 +184,15 @@ def _list(path: Path, new: str) -> None:
     earlier = [digest(path)] if path.is_file() else []
     listed.pop(path.name, None)
     listed[path.name] = list(dict.fromkeys([*earlier, new]))
-    with whole_file(path.with_name(LIST)) as part:
+    with whole_file(path.with_name(LIST_NAME)) as part:
         part.write_text(json.dumps(listed, indent=1), encoding="utf-8")
 
 
 def _listed(folder: Path) -> dict[str, list[str]]:
     """Digests by name; none where the list is missing or broken."""
-    file = folder / LIST
+    file = folder / LIST_NAME
     with contextlib.suppress(OSError, ValueError, TypeError, RecursionError):
-        if file.stat().st_size <= LIMIT:
+        if file.stat().st_size <= MAX_LIST_BYTES:
             plain = json.loads(file.read_text(encoding="utf-8"))
             return {str(name): [str(d) for d in plain[name]] for name in plain}
     return {}
@@ -230,8 +230,8 @@ def _is_safe(path: Path) -> bool:
     """Whether others can neither write there nor point the path elsewhere."""
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode):
-        return status.st_uid == ROOT
-    if status.st_uid not in (ROOT, _user()):
+        return status.st_uid == ROOT_USER
+    if status.st_uid not in (ROOT_USER, _user()):
         return False
     if stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX:
         return True  # as /tmp, where nobody can rename what is another's
@@ -252,7 +252,7 @@ def _is_own_group(number: int) -> bool:
     import pwd
 
     try:
-        group, user = grp.getgrgid(number), pwd.getpwuid(_user() or ROOT).pw_name
+        group, user = grp.getgrgid(number), pwd.getpwuid(_user() or ROOT_USER).pw_name
     except KeyError:
         return False
     return group.gr_name == user and set(group.gr_mem) <= {user}

@@ -10,7 +10,7 @@ from typing import Final
 from oed import units
 
 #: percent by which rounding may miss all of something
-ROUNDING: Final = 1e-9
+PERCENT_ROUNDING: Final = 1e-9
 #: length from which `shorten` cuts within a word
 LONGEST_WORD: Final = 30
 
@@ -34,9 +34,9 @@ def percent(share: float) -> str:
     value = 100.0 * share
     if 0.0 < value < 0.05:
         return "under 0.1 %"
-    if 99.95 <= value < 100.0 - ROUNDING:
+    if 99.95 <= value < 100.0 - PERCENT_ROUNDING:
         return "over 99.9 %"
-    near_an_end = 0.0 < value < 1.0 or 99.0 < value < 100.0 - ROUNDING
+    near_an_end = 0.0 < value < 1.0 or 99.0 < value < 100.0 - PERCENT_ROUNDING
     return f"{value:.{1 if near_an_end else 0}f} %"
 
 

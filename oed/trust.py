@@ -7,7 +7,7 @@ judge nothing on their own. Fits and checks of readings have the same limits.
 from __future__ import annotations
 
 from oed.result import (
-    NOTHING,
+    Compensation,
     CorrectedSection,
     EstimateSection,
     GapSection,
@@ -16,19 +16,19 @@ from oed.result import (
 )
 
 #: probability of a tail below which residuals are too large or too small
-ALARM = 1e-5
+ALARM_PROBABILITY = 1e-5
 #: residuals over the stated noise up to which a noise that is to be estimated, and was
 #: stated as a guess, explains them
-GUESS = 10.0
+GUESS_RATIO = 10.0
 #: degrees of freedom below which residuals say nothing of the noise
-LEAST_DOF = 1.0
+MIN_DOF = 1.0
 #: tolerances from nominal from which on an estimate is far off
-FAR = 4.0
+FAR_TOLERANCES = 4.0
 
 
 def noise_ratio(chi2: float | None, dof: float | None) -> float | None:
     """Residuals over the stated noise; None where too little freedom judges it."""
-    if chi2 is None or dof is None or dof < LEAST_DOF:
+    if chi2 is None or dof is None or dof < MIN_DOF:
         return None
     return float((chi2 / dof) ** 0.5)
 
@@ -37,7 +37,10 @@ def chi2_is_large(chi2: float, dof: float) -> bool:
     """Whether the stated noise does not explain chi2."""
     from scipy import special
 
-    return noise_ratio(chi2, dof) is not None and special.chdtrc(dof, chi2) < ALARM
+    return (
+        noise_ratio(chi2, dof) is not None
+        and special.chdtrc(dof, chi2) < ALARM_PROBABILITY
+    )
 
 
 def objections(result: StudyResult) -> list[str]:
@@ -47,7 +50,7 @@ def objections(result: StudyResult) -> list[str]:
     )
     mixture = None if result.gap is None else result.gap.mixture
     section = mixture or result.final_estimate
-    if section is not None and section.sent == NOTHING:
+    if section is not None and section.sent == Compensation.NOTHING:
         sentences.append("no correction is expected to lessen the machine's errors")
     return sentences
 
@@ -70,7 +73,7 @@ def section_objections(
         sentences += _of_residuals(goodness, estimate)
     if far:
         sentences.append(
-            f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)};"
+            f"these ended more than {FAR_TOLERANCES:.0f} tolerances from nominal: {', '.join(far)};"
             " the nominal numbers are those of another machine, or [prior] is too narrow"
         )
     if (
@@ -94,7 +97,7 @@ def remedy(result: StudyResult) -> str:
 
 
 def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
-    """Parameters that ended more than FAR tolerances from nominal.
+    """Parameters that ended more than FAR_TOLERANCES tolerances from nominal.
 
     None of a virtual machine: its numbers are known.
     """
@@ -103,7 +106,7 @@ def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
     return [
         name
         for name, p in section.parameters.items()
-        if abs(p.value - p.nominal) > FAR * p.prior_sd
+        if abs(p.value - p.nominal) > FAR_TOLERANCES * p.prior_sd
     ]
 
 
@@ -120,7 +123,7 @@ def _of_the_check(goodness: GoodnessSection | None) -> str:
         return (
             f"the readings look mistaken ({goodness.mistakes[0].what}): the fit is bad"
         )
-    if ratio is None or goodness.p_high is None or goodness.p_high >= ALARM:
+    if ratio is None or goodness.p_high is None or goodness.p_high >= ALARM_PROBABILITY:
         return "the readings fail their check: the fit is bad"
     return _large(ratio)
 
@@ -133,12 +136,12 @@ def _of_residuals(
     is_large = chi2_is_large(chi2, dof)
     if goodness is not None and goodness.chi2 is not None and goodness.dof is not None:
         chi2, dof = goodness.chi2, goodness.dof
-        is_large = goodness.p_high is not None and goodness.p_high < ALARM
+        is_large = goodness.p_high is not None and goodness.p_high < ALARM_PROBABILITY
     is_estimated = goodness is not None and (
-        bool(goodness.noise) or (goodness.law_p_high or 0.0) >= ALARM
+        bool(goodness.noise) or (goodness.law_p_high or 0.0) >= ALARM_PROBABILITY
     )
     ratio = noise_ratio(chi2, dof)
-    if ratio is None or not is_large or (is_estimated and ratio <= GUESS):
+    if ratio is None or not is_large or (is_estimated and ratio <= GUESS_RATIO):
         return []
     return [_large(ratio)]
 

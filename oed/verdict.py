@@ -20,9 +20,9 @@ from oed.result import Judgement, PredictionSection, StudyResult, WantedVerdict
 from oed.text import format_probability
 
 #: probability from which a pass or a fail is stated
-SURE: Final = 0.95
+SURE_PROBABILITY: Final = 0.95
 #: what a distribution of errors holds, by the mode of its prediction
-SCOPES: Final = {
+SCOPE_WORDS: Final = {
     "mixture": "over all hypotheses of the diagnosis",
     "corrected": "with the effects that are corrected",
 }
@@ -31,7 +31,7 @@ WITH_USUAL_EFFECTS: Final = "with usual effects at their expected sizes"
 
 
 def judge(
-    probability: float, sure: float = SURE, *, can_pass: bool = True
+    probability: float, sure: float = SURE_PROBABILITY, *, can_pass: bool = True
 ) -> Judgement:
     """The verdict of a probability that what is wanted is met.
 
@@ -118,8 +118,8 @@ def sentence(name: str, verdict: WantedVerdict, rms: str, wanted: str) -> str:
 def _scope(result: StudyResult, section: PredictionSection) -> str:
     if section.mode == "plan":
         return WITH_USUAL_EFFECTS
-    if section.mode in SCOPES:
-        return SCOPES[section.mode]
+    if section.mode in SCOPE_WORDS:
+        return SCOPE_WORDS[section.mode]
     return GEOMETRY_ALONE
 
 

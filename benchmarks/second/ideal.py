@@ -28,7 +28,7 @@ from benchmarks.second import noise_laws, observers, recorded
 from benchmarks.second.replay import Generator, Replay
 from benchmarks.second.score import SIX, TEN
 from oed.gap.cause.hypothesis import PRIOR
-from oed.result import NO_GAP_PROBABILITY
+from oed.result import GapSection
 
 #: realizations of noise without the effect of a case, and with it
 HEALTHY, WITH_EFFECT = 60, 40
@@ -137,8 +137,10 @@ def _lines(words: str, observer: str, rows: Sequence[Mapping[str, Any]]) -> list
 
 
 def _limit_of_rule() -> float:
-    """Log Bayes factor from which P(no gap) is below NO_GAP_PROBABILITY."""
-    return float(special.logit(1.0 - NO_GAP_PROBABILITY) - special.logit(GAP))
+    """Log Bayes factor from which P(no gap) is below GapSection.NO_GAP_PROBABILITY."""
+    return float(
+        special.logit(1.0 - GapSection.NO_GAP_PROBABILITY) - special.logit(GAP)
+    )
 
 
 def _parts(

@@ -23,7 +23,7 @@ AXES = "xyz"
 #: a rotation by the vector (rx, ry, 0)
 TILT = "tilt"
 #: sine of an angle below which its direction is left at 0
-NO_TILT = 1e-12
+MIN_TILT_SINE = 1e-12
 
 #: rotation about an axis, or a tilt, with the names of its angles
 Factor = tuple[str, tuple[str, ...]]
@@ -68,8 +68,8 @@ class Orientation:
         whole = scipy.spatial.transform.Rotation.identity(count)
         for kind, names in self.factors:
             vectors = np.zeros((count, 3))
-            at = (0, 1) if kind == TILT else (AXES.index(kind),)
-            for axis, name in zip(at, names, strict=True):
+            entries = (0, 1) if kind == TILT else (AXES.index(kind),)
+            for axis, name in zip(entries, names, strict=True):
                 vectors[:, axis] = angles[name]
             whole = whole * scipy.spatial.transform.Rotation.from_rotvec(vectors)
         return np.asarray(whole.as_matrix())
@@ -132,7 +132,7 @@ def _tilt_vectors(axes: Array) -> Array:
     """Rotation vectors (n, 3) in the plane z = 0 that take e_z to unit vectors (n, 3)."""
     sine = np.hypot(axes[:, 0], axes[:, 1])
     angle = np.arctan2(sine, axes[:, 2])
-    scale = np.where(sine > NO_TILT, angle / np.maximum(sine, NO_TILT), 1.0)
+    scale = np.where(sine > MIN_TILT_SINE, angle / np.maximum(sine, MIN_TILT_SINE), 1.0)
     return np.column_stack([-axes[:, 1] * scale, axes[:, 0] * scale, 0.0 * sine])
 
 
@@ -150,5 +150,5 @@ def _precession_and_nutation(matrices: Array) -> list[Array]:
     """psi and theta of n = Rz(psi) Rx(theta) e_z, theta >= 0."""
     x, y, z = np.moveaxis(matrices[:, :, 2], 1, 0)
     sine = np.hypot(x, y)
-    psi = np.where(sine > NO_TILT, np.arctan2(x, -y), 0.0)
+    psi = np.where(sine > MIN_TILT_SINE, np.arctan2(x, -y), 0.0)
     return [psi, np.arctan2(sine, z)]

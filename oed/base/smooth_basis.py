@@ -19,34 +19,39 @@ import numpy as np
 from oed.base.arrays import Array
 
 #: places in the span at which a curve's modes are computed
-POINTS = 200
+N_POINTS = 200
 #: share of a field's energy below which what is left is rounding
-ROUNDING = 1e-12
+ENERGY_ROUNDING = 1e-12
 
 
 def curve_mode(
-    at: Array, number: int, *, correlation_length: float, count: int, detrend: int = 0
+    positions: Array,
+    number: int,
+    *,
+    correlation_length: float,
+    count: int,
+    detrend: int = 0,
 ) -> Array:
     """One of the `count` largest modes of a smooth curve over the span from -1 to 1.
 
-    at                  (...) places; beyond the span the mode keeps its end value
+    positions           (...) places; beyond the span the mode keeps its end value
     number              of the mode, 0 for the largest
     correlation_length  where the span is 2 long
     detrend             1 for curves without their mean, 2 without their slope either
     """
     grid, modes = _curve_modes(correlation_length, count, detrend)
-    return np.asarray(np.interp(at, grid, modes[number]))
+    return np.asarray(np.interp(positions, grid, modes[number]))
 
 
 @functools.cache
 def _curve_modes(
     correlation_length: float, count: int, detrend: int
 ) -> tuple[Array, Array]:
-    """Places (POINTS,) in the span, and the modes (count, POINTS), largest first."""
-    grid: Array = (np.arange(POINTS, dtype=float) + 0.5) * (2.0 / POINTS) - 1.0
+    """Places (N_POINTS,) in the span, and the modes (count, N_POINTS), largest first."""
+    grid: Array = (np.arange(N_POINTS, dtype=float) + 0.5) * (2.0 / N_POINTS) - 1.0
     distance = np.abs(grid[:, None] - grid)
     trend = np.linalg.qr(np.vander(grid, detrend))[0]
-    projection = np.eye(POINTS) - trend @ trend.T
+    projection = np.eye(N_POINTS) - trend @ trend.T
     correlation = _matern(distance, correlation_length)
     values, vectors = np.linalg.eigh(projection @ correlation @ projection)
     modes = np.sqrt(values[-count:]) * vectors[:, -count:]
@@ -54,7 +59,7 @@ def _curve_modes(
 
 
 def field_modes(
-    places: Array, *, correlation_length: float, energy_share: float, count: int
+    positions: Array, *, correlation_length: float, energy_share: float, count: int
 ) -> Array:
     """Modes (m, k) of a smooth field at places (m, n), whose products are its kernel.
 
@@ -62,9 +67,9 @@ def field_modes(
     most: a Cholesky decomposition with pivots, linear in the number of places
     (Harbrecht, Peters and Schneider 2012, Appl. Numer. Math. 62, 428-440).
     """
-    distinct, place = np.unique(np.round(places, 9), axis=0, return_inverse=True)
+    distinct, inverse = np.unique(np.round(positions, 9), axis=0, return_inverse=True)
     unexplained, modes = np.ones(len(distinct)), np.zeros((len(distinct), 0))
-    spare = max(1.0 - energy_share, ROUNDING)
+    spare = max(1.0 - energy_share, ENERGY_ROUNDING)
     while modes.shape[1] < count and unexplained.mean() > spare:
         pivot = int(np.argmax(unexplained))
         distance = np.linalg.norm(distinct - distinct[pivot], axis=1)
@@ -72,7 +77,7 @@ def field_modes(
         mode = remainder / np.sqrt(unexplained[pivot])
         modes = np.column_stack([modes, mode])
         unexplained = np.maximum(unexplained - mode**2, 0.0)
-    return modes[place.ravel()]
+    return modes[inverse.ravel()]
 
 
 def _matern(distance: Array, correlation_length: float) -> Array:

@@ -22,7 +22,7 @@ from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
 from oed.measurement import Measurement
-from oed.trust import ALARM
+from oed.trust import ALARM_PROBABILITY
 
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
@@ -204,7 +204,7 @@ def _fit_findings(
         return []
     if fitted.too_large:
         return [sentences.guessed(fitted.ratio, outliers)]
-    if fitted.p_high < ALARM and fitted.ratio > LARGE_BY_LAW:
+    if fitted.p_high < ALARM_PROBABILITY and fitted.ratio > LARGE_BY_LAW:
         return [sentences.explained_by_law(fitted, outliers)]
     if fitted.too_small:
         return [sentences.too_small(fitted, outliers)]

@@ -21,7 +21,7 @@ from oed.checks.session import SessionReadings
 from oed.measurement import reading_structure
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import NoisePrior, ResidualModel, log_prior_of_scale
-from oed.trust import GUESS
+from oed.trust import GUESS_RATIO
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
 LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)
@@ -92,7 +92,7 @@ def _with_rival(
             factor[noisier] = 1.0 / size
             slopes = factor[:, None] * linear.slopes
         one = dataclasses.replace(linear, residual=factor * linear.residual)
-        most = GUESS * float(factor.min())
+        most = GUESS_RATIO * float(factor.min())
         log_density = _log_marginal(one, slopes, laws, weights, scales, most)
         values.append(log_density + float(np.log(factor).sum()))
     return float(special.logsumexp(values)) - float(np.log(len(values)))
@@ -128,7 +128,7 @@ def _log_marginal(
     laws: Laws,
     weights: Array,
     scales: Array,
-    most: float = GUESS,
+    most: float = GUESS_RATIO,
 ) -> float:
     """Log density over the unit, by laws of every scale.
 

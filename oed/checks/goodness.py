@@ -12,7 +12,7 @@ from oed.base import Array, Mask
 from oed.checks.fit import Fit, residual_weights
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
-from oed.trust import ALARM, GUESS, noise_ratio
+from oed.trust import ALARM_PROBABILITY, GUESS_RATIO, noise_ratio
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,19 +43,21 @@ class Goodness:
     @property
     def too_large(self) -> bool:
         """Whether neither the stated noise nor its law explains the residuals."""
-        is_by_law = self.law_p_high is not None and (self.ratio or 0.0) <= GUESS
+        is_by_law = self.law_p_high is not None and (self.ratio or 0.0) <= GUESS_RATIO
         p_high = self.law_p_high if is_by_law else self.p_high
-        return p_high is not None and p_high < ALARM
+        return p_high is not None and p_high < ALARM_PROBABILITY
 
     def is_bad(self, *, noise_is_a_guess: bool) -> bool:
         """Whether neither the stated noise nor an estimated one explains the residuals."""
-        explained = noise_is_a_guess and self.chi2 <= GUESS**2 * self.dof
+        explained = noise_is_a_guess and self.chi2 <= GUESS_RATIO**2 * self.dof
         return self.too_large and not explained
 
     @property
     def too_small(self) -> bool:
         """Whether the stated noise, or its law, would leave larger residuals."""
-        return (self.p_low if self.law_p_low is None else self.law_p_low) < ALARM
+        return (
+            self.p_low if self.law_p_low is None else self.law_p_low
+        ) < ALARM_PROBABILITY
 
 
 def goodness(solution: Fit) -> Goodness:

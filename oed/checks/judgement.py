@@ -34,7 +34,7 @@ from oed.noise_law import (
     ResidualModel,
     robust_residuals,
 )
-from oed.trust import ALARM, GUESS
+from oed.trust import ALARM_PROBABILITY, GUESS_RATIO
 
 #: rounds of tails and law
 ROUNDS = 3
@@ -73,14 +73,14 @@ def judge(
     p_strain = probability_of_strain(solution.slopes, solution.linear_residual())
     stated = _judgement(search, fitted, p_strain)
     # parameters outside their tolerances may have taken a mistake in
-    strained = p_strain < ALARM
+    strained = p_strain < ALARM_PROBABILITY
     fits = not (fitted.too_large or fitted.too_small or strained)
     ratio = fitted.ratio
     if not estimated or ratio is None or fitted.dof < LEAST_FREEDOM:
         return stated
     is_tiny = fitted.too_small and ratio < KNOWN_TO**-2
     fits = (fits and not search.exhausted) or is_tiny
-    if fits or ratio > GUESS:
+    if fits or ratio > GUESS_RATIO:
         return stated
     suspects = np.union1d(suspects, np.array(search.readings, dtype=np.intp))
     by_law = _by_law(session, suspects, solution, robust=robust)
@@ -103,7 +103,7 @@ def _by_law(
     if search is None:
         return None
     law, model = estimated_law(search.rest)
-    if law.size(model.structure) > GUESS:
+    if law.size(model.structure) > GUESS_RATIO:
         return None
     p_low, p_high, p_strain = _probabilities_under(law, model)
     fitted = dataclasses.replace(
@@ -116,7 +116,7 @@ def _by_law(
 
 def _judgement(search: OutlierSearch, fitted: Goodness, p_strain: float) -> Judgement:
     few = len(search.readings) < 2 and not search.exhausted
-    sound = few and not fitted.too_large and p_strain >= ALARM
+    sound = few and not fitted.too_large and p_strain >= ALARM_PROBABILITY
     return Judgement(search, fitted, sound=sound, stated=sound)
 
 

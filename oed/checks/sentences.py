@@ -19,9 +19,9 @@ from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
 from oed.dataset.file_rows import Row
-from oed.result import without_rows
+from oed.result import GoodnessSection
 from oed.text import capitalised
-from oed.trust import GUESS
+from oed.trust import GUESS_RATIO
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE = 10.0
@@ -89,7 +89,7 @@ def too_large(
             f"{_count(rows)} are off the same way ({listing(rows)}): no single errors. "
         )
     cause = "the noise is understated, or an effect is not in the model"
-    if fitted.ratio is not None and fitted.ratio > GUESS:
+    if fitted.ratio is not None and fitted.ratio > GUESS_RATIO:
         cause = (
             f"{_other_unit(fitted.ratio)}an effect of this size is not in the model, or"
             " the readings have a mistake that is not a usual one"
@@ -176,8 +176,8 @@ def _misfit(fitted: Goodness, outliers: OutlierSearch) -> str:
 
 def _without(outliers: OutlierSearch) -> str:
     """Which rows a figure leaves out."""
-    aside = without_rows(len(outliers.gross), "set aside")
-    doubt = without_rows(len(outliers.doubtful), "in doubt")
+    aside = GoodnessSection.without_rows(len(outliers.gross), "set aside")
+    doubt = GoodnessSection.without_rows(len(outliers.doubtful), "in doubt")
     joint = " and" if aside and doubt else ""
     return f",{aside}{joint}{doubt}" if aside or doubt else ""
 

@@ -24,14 +24,16 @@ from oed.model.expressions import machine_expressions
 from oed.model.machine import Machine
 
 FULL_TURN = 2.0 * math.pi
-#: fewest nodes along an axis, and round a full turn: one at each quarter
-FEWEST, FEWEST_ROUND = 2, 5
+#: nodes along an axis: its ends
+MIN_NODES = 2
+#: nodes round a full turn: one at each quarter, and the first once more
+MIN_NODES_ROUND = 5
 #: an axis grows by this share of its nodes at a time
-GROWTH = 1.0 / 16.0
+GROWTH_SHARE = 1.0 / 16.0
 #: places in the box over which errors are averaged: a Latin hypercube
-PLACES = 512
+N_POSITIONS = 512
 #: what counts as equal places, m or rad
-SAME = 1e-9
+POSITION_TOLERANCE = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,9 +57,14 @@ class GridAxis:
         """Ends of the part in which interpolation errors count."""
         return self.counted or (self.lower, self.upper)
 
-    def holds(self, place: float) -> bool:
+    def holds(self, position: float) -> bool:
         """Whether a place is on the axis."""
-        return self.turn or self.lower - SAME <= place <= self.upper + SAME
+        return (
+            self.turn
+            or self.lower - POSITION_TOLERANCE
+            <= position
+            <= self.upper + POSITION_TOLERANCE
+        )
 
     def knots(self, count: int) -> Array:
         """So many evenly spaced places, SI."""
@@ -68,7 +75,7 @@ class GridAxis:
         """Least number of nodes."""
         if self.upper <= self.lower:
             return 1
-        return FEWEST_ROUND if self.turn else FEWEST
+        return MIN_NODES_ROUND if self.turn else MIN_NODES
 
     def shrunk(self, share: float) -> GridAxis:
         """The axis with this share of what counts, about its middle; turns stay whole."""
@@ -79,11 +86,11 @@ class GridAxis:
         lower, upper = middle - share * half, middle + share * half
         return dataclasses.replace(self, lower=lower, upper=upper, counted=None)
 
-    def reaching(self, place: float) -> GridAxis:
+    def reaching(self, position: float) -> GridAxis:
         """The axis extended to a place, where errors do not count."""
-        if self.holds(place):
+        if self.holds(position):
             return self
-        lower, upper = min(self.lower, place), max(self.upper, place)
+        lower, upper = min(self.lower, position), max(self.upper, position)
         return dataclasses.replace(
             self, lower=lower, upper=upper, counted=self.evaluated
         )
@@ -130,13 +137,17 @@ def box_axes(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
     periodic = _repeats_after_a_turn(machine)
     axes = []
     for k, c in enumerate(machine.command):
-        places = np.unique(command[:, k])
-        low, high, turn = float(places[0]), float(places[-1]), False
-        if periodic[k] and len(places) > 1:
+        positions = np.unique(command[:, k])
+        low, high, turn = float(positions[0]), float(positions[-1]), False
+        if periodic[k] and len(positions) > 1:
             over_end = low + FULL_TURN - high
-            turn = bool(over_end <= np.diff(places).max() * (1.0 + SAME))
+            turn = bool(
+                over_end <= np.diff(positions).max() * (1.0 + POSITION_TOLERANCE)
+            )
         if turn:
-            holds_first_turn = low <= 0.0 and high >= FULL_TURN * (1.0 - SAME)
+            holds_first_turn = low <= 0.0 and high >= FULL_TURN * (
+                1.0 - POSITION_TOLERANCE
+            )
             low = 0.0 if holds_first_turn else low
             high = low + FULL_TURN
         axes.append(GridAxis(c.name, c.unit, low, high, turn))
@@ -148,13 +159,13 @@ def _repeats_after_a_turn(machine: Machine) -> Mask:
     e = machine_expressions(machine)
     target = BatchedFunction("target", [e.c], [ca.vertcat(*e.target)])
     rng = np.random.default_rng(0)
-    places = machine.home_command + rng.uniform(0.1, 0.5, (4, len(machine.command)))
-    values = target(places)[0]
+    positions = machine.home_command + rng.uniform(0.1, 0.5, (4, len(machine.command)))
+    values = target(positions)[0]
     repeats = []
     for k, c in enumerate(machine.command):
-        turned = places.copy()
+        turned = positions.copy()
         turned[:, k] += FULL_TURN
-        same = np.allclose(target(turned)[0], values, rtol=0.0, atol=SAME)
+        same = np.allclose(target(turned)[0], values, rtol=0.0, atol=POSITION_TOLERANCE)
         repeats.append(c.unit == "rad" and same)
     return np.array(repeats)
 
@@ -169,8 +180,8 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
     x, q = kinematics.inverse(command)
     by_joint = kinematics.slopes.over_joints(x, q, machine.nominal)
     twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
-    slope = kinematics.error_components_jacobian(command)
-    return (slope @ twist)[:, driven]
+    motion_per_target = kinematics.error_components_jacobian(command)
+    return (motion_per_target @ twist)[:, driven]
 
 
 def choose_command_grid(
@@ -191,16 +202,16 @@ def choose_command_grid(
     Raises AssemblyError where a place of the box is out of reach.
     """
     low, high = np.array([axis.evaluated for axis in axes]).T
-    places = low + (high - low) * _latin_hypercube(PLACES, len(axes), rng)
-    exact = correction(places)
-    slope = motion(places) / target[:, None]
+    positions = low + (high - low) * _latin_hypercube(N_POSITIONS, len(axes), rng)
+    exact = correction(positions)
+    motion_per_target = motion(positions) / target[:, None]
 
     def error_along(k: int, count: int) -> Array:
         """Errors (n, s, k) over the target of interpolation along one axis."""
         if count == 1:
             return np.zeros((*exact.shape[:2], len(target)))
-        lines = _between(places, k, axes[k].knots(count), correction)
-        return np.asarray(np.einsum("nkj,nsj->nsk", slope, lines - exact))
+        lines = _between(positions, k, axes[k].knots(count), correction)
+        return np.asarray(np.einsum("nkj,nsj->nsk", motion_per_target, lines - exact))
 
     counts = [axis.fewest for axis in axes]
     along = [error_along(k, count) for k, count in enumerate(counts)]
@@ -226,7 +237,7 @@ def _latin_hypercube(count: int, axes: int, rng: np.random.Generator) -> Array:
 
 def _grown(counts: list[int], k: int, largest: int) -> list[int] | None:
     """Numbers of nodes with more of them along axis k; None where that is too many."""
-    for more in (max(1, int(GROWTH * counts[k])), 1):
+    for more in (max(1, int(GROWTH_SHARE * counts[k])), 1):
         grown = [*counts[:k], counts[k] + more, *counts[k + 1 :]]
         if math.prod(grown) <= largest:
             return grown
@@ -234,12 +245,12 @@ def _grown(counts: list[int], k: int, largest: int) -> list[int] | None:
 
 
 def _between(
-    places: Array, k: int, knots: Array, correction: Callable[[Array], Array]
+    positions: Array, k: int, knots: Array, correction: Callable[[Array], Array]
 ) -> Array:
     """Corrections (n, s, nq) at places, in straight lines between the knots of axis k."""
-    index = np.clip(np.searchsorted(knots, places[:, k]) - 1, 0, len(knots) - 2)
-    low, high = places.copy(), places.copy()
+    index = np.clip(np.searchsorted(knots, positions[:, k]) - 1, 0, len(knots) - 2)
+    low, high = positions.copy(), positions.copy()
     low[:, k], high[:, k] = knots[index], knots[index + 1]
-    share = (places[:, k] - low[:, k]) / (high[:, k] - low[:, k])
+    share = (positions[:, k] - low[:, k]) / (high[:, k] - low[:, k])
     share = share[:, None, None]
     return (1.0 - share) * correction(low) + share * correction(high)

@@ -15,8 +15,14 @@ from oed.model.expressions import machine_expressions
 from oed.model.machine import Machine
 from oed.text import quantity
 
-#: Gauss-Newton steps from a command to a corrected one, and the step that ends them
-STEPS, STEP_TOLERANCE = 20, 1e-12
+#: Gauss-Newton steps from a command to a corrected one: some five are needed
+MAX_STEPS = 20
+#: times that a step is halved which leads away from the target, at most
+MAX_HALVINGS = 20
+#: step that ends them, m or rad
+STEP_TOLERANCE = 1e-12
+#: how far a target may be off where the steps do not end, m or rad
+TARGET_TOLERANCE = 1e-9
 
 
 def compensated_joints(
@@ -63,8 +69,8 @@ def corrected_commands(
     longest = newton.longest_step(kinematics.machine.lever)
 
     def solve(z: Array, p: Array, rows: Index) -> tuple[Array, Mask]:
-        def unmet(values: Array, at: Index) -> list[Array]:
-            return equations(values, p, command[rows[at]], tool)
+        def unmet(values: Array, entries: Index) -> list[Array]:
+            return equations(values, p, command[rows[entries]], tool)
 
         return newton.solve(unmet, z, limited=2 * nx, longest=longest)
 
@@ -101,7 +107,7 @@ def _compensated_equations(machine: Machine) -> BatchedFunction:
     nominal = ca.SX(ca.DM(machine.nominal))
     (controller,) = ca.substitute([e.phi], [e.x, e.p], [believed, nominal])
     pairs = zip(e.commanded, e.target, strict=True)
-    off = [held - wanted for held, wanted in pairs]
+    off = [of_pose - of_command for of_pose, of_command in pairs]
     unmet = ca.vertcat(e.balance, controller, *off)
     z = ca.vertcat(e.x, believed, e.q)
     outputs = [unmet, ca.jacobian(unmet, z)]
@@ -111,19 +117,43 @@ def _compensated_equations(machine: Machine) -> BatchedFunction:
 def command_of_pose(
     kinematics: Kinematics, pose: Array, start: Array, tool: Array
 ) -> Array:
-    """Command (n, n_dof) whose target is that of poses (n, nx), by Gauss-Newton."""
+    """Command (n, n_dof) whose target is that of poses (n, nx), by Gauss-Newton.
+
+    Raises AssemblyError where no such command is found.
+    """
     e = machine_expressions(kinematics.machine)
     target = ca.vertcat(*e.target)
-    held = BatchedFunction("held", [e.x, e.tool], [ca.vertcat(*e.commanded)])
-    wanted = BatchedFunction("wanted", [e.c], [target, ca.jacobian(target, e.c)])
-    goal = held(pose, tool)[0]
+    of_pose = BatchedFunction("of_pose", [e.x, e.tool], [ca.vertcat(*e.commanded)])
+    of_command = BatchedFunction(
+        "of_command", [e.c], [target, ca.jacobian(target, e.c)]
+    )
+    goal = of_pose(pose, tool)[0]
     command = np.array(start, dtype=float)
-    for _ in range(STEPS):
-        value, slope = wanted(command)
-        step = np.linalg.pinv(slope, rcond=1e-9) @ (goal - value)[:, :, None]
-        command += step[:, :, 0]
+    value, jacobian = of_command(command)
+    off = np.linalg.norm(goal - value, axis=1)
+    for _ in range(MAX_STEPS):
+        step = np.linalg.pinv(jacobian, rcond=1e-9) @ (goal - value)[:, :, None]
+        share = np.ones((len(command), 1))
+        # near a tilt of zero a whole step turns its direction too far
+        for _ in range(MAX_HALVINGS):
+            value, jacobian = of_command(command + share * step[:, :, 0])
+            remaining = np.linalg.norm(goal - value, axis=1)
+            worse = remaining > off + STEP_TOLERANCE
+            if not worse.any():
+                break
+            share[worse] /= 2.0
+        command += share * step[:, :, 0]
+        off = remaining
         if np.abs(step).max() < STEP_TOLERANCE:
             break
+    # not the last step: a coordinate that has no meaning may go on turning at the target
+    poses = np.flatnonzero(off > TARGET_TOLERANCE)
+    if poses.size:
+        raise AssemblyError(
+            f"{kinematics.machine.name}: no command was found whose target is that of"
+            f" pose numbers {listed(poses)}",
+            poses,
+        )
     return command
 
 

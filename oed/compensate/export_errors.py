@@ -22,7 +22,7 @@ from oed.mechanism import pose_error
 from oed.mechanism.kinematics import Kinematics
 
 #: places in a table's box over which its interpolation error is averaged
-PLACES = 1000
+N_POSITIONS = 1000
 
 
 def joint_errors(
@@ -82,7 +82,7 @@ def interpolation_errors(
         grid.turns,
     )
     low, high = np.array([axis.evaluated for axis in grid.axes]).T
-    places = rng.uniform(low, high, (PLACES, len(low)))
+    positions = rng.uniform(low, high, (N_POSITIONS, len(low)))
     home = kinematics.machine.home_command[None]
     joints_at_home = compensated_joints(kinematics, home, parameters)
     offsets_at_home = further.offsets(home, parameters)
@@ -90,11 +90,11 @@ def interpolation_errors(
         tabled = table.at(home)
         joints_at_home = compensated_joints(kinematics, home, nominal) + tabled[:, :nq]
         offsets_at_home = tabled[:, nq:]
-    tabled = table.at(places)
-    joints = compensated_joints(kinematics, places, nominal) + tabled[:, :nq]
+    tabled = table.at(positions)
+    joints = compensated_joints(kinematics, positions, nominal) + tabled[:, :nq]
     return joint_errors(
         kinematics,
-        places,
+        positions,
         np.vstack([joints, joints_at_home]),
         parameters,
         reference,

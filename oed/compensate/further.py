@@ -22,9 +22,9 @@ from oed.model.machine import Component
 #: name of the offset about the tool axis
 TURN = "turn"
 #: a rotation lies along the tool axis where it is off it by less than this share
-ALONG = 1e-6
+ALIGNMENT_TOLERANCE = 1e-6
 #: poses at which the directions of what stays are examined
-POSES = 8
+N_POSES = 8
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -70,12 +70,12 @@ class FurtherAxes:
         machine = self.kinematics.machine
         names = [c.name for c in machine.components]
         rows = np.empty((len(command), len(self.axes), 6))
-        slopes = self.kinematics.error_components_jacobian(command)
+        jacobians = self.kinematics.error_components_jacobian(command)
         for k, axis in enumerate(self.axes):
             if axis.name == TURN:
                 rows[:, k] = _tool_axis_rows(self.kinematics, command)
             else:
-                rows[:, k] = slopes[:, names.index(axis.component)]
+                rows[:, k] = jacobians[:, names.index(axis.component)]
         return rows
 
     def twists(self, command: Array, offsets: Array) -> Array:
@@ -123,11 +123,11 @@ def _turns_about_tool_axis(kinematics: Kinematics) -> bool:
     machine = kinematics.machine
     span = np.array([c.upper - c.lower for c in machine.command])
     rng = np.random.default_rng(0)
-    shifts = 0.05 * span * rng.uniform(-1.0, 1.0, (POSES, len(span)))
+    shifts = 0.05 * span * rng.uniform(-1.0, 1.0, (N_POSES, len(span)))
     low, high = np.array([(c.lower, c.upper) for c in machine.command]).T
     command = np.clip(machine.home_command + shifts, low, high)
     turns = error_model(kinematics, command).remaining[:, 3:]
     axis = _tool_axis_rows(kinematics, command)[:, 3:]
     along = np.einsum("ni,nip->np", axis, turns)
     across = turns - axis[:, :, None] * along[:, None]
-    return bool(np.abs(across).max() <= ALONG * np.abs(turns).max())
+    return bool(np.abs(across).max() <= ALIGNMENT_TOLERANCE * np.abs(turns).max())

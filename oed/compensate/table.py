@@ -26,33 +26,33 @@ class InterpolationTable:
     turns: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
-        shape = tuple(len(places) for places in self.knots)
+        shape = tuple(len(positions) for positions in self.knots)
         if self.values.shape[:-1] != shape or len(self.axes) != len(shape):
             raise ValueError(
                 f"a table over {self.axes} with {shape} knots needs values of that"
                 f" shape and one axis more, not {self.values.shape}"
             )
-        for name, places in zip(self.axes, self.knots, strict=True):
-            if not (np.diff(places) > 0.0).all():
+        for name, positions in zip(self.axes, self.knots, strict=True):
+            if not (np.diff(positions) > 0.0).all():
                 raise ValueError(f"the knots of {name} must ascend")
 
-    def at(self, places: Array) -> Array:
+    def at(self, positions: Array) -> Array:
         """Interpolated values (n, m) at places (n, a)."""
         low = np.array([axis[0] for axis in self.knots])
         high = np.array([axis[-1] for axis in self.knots])
-        inside = np.clip(self._in_first_turn(places, low, high), low, high)
+        inside = np.clip(self._in_first_turn(positions, low, high), low, high)
         varied = [k for k, axis in enumerate(self.knots) if len(axis) > 1]
         if not varied:
-            return np.repeat(self.values.reshape(1, -1), len(places), axis=0)
+            return np.repeat(self.values.reshape(1, -1), len(positions), axis=0)
         knots = [self.knots[k] for k in varied]
         shape = [len(axis) for axis in knots]
         values = self.values.reshape(*shape, self.values.shape[-1])
         interpolator = scipy.interpolate.RegularGridInterpolator(knots, values)
         return np.asarray(interpolator(inside[:, varied]))
 
-    def _in_first_turn(self, places: Array, low: Array, high: Array) -> Array:
+    def _in_first_turn(self, positions: Array, low: Array, high: Array) -> Array:
         """Places with the angles of full turns between the ends of their axes."""
-        reduced = np.array(places, dtype=float)
+        reduced = np.array(positions, dtype=float)
         for k in np.flatnonzero(self.turns):
             reduced[:, k] = low[k] + np.mod(reduced[:, k] - low[k], high[k] - low[k])
         return reduced

@@ -22,15 +22,14 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.corrected.answer_fits import AnswerFits, with_constants
-    from oed.corrected.effect_measurement import MeasurementWithEffects
+    from oed.corrected.answer_fits import AnswerFits, AnswerMixture, with_constants
     from oed.corrected.fit import (
         CorrectedEstimate,
         EffectReadings,
+        MeasurementWithEffects,
         estimate_with_effects,
     )
     from oed.corrected.forms import ChosenForm
-    from oed.corrected.mixture import AnswerMixture
     from oed.corrected.senses import TurnedRuns, find_turned_runs
     from oed.corrected.tables import StateTable, TabledEffects, tabled_effects
     from oed.corrected.workspace import CorrectedAccuracy, predict_corrected

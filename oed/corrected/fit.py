@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -9,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base import Array
-from oed.corrected.effect_measurement import SEPARATOR, MeasurementWithEffects
 from oed.corrected.forms import (
     ChosenForm,
     choose_forms,
@@ -24,19 +24,99 @@ from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.state import DOWN
 from oed.measurement import Measurement, Series
 from oed.model.effect import Effect, State
+from oed.model.machine import Parameter
+from oed.model.series import TakenReadings
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: rounds of estimation, linearisation and sizes; changes that end them, of values in
-#: standard deviations (laws of the noise that are drawn move them by a few hundredths)
-#: and of the logarithms of sizes
-ROUNDS, SETTLED, SAME_SIZE = 6, 0.1, 0.1
+#: name of a coefficient in theta: `effect: coefficient`
+SEPARATOR = ": "
+
+
+class MeasurementWithEffects(Measurement):
+    """A measurement of fixed series with coefficients beta (k,) at the end of theta.
+
+    base     the measurement without effects; its compiled functions are shared
+    series   all readings, in their order
+    names    (k,) of the coefficients, `effect: coefficient`
+    sizes    (k,) prior standard deviations of beta
+    columns  (N, k) G, SI
+    offset   (N,) c, SI
+    """
+
+    def __init__(
+        self,
+        base: Measurement,
+        series: Sequence[Series],
+        names: Sequence[str],
+        sizes: Array,
+        columns: Array,
+        offset: Array,
+    ) -> None:
+        self.__dict__.update(base.__dict__)
+        coefficients = [
+            Parameter(name, 0.0, float(size), "1")
+            for name, size in zip(names, sizes, strict=True)
+        ]
+        self.parameters = (*base.parameters, *coefficients)
+        self._size = len(base.parameters)
+        self._lengths = np.sqrt(np.mean(columns**2, axis=0)) * sizes
+        self._series = tuple(series)
+        self._columns, self._offset = {}, {}
+        start = 0
+        for s in self._series:
+            stop = start + len(s) * len(base.setups[s.setup].sigma)
+            self._columns[id(s.q)] = columns[start:stop]
+            self._offset[id(s.q)] = offset[start:stop]
+            start = stop
+
+    @property
+    def length_factors(self) -> Array:
+        """Factor (n,) that turns each entry into a length, m.
+
+        That of a coefficient is its root mean square change of the readings.
+        """
+        machine_and_setups = super().length_factors[: self._size]
+        return np.concatenate([machine_and_setups, self._lengths])
+
+    def _read_at(self, series: Series, x: Array, theta: Array) -> Array:
+        """Readings (m, N of the series) at poses x (m, poses, nx) and theta (m, n)."""
+        y = super()._read_at(series, x, theta)
+        change = theta[:, self._size :] @ self._columns[id(series.q)].T
+        return y + change + self._offset[id(series.q)]
+
+    def _jacobian(self, series: Series, theta: Array) -> Array:
+        rows = super()._jacobian(series, theta)
+        rows[..., self._size :] = self._columns[id(series.q)]
+        return rows
+
+    def of_taken(self, taken: Sequence[TakenReadings]) -> MeasurementWithEffects:
+        """The measurement of series that have some readings of its own."""
+        measurement = copy.copy(self)
+        measurement._series = tuple(some.part for some in taken)
+        measurement._columns, measurement._offset = {}, {}
+        for some in taken:
+            whole, part = id(some.whole.q), id(some.part.q)
+            channels = np.arange(len(self.setups[some.whole.setup].sigma))
+            values = (some.rows[:, None] * len(channels) + channels).ravel()
+            measurement._columns[part] = self._columns[whole][values]
+            measurement._offset[part] = self._offset[whole][values]
+        return measurement
+
+
+#: rounds of estimation, linearisation and sizes
+MAX_ROUNDS = 6
+#: change of values that ends them, in standard deviations: laws of the noise that are drawn
+#: move them by a few hundredths
+VALUE_TOLERANCE = 0.1
+#: change of the logarithms of sizes that ends them
+LOG_SIZE_TOLERANCE = 0.1
 #: choices of forms and settled points about each other
-PASSES = 2
+MAX_PASSES = 2
 #: departure from the linear model, in units of the noise over all readings, up to which it
 #: serves
-LINEAR = 1.0
+MAX_DEPARTURE = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,14 +267,14 @@ class _JointFit:
         forms = choose_forms(problem, effects)
         if not forms:
             return _Start((), theta, np.zeros(0), False)
-        for _ in range(PASSES):
+        for _ in range(MAX_PASSES):
             acting = [
                 ActingEffectForm(f.effect, f.constants, f.signature.names, f.size)
                 for f in forms
             ]
             law = problem.stated_law
             settled = settle(problem, acting, law, np.zeros(len(problem)))
-            if not LINEAR < settled.departure < np.inf:
+            if not MAX_DEPARTURE < settled.departure < np.inf:
                 return _Start(forms, theta, np.zeros_like(settled.coefficients), False)
             before, forms = forms, choose_forms(settled.problem, effects)
             if _same_forms(before, forms):
@@ -210,7 +290,7 @@ class _JointFit:
         parts = [np.full(len(f.signature.names), f.size) for f in forms]
         sizes = np.maximum(np.concatenate(parts), 1.0)
         near: Estimate | None = None
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             problem = self.readings.problem(theta)
             measurement = _linearised(self.readings, problem, forms, sizes, beta)
             estimate = identify(
@@ -229,8 +309,10 @@ class _JointFit:
             before = sizes
             of_effects = estimate.covariance[len(theta) :, len(theta) :]
             sizes = updated_sizes(groups, sizes, beta, of_effects)
-            still = np.all(np.abs(np.log(sizes / before)) <= SAME_SIZE)
-            if still and np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
+            still = np.all(np.abs(np.log(sizes / before)) <= LOG_SIZE_TOLERANCE)
+            if still and np.all(
+                moved <= VALUE_TOLERANCE * np.maximum(estimate.sd, 1e-12)
+            ):
                 break
         return CorrectedEstimate(
             readings=self.readings,
@@ -273,17 +355,17 @@ def _linearised(
     columns, names, acting = [], [], []
     start = 0
     for form in forms:
-        wanted = form.signature.names
+        coefficients = form.signature.names
         signature = problem.signature(form.effect, form.constants)
-        columns.append(signature.columns_of(wanted))
+        columns.append(signature.columns_of(coefficients))
         names += _coefficient_names(form)
-        values = beta[start : start + len(wanted)]
-        factors = dict(zip(wanted, values.tolist(), strict=True))
+        values = beta[start : start + len(coefficients)]
+        factors = dict(zip(coefficients, values.tolist(), strict=True))
         acting.append((form.effect, form.constants, factors))
-        start += len(wanted)
-    slopes = np.hstack(columns)
+        start += len(coefficients)
+    gradients = np.hstack(columns)
     exact = signatures.exact_readings(
         base, problem.series, theta, problem.states, acting
     )
-    offset = exact - base.readings(problem.series, theta) - slopes @ beta
-    return MeasurementWithEffects(base, problem.series, names, sizes, slopes, offset)
+    offset = exact - base.readings(problem.series, theta) - gradients @ beta
+    return MeasurementWithEffects(base, problem.series, names, sizes, gradients, offset)

@@ -32,11 +32,11 @@ from oed.model.effect import Effect
 from oed.model.size_prior import EFFECT_SIZES, FAR_SHARE
 
 #: constants beyond which textbook forms alone are scanned
-LARGE_GRID = 64
+MAX_FULL_GRID = 64
 #: passes over the effects
-PASSES = 2
+N_PASSES = 2
 #: least precision that readings may add to a prior's, as a share of it
-LEAST = 1e-6
+MIN_PRECISION_SHARE = 1e-6
 #: sizes from the expected one on; those below it count as it
 SIZES = EFFECT_SIZES.values[EFFECT_SIZES.values >= 1.0]
 #: numbers of the coefficients of each group of an effect, among those of all effects
@@ -65,7 +65,7 @@ def choose_forms(
     """The forms of effects that act together; effects that change nothing are absent."""
     evidence = form_evidence(problem)
     chosen: dict[str, ChosenForm] = {}
-    for _ in range(PASSES):
+    for _ in range(N_PASSES):
         for effect in effects:
             others = [f for name, f in chosen.items() if name != effect.name]
             best = _best_form(problem, evidence, effect, others)
@@ -84,7 +84,7 @@ def _best_form(
     parts = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
     fixed = np.hstack([np.zeros((len(problem), 0)), *parts])
     grid = effect.constant_grid()
-    textbook = len(grid) > LARGE_GRID
+    textbook = len(grid) > MAX_FULL_GRID
     best, best_value = None, -np.inf
     for constants in grid:
         signature = problem.signature(effect, constants, textbook=textbook)
@@ -202,7 +202,7 @@ def _by_readings_alone(
     """
     variance, axes = np.linalg.eigh(covariance)
     variance = np.maximum(variance, np.finfo(float).tiny)
-    precision = np.maximum(1.0 / variance - prior**-2, LEAST * prior**-2)
+    precision = np.maximum(1.0 / variance - prior**-2, MIN_PRECISION_SHARE * prior**-2)
     return axes.T @ values / variance / precision, 1.0 / precision
 
 

@@ -20,11 +20,11 @@ from oed.corrected.forms import FormEvidence, form_evidence
 from oed.gap.data.problem import GapProblem, with_reversed_runs
 
 #: least gain of the log evidence
-GAIN = 20.0
+MIN_GAIN = 20.0
 #: least change of a run's columns by turning it, in units of the noise
-FELT = 1.0
+MIN_CHANGE = 1.0
 #: fewest runs with a sense: of one run alone, turning only changes the effects' sign
-LEAST = 2
+MIN_RUNS = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,26 +47,26 @@ def find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:
     """Runs that fit clearly better driven the other way; None where there are none."""
     readings, theta = corrected.readings, corrected.estimate.theta
     theta = theta[: corrected.parameters]
-    given = readings.problem(theta)
+    as_stated = readings.problem(theta)
     reversed_rows = with_reversed_runs(readings.covariates)
     other_way = dataclasses.replace(readings, covariates=reversed_rows).problem(theta)
     search = _Search(
-        form_evidence(given),
-        given.residual,
-        _columns(given, corrected),
+        form_evidence(as_stated),
+        as_stated.residual,
+        _columns(as_stated, corrected),
         _columns(other_way, corrected),
     )
-    felt = [rows for rows in given.members if search.is_felt(rows)]
-    if len(felt) < LEAST:
+    felt = [rows for rows in as_stated.members if search.is_felt(rows)]
+    if len(felt) < MIN_RUNS:
         return None
     turned = search.best(felt)
     if turned.sum() > len(felt) / 2:
         turned = ~turned
     none = np.zeros(len(felt), dtype=bool)
     gain = search.value(felt, turned) - search.value(felt, none)
-    if not turned.any() or gain < GAIN:
+    if not turned.any() or gain < MIN_GAIN:
         return None
-    names = [(given.rows["setup"], given.rows["run"], rows[0]) for rows in felt]
+    names = [(as_stated.rows["setup"], as_stated.rows["run"], rows[0]) for rows in felt]
     labels = [(str(s.iloc[k]), str(r.iloc[k])) for s, r, k in names]
     return TurnedRuns(
         runs=tuple(
@@ -84,13 +84,13 @@ class _Search:
 
     evidence: FormEvidence
     residual: Array
-    given: Array
+    as_stated: Array
     turned: Array
 
     def is_felt(self, rows: Index) -> bool:
         """Whether turning the run of these readings changes them."""
-        change = self.turned[rows] - self.given[rows]
-        return bool(np.linalg.norm(change) > FELT)
+        change = self.turned[rows] - self.as_stated[rows]
+        return bool(np.linalg.norm(change) > MIN_CHANGE)
 
     def value(self, runs: Sequence[Index], turned: Mask) -> float:
         """Log evidence with some of the runs turned."""
@@ -103,7 +103,7 @@ class _Search:
         return float(np.sqrt(unexplained / len(self.residual)))
 
     def _columns(self, runs: Sequence[Index], turned: Mask) -> Array:
-        columns = self.given.copy()
+        columns = self.as_stated.copy()
         for rows, is_turned in zip(runs, turned, strict=True):
             if is_turned:
                 columns[rows] = self.turned[rows]
@@ -124,7 +124,7 @@ class _Search:
             values = []
             for choice in (False, True):
                 turned[k] = choice
-                columns = np.zeros_like(self.given)
+                columns = np.zeros_like(self.as_stated)
                 columns[rows] = self._columns(runs, turned)[rows]
                 values.append(self.evidence.log_evidence(columns, self.residual))
             turned[k] = values[1] > values[0]

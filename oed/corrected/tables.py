@@ -15,8 +15,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from oed.base import Array
-from oed.corrected.effect_measurement import SEPARATOR
-from oed.corrected.fit import CorrectedEstimate
+from oed.corrected.fit import SEPARATOR, CorrectedEstimate
 from oed.corrected.forms import ChosenForm
 from oed.effects import workspace_state
 from oed.mechanism.error_model import ErrorModel, error_model
@@ -29,7 +28,7 @@ PAYLOAD = "payload"
 #: beginning of the axis of a body's temperature
 TEMPERATURE = "temp_"
 #: corrections up to here, m or rad, are nothing
-NOTHING = 1e-10
+MIN_CORRECTION = 1e-10
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,11 +83,11 @@ def tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffect
         if rest is None or late is None or any(t is None for t in of_effect):
             missing[name] = "it moves no joint of the machine in a known state"
             continue
-        if np.abs(late - rest).max() > NOTHING:
+        if np.abs(late - rest).max() > MIN_CORRECTION:
             missing[name] = "it follows the time of that session, not a state"
             continue
         tables += [t for t in of_effect if t is not None]
-        if np.abs(rest).max() > NOTHING:
+        if np.abs(rest).max() > MIN_CORRECTION:
             tables.append(StateTable(name, POSE, False, np.zeros(1), rest[None]))
         if not any(t.effect == name for t in tables):
             missing[name] = (
@@ -149,7 +148,7 @@ def _tables_of(
                 yield None
                 return
             joints.append(change - rest)
-        if np.abs(joints).max() > NOTHING:
+        if np.abs(joints).max() > MIN_CORRECTION:
             wise = axis == DIRECTION
             name = form.effect.name
             yield StateTable(name, axis, wise, values, np.array(joints))
@@ -161,8 +160,10 @@ def _axes(corrected: CorrectedEstimate, state: State) -> Iterator[tuple[str, Arr
     if state.max_payload > 0.0:
         yield PAYLOAD, np.array([0.0, state.max_payload])
     for body, start in state.start_temperature.items():
-        known = [s.temperature[body] for s in corrected.states if body in s.temperature]
-        rise = np.concatenate(known) - start
+        indices = [
+            s.temperature[body] for s in corrected.states if body in s.temperature
+        ]
+        rise = np.concatenate(indices) - start
         rise = rise[np.isfinite(rise)]
         if rise.size and np.ptp(rise) > 0.0:
             low, high = min(float(rise.min()), 0.0), max(float(rise.max()), 0.0)
@@ -192,7 +193,7 @@ def _correction(
     values = corrected.estimate.theta[corrected.parameters :] * corrected.scales
     amounts = dict(zip(corrected.coefficient_names, values, strict=True))
     machine = corrected.readings.measurement.machine
-    known = {p.name: k for k, p in enumerate(machine.parameters)}
+    indices = {p.name: k for k, p in enumerate(machine.parameters)}
     total = np.zeros_like(state.joints[:-1])
     for column in form.effect.columns(state, **form.constants):
         name = f"{form.effect.name}{SEPARATOR}{column.name}"
@@ -200,7 +201,7 @@ def _correction(
         for joint, change in column.joints.items():
             total[:, joint] -= amount * change[:-1]
         for parameter, change in column.parameters.items():
-            if parameter in known:
-                slope = model.joints[:, :, known[parameter]]
-                total += amount * slope * change[:-1, None]
+            if parameter in indices:
+                gradient = model.joints[:, :, indices[parameter]]
+                total += amount * gradient * change[:-1, None]
     return total if np.isfinite(total).all() else None

@@ -100,14 +100,14 @@ def predict_corrected(
         reference=reference,
     )
     by_effects = of_effects.raw @ mean[count:]
-    known = maps.remaining @ mean[:count] + by_effects
+    known_errors = maps.remaining @ mean[:count] + by_effects
     spreads = functools.partial(
         prediction.spread_after, both, covariance, rng, draws=changes, worth=worth
     )
-    parameters_only, of_plain = spreads(known), {}
+    parameters_only, of_plain = spreads(known_errors), {}
     if plain is not None:
         change = (maps.raw - maps.remaining) @ (theta[:count] - plain)
-        of_plain = spreads(known + change)
+        of_plain = spreads(known_errors + change)
     budget = _budget(corrected, both, compensated, used)
     return CorrectedAccuracy(compensated, parameters_only, of_plain, budget)
 

@@ -22,11 +22,14 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.effects.absorbed import absorbing_shift
     from oed.effects.columns import ExpectedColumns, expected_columns
-    from oed.effects.course_columns import CourseColumns, over_courses
-    from oed.effects.courses import Course, draw_courses
-    from oed.effects.effect_maps import ActingForm, SessionStates, workspace_state
+    from oed.effects.courses import Course, CourseColumns, draw_courses, over_courses
+    from oed.effects.effect_maps import (
+        ActingForm,
+        SessionStates,
+        absorbing_shift,
+        workspace_state,
+    )
     from oed.effects.planned import PlannedEffects, planned_effects
     from oed.effects.unmodelled import (
         ExpectedEffect,

@@ -31,12 +31,12 @@ from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.effect import Effect, State
 
 #: most values of an effect's constants that stand side by side
-FORMS = 16
+MAX_FORMS = 16
 #: share of a group's variance that its principal columns hold
-WHOLE = 0.995
+VARIANCE_SHARE = 0.995
 #: root mean square change of the readings, in units of the noise, below which a group
 #: changes nothing
-NOTHING = 1e-4
+MIN_CHANGE = 1e-4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -130,10 +130,10 @@ class ExpectedColumns:
             maps, raw=self._mixed(maps.raw), remaining=self._mixed(maps.remaining)
         )
 
-    def _mixed(self, slopes: Array) -> Array:
+    def _mixed(self, gradients: Array) -> Array:
         """Slopes (n, k, a) over coefficients as slopes over the columns."""
-        poses, components, count = slopes.shape
-        flat = slopes.reshape(poses * components, count)
+        poses, components, count = gradients.shape
+        flat = gradients.reshape(poses * components, count)
         return np.asarray((flat @ self.mixing).reshape(poses, components, -1))
 
 
@@ -141,17 +141,17 @@ class ExpectedColumns:
 class _EffectGroup:
     """One group's coefficients at all of its constants.
 
-    readings  (N, a) changes, in units of the noise;  tool (m, a) displacements, m
-    places    (form, coefficient) of each
-    share     that a coefficient at one of the constants has, in standard deviations
-    unit      factor of all coefficients
+    readings      (N, a) changes, in units of the noise;  tool (m, a) displacements, m
+    coefficients  (form, coefficient) of each
+    share         that a coefficient at one of the constants has, in standard deviations
+    unit          factor of all coefficients
     """
 
     name: str
     unknown: bool
     readings: Array
     tool: Array
-    places: list[tuple[int, str]]
+    coefficients: list[tuple[int, str]]
     share: float
     unit: float = 1.0
 
@@ -170,7 +170,7 @@ class _EffectGroup:
         _, values, rows = np.linalg.svd(np.vstack(parts), full_matrices=False)
         squares = values**2
         before = np.cumsum(squares) - squares
-        return np.asarray(rows[before <= WHOLE * squares.sum()].T)
+        return np.asarray(rows[before <= VARIANCE_SHARE * squares.sum()].T)
 
 
 def _unit(values: Array) -> Array:
@@ -193,18 +193,18 @@ def expected_columns(
     for effect in effects:
         if effect.unfit(machine) is None:
             groups += _groups_of(problem, effect, forms, unknown=False)
-    known = [group for group in groups if group.size > NOTHING]
-    if not known:
+    known_groups = [group for group in groups if group.size > MIN_CHANGE]
+    if not known_groups:
         return None
     for effect in unknown_effects() if unknown else ():
         for group in _groups_of(problem, effect, forms, unknown=True):
-            typical = _typical_size(known, group)
-            if group.size > NOTHING and typical > NOTHING:
+            typical = _typical_size(known_groups, group)
+            if group.size > MIN_CHANGE and typical > MIN_CHANGE:
                 groups.append(group.scaled(typical / group.size))
     return _assembled(problem, forms, groups)
 
 
-def _typical_size(known: Sequence[_EffectGroup], unknown: _EffectGroup) -> float:
+def _typical_size(known_groups: Sequence[_EffectGroup], unknown: _EffectGroup) -> float:
     """Median root mean square change of readings by known groups, in units of the noise.
 
     Over the readings that an unknown group changes: its instrument's, if it is an error
@@ -212,10 +212,10 @@ def _typical_size(known: Sequence[_EffectGroup], unknown: _EffectGroup) -> float
     """
     changed = (unknown.readings != 0.0).any(axis=1)
     sizes = []
-    for group in known:
+    for group in known_groups:
         squares = (group.readings[changed] ** 2).sum(axis=1)
         size = float(np.sqrt(squares.mean())) if changed.any() else 0.0
-        if size > NOTHING:
+        if size > MIN_CHANGE:
             sizes.append(size)
     if not sizes:
         return 0.0
@@ -228,7 +228,7 @@ def _groups_of(
 ) -> list[_EffectGroup]:
     """The groups of one effect; its forms are appended to `forms`."""
     grid = effect.constant_grid()
-    tried = np.unique(np.linspace(0, len(grid) - 1, FORMS).round().astype(int))
+    tried = np.unique(np.linspace(0, len(grid) - 1, MAX_FORMS).round().astype(int))
     signatures: list[tuple[int, Signature, dict[str, Array]]] = []
     for constants in (grid[k] for k in tried):
         signature = problem.signature(effect, constants)
@@ -240,18 +240,18 @@ def _groups_of(
     share = 1.0 / np.sqrt(max(len(signatures), 1))
     groups = []
     for label in labels:
-        readings, displaced, places = [], [], []
+        readings, displaced, coefficients = [], [], []
         for number, signature, tool in signatures:
             for k, name in enumerate(signature.names):
                 if signature.labels[k] == label:
                     readings.append(signature.columns[:, k])
                     displaced.append(tool[name])
-                    places.append((number, name))
+                    coefficients.append((number, name))
         name = f"{effect.name}: {label}" if label else effect.name
         changes = problem.in_noise_units(np.column_stack(readings))
         moved = share * np.column_stack(displaced)
         groups.append(
-            _EffectGroup(name, unknown, share * changes, moved, places, share)
+            _EffectGroup(name, unknown, share * changes, moved, coefficients, share)
         )
     return groups
 
@@ -276,16 +276,18 @@ def _assembled(
     problem: GapProblem, forms: list[ActingForm], groups: list[_EffectGroup]
 ) -> ExpectedColumns:
     """All groups side by side."""
-    at: dict[tuple[int, str], int] = {}
+    numbers_of: dict[tuple[int, str], int] = {}
     for number, form in enumerate(forms):
         for name in form.names:
-            at[number, name] = len(at)
+            numbers_of[number, name] = len(numbers_of)
     columns, mixing, owner = [], [], []
     for g, group in enumerate(groups):
         combinations = group.principal() * group.unit
         columns.append(group.readings @ combinations)
-        block = np.zeros((len(at), combinations.shape[1]))
-        block[[at[place] for place in group.places]] = group.share * combinations
+        block = np.zeros((len(numbers_of), combinations.shape[1]))
+        block[[numbers_of[coefficient] for coefficient in group.coefficients]] = (
+            group.share * combinations
+        )
         mixing.append(block)
         owner += [g] * combinations.shape[1]
     discrepancy = Discrepancy(

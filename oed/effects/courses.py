@@ -1,10 +1,18 @@
-"""Courses that a planned session may take: times of readings, sense of travel, warmth.
+"""What effects do to planned readings over the courses that a session may take.
 
-Planned readings have no order before they are chosen, and what is not recorded of it
-stays unknown. In a drawn course each joint arrives at each reading from a random side, and
-readings of a set-up are spread over its time at random. Courses come in pairs of opposite
-sides, and a reading's times are spread evenly over them, so that few courses have the
-moments of many.
+Let G(z) b be the change of the readings by effects in the course z (sense of travel,
+times, temperatures), with b ~ N(0, I). Where z is recorded, G(z) are columns as any
+others. Where it is not, readings of independent courses have the moments
+
+    E[G b] = 0,    cov(G b) = M M^T + diag(S^2),    M = E[G(z)],    S^2 = E[(G(z) - M)^2] 1.
+
+The best linear estimate sees the mean columns M, and S as scatter of single readings.
+Likewise the tool, in states that the machine is used in: the mean of its changes can be
+known with the coefficients, the rest stays.
+
+In a drawn course each joint arrives at each reading from a random side, and readings of a
+set-up are spread over its time at random. Courses come in pairs of opposite sides, and a
+reading's times are spread evenly over them, so that few courses have the moments of many.
 """
 
 from __future__ import annotations
@@ -15,17 +23,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.base import Array, Index
+from oed.accuracy.maps import Reference
+from oed.base import Array, Index, Mask
+from oed.effects.columns import ExpectedColumns
+from oed.effects.effect_maps import SessionStates
 from oed.gap.data import state as states_of
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Series
-from oed.model.effect import State
+from oed.model.effect import Effect, State
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: limits of the time constant with which a body warms, s
-WARMS = (600.0, 3600.0)
+WARM_UP_TIMES = (600.0, 3600.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,14 +97,14 @@ def draw_courses(
     last     readings at the end of `rows` that repeat the first ones: these open the
              session, and they close it
     """
-    places = _places(rows, rng, last)
+    blocks = _places(rows, rng, last)
     sides = rng.choice([-1.0, 1.0], (count // 2, len(rows)))
     seeds = rng.integers(2**32, size=count // 2)
     shifts = rng.permutation(count)
     courses = []
     for number, shift in enumerate(shifts):
         pair, side = number // 2, 1.0 - 2.0 * (number % 2)
-        rank = _ranks(places, shift / count)
+        rank = _ranks(blocks, shift / count)
         time = seconds * rank / max(len(rows) - 1, 1)
         course = rows.assign(time=time, direction=side * sides[pair])
         for body in bodies:
@@ -113,13 +124,13 @@ def _places(rows: pd.DataFrame, rng: np.random.Generator, last: int) -> list[Ind
     return [opening, *shuffled, closing]
 
 
-def _ranks(places: list[Index], share: float) -> Array:
+def _ranks(blocks: list[Index], share: float) -> Array:
     """Rank (n,) of each reading, with the inner blocks turned by a share of them."""
-    rank = np.empty(sum(map(len, places)))
+    rank = np.empty(sum(map(len, blocks)))
     start = 0
-    for number, block in enumerate(places):
+    for number, block in enumerate(blocks):
         turned = np.roll(block, round(share * len(block)))
-        if number in (0, len(places) - 1):
+        if number in (0, len(blocks) - 1):
             turned = block
         rank[turned] = start + np.arange(len(block))
         start += len(block)
@@ -128,5 +139,117 @@ def _ranks(places: list[Index], share: float) -> Array:
 
 def _warm_up(time: Array, seconds: float, rng: np.random.Generator) -> Array:
     """Temperature (n,) of a body above the start, K: 1 at the session's end."""
-    tau = float(np.exp(rng.uniform(*np.log(WARMS))))
+    tau = float(np.exp(rng.uniform(*np.log(WARM_UP_TIMES))))
     return np.asarray(np.expm1(-time / tau) / np.expm1(-seconds / tau))
+
+
+#: beginnings of what an effect needs that depends on the course of a session
+COURSE_NEEDS = ("direction", "time", "temp_")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CourseColumns:
+    """Changes of N planned readings and of n poses by k coefficients over d courses.
+
+    changes    (d, N, k) of the readings in each course, SI
+    tool       (d, n, c, k) of c pose components in states drawn anew for each, SI
+    of_course  (k,) which depend on the course
+    """
+
+    changes: Array
+    tool: Array
+    of_course: Mask
+
+    @property
+    def mean(self) -> Array:
+        """Mean (N, k) over the courses."""
+        return np.asarray(self.changes.mean(axis=0))
+
+    def scatter(self, chosen: Mask) -> Array:
+        """Standard deviation (N,) of what chosen (k,) coefficients change beside the mean."""
+        apart = (self.changes - self.mean)[:, :, chosen]
+        return np.asarray(np.sqrt((apart**2).sum(axis=2).mean(axis=0)))
+
+    @property
+    def mean_tool(self) -> Array:
+        """Mean (n, c, k) over the courses."""
+        return np.asarray(self.tool.mean(axis=0))
+
+    def tool_rest(self, chosen: Mask) -> Array:
+        """Mean square (c,) of what chosen (k,) coefficients do beside the mean, SI."""
+        apart = (self.tool - self.mean_tool)[:, :, :, chosen]
+        return np.asarray((apart**2).sum(axis=3).mean(axis=(0, 1)))
+
+    @property
+    def rms(self) -> float:
+        """Root mean square change of the readings by all coefficients together, SI."""
+        return float(np.sqrt((self.changes**2).sum(axis=2).mean()))
+
+    def take(self, chosen: Mask) -> CourseColumns:
+        """Some of the coefficients (k,)."""
+        return CourseColumns(
+            self.changes[:, :, chosen], self.tool[..., chosen], self.of_course[chosen]
+        )
+
+    def scaled(self, factor: float) -> CourseColumns:
+        """The same of other sizes."""
+        return dataclasses.replace(
+            self, changes=factor * self.changes, tool=factor * self.tool
+        )
+
+    def joined(self, other: CourseColumns) -> CourseColumns:
+        """These coefficients, then others of the same readings."""
+        return CourseColumns(
+            np.concatenate([self.changes, other.changes], axis=2),
+            np.concatenate([self.tool, other.tool], axis=3),
+            np.concatenate([self.of_course, other.of_course]),
+        )
+
+
+def depends_on_course(effect: Effect) -> bool:
+    """Whether an effect is a function of sense of travel, time or temperatures."""
+    parts = [part.strip() for need in effect.needs for part in need.split(" or ")]
+    return any(part.startswith(COURSE_NEEDS) for part in parts)
+
+
+def over_courses(
+    problem: GapProblem,
+    courses: Sequence[Course],
+    columns: ExpectedColumns,
+    session: SessionStates,
+    command: Array,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> CourseColumns:
+    """What the columns change in the readings of a problem in each course.
+
+    session  in which the columns were stated;  command (n, n_dof) of the workspace, SI
+    """
+    of_course = _depending(columns)
+    part = columns.take(of_course) if of_course.any() else None
+    changes, tool = [], []
+    for number, course in enumerate(courses):
+        used = dataclasses.replace(session, covariates=course.covariates)
+        where = (used, problem.theta, command, reference, rng)
+        if number == 0:
+            changes.append(columns.changes(course.of(problem), session))
+            tool.append(columns.workspace_maps(*where).raw)
+            continue
+        changes.append(changes[0].copy())
+        tool.append(tool[0].copy())
+        if part is not None:
+            other = course.of(problem)
+            changes[number][:, of_course] = part.changes(other, session)
+            tool[number][:, :, of_course] = part.workspace_maps(*where).raw
+    return CourseColumns(np.array(changes), np.array(tool), of_course)
+
+
+def _depending(columns: ExpectedColumns) -> Mask:
+    """Which columns (k,) mix forms of effects that depend on the course."""
+    ends = np.cumsum([len(form.names) for form in columns.forms])
+    result = np.zeros(columns.mixing.shape[1], dtype=bool)
+    blocks = np.split(columns.mixing, ends[:-1])
+    for form, block in zip(columns.forms, blocks, strict=True):
+        if depends_on_course(form.effect):
+            result |= block.any(axis=0)
+    return result

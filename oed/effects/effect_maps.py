@@ -1,4 +1,13 @@
-"""Pose errors over the workspace that effects cause, in states of a session."""
+"""Pose errors over the workspace that effects cause, in states of a session.
+
+A controller that is sent parameters p + d, and not the machine's p, moves the tool by -C d
+more (C: what compensation changes per unit of a parameter). The shift d that takes up a
+known error e (n poses, k components) of effects as far as parameters can minimises
+
+    sum over poses and components of ((e - C d) / s)^2 / n + (RIDGE_SHARE d / tolerance)^2,
+
+with s the error of each component before calibration.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +31,33 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oed.gap.data.problem import GapProblem
+
+
+#: a parameter moves by a tolerance where this takes such a share of the error before
+#: calibration
+RIDGE_SHARE = 1e-3
+
+
+def absorbing_shift(maps: ErrorMaps, error: Array, tolerance: Array) -> Array:
+    """Shift (np,) of the parameters sent, SI, that takes up errors (n, k), SI.
+
+    maps       over the machine's np parameters
+    tolerance  (np,) prior standard deviations, SI; those of 0 do not move
+    """
+    free = tolerance > 0.0
+    scaled = (maps.raw * tolerance)[:, :, free]
+    size = np.sqrt((scaled**2).sum(axis=2).mean(axis=0))
+    weight = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+    weight /= np.sqrt(len(error))
+    change = ((maps.raw - maps.remaining) * tolerance)[:, :, free]
+    rows = (change * weight[:, None]).reshape(-1, int(free.sum()))
+    target = (error * weight).ravel()
+    ridge = RIDGE_SHARE * np.eye(rows.shape[1])
+    stacked = np.vstack([rows, ridge])
+    solution = np.linalg.lstsq(stacked, np.append(target, np.zeros(len(ridge))))[0]
+    shift = np.zeros(len(tolerance))
+    shift[free] = solution * tolerance[free]
+    return shift
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,11 +249,11 @@ def _twists(
     """
     twist = np.zeros(by_joint.shape[:2])
     fixed = np.zeros_like(twist)
-    known = {p.name for p in machine.parameters}
+    names = {p.name for p in machine.parameters}
     for joint, change in column.joints.items():
         twist += by_joint[:, :, joint] * change[:, None]
     for parameter, change in column.parameters.items():
-        if parameter in known:
+        if parameter in names:
             k = machine.index(parameter)
             twist += model.raw[:, :, k] * change[:, None]
             fixed += model.remaining[:, :, k] * change[:, None]

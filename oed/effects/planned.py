@@ -3,7 +3,7 @@
 The principal combinations of all effects' columns, in units of the noise, are unknowns of
 prior variance 1. What the others change counts as scatter of single readings, and as
 error of the tool that no reading can reduce. So does what depends on the course of the
-session, which is not recorded (`oed.effects.course_columns`).
+session, which is not recorded (`oed.effects.courses`).
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from oed.base import Array
 from oed.design import Nuisances
 from oed.effects.columns import ExpectedColumns
-from oed.effects.course_columns import CourseColumns
+from oed.effects.courses import CourseColumns
 from oed.effects.effect_maps import SessionStates
 
 #: change of all planned readings together, in units of the noise, below which a
 #: combination is not seen
-FAINT = 0.1
+MIN_CHANGE = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def planned_effects(
     """
     changes = courses.mean
     _, sizes, rows = np.linalg.svd(changes / sigma[:, None], full_matrices=False)
-    combinations = rows[:most][sizes[:most] > FAINT].T
+    combinations = rows[:most][sizes[:most] > MIN_CHANGE].T
     change = changes @ combinations
     others = np.maximum((changes**2).sum(axis=1) - (change**2).sum(axis=1), 0.0)
     scatter = np.hypot(np.sqrt(others), courses.scatter(courses.of_course))

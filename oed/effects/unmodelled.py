@@ -32,7 +32,7 @@ from oed.gap.data.signature import untestable
 from oed.model.effect import Effect, State
 
 #: points of an effect's constants that are tried
-POINTS = 5
+N_CONSTANTS = 5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -160,17 +160,17 @@ def _expected(problem: GapProblem, forms: Sequence[_FormErrors]) -> ExpectedEffe
     )
 
 
-def _fitted(model: BudgetModel, slopes: Array, changes: Array, tool: Array) -> Array:
+def _fitted(model: BudgetModel, gradients: Array, changes: Array, tool: Array) -> Array:
     """Variance (n, k), SI, by the joint posterior of parameters and effects.
 
-    slopes   (n, k, p) of the pose over the parameters that move it, SI
-    changes  (N, m) of the readings per prior standard deviation of each coefficient, SI
-    tool     (n, k, m) of the pose likewise
+    gradients  (n, k, p) of the pose over the parameters that move it, SI
+    changes    (N, m) of the readings per prior standard deviation of each coefficient, SI
+    tool       (n, k, m) of the pose likewise
     """
     columns = np.hstack([model.slopes, model.structure.standardise(changes)])
     white = model.readings.whiten(columns, {})
     covariance = np.linalg.inv(np.eye(columns.shape[1]) + white.T @ white)
-    by_parameter = slopes @ model.root[model.used]
+    by_parameter = gradients @ model.root[model.used]
     by_unknown = np.concatenate([by_parameter, tool], axis=2)
     return np.asarray(np.sum((by_unknown @ covariance) * by_unknown, axis=2))
 
@@ -178,7 +178,7 @@ def _fitted(model: BudgetModel, slopes: Array, changes: Array, tool: Array) -> A
 def _forms(problem: GapProblem, effect: Effect, state: State) -> list[_Form]:
     """The effect at some of its constants; none where it has no coefficient here."""
     points = effect.constant_grid()
-    tried = np.unique(np.linspace(0, len(points) - 1, POINTS).round().astype(int))
+    tried = np.unique(np.linspace(0, len(points) - 1, N_CONSTANTS).round().astype(int))
     forms = []
     for constants in (points[k] for k in tried):
         columns = effect.columns(state, **constants)

@@ -45,7 +45,7 @@ from oed.estimation.law_stage import MAX_CORRELATED
 from oed.measurement import Measurement, Series
 from oed.model import Parameter
 from oed.result import HeldParameter
-from oed.trust import FAR
+from oed.trust import FAR_TOLERANCES
 
 #: probability that a study whose held values are exact has one reported
 FALSE_ALARM = 0.01
@@ -104,7 +104,7 @@ def contradicted_parameters(
         change = change - test.change * (prior_root @ taken)
         # a machine that shrinks to nothing explains any closure: others must stay near
         offset = np.abs(theta + change - whole.nominal)[free]
-        if (offset <= FAR * whole.tolerance[free]).all():
+        if (offset <= FAR_TOLERANCES * whole.tolerance[free]).all():
             explained = np.column_stack([explained, column])
             contradicted.append(_record(whole, series, names, test, theta, change, sd))
         tests = _tests(columns, residual, explained)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from oed.base import Array, text, units
-from oed.result.fit_limits import FAR, GUESS, chi2_is_large
+from oed import text, units
+from oed.base import Array
+from oed.trust import FAR_TOLERANCES, GUESS_RATIO, chi2_is_large
 
 if TYPE_CHECKING:
     from oed.estimation.coordinates import IdentifiableCoordinates
@@ -181,7 +182,7 @@ def with_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
     far = _far_parameters(measurement, estimate)
     if far:
         sentences.append(
-            f"these ended more than {FAR:.0f} tolerances from where they began; widen"
+            f"these ended more than {FAR_TOLERANCES:.0f} tolerances from where they began; widen"
             f" [prior] or doubt the model: {', '.join(far)}"
         )
     near = _near_bounds(measurement, estimate)
@@ -222,7 +223,7 @@ def large_residuals(estimate: Estimate) -> list[str]:
         return []
     ratio = np.sqrt(estimate.chi2 / estimate.dof)
     opening = f"the residuals are {ratio:.1f} times the stated noise"
-    if ratio > GUESS:
+    if ratio > GUESS_RATIO:
         return [
             f"{opening}: an effect of this size is not in the model, or the readings have"
             " a mistake"
@@ -271,7 +272,7 @@ def _widest(phrases: Mapping[str, float]) -> list[str]:
 def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
     deviation = np.abs(estimate.theta - estimate.coordinates.origin)
     free = estimate.prior_sd > 0
-    far = np.flatnonzero(free & (deviation > FAR * estimate.prior_sd))
+    far = np.flatnonzero(free & (deviation > FAR_TOLERANCES * estimate.prior_sd))
     return [measurement.names[k] for k in far]
 
 

@@ -19,14 +19,15 @@ from oed.base import door
 if TYPE_CHECKING:
     from oed.forecast.error_field import (
         ErrorField,
+        Forecast,
         Kernel,
         NodeDesign,
         design_nodes,
         expected_kernel,
         fit_error_field,
+        forecast_table,
         joint_size,
     )
     from oed.forecast.joint_errors import JointErrors
-    from oed.forecast.table import Forecast, forecast_table
 else:
     __getattr__ = door(__name__)

@@ -1,7 +1,7 @@
-"""Pose errors over a workspace by Gaussian processes, and where to read them.
+"""Fields of pose errors, where to read them, and the table that subtracts them in advance.
 
 The errors of the joints (`oed.forecast.joint_errors`) are each a linear trend plus a
-field with Matern's correlation of order 3/2 (the discrepancy's, `oed.base.smooth_basis`)
+field with Matern's correlation of order 3/2 (the discrepancy's, `oed.base.field_modes`)
 or 5/2, with one length for each axis and one size for all joints. Lengths, size and order
 maximise the marginal likelihood times a weak prior on the lengths (Rasmussen and Williams
 2006, Gaussian Processes for Machine Learning, Eqs. 2.25-2.26, 2.42, 4.9, 4.17, 5.8). The
@@ -10,39 +10,49 @@ noise of a reading is known: it is no part of the field. The zero of the instrum
 A design takes the readings of least predicted variance. A field of errors is a sum of its
 leading Karhunen-Loeve modes with unit normal coefficients. Then a reading is a row, and
 `oed.poses.next_reading` chooses one after the other.
+
+Chang, Li and Li (2011), section 3: with the errors dX_i at command X_i and dX_0 at the
+reference, the drives get X_i' = X_i - (dX_i - dX_0), interpolated linearly between the
+nodes of a grid. Here the errors are carried through the kinematics to the joints, so that
+the commands need not be the coordinates in which errors are stated.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 import numpy as np
 from scipy import linalg, optimize
 
 from oed.base import Array, Index
+from oed.compensate import CommandGrid, GridAxis, choose_command_grid, joint_motion
 from oed.forecast.joint_errors import ErrorRows, JointErrors
 from oed.poses import Belief
 
 #: kernels that compete: correlation at scaled distances
-ORDERS = ("3/2", "5/2")
-#: prior of a correlation length, in half spans of the workspace: median, sd of its log
-LENGTH, LENGTH_SPREAD = 1.0, 1.0
+MATERN_ORDERS = ("3/2", "5/2")
+#: prior median of a correlation length, in half spans of the workspace
+LENGTH_MEDIAN = 1.0
+#: prior standard deviation of its logarithm
+LENGTH_SPREAD = 1.0
 #: standard deviation of the coefficients of trend and zero over the size of the errors
 TREND_SIZE = 10.0
 #: share of a component's variance that is added to each reading: rounding
 NUGGET = 1e-9
 #: lengths from which the optimisation starts
-STARTS = (0.5, 2.0)
-#: share of a field's variance that its modes represent, and most modes
-ENERGY, MODES = 0.999, 40
+START_LENGTHS = (0.5, 2.0)
+#: share of a field's variance that its modes represent
+ENERGY_SHARE = 0.999
+MAX_MODES = 40
 
 
 @dataclasses.dataclass(frozen=True)
 class Kernel:
     """Covariance of the error of each joint, without its trend.
 
-    order   one of ORDERS
+    order   one of MATERN_ORDERS
     size    standard deviation, SI
     length  (a,) correlation lengths, in half spans of the workspace
     """
@@ -63,7 +73,7 @@ def expected_kernel(size: float, axes: int) -> Kernel:
 
     size  standard deviation that calibration is expected to leave, SI
     """
-    return Kernel("3/2", size, np.full(axes, LENGTH))
+    return Kernel("3/2", size, np.full(axes, LENGTH_MEDIAN))
 
 
 def _correlation(order: str, distance: Array) -> Array:
@@ -89,13 +99,13 @@ class _Prior:
 
     def columns(self, rows: ErrorRows) -> Array:
         """Errors (n k, b) per standard deviation of trends and parameters."""
-        here = np.column_stack([np.ones(len(rows.places)), rows.places])
+        here = np.column_stack([np.ones(len(rows.positions)), rows.positions])
         at_home = np.r_[1.0, self.home]
-        slopes = np.einsum("nkq,na->nkqa", rows.local, here)
-        slopes += np.einsum("nkq,a->nkqa", rows.at_home, at_home)
+        gradients = np.einsum("nkq,na->nkqa", rows.local, here)
+        gradients += np.einsum("nkq,a->nkqa", rows.at_home, at_home)
         n, k = rows.local.shape[:2]
-        trends = self.trend * slopes.reshape(n * k, -1)
-        return np.hstack([trends, rows.known.reshape(n * k, -1)])
+        trends = self.trend * gradients.reshape(n * k, -1)
+        return np.hstack([trends, rows.by_parameter.reshape(n * k, -1)])
 
     def zero(self, rows: ErrorRows) -> Array:
         """Readings (n k, q) per standard deviation of an error of the zero at home."""
@@ -105,9 +115,9 @@ class _Prior:
     def field(self, kernel: Kernel, first: ErrorRows, second: ErrorRows) -> Array:
         """Covariance (n k, m k) of the fields."""
         home = self.home[None]
-        here = kernel.covariance(first.places, second.places)
-        to_home = kernel.covariance(first.places, home)[:, 0]
-        from_home = kernel.covariance(home, second.places)[0]
+        here = kernel.covariance(first.positions, second.positions)
+        to_home = kernel.covariance(first.positions, home)[:, 0]
+        from_home = kernel.covariance(home, second.positions)[0]
         value = _paired(first.local, second.local) * here[:, None, :, None]
         value += _paired(first.local, second.at_home) * to_home[:, None, None, None]
         value += _paired(first.at_home, second.local) * from_home[None, None, :, None]
@@ -212,7 +222,7 @@ def fit_error_field(
     Raises ValueError for fewer commands than a trend needs, with one to spare.
     """
     rows = model.rows(command)
-    needed = rows.places.shape[1] + 2
+    needed = rows.positions.shape[1] + 2
     nodes = len(np.unique(np.round(command[~np.isnan(errors).all(axis=1)], 9), axis=0))
     if nodes < needed:
         raise ValueError(f"{nodes} nodes are too few: read {needed} or more")
@@ -242,10 +252,12 @@ def _fit_kernel(
     size: float,
 ) -> Kernel:
     """The kernel with the largest posterior density among all orders."""
-    axes = rows.places.shape[1]
+    axes = rows.positions.shape[1]
 
     def kernel_of(point: Array, order: str) -> Kernel:
-        return Kernel(order, size * float(np.exp(point[0])), LENGTH * np.exp(point[1:]))
+        return Kernel(
+            order, size * float(np.exp(point[0])), LENGTH_MEDIAN * np.exp(point[1:])
+        )
 
     def negative_log_posterior(point: Array, order: str) -> float:
         covariance = _covariance(prior, kernel_of(point, order), rows, read, sigma)
@@ -258,8 +270,8 @@ def _fit_kernel(
         return fit + 0.5 * float(np.sum((point[1:] / LENGTH_SPREAD) ** 2))
 
     best, best_value = expected_kernel(size, axes), np.inf
-    for order in ORDERS:
-        for start in STARTS:
+    for order in MATERN_ORDERS:
+        for start in START_LENGTHS:
             solution = optimize.minimize(
                 negative_log_posterior,
                 np.r_[-1.0, np.full(axes, np.log(start))],
@@ -290,12 +302,12 @@ def design_nodes(
     most: int,
     kernel: Kernel,
     sigma: Array,
-    wanted: Array,
+    target: Array,
 ) -> NodeDesign:
     """Choose candidates (n, n_dof), SI, until the wanted accuracy, `most` at most.
 
     sigma   (k,) noise of a reading, SI
-    wanted  (k,) rms error that interpolation may leave, SI; NaN where none is stated.
+    target  (k,) rms error that interpolation may leave, SI; NaN where none is stated.
             Without any, `most` are chosen
 
     Each lowers the variance of the errors over the workspace most.
@@ -305,8 +317,8 @@ def design_nodes(
     factors = errors.swapaxes(0, 1) / np.sqrt(len(errors))
     belief = Belief.of(np.eye(blocks.shape[2]), factors)
     chosen: list[int] = []
-    while len(chosen) < most and belief.open_components(wanted):
-        chosen.append(belief.best_candidate(blocks, wanted))
+    while len(chosen) < most and belief.open_components(target):
+        chosen.append(belief.best_candidate(blocks, target))
         belief = belief.after(blocks[chosen[-1]])
     return NodeDesign(np.array(chosen), np.sqrt(belief.variances))
 
@@ -332,13 +344,94 @@ def _linear(
 
 def _modes(prior: _Prior, kernel: Kernel, rows: ErrorRows) -> Array:
     """Errors (n k, b) per standard deviation of the fields' leading modes."""
-    places = np.vstack([rows.places, prior.home[None]])
-    values, vectors = np.linalg.eigh(kernel.covariance(places, places))
+    positions = np.vstack([rows.positions, prior.home[None]])
+    values, vectors = np.linalg.eigh(kernel.covariance(positions, positions))
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    needed = int(np.searchsorted(np.cumsum(values), ENERGY * values.sum())) + 1
-    size = min(needed, MODES)
+    needed = int(np.searchsorted(np.cumsum(values), ENERGY_SHARE * values.sum())) + 1
+    size = min(needed, MAX_MODES)
     modes = vectors[:, :size] * np.sqrt(values[:size])
-    slopes = np.einsum("nkq,na->nkqa", rows.local, modes[:-1])
-    slopes += np.einsum("nkq,a->nkqa", rows.at_home, modes[-1])
+    gradients = np.einsum("nkq,na->nkqa", rows.local, modes[:-1])
+    gradients += np.einsum("nkq,a->nkqa", rows.at_home, modes[-1])
     n, k = rows.local.shape[:2]
-    return np.asarray(slopes.reshape(n * k, -1))
+    return np.asarray(gradients.reshape(n * k, -1))
+
+
+#: interpolation in the table may cost this share of the rms that the field leaves
+INTERPOLATION_SHARE = 0.2
+#: draws of the field, for the interval of its rms
+N_DRAWS = 400
+#: probabilities of the ends of that interval
+INTERVAL_LEVELS = (0.025, 0.975)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Forecast:
+    """A controller's table and what it leaves.
+
+    grid       commands of the table
+    joints     (n, nq) to add to the joints at its commands, SI
+    predicted  (k,) rms over the workspace, SI: of the field and of interpolation
+    interval   (2, k) 95 % interval of it, SI
+    """
+
+    grid: CommandGrid
+    joints: Array
+    predicted: Array
+    interval: Array
+
+
+def forecast_table(
+    field: ErrorField,
+    predicted_errors: Callable[[Array], Array],
+    axes: tuple[GridAxis, ...],
+    largest: int,
+    rng: np.random.Generator,
+) -> Forecast:
+    """The table of an estimated field of errors.
+
+    predicted_errors  errors (n, k) that the parameters predict, at commands, SI
+    axes              of the table
+    largest           number of its commands
+
+    Raises AssemblyError where a place of the box is out of reach.
+    """
+    kinematics = field.model.kinematics
+    workspace = field.model.command
+    covariance = field.covariance(workspace)
+    shape = (len(workspace), -1)
+    variance = np.maximum(np.diag(covariance), 0.0).reshape(shape).mean(axis=0)
+
+    def errors(command: Array) -> Array:
+        return predicted_errors(command) + field.mean(command)
+
+    def correction(command: Array) -> Array:
+        inverse = np.linalg.pinv(joint_motion(kinematics, command))
+        return np.asarray(-np.einsum("nqk,nk->nq", inverse, errors(command))[:, None])
+
+    grid = choose_command_grid(
+        axes,
+        correction,
+        lambda command: joint_motion(kinematics, command),
+        INTERPOLATION_SHARE * np.sqrt(variance),
+        largest,
+        rng,
+    )
+    interpolation = grid.errors.max(axis=0) ** 2
+    drawn = _rms_draws(covariance, shape, rng)
+    low, high = np.quantile(drawn**2 + interpolation, INTERVAL_LEVELS, axis=0)
+    return Forecast(
+        grid=grid,
+        joints=correction(grid.commands)[:, 0],
+        predicted=np.sqrt(variance + interpolation),
+        interval=np.sqrt([low, high]),
+    )
+
+
+def _rms_draws(
+    covariance: Array, shape: tuple[int, int], rng: np.random.Generator
+) -> Array:
+    """Rms (N_DRAWS, k) over the workspace of draws of what the field leaves."""
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    drawn = rng.standard_normal((N_DRAWS, len(values))) @ root.T
+    return np.asarray(np.sqrt((drawn.reshape(N_DRAWS, *shape) ** 2).mean(axis=1)))

@@ -27,26 +27,26 @@ from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Component
 
 #: what counts as an equal place, m or rad
-SAME = 1e-9
+POSITION_TOLERANCE = 1e-9
 #: slope over a twist from which on a component's error has no meaning: psi of an upright
 #: tool
-MEANINGLESS = 1e3
+MAX_SLOPE = 1e3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ErrorRows:
     """Errors (n, k) of the driven components as functions of joints and parameters.
 
-    places   (n, a) joints along their principal axes, the workspace from -1 to 1
-    local    (n, k, q) per error of each joint at the command, SI
-    at_home  (n, k, q) per error of each joint at home, SI
-    known    (n, k, b) per standard deviation of b known directions of the parameters
+    positions     (n, a) joints along their principal axes, the workspace from -1 to 1
+    local         (n, k, q) per error of each joint at the command, SI
+    at_home       (n, k, q) per error of each joint at home, SI
+    by_parameter  (n, k, b) per standard deviation of b known directions of the parameters
     """
 
-    places: Array
+    positions: Array
     local: Array
     at_home: Array
-    known: Array
+    by_parameter: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,9 +78,9 @@ class JointErrors:
     @property
     def home_place(self) -> Array:
         """Where home lies (a,) among the places."""
-        return np.asarray(self.places(self.kinematics.machine.home_command[None])[0])
+        return np.asarray(self.positions(self.kinematics.machine.home_command[None])[0])
 
-    def places(self, command: Array) -> Array:
+    def positions(self, command: Array) -> Array:
         """Joints at commands (n, n_dof), along their principal axes, scaled (n, a)."""
         middle, axes = self._axes
         return np.asarray((self.kinematics.inverse(command)[1] - middle) @ axes)
@@ -89,7 +89,7 @@ class JointErrors:
     def _axes(self) -> tuple[Array, Array]:
         """Middle (q,) and axes (q, a) that scale the workspace's joints to -1 to 1."""
         joints = self.kinematics.inverse(self.command)[1]
-        count = int((np.ptp(self.command, axis=0) > SAME).sum())
+        count = int((np.ptp(self.command, axis=0) > POSITION_TOLERANCE).sum())
         axes = np.linalg.svd(joints - joints.mean(axis=0), full_matrices=False)[2].T
         along = joints @ axes[:, :count]
         low, high = along.min(axis=0), along.max(axis=0)
@@ -115,17 +115,17 @@ class JointErrors:
             raw = error_maps(kinematics, command, self.reference).raw[:, driven]
             of_parameters = raw @ self.spread
         return ErrorRows(
-            places=self.places(command),
+            positions=self.positions(command),
             local=maps[:, :, :count],
             at_home=maps[:, :, count:],
-            known=of_parameters,
+            by_parameter=of_parameters,
         )
 
     def meaningful(self, command: Array) -> Array:
         """Which components (n, k) have an error at commands (n, n_dof)."""
-        slope = self.kinematics.error_components_jacobian(command)
-        size = np.linalg.norm(slope[:, self._driven], axis=2)
-        return np.asarray(np.isfinite(size) & (size < MEANINGLESS))
+        jacobian = self.kinematics.error_components_jacobian(command)
+        size = np.linalg.norm(jacobian[:, self._driven], axis=2)
+        return np.asarray(np.isfinite(size) & (size < MAX_SLOPE))
 
     def _twists(self, command: Array) -> Array:
         """Twists (n, 6, q) per error of each joint; of the struts where they are stated."""

@@ -30,8 +30,7 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base import Array, Index
-from oed.base.linear_algebra import eigenvectors
-from oed.linear_algebra import triangle_of_sums
+from oed.linear_algebra import eigenvectors, triangle_of_sums
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law.prior import NoisePrior
 

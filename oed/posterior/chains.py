@@ -28,9 +28,9 @@ from typing import Any
 import numpy as np
 
 from oed.base import Array, Mask
-from oed.base.whole_file import whole_file
 from oed.posterior.draws import Posterior
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
+from oed.safe_files import whole_file
 
 #: ensembles of independent random numbers
 N_ENSEMBLES = 4

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base import Array
-from oed.result import EMCEE
+from oed.result import PosteriorSection
 from oed.safe_files import write_own
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class Posterior:
     ess              (n,) effective sample size; NaN for held parameters. Of independent
                      draws: less than their number where some are repeated; of emcee: of
                      all steps (ArviZ, bulk)
-    sampler          IMPORTANCE or EMCEE
+    sampler          IMPORTANCE or PosteriorSection.EMCEE
     pareto_k         shape of the tail of the importance weights, also where emcee ran
                      because it is too large; NaN where no weights were computed
     proposals        points that were weighted
@@ -56,7 +56,7 @@ class Posterior:
     autocorrelation: float = np.nan
     walkers: int = 0
     steps: int = 0
-    sampler: str = EMCEE
+    sampler: str = PosteriorSection.EMCEE
     pareto_k: float = np.nan
     proposals: int = 0
 
@@ -108,7 +108,7 @@ def to_arviz(posterior: Posterior) -> xr.DataTree:
     import arviz_base
 
     statistics = {"ess": posterior.ess[None, None]}
-    if posterior.sampler == EMCEE:
+    if posterior.sampler == PosteriorSection.EMCEE:
         statistics["rhat"] = posterior.rhat[None, None]
     groups = {
         "posterior": {"theta": posterior.draws, "noise_law": posterior.noise_law},

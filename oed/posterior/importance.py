@@ -29,8 +29,7 @@ from oed.posterior.log_density import (
     draw_student,
     log_student,
 )
-from oed.posterior.proposals import Proposal, proposal_of
-from oed.result import IMPORTANCE, largest_pareto_k
+from oed.result import PosteriorSection
 
 #: k beyond which more proposals are not worth a try
 MAX_K = 1.0
@@ -184,7 +183,7 @@ def draw_weighted(
         if k > MAX_K:
             break
         more = 1.0
-        if k <= largest_pareto_k(proposals.drawn):
+        if k <= PosteriorSection.largest_pareto_k(proposals.drawn):
             for spare in SPARES:
                 chosen = resample(weights, math.ceil(min(spare * ess, max_draws)), rng)
                 reached = float(np.min(worth(target, proposals.points, chosen)))
@@ -252,7 +251,7 @@ def collect(
         noise_names=target.noise_names,
         ess=ess * inside.mean(),
         rhat=np.full(theta.shape[1], np.nan),
-        sampler=IMPORTANCE,
+        sampler=PosteriorSection.IMPORTANCE,
         pareto_k=k,
         proposals=proposals.drawn,
     )

@@ -22,8 +22,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Array, Index
-from oed.base.linear_algebra import covariance_root
 from oed.estimation import Estimate
+from oed.linear_algebra import covariance_root
 from oed.measurement import Measurement, Series
 from oed.model.series import take_values
 from oed.noise_law import NoisePosterior, ResidualModel

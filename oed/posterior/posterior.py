@@ -18,8 +18,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.estimation import Estimate
-from oed.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, Series, reading_structure
 from oed.noise import Laws, ReadingStructure
 from oed.posterior import chains, importance
 from oed.posterior.chains import Checkpoint, Ensembles, ensemble_sizes

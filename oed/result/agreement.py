@@ -18,7 +18,7 @@ from oed.result.study import StudyResult
 from oed.text import shorten, suggest
 
 #: size of a number beyond which it is a slip, and its square overflows soon
-LARGEST: Final = 1e100
+MAX_NUMBER: Final = 1e100
 #: units beside those of `oed.units`
 OTHER_UNITS: Final = ("", "1", "sigma", "readings", "s", "K", "m", "rad")
 #: names of fields that hold a unit, or units by name
@@ -227,7 +227,7 @@ def value_breaches(keys: tuple[str, ...], value: Any) -> Iterator[Breach]:
             if key in UNIT_FIELDS and isinstance(entry, str | Mapping):
                 yield from _unit_breaches(below, entry)
             yield from value_breaches(below, entry)
-    elif isinstance(value, int | float) and not abs(value) < LARGEST:
+    elif isinstance(value, int | float) and not abs(value) < MAX_NUMBER:
         yield Breach(_field(keys), f"{value:.3g} is no number of a result")
 
 
@@ -238,9 +238,12 @@ def _unit_breaches(keys: tuple[str, ...], value: Any) -> Iterator[Breach]:
             yield from _unit_breaches((*keys, str(name)), entry)
         return
     of_effects = [shown for shown, _ in units.EFFECT.values()]
-    known = {*units.UNITS, *OTHER_UNITS, *of_effects}
+    known_units = {*units.UNITS, *OTHER_UNITS, *of_effects}
     factors = str(value).replace("/", " ").split()
-    if not all(factor in known or factor.rstrip("23") in known for factor in factors):
+    if not all(
+        factor in known_units or factor.rstrip("23") in known_units
+        for factor in factors
+    ):
         yield Breach(_field(keys), f"{shorten(str(value), 40)!r} is no known unit")
 
 

@@ -1,17 +1,141 @@
-"""Estimate and posterior: the `estimate` and `posterior` sections of result.json."""
+"""Estimate, posterior and goodness: sections of result.json of what readings tell."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 
-from oed.result.mixture import MIXTURE
+from oed.result.gap import Compensation
 from oed.result.record import Number, Record, Size
 
+
+class OutlierRecord(Record, frozen=True):
+    """A reading that all others contradict.
+
+    row   of its file
+    file  its name, where the readings are of several
+    """
+
+    setup: str
+    run: str
+    order: int
+    row: int
+    pull: float
+    file: str = ""
+
+
+class MistakeRecord(Record, frozen=True):
+    """A mistake that explains readings which do not fit, and how far it does."""
+
+    what: str
+    evidence: str
+
+
+class NoiseRecord(Record, frozen=True):
+    """One number of the noise law as estimated.
+
+    kind     reading (about the mean of its run), run, seat, course at the session's end
+             (standard deviations),
+             carried (share of the variance) or reach (in readings)
+    of       set-up and channel, or set-up; empty for all readings
+    stated   what the stated noise has
+    departs  whether it surely differs from that by more than matters
+    """
+
+    kind: str
+    of: str
+    value: float
+    sd: float
+    unit: str
+    stated: Number = None
+    departs: bool = False
+
+
+class LeftOutRun(Record, frozen=True):
+    """A run against what all other runs predict of it.
+
+    values     number of its values
+    ratio      its errors over what is predicted
+    p_high     probability of larger errors
+    log_score  log predictive density, readings in units of their noise
+    """
+
+    setup: str
+    run: str
+    values: int
+    ratio: float
+    p_high: float
+    log_score: float
+
+    @property
+    def chi2(self) -> float:
+        """Squared standardised errors, of as many degrees of freedom as values."""
+        return self.ratio**2 * self.values
+
+
+class GoodnessSection(Record, frozen=True):
+    """Goodness of fit against the stated noise, and what a check of the readings says.
+
+    chi2, dof  of the parameters that are delivered, as in `estimate`, without `outliers`
+               and `doubtful`; p_low, p_high  probabilities of less and of more
+    law_p_low, law_p_high  of less and of more under the law that is estimated, with a
+               scatter of single readings within what a statement is good for
+    bad_fit    whether nothing fitted to the readings can be trusted
+    outliers   gross errors, which no fit includes
+    doubtful   readings that may be gross errors or noise; fits include them
+    unlocated  rows of the file one of which is wrong; fits include all
+    findings   sentences, the most harmful first
+    noise     the noise law as estimated, by the names of its numbers; empty where the
+              noise is as stated
+    noise_words  how it departs from the stated noise, as sentences
+    left_out  each run predicted from the others; their log score with its standard
+              deviation in `left_out_score` and `left_out_sd`
+    """
+
+    chi2: Number
+    dof: Number
+    p_low: Number
+    p_high: Number
+    bad_fit: bool = False
+    outliers: list[OutlierRecord] = []
+    doubtful: list[OutlierRecord] = []
+    unlocated: list[int] = []
+    mistakes: list[MistakeRecord] = []
+    findings: list[str] = []
+    noise: dict[str, NoiseRecord] = {}
+    noise_words: list[str] = []
+    left_out: list[LeftOutRun] = []
+    left_out_score: Number = None
+    left_out_sd: Number = None
+    law_p_low: Number = None
+    law_p_high: Number = None
+
+    @property
+    def fit_words(self) -> str:
+        """What the figures of a fit leave out, as the end of a phrase: rows set aside."""
+        return self.without_rows(len(self.outliers), "set aside")
+
+    @property
+    def chi2_words(self) -> str:
+        """What chi2 leaves out, likewise: rows set aside, and rows in doubt."""
+        doubtful = self.without_rows(len(self.doubtful), "in doubt")
+        joint = " and" if self.outliers and doubtful else ""
+        return f"{self.fit_words}{joint}{doubtful}"
+
+    @staticmethod
+    def without_rows(count: int, what: str) -> str:
+        """` without the 2 rows set aside`; empty for none."""
+        return (
+            f" without the {count} row{'s' if count > 1 else ''} {what}"
+            if count
+            else ""
+        )
+
+
 #: probability below which a discrepancy contradicts the posterior, either way
-CONTRADICTED = 0.005
+CONTRADICTION_PROBABILITY = 0.005
 
 
 class ParameterEstimate(Record, frozen=True):
@@ -115,26 +239,11 @@ class EstimateSection(Record, frozen=True):
     effects: list[dict[str, str | float | bool]] = []
     faulty: float | None = None
     controller: dict[str, float] = {}
-    sent: str = MIXTURE
+    sent: str = Compensation.MIXTURE
     # what the model holds exactly, and the readings contradict
     held: list[HeldParameter] = []
     # circles and lines of the readings
     runs: list[RunCurve] = []
-
-
-#: samplers of the posterior
-IMPORTANCE, EMCEE = "importance", "emcee"
-
-
-def largest_pareto_k(points: int) -> float:
-    """Shape of the weights' tail up to which means over `points` converge.
-
-    Vehtari, Simpson, Gelman, Yao and Gabry 2024, JMLR 25(72), equation 13.
-
-    >>> largest_pareto_k(1000), largest_pareto_k(1_000_000)
-    (0.666..., 0.7)
-    """
-    return min(1.0 - 1.0 / math.log10(max(points, 10)), 0.7)
 
 
 class Marginal(Record, frozen=True):
@@ -168,7 +277,11 @@ class PredictiveCheckRecord(Record, frozen=True):
     @property
     def alarming(self) -> bool:
         """Whether the readings contradict the posterior."""
-        return not CONTRADICTED <= self.p_high <= 1.0 - CONTRADICTED
+        return (
+            not CONTRADICTION_PROBABILITY
+            <= self.p_high
+            <= 1.0 - CONTRADICTION_PROBABILITY
+        )
 
 
 class PosteriorSection(Record, frozen=True):
@@ -183,6 +296,9 @@ class PosteriorSection(Record, frozen=True):
     autocorrelation.
     """
 
+    IMPORTANCE: ClassVar[str] = "importance"
+    EMCEE: ClassVar[str] = "emcee"
+
     marginals: dict[str, Marginal]
     acceptance: Number
     draws: int
@@ -196,3 +312,15 @@ class PosteriorSection(Record, frozen=True):
     sampler: str = "emcee"
     pareto_k: Number = None
     proposals: int = 0
+
+    @staticmethod
+    def largest_pareto_k(points: int) -> float:
+        """Shape of the weights' tail up to which means over `points` converge.
+
+        Vehtari, Simpson, Gelman, Yao and Gabry 2024, JMLR 25(72), equation 13.
+
+        >>> k = PosteriorSection.largest_pareto_k
+        >>> k(1000), k(1_000_000)
+        (0.666..., 0.7)
+        """
+        return min(1.0 - 1.0 / math.log10(max(points, 10)), 0.7)

@@ -1,5 +1,4 @@
-"""What a diagnosis of the gap between model and machine ends in: the `gap` section of
-result.json.
+"""The diagnosis in result.json: `gap`, its mixture, and `gap_before` of a plan.
 
 Names of the first block of fields of `Gap` are fixed by the contract. Sizes and
 residuals are in the fine unit of their channel. A number that is not known is null.
@@ -7,25 +6,229 @@ residuals are in the fine unit of their channel. A number that is not known is n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, ClassVar, Final
 
 import msgspec
 
-from oed.result.gap_before import ChosenRun, SeparationRecord
-from oed.result.mixture import MixtureSection
-from oed.result.record import Point, Record
+from oed.result.prediction import PredictionSection
+from oed.result.record import Point, Probability, Record, Size
 
-#: closure below which a figure says no more than that the gap more than doubles
-LEAST_CLOSURE = -1.0
-#: probability of an effect from which it more likely acts than not
-EVEN = 0.5
-#: cost of a missed gap over that of one further test in vain: no gap is reported where
-#: the odds for it are larger. Of 204 healthy machines one in twenty has a gap reported
-#: (docs/benchmarks/second.md)
-MISSED_GAP_COST = 2.5
-#: probability of no gap that shows from which none is reported
-NO_GAP_PROBABILITY = MISSED_GAP_COST / (MISSED_GAP_COST + 1.0)
+
+class Compensation:
+    """Names of the compensations that are compared: `sent` and `choices` of a mixture."""
+
+    MIXTURE: Final = "mixture"
+    BEST: Final = "best answer"
+    BEST_WITH_EFFECTS: Final = "best answer with effects"
+    PLAIN: Final = "plain fit"
+    NOTHING: Final = "nothing"
+
+
+class MixedAnswer(Record, frozen=True):
+    """An answer that the mixture holds, with its probability by the diagnosis.
+
+    effects  that act, `unknown` for something of no known form; none: no gap
+    unseen   whether small effects of one common size act as well
+    """
+
+    effects: tuple[str, ...]
+    probability: Probability
+    unseen: bool = False
+
+
+class MixedParameter(Record, frozen=True):
+    """A parameter over all answers, in `unit`.
+
+    within     standard deviation that the answers have on average; the rest of `sd` is
+               between them
+    low, high  ends of the 95 % interval, quantiles of the mixture
+    """
+
+    value: float
+    sd: float
+    within: Size
+    low: float
+    high: float
+    unit: str
+
+
+class CompensationChoice(Record, frozen=True):
+    """A compensation, and the rms error that all answers expect of it.
+
+    name  `plain fit` (no effect in the model), `best answer` or `mixture`, each with the
+          geometry alone; `best answer with effects`, where effects are corrected;
+          `nothing`
+    rms   {component: in its fine unit}
+    """
+
+    name: str
+    rms: dict[str, float]
+
+
+class MixtureSection(Record, frozen=True):
+    """Parameters and accuracy over all answers of a diagnosis.
+
+    answers     that were fitted, the decision's first
+    rest        probability of all others
+    controller  parameters for a controller that corrects geometry alone, in the units of
+                `parameters`: those of `sent`
+    sent        the choice of least expected error with the geometry alone; `mixture` is
+                the mean, shifted so that it takes up what is known of the effects
+    covariance  of `parameters`, in their units
+    choices     compensations and what all answers expect of each
+    prediction  with `controller` sent, over all answers; null without a workspace
+    with_effects  the same with the parameters and the effects of the best answer sent;
+                null where none is corrected, or that is expected to be worse
+    words       in sentences
+    """
+
+    answers: list[MixedAnswer]
+    rest: float
+    parameters: dict[str, MixedParameter]
+    covariance: list[list[float]]
+    controller: dict[str, float] = {}
+    sent: str = Compensation.MIXTURE
+    choices: list[CompensationChoice] = []
+    prediction: PredictionSection | None = None
+    with_effects: PredictionSection | None = None
+    words: list[str] = []
+
+
+#: two names
+Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]
+
+
+class SharedRecord(Record, frozen=True):
+    """A combination of an effect's coefficients that a rival imitates.
+
+    detectability    sqrt(lambda) where nothing else acts
+    separation       sqrt(lambda) once the rival absorbs what it can
+    angle_deg        principal angle between the combination and the rival
+    """
+
+    words: str
+    combination: dict[str, float]
+    detectability: float = msgspec.field(name="seen")
+    separation: float = msgspec.field(name="apart")
+    angle_deg: float
+
+
+class RivalRecord(Record, frozen=True):
+    """How well an effect can be distinguished from another: sqrt(lambda_k|j), smallest principal
+    angle.
+    """
+
+    name: str
+    separation: float = msgspec.field(name="apart")
+    angle_deg: float
+    shared: list[SharedRecord]
+
+
+class DetectabilityRecord(Record, frozen=True):
+    """What could be found of one effect.
+
+    detectability  at its expected size, over the values of its constants from `low` to
+                   `high`; `power`: chance of finding it at 1 % false alarm
+    signature      rms of its readings at that size; `absorbed`: share of it that
+                   calibration absorbs
+    least, median  smallest rms that is found with 90 % power: in the form seen best,
+                   and typically
+    sizes          least size of each coefficient by itself
+    """
+
+    name: str
+    about: str
+    columns: int
+    detectability: float
+    low: float
+    high: float
+    power: float
+    visible: bool
+    signature: dict[str, float]
+    absorbed: float
+    least: dict[str, float | None]
+    median: dict[str, float | None]
+    sizes: dict[str, float | None]
+    rivals: list[RivalRecord]
+    not_testable: str | None
+
+
+class DetectabilityTable(Record, frozen=True):
+    """All effects over one plan of `readings` readings.
+
+    names, apart, angles_deg   (K), (K x K): row after column is absorbed; detectability
+                               on the diagonal
+    classes    groups of visible effects that can not all be distinguished;  absorbed:
+               pairs, the first not from the second
+    exact      pairs of which some combinations are the same to these readings
+    """
+
+    readings: int
+    effects: list[DetectabilityRecord]
+    names: list[str]
+    separation: list[list[float]] = msgspec.field(name="apart")
+    angles_deg: list[list[float]]
+    classes: list[list[str]]
+    absorbed: list[Pair]
+    exact: list[Pair]
+
+
+class ChosenRun(Record, frozen=True):
+    """A run to take, under its condition (SI)."""
+
+    setup: str
+    run: str
+    condition: dict[str, float]
+    seconds: float
+
+
+class SeparationRecord(Record, frozen=True):
+    """A combination of an effect's coefficients against a rival: sqrt(lambda) of the
+    chosen runs, and of the readings planned without [gap.design] (null where they
+    cannot test it).
+    """
+
+    effect: str
+    rival: str
+    words: str
+    detectability: float = msgspec.field(name="seen")
+    separation: float = msgspec.field(name="apart")
+    before: float | None
+
+
+class ChosenRuns(Record, frozen=True):
+    """Runs chosen to tell effects apart, `kept` ones among them.
+
+    apart, bound   least sqrt(lambda_k|j) over all pairs; no plan under the rules
+                   exceeds the bound
+    before         the same of the readings planned without [gap.design]
+    efficiency     of the compound with D, against its bound;  proven: all plans were
+                   tried
+    volume         log det of the parameters' information, in tolerances
+    """
+
+    candidates: int
+    retained: int = msgspec.field(name="kept")
+    runs: list[ChosenRun]
+    separation: float = msgspec.field(name="apart")
+    bound: float
+    before: float | None
+    efficiency: float
+    proven: bool
+    share: float
+    volume: float
+    seconds: float
+    separations: list[SeparationRecord] = msgspec.field(name="told")
+    table: DetectabilityTable
+
+
+class GapBeforeSection(Record, frozen=True):
+    """What the planned readings could find, and the runs that [gap.design] chose."""
+
+    table: DetectabilityTable
+    units: dict[str, str]
+    chosen: ChosenRuns | None
+    words: list[str]
 
 
 class AnswerRecord(Record, frozen=True):
@@ -67,6 +270,9 @@ class ClosureRecord(Record, frozen=True):
     """How far the gap shrinks on readings kept out: (s0 - s1) / (s0 - s_noise), 95 %
     interval, chance of harm.
     """
+
+    #: value below which a figure says no more than that the gap more than doubles
+    MIN_STATED: ClassVar[float] = -1.0
 
     split: Annotated[str, msgspec.Meta(pattern="^(within|whole)$")]
     value: float | None
@@ -209,6 +415,15 @@ class GapSection(Record, frozen=True):
     mixture   parameters and accuracy over all answers; null where no answer can be used
     """
 
+    #: probability of an effect from which it more likely acts than not
+    EVEN_PROBABILITY: ClassVar[float] = 0.5
+    #: cost of a missed gap over that of one further test in vain: no gap is reported where
+    #: the odds for it are larger. Of 204 healthy machines one in twenty has a gap reported
+    #: (docs/benchmarks/second.md)
+    MISSED_GAP_COST: ClassVar[float] = 2.5
+    #: probability of no gap that shows from which none is reported: cost over cost + 1
+    NO_GAP_PROBABILITY: ClassVar[float] = 2.5 / 3.5
+
     verdict: Annotated[
         str, msgspec.Meta(pattern="^(none|effect|class|mixture|unknown|scatter)$")
     ]
@@ -253,6 +468,11 @@ class GapSection(Record, frozen=True):
         return [*sentences, *self.next[:1]]
 
     @property
+    def visible_probability(self) -> float:
+        """That an effect acts at a size that the readings show."""
+        return sum(answer.visible for answer in self.answers if answer.effects)
+
+    @property
     def effect_reported(self) -> bool:
         """Whether the verdict is an effect, known or not."""
         return self.verdict not in ("none", "scatter")
@@ -263,9 +483,4 @@ class GapSection(Record, frozen=True):
 
         One that is less likely is a reason to read again, and none to correct it.
         """
-        return self.effect_reported and visible_probability(self.answers) > EVEN
-
-
-def visible_probability(answers: Sequence[AnswerRecord]) -> float:
-    """That an effect acts at a size that the readings show."""
-    return sum(answer.visible for answer in answers if answer.effects)
+        return self.effect_reported and self.visible_probability > self.EVEN_PROBABILITY

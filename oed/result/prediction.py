@@ -1,14 +1,313 @@
-"""Residual accuracy: the `prediction` and `held_out` sections of result.json."""
+"""Accuracy in result.json: predicted with its budget, forecast, adjusted, accepted."""
 
 from __future__ import annotations
 
 import bisect
-from typing import Annotated, Final, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-from oed.result.budget import BudgetSection
 from oed.result.record import Judgement, Record, Size
+
+
+class PromiseRecord(Record, frozen=True):
+    """What an acceptance test demands of one pose component, in `unit`.
+
+    promised     rms error over the workspace; of what no drive corrects, with further
+                 axes that take the known error back
+    limit        largest rms of the measured errors that a machine at its promise has: it
+                 fails beyond
+    confirms     largest rms with which it meets its promise: a machine that misses stays
+                 below with a probability of 5 %; null where the test cannot confirm
+    power        probability that a machine which misses the promise is caught
+    uncertainty  standard uncertainty of one measured error
+    without      rms error over the workspace without further axes, where no drive
+                 corrects the component
+    """
+
+    promised: float
+    limit: float
+    power: float
+    uncertainty: float
+    unit: str
+    without: float | None = None
+    confirms: float | None = None
+
+
+class AcceptanceSection(Record, frozen=True):
+    """Which poses confirm the promised accuracy.
+
+    poses        commands by column, in the order of the plan
+    components   {component: demand}
+    reference    against which errors are stated: absolute, home or best_fit
+    miss         factor on the promised rms of a machine that misses
+    false_alarm  probability that a machine at its promise fails
+    conditions   what the promise rests on
+    further      {component: demand} of what no drive corrects; measured or not
+    offsets      errors of these, known in advance, at each pose, in their units
+    healthy      {component: rms} that the plan predicted for a healthy machine, with all
+                 that is known corrected, in the components' units
+    """
+
+    poses: Annotated[list[dict[str, float]], msgspec.Meta(min_length=1)]
+    components: dict[str, PromiseRecord]
+    reference: str
+    miss: float
+    false_alarm: float
+    conditions: list[str] = []
+    further: dict[str, PromiseRecord] = {}
+    offsets: list[dict[str, float]] = []
+    healthy: dict[str, float] = {}
+
+
+class VerdictRecord(Record, frozen=True):
+    """The judgement of one pose component, in `unit`.
+
+    Of what no drive corrects, rms and max are those with further axes, and `without`
+    the rms error without them. `passed` holds where the verdict is pass; `probability` is
+    that of a true rms error within the promise, at the measured poses.
+    """
+
+    rms: float
+    max: float
+    limit: float
+    promised: float
+    unit: str
+    passed: bool
+    without: float | None = None
+    verdict: Judgement | None = None
+    probability: float | None = None
+
+    @property
+    def judgement(self) -> Judgement:
+        """The verdict; that of older versions knew pass and fail alone."""
+        return self.verdict or ("pass" if self.passed else "fail")
+
+
+class PositioningRecord(Record, frozen=True):
+    """Figures in the manner of ISO 230-2, in `unit`; null where directions are missing.
+
+    approaches  fewest of one direction at a target; the standard asks for five
+    """
+
+    targets: int
+    approaches: int
+    accuracy: float
+    systematic: float
+    repeatability: float
+    mean: float | None
+    reversal: float | None
+    unit: str
+
+
+class VerificationSection(Record, frozen=True):
+    """Whether the measured errors confirm the promise.
+
+    verdict  the worst of the components; null in results of older versions, whose tests
+             could not end in `cannot tell`
+    further  verdicts on what no drive corrects, as far as it was measured
+    healthy  {component: rms} that the plan predicted for a healthy machine
+    """
+
+    passed: bool
+    readings: int
+    components: dict[str, VerdictRecord]
+    positioning: dict[str, PositioningRecord] = {}
+    further: dict[str, VerdictRecord] = {}
+    healthy: dict[str, float] = {}
+    verdict: Judgement | None = None
+
+    @property
+    def judgement(self) -> Judgement:
+        """The verdict; that of older versions knew pass and fail alone."""
+        return self.verdict or ("pass" if self.passed else "fail")
+
+
+class AdjustmentLine(Record, frozen=True):
+    """A parameter to move, in `unit`.
+
+    by       what moves it
+    steps    amount in steps of what moves it; None where it is turned continuously
+    sd       standard deviation of the fitter's error
+    without  total error of the list without this line, with the others chosen anew, in
+             the unit of the total
+    """
+
+    parameter: str
+    about: str
+    by: str
+    amount: float
+    unit: str
+    sd: float
+    without: float
+    steps: int | None = None
+
+
+class AdjustedRecord(Record, frozen=True):
+    """Rms errors over the workspace after some lines.
+
+    total      after software compensates all identified parameters
+    corrected  the same by component
+    plain      by component, with a controller that keeps its nominal parameters
+    """
+
+    total: float
+    corrected: dict[str, float]
+    plain: dict[str, float]
+
+
+class AdjustmentSection(Record, frozen=True):
+    """The shortest list of adjustments that is worth its work.
+
+    reference   against which errors are stated
+    poses       of the workspace
+    unit        of each component
+    about       what the total error is, and what does not count in it
+    total_unit  of the total error: um, or 1 where it is over what is wanted
+    lines       in order
+    accuracy    before the first line, and after each
+    conditions  what the figures rest on
+    """
+
+    reference: str
+    poses: int
+    unit: dict[str, str]
+    about: str
+    lines: list[AdjustmentLine]
+    accuracy: list[AdjustedRecord]
+    conditions: list[str] = []
+    total_unit: str = "1"
+
+
+class ForecastComponent(Record, frozen=True):
+    """Errors of one pose component against the reference, in `unit`, as rms.
+
+    expected       what calibration is expected to leave
+    planned        what interpolation between the nodes is predicted to leave, before a
+                   reading
+    measured       errors of the nodes as read
+    predicted      what the table is predicted to leave over the workspace, with the ends
+                   of its 95 % interval
+    left_out       errors of nodes less their prediction by all others; and as predicted
+    checked        what the table leaves at nodes that were not fitted; as predicted, the
+                   largest one, and the largest error without the table
+    """
+
+    unit: str
+    expected: float
+    planned: float
+    measured: float | None = None
+    predicted: float | None = None
+    low: float | None = None
+    high: float | None = None
+    left_out: float | None = None
+    left_out_predicted: float | None = None
+    checked: float | None = None
+    checked_predicted: float | None = None
+    checked_max: float | None = None
+    checked_max_before: float | None = None
+
+
+class ForecastSection(Record, frozen=True):
+    """Which nodes to measure, and what the controller's table leaves.
+
+    components  {component: figures}
+    reference   against which errors are stated: home or absolute
+    nodes       commands to measure, by column, the most useful one first
+    setup       set-up whose times count
+    minutes     time of mounting it and of reading all nodes
+    readings    number of rows read
+    table       nodes of the controller's table along each command coordinate
+    sentences   what the figures rest on
+    """
+
+    components: dict[str, ForecastComponent]
+    reference: str
+    nodes: Annotated[list[dict[str, float]], msgspec.Meta(min_length=1)]
+    setup: str
+    minutes: float
+    readings: int = 0
+    table: dict[str, int] = {}
+    sentences: list[str] = []
+
+
+class BudgetLine(Record, frozen=True):
+    """A source of the errors of the compensated machine; values by pose component.
+
+    source   its name
+    kind     instrument, run, course, noise law, set-up, effects, prior or linearisation;
+             with a compensation file also interpolation, rounding or left out
+    share    of the predicted variance; below 0 where a linear calculation predicts too
+             much
+    size     root of its variance, in the component's unit, with the sign of its share
+    without  rms error without it, the estimate adapted; null where nobody can remove it
+    halved   rms error with half its standard deviation, or null
+    """
+
+    source: str
+    kind: str
+    share: dict[str, float]
+    size: dict[str, float]
+    without: dict[str, float] | None = None
+    halved: dict[str, float] | None = None
+
+
+class UnmodelledLine(Record, frozen=True):
+    """Expected errors by an effect that the model lacks; values by pose component.
+
+    size          rms error that it adds through calibration to the workspace
+    with_it       rms error of the compensated machine with it
+    expected      its expected size, in words
+    far           rms error with it at 30 times that size, the largest usual one
+    not_testable  why the readings cannot find it; null where they can
+    """
+
+    effect: str
+    about: str
+    expected: str
+    size: dict[str, float]
+    with_it: dict[str, float]
+    remedy: str
+    not_testable: str | None = None
+    far: dict[str, float] = {}
+
+
+class UsualEffects(Record, frozen=True):
+    """Accuracy of a machine with all usual effects at their expected sizes.
+
+    Values are rms errors by pose component, of those that the drives correct; of all where
+    they correct none.
+
+    effects     their names
+    unmodelled  where the calibration knows none of them
+    fitted      where all are fitted with the parameters, and corrected with them
+    """
+
+    effects: list[str]
+    unmodelled: dict[str, float]
+    fitted: dict[str, float]
+
+
+class BudgetSection(Record, frozen=True):
+    """Sources of the errors that remain, each component in its fine unit.
+
+    predicted   rms error that the lines add up to; of what no drive corrects, with
+                further axes that take the known error back
+    no_axes     rms error of what no drive corrects, without further axes
+    lines       of what the prediction contains
+    unmodelled  effects that it does not contain, at their expected sizes, the one that
+                adds most first
+    usual       the machine with all of these; null where none are listed
+    advice      what to improve first, in sentences
+    """
+
+    predicted: dict[str, float]
+    lines: list[BudgetLine]
+    unmodelled: list[UnmodelledLine] = []
+    usual: UsualEffects | None = None
+    advice: list[str] = []
+    no_axes: dict[str, float] = {}
+
 
 #: a figure of drawn machines, and its errors: one, or one for each end
 Figure = Annotated[str, msgspec.Meta(pattern="^(rms|p95|max)(_interval)?$")]
@@ -17,11 +316,6 @@ MonteCarloErrors = Annotated[list[float], msgspec.Meta(min_length=1, max_length=
 Interval = tuple[float, float]
 #: what held-out readings say of a fit
 HeldOutVerdict = Literal["agrees", "confirms", "contradicts"]
-#: probabilities of the quantiles that are stored of a distribution
-LEVELS: Final[tuple[float, ...]] = (
-    *(0.005, 0.01, 0.025, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
-    *(0.6, 0.7, 0.8, 0.9, 0.95, 0.975, 0.99, 0.995),
-)
 
 
 class SpreadRecord(Record, frozen=True):
@@ -34,6 +328,12 @@ class SpreadRecord(Record, frozen=True):
     `monte_carlo` has the standard errors that the number of drawn machines leaves, by
     figure: of `p95`, `max` and both ends of an interval, of `rms` where it is drawn.
     """
+
+    #: probabilities of the quantiles that are stored of a distribution
+    LEVELS: ClassVar[tuple[float, ...]] = (
+        *(0.005, 0.01, 0.025, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
+        *(0.6, 0.7, 0.8, 0.9, 0.95, 0.975, 0.99, 0.995),
+    )
 
     rms: Size
     p95: Size
@@ -51,7 +351,7 @@ class SpreadRecord(Record, frozen=True):
         Between the outermost of `LEVELS`, for draws tell no more. A result of an older
         version has the interval alone, or nothing: then it is one half.
         """
-        levels, quantiles = LEVELS, self.rms_quantiles
+        levels, quantiles = self.LEVELS, self.rms_quantiles
         if not quantiles and self.rms_interval is not None:
             levels = (0.025, 0.5, 0.975)
             quantiles = [self.rms_interval[0], self.rms, self.rms_interval[1]]

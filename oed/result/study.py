@@ -7,25 +7,64 @@ Arrays are lists.
 
 from __future__ import annotations
 
-from typing import Annotated
+import dataclasses
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import msgspec
 
-from oed.result.acceptance import AcceptanceSection, VerificationSection
-from oed.result.adjustment import AdjustmentSection
 from oed.result.corrected import CorrectedSection
-from oed.result.design import DesignSection
-from oed.result.fit import EstimateSection, PosteriorSection, RunCurve
-from oed.result.forecast import ForecastSection
-from oed.result.gap import GapSection
-from oed.result.gap_before import GapBeforeSection
-from oed.result.goodness import GoodnessSection
-from oed.result.identifiability import IdentifiabilitySection, KappaMap
-from oed.result.plan import PlanSection
-from oed.result.prediction import HeldOutSection, PredictionSection, WantedVerdict
+from oed.result.fit import EstimateSection, GoodnessSection, PosteriorSection, RunCurve
+from oed.result.gap import GapBeforeSection, GapSection
+from oed.result.plan import DesignSection, IdentifiabilitySection, KappaMap, PlanSection
+from oed.result.prediction import (
+    AcceptanceSection,
+    AdjustmentSection,
+    ForecastSection,
+    HeldOutSection,
+    PredictionSection,
+    VerificationSection,
+    WantedVerdict,
+)
 from oed.result.record import Point, Record
 
-SCHEMA = 1
+
+@dataclasses.dataclass(frozen=True)
+class MachineShape:
+    """A machine at a pose and joints, whether it assembles there or not; m.
+
+    equations  (k,) values of the closure, m or rad
+    lines      polylines of points (n, 3), as the machine draws itself
+    struts     (nq, 2, 3) ends of the strut of each joint; none where it has none
+    tool       (3,) tool point
+    axes       (3, 3) of the platform, in columns
+    """
+
+    equations: Array
+    lines: tuple[Array, ...]
+    struts: Array
+    tool: Array
+    axes: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class ClosestClosure:
+    """A machine at the guess for a command, and where its equations are met best.
+
+    guess, nearest  the machine there
+    joints          names of the joints in each equation
+    line_joints     names of the joints that move each line of the drawing
+    still_open      equations, from 0, that are not met at the nearest
+    """
+
+    guess: MachineShape
+    nearest: MachineShape
+    joints: tuple[tuple[str, ...], ...]
+    line_joints: tuple[tuple[str, ...], ...]
+    still_open: tuple[int, ...]
+
+
+if TYPE_CHECKING:
+    from oed.base import Array
 
 
 class Claim(Record, frozen=True):
@@ -117,6 +156,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     >>> sorted(result.estimate.parameters)[:3]
     ['D', 'beta1', 'beta2']
     """
+
+    SCHEMA: ClassVar[int] = 1
 
     schema: int
     version: str

@@ -9,7 +9,7 @@ from typing import Final
 
 from oed import text as toolkit_text
 from oed import units
-from oed.result import Judgement, Number
+from oed.result import Judgement
 from pkm_reports.missing import finite, or_nan
 
 MISSING: Final = "–"
@@ -44,7 +44,7 @@ MOST_DECIMALS: Final = 9
 # -- numbers ---------------------------------------------------------------------------
 
 
-def number(value: Number, digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3) -> str:
     """A number with `digits` significant digits, or with a power of ten."""
     x = or_nan(value)
     if math.isnan(x):
@@ -63,7 +63,7 @@ def number(value: Number, digits: int = 3) -> str:
     return _minus_sign(f"{x:.{decimals}f}")
 
 
-def drawn(value: Number, error: Number, digits: int = 3) -> str:
+def drawn(value: float | None, error: float | None, digits: int = 3) -> str:
     """A number of draws, with no more digits than its standard error allows.
 
     The error is at most three units of the last digit.
@@ -84,7 +84,7 @@ def last_place(error: float) -> int:
     return round(math.log10(error))
 
 
-def trimmed(value: Number, digits: int = 4) -> str:
+def trimmed(value: float | None, digits: int = 4) -> str:
     """As `number`, without zeros at the end: 0.5, not 0.5000."""
     written = number(value, digits)
     if "." not in written or "×" in written:
@@ -92,7 +92,7 @@ def trimmed(value: Number, digits: int = 4) -> str:
     return written.rstrip("0").rstrip(".")
 
 
-def fixed(value: Number, decimals: int) -> str:
+def fixed(value: float | None, decimals: int) -> str:
     """A number with so many decimals."""
     x = or_nan(value)
     if not math.isfinite(x) or abs(x) >= TOO_LONG:
@@ -103,7 +103,9 @@ def fixed(value: Number, decimals: int) -> str:
     return _minus_sign(written)
 
 
-def aligned(values: Iterable[Number], most: int = 4, digits: int = 7) -> list[str]:
+def aligned(
+    values: Iterable[float | None], most: int = 4, digits: int = 7
+) -> list[str]:
     """Numbers of one column, all with as many decimals as show them to `digits` digits."""
     numbers = [or_nan(value) for value in values]
     sizes = [abs(x) for x in finite(numbers)]
@@ -117,7 +119,7 @@ def aligned(values: Iterable[Number], most: int = 4, digits: int = 7) -> list[st
     return [fixed(x, decimals) for x in numbers]
 
 
-def decimals_for(sd: Number) -> int:
+def decimals_for(sd: float | None) -> int:
     """Decimals that show two significant digits of a standard deviation."""
     x = or_nan(sd)
     if not math.isfinite(x) or x <= 0.0:
@@ -140,7 +142,7 @@ def _minus_sign(written: str) -> str:
 # -- shares and ratios -----------------------------------------------------------------
 
 
-def percent(share: Number) -> str:
+def percent(share: float | None) -> str:
     """A share as percent, with its missing value and signs as in all numbers."""
     x = or_nan(share)
     if not math.isfinite(x):
@@ -151,7 +153,7 @@ def percent(share: Number) -> str:
     return _minus_sign(written).replace(" %", f"{NO_BREAK}%")
 
 
-def percent_at_least(share: Number) -> str:
+def percent_at_least(share: float | None) -> str:
     """A guaranteed share as percent, never rounded up: 99.96 % is not all."""
     x = or_nan(share)
     if not math.isfinite(x):
@@ -171,7 +173,7 @@ def factor_at_most(factor: float) -> str:
     return fixed(tenths / 10.0, 1)
 
 
-def times(ratio: Number) -> str:
+def times(ratio: float | None) -> str:
     """How many times as good: 3.05×."""
     x = or_nan(ratio)
     return f"{number(x)}×" if math.isfinite(x) else MISSING
@@ -185,7 +187,7 @@ def unit_symbol(unit: str) -> str:
     return meaning(unit, SYMBOLS)
 
 
-def quantity(value: Number, unit: str, digits: int = 3) -> str:
+def quantity(value: float | None, unit: str, digits: int = 3) -> str:
     """A number with its unit, without a line break between them."""
     return append_unit(number(value, digits), unit)
 
@@ -214,19 +216,21 @@ def heading(name: str) -> str:
     return f"{stem} [{symbol}]" if symbol else stem
 
 
-def named_quantity(name: str, value: Number, digits: int = 5) -> str:
+def named_quantity(name: str, value: float | None, digits: int = 5) -> str:
     """A named number from a field: length_mm, 300 -> length 300 mm."""
     stem, unit = split_unit(name)
     return f"{stem}{NO_BREAK}{append_unit(trimmed(value, digits), unit)}"
 
 
-def named_quantities(fields: Mapping[str, Number], digits: int = 5) -> str:
+def named_quantities(fields: Mapping[str, float | None], digits: int = 5) -> str:
     """Named numbers in one line."""
     parts = [named_quantity(name, value, digits) for name, value in fields.items()]
     return ", ".join(parts) or MISSING
 
 
-def channel_value(channel: str, value: Number, channel_units: Mapping[str, str]) -> str:
+def channel_value(
+    channel: str, value: float | None, channel_units: Mapping[str, str]
+) -> str:
     """A number with the unit of its channel."""
     return quantity(value, channel_units.get(channel, ""))
 

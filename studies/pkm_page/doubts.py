@@ -14,7 +14,7 @@ from oed.checks import CheckFinding, Severity
 from oed.checks.ranges import predict_ranges
 from oed.dataset.columns import written
 from oed.measurement import Measurement, Series
-from oed.trust import GUESS
+from oed.trust import GUESS_RATIO
 from pkm_page import typed
 from pkm_studies.base import Stream
 from pkm_studies.sessions import Adviser, FittedReadings
@@ -60,7 +60,7 @@ def interval(
 def _noise_factor(fitted: FittedReadings) -> float:
     """How much larger than stated the noise may be."""
     if fitted.state.noise_is_a_guess:
-        return float(GUESS)
+        return float(GUESS_RATIO)
     estimate = fitted.estimate
     if estimate.dof < LEAST_DOF:
         return 1.0

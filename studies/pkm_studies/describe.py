@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import result, units
+from oed import units
 from oed.base import Array, Index
 from oed.measurement import Measurement, Series, reading_sigma
 from oed.mechanism.kinematics import Kinematics
@@ -195,7 +195,7 @@ def add_earlier_sessions(
 def first_result(study: Study, machine: Machine, seed: int) -> StudyResult:
     """The result of a study before its first step."""
     return StudyResult(
-        schema=result.SCHEMA,
+        schema=StudyResult.SCHEMA,
         version=oed.__version__,
         study=study.name,
         title=study.title or study.name,

@@ -156,8 +156,8 @@ def wrong_scale(
     folder = tmp_path_factory.mktemp("scale")
     allowed = {"none": '"none"', "some": request.param}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("oed.corrected.answer_fits.DRAWS", 1000)
-        patch.setattr("oed.corrected.answer_fits.LEAST_DRAWS", 60)
+        patch.setattr("oed.corrected.answer_fits.N_DRAWS", 1000)
+        patch.setattr("oed.corrected.answer_fits.MIN_DRAWS", 60)
         return {n: with_wrong_scale(folder / n, e) for n, e in allowed.items()}
 
 

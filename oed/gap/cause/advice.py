@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, UNKNOWN, ExcessScatter
 from oed.gap.data.signature import LACKS
 from oed.model.effect import Effect
-from oed.result import AnswerRecord, visible_probability
+from oed.result import AnswerRecord
 from oed.text import join_words
 
 #: probability of the leading answer below which the advice considers its rival too
@@ -169,7 +169,7 @@ def _without_effect(
             " changes between the two is noise, to be stated in [noise]; what changes over"
             " the session alone is an effect."
         ]
-    visible = visible_probability(answers)
+    visible = sum(answer.visible for answer in answers if answer.effects)
     if visible <= DOUBT:
         return [GO_AHEAD]
     return [

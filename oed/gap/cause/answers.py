@@ -20,7 +20,7 @@ from oed.gap.cause.compare import equivalent_effects
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN, Verdict
-from oed.result import MISSED_GAP_COST, AnswerRecord
+from oed.result import AnswerRecord, GapSection
 
 #: least probability of an answer that is reported
 REPORTED = 0.002
@@ -160,7 +160,7 @@ def _decision(answers: Sequence[AnswerRecord]) -> int:
     likeliest = max(gaps, key=lambda k: answers[k].visible)
     gap = sum(answers[k].visible for k in gaps)
     total = sum(answer.probability for answer in answers)
-    return likeliest if MISSED_GAP_COST * gap > total - gap else nothing[0]
+    return likeliest if GapSection.MISSED_GAP_COST * gap > total - gap else nothing[0]
 
 
 def _answer(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import GoodnessSection, NoiseRecord
-from oed.trust import ALARM, LEAST_DOF
+from oed.trust import ALARM_PROBABILITY, MIN_DOF
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table, TableColumn, number_columns
 from pkm_reports.missing import or_nan
@@ -33,7 +33,7 @@ def goodness(checked: GoodnessSection) -> str:
         f" {_probability(low)}"
     )
     verdict = judgement(
-        or_nan(checked.dof), is_large=high < UNLIKELY, is_small=low < ALARM
+        or_nan(checked.dof), is_large=high < UNLIKELY, is_small=low < ALARM_PROBABILITY
     )
     return (
         f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} by the stated"
@@ -53,7 +53,7 @@ def _law_judgement(checked: GoodnessSection) -> str:
 
 def judgement(dof: float, *, is_large: bool, is_small: bool = False) -> str:
     """Whether chi-square agrees with the stated noise, where any freedom judges it."""
-    if not dof >= LEAST_DOF:
+    if not dof >= MIN_DOF:
         return (
             "no machine within its tolerances gives these readings"
             if is_large

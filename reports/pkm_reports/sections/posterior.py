@@ -8,15 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from oed.result import (
-    IMPORTANCE,
-    Marginal,
-    Number,
-    PosteriorSection,
-    PredictiveCheckRecord,
-    StudyResult,
-    largest_pareto_k,
-)
+from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -71,9 +63,9 @@ def _sampler(posterior: PosteriorSection) -> str:
     draws, points = text.number(posterior.draws), text.number(posterior.proposals)
     refused = ""
     if posterior.pareto_k is not None:
-        limit = text.fixed(largest_pareto_k(posterior.proposals), 2)
+        limit = text.fixed(PosteriorSection.largest_pareto_k(posterior.proposals), 2)
         k = text.fixed(posterior.pareto_k, 2)
-        if posterior.sampler == IMPORTANCE:
+        if posterior.sampler == PosteriorSection.IMPORTANCE:
             return (
                 f"The posterior has {draws} independent draws: {points} points about the"
                 " estimate were weighted by the density, and draws taken by weight. The"
@@ -234,7 +226,7 @@ def _marginal_row(name: str, marginal: Marginal, mixed: bool) -> list[str]:
     ]
 
 
-def _sample_size(ess: Number) -> str:
+def _sample_size(ess: float | None) -> str:
     """An effective sample size: an estimate that is right to some per cent."""
     return text.drawn(ess, ESTIMATED * or_nan(ess))
 

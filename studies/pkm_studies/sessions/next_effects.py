@@ -20,7 +20,7 @@ from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series, reading_structure
 from oed.noise import Laws, Noise
 from oed.poses import Belief
-from oed.verdict import SURE
+from oed.verdict import SURE_PROBABILITY
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
     MAX_EFFECT_UNKNOWNS,
@@ -87,7 +87,9 @@ class Outlook:
         """
         drawn = self.drawn_rms
         share = np.where(np.isfinite(wanted), (drawn <= wanted).mean(axis=0), np.nan)
-        upper = np.maximum(np.quantile(drawn, SURE, axis=0), np.finfo(float).tiny)
+        upper = np.maximum(
+            np.quantile(drawn, SURE_PROBABILITY, axis=0), np.finfo(float).tiny
+        )
         return share, wanted * self.accuracy(self.now) / upper
 
     def limits(self, wanted: Array) -> Array:

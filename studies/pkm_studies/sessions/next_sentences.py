@@ -12,7 +12,7 @@ from oed.base import Array
 from oed.measurement import Series
 from oed.result import Judgement
 from oed.text import format_number, format_probability
-from oed.verdict import SURE, judge, overall
+from oed.verdict import SURE_PROBABILITY, judge, overall
 from pkm_studies import describe, quantities
 from pkm_studies.sessions.next_effects import Outlook
 
@@ -87,7 +87,7 @@ class Advice:
     def is_reached_by_geometry(self) -> bool:
         """Whether all would pass if nothing beside the geometry acted."""
         stated = self.within[np.isfinite(self.limits)]
-        passes = bool(stated.size and (stated >= SURE).all())
+        passes = bool(stated.size and (stated >= SURE_PROBABILITY).all())
         return passes and not self.outlook.holds_effects and not self.follows_plan
 
     @property

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from oed import verdict
 from oed.design import CRITERIA
 from oed.result import (
-    IMPORTANCE,
     CorrectedSection,
     DesignSection,
     EstimateSection,
@@ -296,7 +295,7 @@ def _posterior(section: PosteriorSection | None) -> list[str]:
     marginals = section.marginals.values()
     ess = min((m.ess for m in marginals if m.ess is not None), default=math.nan)
     size = f"an effective sample size of at least {float(f'{ess:.2g}'):.0f}"
-    if section.sampler == IMPORTANCE:
+    if section.sampler == PosteriorSection.IMPORTANCE:
         return [f"The posterior has {section.draws} independent draws, {size}."]
     rhat = max((m.rhat for m in marginals if m.rhat is not None), default=math.nan)
     return [

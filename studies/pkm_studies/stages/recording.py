@@ -236,7 +236,7 @@ def _readings(plan: PlanToRecord, problem: GapProblem) -> PlannedReadings:
         white=white[:, free],
         sigma=problem.sigma,
         information=information,
-        slopes=(pose * measurement.tolerance)[:, :, free],
+        pose_gradients=(pose * measurement.tolerance)[:, :, free],
     )
 
 

@@ -8,6 +8,7 @@ from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
 from oed.compensate.exact import (
+    command_of_pose,
     compensated_joints,
     corrected_commands,
     joint_corrections,
@@ -97,3 +98,19 @@ def test_a_command_that_no_nominal_one_holds_is_refused() -> None:
     joints = kinematics.inverse(corrected_commands(kinematics, held, truth))[1]
     left = component_errors(kinematics, held, joints, truth)
     assert np.abs(left).max() < 1e-9
+
+
+def test_a_command_near_a_tilt_of_zero_is_found() -> None:
+    """A tilt of 0.3 deg, sought from an upright tool whose direction is any other."""
+    kinematics = Kinematics(a3_head.machine)
+    command = np.tile([1.2676, 1.3, 0.006], (36, 1))
+    pose, _ = kinematics.inverse(command)
+    turned = 1.3 + np.deg2rad(10.0 * np.arange(36) + 2.0)
+    start = np.column_stack([command[:, 0], turned, np.zeros(36)])
+    reached = command_of_pose(kinematics, pose, start, np.zeros(3))
+
+    def axis(c: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.cos(c[:, 1]), np.sin(c[:, 1])]) * np.sin(c[:, 2:])
+
+    assert reached[:, 0] == pytest.approx(command[:, 0], abs=1e-9)
+    assert axis(reached) == pytest.approx(axis(command), abs=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shipped_models import planar_2dof, pose_tracker
 
-from oed.corrected.effect_measurement import MeasurementWithEffects
+from oed.corrected.fit import MeasurementWithEffects
 from oed.measurement import Measurement
 from oed.model import mount
 from oed.model.series import TakenReadings

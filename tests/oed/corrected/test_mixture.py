@@ -12,7 +12,7 @@ from shipped_models import backlash
 
 from kernel.answer_mixture import EFFECTS, Case, case, readings
 from oed.corrected import AnswerFits, AnswerMixture
-from oed.corrected.mixture import AnswerPosterior
+from oed.corrected.answer_fits import AnswerPosterior
 from oed.estimation import Estimate, identify
 from oed.gap import AnswerContent
 from oed.result import AnswerRecord

@@ -6,7 +6,7 @@ from shipped_models import backlash, bar_length, encoder_scale, screw_cyclic
 
 from kernel.planar_session import ruler_session
 from oed.effects import ExpectedColumns, SessionStates, expected_columns
-from oed.effects.columns import WHOLE
+from oed.effects.columns import VARIANCE_SHARE
 from oed.gap import DOWN, GapProblem
 from oed.measurement import Measurement
 
@@ -73,7 +73,7 @@ def test_few_columns_hold_the_variance_of_a_group(
     kept = np.sum(discrepancy.columns[:, members] ** 2)
     assert len(members) < len(rows)
     # what the readings see and what the tool does are kept together
-    assert 1.0 - 2.0 * (1.0 - WHOLE) < kept / whole < 1.0 + 1e-9
+    assert 1.0 - 2.0 * (1.0 - VARIANCE_SHARE) < kept / whole < 1.0 + 1e-9
 
 
 def test_unknown_effects_are_as_large_as_known_ones(

@@ -39,7 +39,7 @@ def bent(command: np.ndarray) -> np.ndarray:
 
 
 def some(rows: ErrorRows, index: np.ndarray) -> ErrorRows:
-    fields = ("places", "local", "at_home", "known")
+    fields = ("positions", "local", "at_home", "by_parameter")
     return ErrorRows(*(getattr(rows, name)[index] for name in fields))
 
 
@@ -69,9 +69,9 @@ def test_a_kernel_is_materns(order: str, nu: float, rng: np.random.Generator) ->
 def dense(field: ErrorField, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the errors, from the joint errors at all places at once."""
     model, kernel = field.model, field.kernel
-    readings = len(field.rows.places)
+    readings = len(field.rows.positions)
     rows = model.rows(command)
-    places = np.vstack([field.rows.places, rows.places, model.home_place[None]])
+    places = np.vstack([field.rows.positions, rows.positions, model.home_place[None]])
     among = kernel.covariance(places, places)
     among += field.prior.trend**2 * (1.0 + places @ places.T)
     count = len(places)

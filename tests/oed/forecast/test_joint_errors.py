@@ -38,7 +38,9 @@ def test_parameters_are_known_by_their_standard_deviations() -> None:
     spread[0] = 2e-6  # the distance of the columns
     rows = JointErrors(PLANAR, COMMAND, "home", spread).rows(COMMAND)
     slopes = planar_geometry.rows(COMMAND) - planar_geometry.rows(np.zeros(2))
-    assert rows.known[:, :, 0] == pytest.approx(2e-6 * slopes[:, :, 0], abs=1e-12)
+    assert rows.by_parameter[:, :, 0] == pytest.approx(
+        2e-6 * slopes[:, :, 0], abs=1e-12
+    )
 
 
 def test_places_go_round_and_fill_minus_one_to_one(rng: np.random.Generator) -> None:
@@ -46,10 +48,10 @@ def test_places_go_round_and_fill_minus_one_to_one(rng: np.random.Generator) -> 
     model = JointErrors(
         HEAD, rng.uniform(low, high, (50, 3)), "home", np.zeros((24, 0))
     )
-    places = model.places(model.command)
+    places = model.positions(model.command)
     assert places.min(axis=0) == pytest.approx([-1.0] * 3)
     assert places.max(axis=0) == pytest.approx([1.0] * 3)
-    ends = model.places(np.array([[1.1, 0.0, 0.3], [1.1, 2.0 * np.pi, 0.3]]))
+    ends = model.positions(np.array([[1.1, 0.0, 0.3], [1.1, 2.0 * np.pi, 0.3]]))
     assert ends[0] == pytest.approx(ends[1], abs=1e-9)
     # distances among places are those of the oracle's joints, each axis over its span
     joints = a3_geometry.inverse_nominal(*model.command.T)

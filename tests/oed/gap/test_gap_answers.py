@@ -12,7 +12,7 @@ from oed.gap.cause.compare import probabilities
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN
-from oed.result import MISSED_GAP_COST, AnswerRecord
+from oed.result import AnswerRecord, GapSection
 
 
 def test_verdicts() -> None:
@@ -226,7 +226,7 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
         assert sum(a.probability for a in answers) == pytest.approx(1.0)
         return answers[0].effects
 
-    limit = MISSED_GAP_COST / (MISSED_GAP_COST + 1.0)
+    limit = GapSection.MISSED_GAP_COST / (GapSection.MISSED_GAP_COST + 1.0)
     assert 0.5 < limit < 1.0
     for members in (1, answering.VAGUE):
         assert first(limit + 0.01, members) == ()

@@ -12,7 +12,7 @@ from kernel.delta_probe import problem
 from oed import posterior
 from oed.posterior import LogDensity, importance
 from oed.posterior.importance import StudentProposal, draw_weighted, resample
-from oed.result import largest_pareto_k
+from oed.result import PosteriorSection
 
 Density = Callable[[np.ndarray], np.ndarray]
 
@@ -89,7 +89,7 @@ def test_draws_are_worth_what_they_say() -> None:
 def test_weights_with_a_heavy_tail_are_refused(density: Density) -> None:
     draws, _, k = weighted(density, 1, 1000.0)
     assert draws is None
-    assert k > largest_pareto_k(1_000_000)
+    assert k > PosteriorSection.largest_pareto_k(1_000_000)
 
 
 def test_a_density_whose_weights_fail_is_sampled_by_emcee(

@@ -192,7 +192,10 @@ def test_the_file_holds_the_draws(tmp_path: Path) -> None:
     drawn = posterior.sample(m, series, y, estimate, np.random.default_rng(2), ess=200)
     path = tmp_path / "posterior.nc"
     posterior.save(drawn, path, {"study": "test"})
-    assert {p.name for p in tmp_path.iterdir()} == {"posterior.nc", safe_files.LIST}
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "posterior.nc",
+        safe_files.LIST_NAME,
+    }
     tree = xr.open_datatree(path, engine="h5netcdf")
     assert (tree["posterior"]["theta"].to_numpy() == drawn.draws).all()
     assert tree["posterior"]["parameter"].to_numpy().tolist() == list(m.names)

@@ -17,7 +17,7 @@ from oed.safe_files import is_own, latest, write_own
 
 
 def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()} - {safe_files.LIST}
+    return {path.name for path in folder.iterdir()} - {safe_files.LIST_NAME}
 
 
 def test_an_unchanged_file_is_replaced(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_file_that_nobody_listed_stays(tmp_path: Path) -> None:
     digest = hashlib.sha256(b"old").hexdigest()
     assert write_own(path, b"newer", [digest]) == path
     for broken in (b"", b"[]", b"{", b'{"a.txt": 3}', b'{"a.txt": [[]]}', b"\xff"):
-        (tmp_path / safe_files.LIST).write_bytes(broken)
+        (tmp_path / safe_files.LIST_NAME).write_bytes(broken)
         assert not is_own(path)
         assert write_own(path, b"newest") != path
     assert path.read_bytes() == b"newer"
@@ -111,11 +111,11 @@ def test_what_a_killed_process_left_goes_at_the_next_write(tmp_path: Path) -> No
     (left,) = tmp_path.iterdir()
     assert left.name.startswith(".report.html.")
     stay = [
-        f".a.{safe_files.HOST}-{os.getppid()}.part",
+        f".a.{safe_files.HOST_MARK}-{os.getppid()}.part",
         f".a.00000000-{2**22 + 1}.part",
         ".mine.part",
         ".a.123.part",
-        f"a.{safe_files.HOST}-1.part",
+        f"a.{safe_files.HOST_MARK}-1.part",
     ]
     for name in stay:
         (tmp_path / name).write_text("", "utf-8")

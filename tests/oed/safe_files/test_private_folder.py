@@ -62,12 +62,12 @@ def test_a_link_leads_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert make_private(made)
     (tmp_path / "cache").symlink_to(made.parent)
     linked = tmp_path / "cache" / "compiled"
-    monkeypatch.setattr(safe_files, "ROOT", OTHER)
+    monkeypatch.setattr(safe_files, "ROOT_USER", OTHER)
     monkeypatch.setattr(Path, "lstat", owned_by_this_user(tmp_path))
     assert is_private(made)
     assert not is_private(linked)
     assert not is_private(tmp_path / "cache")
-    monkeypatch.setattr(safe_files, "ROOT", os.getuid())
+    monkeypatch.setattr(safe_files, "ROOT_USER", os.getuid())
     assert is_private(linked)
 
 

@@ -8,14 +8,8 @@ from result_sample import whole
 from scipy import stats
 
 from oed import trust
-from oed.result import (
-    CorrectedSection,
-    EstimateSection,
-    GoodnessSection,
-    StudyResult,
-    without_rows,
-)
-from oed.trust import ALARM, chi2_is_large, noise_ratio
+from oed.result import CorrectedSection, EstimateSection, GoodnessSection, StudyResult
+from oed.trust import ALARM_PROBABILITY, chi2_is_large, noise_ratio
 
 
 def result_of(**sections: object) -> StudyResult:
@@ -93,7 +87,7 @@ def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
 
 
 def test_chi2_is_large_by_its_law() -> None:
-    limit = stats.chi2.isf(ALARM, 30)
+    limit = stats.chi2.isf(ALARM_PROBABILITY, 30)
     assert not chi2_is_large(0.999 * limit, 30)
     assert chi2_is_large(1.001 * limit, 30)
     assert not chi2_is_large(1e6, 0.5)
@@ -108,7 +102,7 @@ def test_rows_left_out_are_counted_in_words() -> None:
     assert isinstance(section, GoodnessSection)
     assert section.fit_words == " without the 1 row set aside"
     assert section.chi2_words == f"{section.fit_words} and without the 2 rows in doubt"
-    assert without_rows(0, "set aside") == ""
+    assert GoodnessSection.without_rows(0, "set aside") == ""
 
 
 def test_the_corrected_model_is_final_where_there_is_one() -> None:

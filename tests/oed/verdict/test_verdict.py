@@ -9,12 +9,16 @@ import pytest
 import report_fixture
 from report_fixture import result_of
 
-from oed.result import LEVELS, SpreadRecord
+from oed.result import SpreadRecord
 from oed.verdict import accuracy_verdicts, judge, overall
 
 NORMAL = NormalDist(10.0, 2.0)
 SPREAD = SpreadRecord(
-    10.2, 20.0, 30.0, "um", rms_quantiles=[NORMAL.inv_cdf(p) for p in LEVELS]
+    10.2,
+    20.0,
+    30.0,
+    "um",
+    rms_quantiles=[NORMAL.inv_cdf(p) for p in SpreadRecord.LEVELS],
 )
 
 
@@ -27,10 +31,12 @@ def test_a_probability_is_that_of_the_distribution(limit: float) -> None:
 
 
 def test_beyond_the_draws_nothing_is_certain() -> None:
-    assert SPREAD.probability_within(1e6) == LEVELS[-1]
-    assert SPREAD.probability_within(0.0) == LEVELS[0]
-    constant = SpreadRecord(0.0, 0.0, 0.0, "um", rms_quantiles=[0.0] * len(LEVELS))
-    assert constant.probability_within(0.0) == LEVELS[-1]
+    assert SPREAD.probability_within(1e6) == SpreadRecord.LEVELS[-1]
+    assert SPREAD.probability_within(0.0) == SpreadRecord.LEVELS[0]
+    constant = SpreadRecord(
+        0.0, 0.0, 0.0, "um", rms_quantiles=[0.0] * len(SpreadRecord.LEVELS)
+    )
+    assert constant.probability_within(0.0) == SpreadRecord.LEVELS[-1]
 
 
 def test_the_verdict_follows_the_quantiles() -> None:

@@ -97,7 +97,7 @@ def test_both_files_are_whole(full: tuple[Path, Path]) -> None:
     assert book.read_bytes().startswith(b"%PDF")
     assert b"%%EOF" in book.read_bytes()[-32:]
     files = sorted(p.name for p in page.parent.iterdir())
-    assert files == [safe_files.LIST, "report.html", "report.pdf"]
+    assert files == [safe_files.LIST_NAME, "report.html", "report.pdf"]
 
 
 def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:

@@ -7,7 +7,7 @@ import report_fixture
 import report_fixture_plan
 from report_fixture import result_of
 
-from oed.result import LEVELS, StudyResult
+from oed.result import SpreadRecord, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
 from pkm_reports.sections import answer_parts
@@ -73,7 +73,7 @@ def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None
     x = raw["prediction"]["components"]["x"]
     assert not x["compensatable"]
     x["after"] |= {"rms": 1493.0}
-    x["known"] |= {"rms": 60.0, "rms_quantiles": [60.0] * len(LEVELS)}
+    x["known"] |= {"rms": 60.0, "rms_quantiles": [60.0] * len(SpreadRecord.LEVELS)}
     raw["design"]["how_many"]["wanted"] = {"x_um": 100.0}
     result = result_of(raw)
     words = _words(result)["how-accurate"]

@@ -122,7 +122,7 @@ def test_a_result_that_the_user_edited_is_set_aside(
     edited = json.loads(path.read_bytes()) | {"title": "mine"}
     path.write_text(json.dumps(edited), encoding="utf-8")
     if older:
-        (out / safe_files.LIST).unlink()
+        (out / safe_files.LIST_NAME).unlink()
     again(study, out)
     assert json.loads((out / "result-earlier.json").read_bytes()) == edited
     assert json.loads(path.read_bytes())["title"] != "mine"

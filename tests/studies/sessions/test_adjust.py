@@ -31,8 +31,8 @@ def problem(rng: np.random.Generator, step: float, most: float) -> StepProblem:
     known = slopes @ np.array([3.0, -2.0, 1.0, 0.0, 1.0])
     known += 0.3 * rng.standard_normal(30)
     return StepProblem(
-        known=known,
-        slopes=slopes,
+        errors=known,
+        gradients=slopes,
         floor=0.1,
         scatter=np.full(5, 1e-3),
         step=np.full(5, step),
@@ -44,7 +44,7 @@ def best_of_all(p: StepProblem, reach: int) -> dict[int, float]:
     """Smallest error of the lists of each length, over all whole steps."""
     steps = range(-reach, reach + 1)
     every = np.array(list(itertools.product(steps, repeat=5))) * p.step
-    residuals = p.known + every @ p.slopes.T
+    residuals = p.errors + every @ p.gradients.T
     squares = (residuals**2).sum(axis=1) + (every != 0.0) @ p.scatter + p.floor
     lengths = (every != 0.0).sum(axis=1)
     return {k: float(np.sqrt(squares[lengths == k].min())) for k in range(6)}
@@ -66,13 +66,13 @@ def test_the_list_is_that_of_an_exhaustive_search(seed: int) -> None:
 
 def test_no_line_where_little_is_known() -> None:
     p = problem(np.random.default_rng(1), step=0.5, most=3.0)
-    unknown = StepProblem(p.known, p.slopes, 1e5, p.scatter, p.step, p.most)
+    unknown = StepProblem(p.errors, p.gradients, 1e5, p.scatter, p.step, p.most)
     assert not choose_steps(unknown).any()
 
 
 def test_no_line_where_the_hand_errs_more_than_it_corrects() -> None:
     p = problem(np.random.default_rng(1), step=0.5, most=3.0)
-    clumsy = StepProblem(p.known, p.slopes, 0.1, np.full(5, 1e4), p.step, p.most)
+    clumsy = StepProblem(p.errors, p.gradients, 0.1, np.full(5, 1e4), p.step, p.most)
     assert not choose_steps(clumsy).any()
 
 

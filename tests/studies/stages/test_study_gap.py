@@ -49,8 +49,8 @@ def diagnosis_by_hand() -> Iterator[None]:
             "oed.gap.procedure.diagnose",
             lambda problem, effects, rng: gap_fixture.diagnosis(problem),
         )
-        patch.setattr("oed.corrected.answer_fits.DRAWS", 200)
-        patch.setattr("oed.corrected.answer_fits.LEAST_DRAWS", 60)
+        patch.setattr("oed.corrected.answer_fits.N_DRAWS", 200)
+        patch.setattr("oed.corrected.answer_fits.MIN_DRAWS", 60)
         yield
 
 

@@ -16,7 +16,7 @@ from oed.result import (
     WantedVerdict,
 )
 from oed.text import format_probability
-from oed.verdict import SURE, accuracy_verdicts
+from oed.verdict import SURE_PROBABILITY, accuracy_verdicts
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
@@ -213,7 +213,7 @@ def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict])
     sentences = [
         caption,
         f"Within: probability that the machine keeps what is wanted, {scopes}; it passes"
-        f" from {text.percent(SURE)} on. What no drive corrects is judged by its unknown"
+        f" from {text.percent(SURE_PROBABILITY)} on. What no drive corrects is judged by its unknown"
         " part.",
         *(f"To decide: {text.sentence(phrase)}" for phrase in decide),
     ]

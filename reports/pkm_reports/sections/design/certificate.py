@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from oed.design import CRITERIA
-from oed.result import DesignSection, Number
+from oed.result import DesignSection
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -49,7 +49,7 @@ def sentence(design: DesignSection) -> str:
     )
 
 
-def criterion_value(criterion: str, value: Number) -> str:
+def criterion_value(criterion: str, value: float | None) -> str:
     """A value of a criterion: logarithms with two decimals."""
     known = CRITERIA.get(criterion)
     if known is not None and known.is_log_det:

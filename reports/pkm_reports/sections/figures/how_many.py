@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.base import Array
-from oed.result import HowManySummary, Number
+from oed.result import HowManySummary
 from pkm_reports import missing, style, text
 
 MOST_COLUMNS: Final = 3
@@ -89,7 +89,7 @@ def _panel(
 
 
 def _bound(
-    bounds: Mapping[str, Sequence[Number]],
+    bounds: Mapping[str, Sequence[float | None]],
     name: str,
     count: int,
 ) -> Array:

@@ -10,7 +10,6 @@ from oed.result import (
     ChosenRuns,
     DetectabilityRecord,
     DetectabilityTable,
-    Number,
     RivalRecord,
     SeparationRecord,
     SharedRecord,
@@ -185,7 +184,7 @@ def _hardest_rival(record: DetectabilityRecord) -> str:
 
 
 def _sizes_by_channel(
-    sizes: Mapping[str, Number], channel_units: Mapping[str, str]
+    sizes: Mapping[str, float | None], channel_units: Mapping[str, str]
 ) -> str:
     """Rms by channel; one channel alone needs no name."""
     visible = {n: rms for n, rms in sizes.items() if rms is None or rms > VISIBLE}

@@ -8,11 +8,9 @@ from typing import Final
 
 from oed import units
 from oed.result import (
-    LEAST_CLOSURE,
     ClosureRecord,
     CoefficientRecord,
     GapSection,
-    Number,
     PlaceRecord,
     StudyResult,
     Trace,
@@ -181,7 +179,7 @@ def _closure(gap: GapSection) -> list[Block]:
     return [Table(columns, rows, caption)]
 
 
-def _closed(value: Number) -> str:
+def _closed(value: float | None) -> str:
     """The share that is closed; beyond the whole, less than the noise expects is left."""
     if or_nan(value) >= 1.0:
         return ALL
@@ -198,12 +196,12 @@ def _end(value: float) -> str:
     """An end of an interval; far off what a share can be, it says no more than that."""
     if value > HIGHEST:
         return f"over 100{text.NO_BREAK}%"
-    if value < LEAST_CLOSURE:
+    if value < ClosureRecord.MIN_STATED:
         return f"under {text.MINUS}100{text.NO_BREAK}%"
     return _share(value)
 
 
-def _share(value: Number) -> str:
+def _share(value: float | None) -> str:
     """A share in percent, never rounded up to the whole."""
     nearly_whole = NEARLY_WHOLE < or_nan(value) < 1.0
     return text.percent_at_least(value) if nearly_whole else text.percent(value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from oed.result import MISSED_GAP_COST, NO_GAP_PROBABILITY, AnswerRecord, GapSection
+from oed.result import AnswerRecord, GapSection
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -84,9 +84,9 @@ def _answers(gap: GapSection) -> Table:
 
 def _decision() -> str:
     """When no gap is reported, by the costs of missing one and of a test in vain."""
-    sure = text.percent(NO_GAP_PROBABILITY)
+    sure = text.percent(GapSection.NO_GAP_PROBABILITY)
     return (
-        f"A missed gap is taken to cost {text.number(MISSED_GAP_COST)} times a further"
+        f"A missed gap is taken to cost {text.number(GapSection.MISSED_GAP_COST)} times a further"
         " test in vain: no gap is reported where noise, with or without what is too"
         f" small for these readings to show, has {sure} or more. What is less likely"
         " than noise is a reason to read again, and is not corrected."

@@ -5,16 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from oed.result import (
-    BEST,
-    BEST_WITH_EFFECTS,
-    MIXTURE,
-    NOTHING,
-    PLAIN,
-    MixtureSection,
-    PredictionSection,
-    StudyResult,
-)
+from oed.result import Compensation, MixtureSection, PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -28,11 +19,11 @@ from pkm_reports.sections.accuracy_ranges import figures
 
 #: compensations that a controller can be sent, as a reader knows them
 COMPENSATIONS: Final = {
-    MIXTURE: "Geometry, over all answers",
-    BEST: "Geometry, best answer alone",
-    PLAIN: "Geometry, fit without effects",
-    BEST_WITH_EFFECTS: "Best answer with its effects corrected",
-    NOTHING: "Nothing corrected",
+    Compensation.MIXTURE: "Geometry, over all answers",
+    Compensation.BEST: "Geometry, best answer alone",
+    Compensation.PLAIN: "Geometry, fit without effects",
+    Compensation.BEST_WITH_EFFECTS: "Best answer with its effects corrected",
+    Compensation.NOTHING: "Nothing corrected",
 }
 
 
@@ -69,8 +60,8 @@ def _accuracy(section: MixtureSection) -> list[Block]:
     """Figures with intervals of what is sent: geometry, and with effects if any."""
     tables: list[Block] = []
     for name, prediction in (
-        (section.sent or MIXTURE, section.prediction),
-        (BEST_WITH_EFFECTS, section.with_effects),
+        (section.sent or Compensation.MIXTURE, section.prediction),
+        (Compensation.BEST_WITH_EFFECTS, section.with_effects),
     ):
         if prediction is None:
             continue

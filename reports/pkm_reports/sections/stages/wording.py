@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from oed.result import AlternativePlan, Number, PlanSection
+from oed.result import AlternativePlan, PlanSection
 from pkm_reports import missing, text
 
 
-def minutes(value: Number) -> str:
+def minutes(value: float | None) -> str:
     """33 min."""
     return text.quantity(value, "min")
 

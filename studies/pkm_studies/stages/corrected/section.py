@@ -26,9 +26,7 @@ from oed.measurement import Measurement
 from oed.model.machine import Machine
 from oed.posterior import Posterior
 from oed.result import (
-    BEST,
-    BEST_WITH_EFFECTS,
-    PLAIN,
+    Compensation,
     CorrectedSection,
     EffectEstimate,
     EffectTable,
@@ -231,14 +229,17 @@ def add_least_error(
     plain  (np,) parameters of the fit without effects, SI
     """
     before, after = accuracy.compensated.before, accuracy.compensated.after
-    geometry = {BEST: accuracy.parameters_only, PLAIN: accuracy.plain}
+    geometry = {
+        Compensation.BEST: accuracy.parameters_only,
+        Compensation.PLAIN: accuracy.plain,
+    }
     machine = corrected.measurement.machine
-    every = {BEST_WITH_EFFECTS: after, **geometry}
+    every = {Compensation.BEST_WITH_EFFECTS: after, **geometry}
     sent = least_error(before, every, machine.driven)
     section = msgspec.structs.replace(section, sent=sent)
-    if least_error(before, geometry, machine.driven) == PLAIN:
+    if least_error(before, geometry, machine.driven) == Compensation.PLAIN:
         section = add_controller(section, machine, plain)
-    return section if sent == BEST_WITH_EFFECTS else drop_tables(section)
+    return section if sent == Compensation.BEST_WITH_EFFECTS else drop_tables(section)
 
 
 def drop_tables(section: CorrectedSection, reason: str = NO_HELP) -> CorrectedSection:

@@ -12,7 +12,7 @@ from oed.model.instrument import Setup
 from oed.noise import reach_phrase
 from oed.result import GoodnessSection, NoiseRecord
 from oed.text import rounded
-from oed.trust import ALARM, noise_ratio
+from oed.trust import ALARM_PROBABILITY, noise_ratio
 
 
 def with_noise(
@@ -51,7 +51,7 @@ def add_assumption(
     freedom = max(estimate.dof, 0.0)
     verdict = "which these readings cannot test"
     ratio = noise_ratio(section.chi2, section.dof)
-    is_small = section.p_low is not None and section.p_low < ALARM
+    is_small = section.p_low is not None and section.p_low < ALARM_PROBABILITY
     if is_small and ratio is not None:
         verdict = f"and too large: the residuals are {rounded(ratio)} times it"
     sentence = (

@@ -14,13 +14,7 @@ from oed.estimation import Estimate
 from oed.linear_algebra import by_size
 from oed.measurement import Measurement
 from oed.posterior import MIXED_RHAT, Posterior
-from oed.result import (
-    IMPORTANCE,
-    Marginal,
-    PosteriorSection,
-    PredictiveCheckRecord,
-    finite_or_none,
-)
+from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, finite_or_none
 from pkm_studies.tables import PosteriorTable
 
 #: draws shown in the corner plot
@@ -108,7 +102,7 @@ def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:
             " [posterior] steps"
         )
     if least < ess:
-        key = "draws" if posterior.sampler == IMPORTANCE else "steps"
+        key = "draws" if posterior.sampler == PosteriorSection.IMPORTANCE else "steps"
         sentences.append(
             f"the posterior has an effective sample size of {least:.0f}, short of"
             f" {ess}; raise [posterior] {key}"

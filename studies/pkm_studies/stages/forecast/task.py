@@ -72,7 +72,7 @@ class ForecastTask:
         """The kernel before any reading."""
         rows = self.model.rows(self.model.command)
         errors = np.broadcast_to(self.expected, rows.local.shape[:2])
-        return expected_kernel(joint_size(rows, errors), rows.places.shape[1])
+        return expected_kernel(joint_size(rows, errors), rows.positions.shape[1])
 
     def predicted_errors(self, command: Array) -> Array:
         """Errors (n, k) of the nodes that the parameters predict, SI.

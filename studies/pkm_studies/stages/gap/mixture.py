@@ -19,17 +19,13 @@ from oed.effects import ExpectedColumns, SessionStates
 from oed.gap.cause.advice import GO_AHEAD
 from oed.measurement import Measurement, Series
 from oed.result import (
-    BEST,
-    BEST_WITH_EFFECTS,
-    LEVELS,
-    MIXTURE,
-    NOTHING,
-    PLAIN,
+    Compensation,
     CompensationChoice,
     GapSection,
     MixedAnswer,
     MixedParameter,
     MixtureSection,
+    SpreadRecord,
 )
 from oed.text import format_number, format_probability, join_words
 from pkm_studies.stages.fit.effects import add_controller
@@ -42,11 +38,11 @@ from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowled
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 PHRASES = {
-    MIXTURE: "by the parameters over all answers",
-    BEST: "by those of the best answer alone",
-    PLAIN: "by those of the fit without effects",
-    BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
-    NOTHING: "with nothing corrected",
+    Compensation.MIXTURE: "by the parameters over all answers",
+    Compensation.BEST: "by those of the best answer alone",
+    Compensation.PLAIN: "by those of the fit without effects",
+    Compensation.BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
+    Compensation.NOTHING: "with nothing corrected",
 }
 #: probability that what stays after compensation is within its bound
 BOUND = 0.95
@@ -177,9 +173,13 @@ def _add_accuracy(
     rng = np.random.default_rng([*seed, ABSORBING])
     absorbed = knowledge.absorb_effects(known, use.command, use.reference, rng)
     mean = machine.nominal + known.centre if absorbed.sent is None else absorbed.sent
-    sent = {MIXTURE: mean, BEST: best.theta[:count], PLAIN: best.plain[:count]}
+    sent = {
+        Compensation.MIXTURE: mean,
+        Compensation.BEST: best.theta[:count],
+        Compensation.PLAIN: best.plain[:count],
+    }
     if np.array_equal(best.plain, best.theta):
-        del sent[PLAIN]
+        del sent[Compensation.PLAIN]
     compensations = {
         name: dataclasses.replace(known, sent=parameters)
         for name, parameters in sent.items()
@@ -188,14 +188,17 @@ def _add_accuracy(
         of_best = best.corrected.estimate.theta[best.corrected.parameters :]
         corrected = np.zeros(known.effects.draws.shape[1])
         corrected[-len(of_best) :] = of_best
-        compensations[BEST_WITH_EFFECTS] = dataclasses.replace(
-            compensations[BEST], corrected=corrected
+        compensations[Compensation.BEST_WITH_EFFECTS] = dataclasses.replace(
+            compensations[Compensation.BEST], corrected=corrected
         )
     judged = knowledge.compared(
         compensations, use.command, use.reference, np.random.default_rng(seed)
     )
     predicted = {name: result.prediction for name, result in judged.items()}
-    before, after = predicted[BEST].before, {n: p.after for n, p in predicted.items()}
+    before, after = (
+        predicted[Compensation.BEST].before,
+        {n: p.after for n, p in predicted.items()},
+    )
     geometry = least_error(before, {name: after[name] for name in sent}, machine.driven)
     sections, choices = {}, []
     for name, prediction in predicted.items():
@@ -204,11 +207,11 @@ def _add_accuracy(
         sections[name] = add_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))
-    rms = {n: c.before.rms for n, c in sections[BEST].components.items()}
-    choices.append(CompensationChoice(NOTHING, rms))
-    shown = BEST if geometry == NOTHING else geometry
-    with_effects = sections.get(BEST_WITH_EFFECTS)
-    if least_error(before, after, machine.driven) != BEST_WITH_EFFECTS:
+    rms = {n: c.before.rms for n, c in sections[Compensation.BEST].components.items()}
+    choices.append(CompensationChoice(Compensation.NOTHING, rms))
+    shown = Compensation.BEST if geometry == Compensation.NOTHING else geometry
+    with_effects = sections.get(Compensation.BEST_WITH_EFFECTS)
+    if least_error(before, after, machine.driven) != Compensation.BEST_WITH_EFFECTS:
         with_effects = None
     return msgspec.structs.replace(
         add_controller(section, machine, sent[shown]),
@@ -224,10 +227,10 @@ def add_bound(gap: GapSection) -> GapSection:
     mixture = gap.mixture
     if not gap.next or gap.next[0] != GO_AHEAD or mixture is None:
         return gap
-    if mixture.prediction is None or mixture.sent == NOTHING:
+    if mixture.prediction is None or mixture.sent == Compensation.NOTHING:
         return gap
     bounds = [
-        f"{name} {format_number(c.after.rms_quantiles[LEVELS.index(BOUND)])} {c.after.unit}"
+        f"{name} {format_number(c.after.rms_quantiles[SpreadRecord.LEVELS.index(BOUND)])} {c.after.unit}"
         for name, c in mixture.prediction.components.items()
         if c.compensatable
     ]
@@ -327,7 +330,11 @@ def _choices_text(section: MixtureSection) -> list[str]:
     driven = [name for name, component in components if component.compensatable]
     parts = []
     for choice in section.choices:
-        if choice.name in (section.sent, BEST_WITH_EFFECTS, NOTHING):
+        if choice.name in (
+            section.sent,
+            Compensation.BEST_WITH_EFFECTS,
+            Compensation.NOTHING,
+        ):
             figures = [f"{n} {format_number(choice.rms[n])} {unit[n]}" for n in driven]
             parts.append(f"{join_words(figures)} {PHRASES[choice.name]}")
     return [f"Expected rms error over all answers: {'; '.join(parts)}."]

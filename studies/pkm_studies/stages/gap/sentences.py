@@ -20,14 +20,11 @@ from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
 from oed.result import (
-    EVEN,
-    LEAST_CLOSURE,
     AnswerRecord,
     ClosureRecord,
     GapSection,
     PlaceRecord,
     SizeRecord,
-    visible_probability,
 )
 from oed.text import capitalised, format_probability, join_words
 from pkm_studies.stages.gap import implausible, scatter
@@ -261,7 +258,7 @@ def _closure(closure: ClosureRecord, value: float) -> str:
 def _growth(closure: ClosureRecord, value: float) -> str:
     """`40 % (90 % more to 10 % less) on whole held-out runs`, of a closure below 0."""
     size = "over 100 %"
-    if value >= LEAST_CLOSURE:
+    if value >= ClosureRecord.MIN_STATED:
         size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
     return f"{size} {SPLITS.get(closure.split, closure.split)}"
 
@@ -278,7 +275,7 @@ def _interval(closure: ClosureRecord, digits: int) -> str:
 
 def _bound_in_words(share: float) -> str:
     """`40 % more` or `10 % less`: an end of the interval of a share by which it shrinks."""
-    if share < LEAST_CLOSURE:
+    if share < ClosureRecord.MIN_STATED:
         return "over 100 % more"
     return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
 
@@ -351,7 +348,7 @@ def _verdict(gap: GapSection) -> list[str]:
     if gap.verdict == "unknown":
         unknown = probability_of(UNKNOWN, gap.answers)
         chance = _chance(gap, unknown)
-        is_there = "is" if unknown >= EVEN else "may be"
+        is_there = "is" if unknown >= GapSection.EVEN_PROBABILITY else "may be"
         testable = len(gap.tried) - len(gap.not_testable)
         return [
             f"There {is_there} a gap that no known effect explains {chance}: it has the form of"
@@ -359,7 +356,7 @@ def _verdict(gap: GapSection) -> list[str]:
         ]
     probability = probability_of_causes(gap)
     chance = _chance(gap, probability)
-    comes = "comes" if probability >= EVEN else "may come"
+    comes = "comes" if probability >= GapSection.EVEN_PROBABILITY else "may come"
     if gap.verdict == "class":
         return [
             f"The gap {comes} from {_classes(gap)}; these readings cannot tell which"
@@ -389,7 +386,7 @@ def _no_gap(gap: GapSection) -> list[str]:
     nothing = gap.answers[0].probability
     unseen = sum(answer.unseen for answer in gap.answers)
     chance = f"(probability {format_probability(nothing)})"
-    explains = "explains" if nothing >= EVEN else "may explain"
+    explains = "explains" if nothing >= GapSection.EVEN_PROBABILITY else "may explain"
     phrases = [
         f"No gap is found: noise alone {explains} what calibration leaves {chance}."
     ]
@@ -574,7 +571,7 @@ def _next_steps(gap: GapSection) -> list[str]:
 def _asks_for_readings(gap: GapSection) -> bool:
     """Whether further readings would make the answer clearer."""
     if gap.verdict == "none":
-        return visible_probability(gap.answers) > DOUBT
+        return gap.visible_probability > DOUBT
     open_verdicts = ("class", "unknown", "scatter")
     unsure = gap.effect_reported and gap.answers[0].probability < SURE
     return gap.verdict in open_verdicts or unsure

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from oed.base import Array
-from oed.result import Number, Trace
+from oed.result import Trace
 from pkm_reports import missing, style, text
 
 MOST: Final = 9
@@ -65,7 +65,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def largest(values: Sequence[Number]) -> float:
+def largest(values: Sequence[float | None]) -> float:
     """Largest size of the finite values."""
     return max(map(abs, missing.finite(values)), default=0.0)
 
