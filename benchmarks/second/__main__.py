@@ -1,8 +1,8 @@
-"""The diagnosis on the second generator: its cases, and the table of their diagnoses.
+"""Draw a set of cases of the second generator.
 
     python -m benchmarks.second generate --seed 7 --cases 20
     PYTHONPATH=. oed campaign --allow-code benchmarks/second.campaign.toml --seeds 20
-    python -m benchmarks.second table
+    python -m benchmarks.harness second
 
 draws 20 cases of each machine, diagnoses each under the estimated and the true noise
 law, and prints the table.
@@ -11,39 +11,25 @@ law, and prints the table.
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.exit_code import exit_code
-from benchmarks.second import adapter, cases, table
-
-#: folder of the campaign, and of the set that it reads
-CAMPAIGN, SET = Path("out/second"), Path("out/second/set")
+from benchmarks.second import world
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    return exit_code(_parser(), arguments)
-
-
-def _generate(options: argparse.Namespace) -> int:
-    if options.cases < 1:
-        raise ValueError(f"--cases {options.cases}: give at least 1")
+    options = _parser().parse_args(arguments)
     try:
-        cases.generate(
-            options.out,
-            options.seed,
-            options.cases,
-            adapter.MACHINES,
-            options.generator,
+        world.generate(
+            options.out, options.seed, options.cases, generator=options.generator
         )
     except FileNotFoundError as missing:
         print(f"skipped: the second generator is not there ({missing})")
-    return 0
-
-
-def _table(options: argparse.Namespace) -> int:
-    print(table.markdown(options.campaign))
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(error, file=sys.stderr)
+        return 2
     return 0
 
 
@@ -51,16 +37,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.second", description=__doc__
     )
-    commands = parser.add_subparsers(dest="command", required=True)
-    generate = commands.add_parser("generate", help="draw the cases of a set")
-    generate.add_argument("--out", type=Path, default=SET, help="folder of the set")
-    generate.add_argument("--seed", type=int, default=1)
-    generate.add_argument("--cases", type=int, default=20, help="of each machine")
-    generate.add_argument("--generator", type=Path, default=cases.GENERATOR)
-    generate.set_defaults(run=_generate)
-    results = commands.add_parser("table", help="print the table of the diagnoses")
-    results.add_argument("--campaign", type=Path, default=CAMPAIGN, help="its folder")
-    results.set_defaults(run=_table)
+    parser.add_argument("command", choices=("generate",))
+    out = Path("out/second/set")
+    parser.add_argument("--out", type=Path, default=out, help="folder of the set")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cases", type=int, default=20, help="of each machine")
+    parser.add_argument("--generator", type=Path, default=world.GENERATOR)
     return parser
 
 

@@ -11,98 +11,86 @@ words of the report's chapters on the gap. The second one prints what acts in ea
 from __future__ import annotations
 
 import argparse
-import json
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.exit_code import exit_code
-from benchmarks.second import adapter, cases
-from benchmarks.second.cases import Case
-from oed import trust
-from oed.result import StudyResult
-from oed.safe_files import whole_file
+import oed
+from benchmarks.harness.worlds import Case
+from benchmarks.second import world
+from oed.result import StudyResult, trust
 from pkm_reports import sections
 from pkm_reports.blocks import Block, Items, Notice, Paragraph, Picture, Table
 from pkm_studies import stages
-from pkm_studies import study as studies
-from pkm_studies.user_code import Consent
 
+OUT = Path("out/second/texts")
 #: cases of each machine in the set, and those of them that are read
 DRAWN, READ = 25, 5
 #: chapters of a report on the gap
 GAP_CHAPTERS = ("gap", "second_visit")
-#: file of the set that says which case has which number
-CHOSEN = "chosen.json"
 #: kinds of noise laws by the label's name of their size, in units of the stated noise
 LAW_SIZES = ("repeat_over_sigma", "ar_over_sigma")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Exit code: 0 done, 2 bad input."""
-    return exit_code(_parser(), arguments)
-
-
-def _parser() -> argparse.ArgumentParser:
+    """Exit code: 0 done, 2 no generator."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.second.texts", description=__doc__
     )
-    commands = parser.add_subparsers(dest="command", required=True)
-    answers = commands.add_parser("answers", help="write the answers of 20 cases")
-    answers.add_argument("--seed", type=int, default=1)
-    answers.add_argument("--generator", type=Path, default=cases.GENERATOR)
-    answers.set_defaults(run=_write_answers)
-    truths = commands.add_parser("truths", help="print what acts in each case")
-    truths.set_defaults(run=_print_truths)
-    for command in (answers, truths):
-        command.add_argument("--out", type=Path, default=Path("out/second/texts"))
-    return parser
+    parser.add_argument("command", choices=("answers", "truths"))
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    try:
+        world.generate(OUT / "set", options.seed, DRAWN)
+    except FileNotFoundError as missing:
+        print(f"the second generator is not there ({missing})", file=sys.stderr)
+        return 2
+    for number, (machine, case) in enumerate(chosen(options.seed), 1):
+        if options.command == "answers":
+            _write_answer(OUT / f"{number:02d}.txt", machine, case)
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                label = _drawn(machine, case, Path(folder)).label
+            print(f"| {number:02d} | {machine} | {truth(label)} |")
+    return 0
+
+
+def chosen(seed: int) -> list[tuple[str, int]]:
+    """Machine and number of some cases of each machine, in random order."""
+    rng = np.random.default_rng(seed)
+    drawn = [
+        (machine, int(number))
+        for machine in world.MACHINES
+        for number in rng.choice(DRAWN, READ, replace=False)
+    ]
+    return [drawn[k] for k in rng.permutation(len(drawn))]
+
+
+def _drawn(machine: str, number: int, folder: Path) -> Case:
+    setting = {"folder": OUT / "set", "machine": machine}
+    return world.draw(setting, number, folder)
 
 
 # -- answers ---------------------------------------------------------------------------
 
 
-def _write_answers(options: argparse.Namespace) -> int:
-    """Write NN.txt for each case that has none yet."""
-    folder = options.out / "set"
-    cases.generate(folder, options.seed, DRAWN, adapter.MACHINES, options.generator)
-    numbered = {
-        f"{number:02d}": case
-        for number, case in enumerate(chosen(folder, options.seed), 1)
-    }
-    names = {number: (case.machine, case.name) for number, case in numbered.items()}
-    _write(folder / CHOSEN, json.dumps(names, indent=1))
-    for number, case in numbered.items():
-        path = options.out / f"{number}.txt"
-        if not path.is_file():
-            _write(path, answer(diagnosis(case, folder / "studies" / number)))
-    return 0
+def _write_answer(path: Path, machine: str, number: int) -> None:
+    """Write the answer of a case that has none yet."""
+    if path.is_file():
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        case = _drawn(machine, number, Path(folder))
+        path.write_text(answer(diagnosis(case)), encoding="utf-8")
 
 
-def _write(path: Path, content: str) -> None:
-    with whole_file(path) as unfinished:
-        unfinished.write_text(content, encoding="utf-8")
-
-
-def chosen(folder: Path, seed: int) -> list[Case]:
-    """Some cases of each machine, in random order."""
-    rng = np.random.default_rng(seed)
-    drawn = [
-        Case(folder, machine, str(name))
-        for machine in adapter.MACHINES
-        for name in rng.choice(cases.names(folder, machine), READ, replace=False)
-    ]
-    return [drawn[k] for k in rng.permutation(len(drawn))]
-
-
-def diagnosis(case: Case, folder: Path) -> StudyResult:
+def diagnosis(case: Case) -> StudyResult:
     """The result of `oed diagnose` of a case, without the accuracy of a correction."""
-    path, readings = adapter.write_case(case.stem, folder)
-    study = studies.load(path, Consent.GIVEN)
-    fitted = stages.fit_checked(stages.recorded(study, [readings]))
+    study = oed.load_study(case.study, allow_code=True)
+    fitted = stages.fit_checked(stages.recorded(study, [case.readings]))
     return stages.result_so_far(stages.diagnose_always(fitted))
 
 
@@ -135,15 +123,6 @@ def block_lines(blocks: Sequence[Block]) -> list[str]:
 
 
 # -- truths ----------------------------------------------------------------------------
-
-
-def _print_truths(options: argparse.Namespace) -> int:
-    folder = options.out / "set"
-    numbered = json.loads((folder / CHOSEN).read_text(encoding="utf-8"))
-    for number, (machine, name) in numbered.items():
-        label = cases.labels(folder, machine)[name]
-        print(f"| {number} | {machine} | {truth(label)} |")
-    return 0
 
 
 def truth(label: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""A case of the second generator as a study and readings of the toolkit.
+"""Cases of the second generator, which lies beside the project, as studies and readings.
 
 The case's json hands on what a user would know: set-ups, instrument noise, tolerances,
 gravity, screw lead and scale period. Two of these need a file of effects beside the
@@ -10,13 +10,27 @@ commands do not have.
 from __future__ import annotations
 
 import csv
+import dataclasses
+import functools
 import json
+import math
 import shutil
+import subprocess
+import sys
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from benchmarks.harness.worlds import Case
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw
+
 HERE = Path(__file__).resolve().parent
+#: where the generator lies, beside the project's folder
+GENERATOR = HERE.parents[1].parent / "shared/generators/second"
 MACHINES = ("a3", "planar", "delta", "hexapod")
 MODELS = {
     "a3": "a3_head",
@@ -39,6 +53,85 @@ period = dataclasses.replace(
     encoder_subdivision.effect, constants={{"period": ({period},)}}
 )
 '''
+
+
+def generate(
+    folder: Path,
+    seed: int,
+    count: int,
+    machines: Sequence[str] = MACHINES,
+    generator: Path = GENERATOR,
+) -> None:
+    """Let the generator draw a set: `count` cases of each machine that has none yet.
+
+    Raises FileNotFoundError where there is no generator, CalledProcessError.
+    """
+    for machine in machines:
+        if labels_file(folder, machine).is_file():
+            continue
+        script = generator / "make.py"
+        if not script.is_file():
+            raise FileNotFoundError(script)
+        out = labels_file(folder, machine).with_name(machine)
+        options = ["--seed", str(seed), "--n", str(count), "--machine", machine]
+        command = [sys.executable, "-B", str(script), *options, "--out", str(out)]
+        subprocess.run(command, check=True)
+
+
+def labels_file(folder: Path, machine: str) -> Path:
+    """Where the generator writes the labels of a machine's cases in a set."""
+    return folder / "cases" / f"{machine}.labels.json"
+
+
+def draw(setting: Mapping[str, Any], number: int, folder: Path) -> Case:
+    """A case of a set; the setting names the folder of the set, and the machine.
+
+    Raises ValueError for a number beyond the set's cases, OSError.
+    """
+    machine = setting["machine"]
+    labels = json.loads(
+        labels_file(Path(setting["folder"]), machine).read_text("utf-8")
+    )
+    names = sorted(labels)
+    if number >= len(names):
+        raise ValueError(
+            f"the set has {len(names)} cases of {machine}: give the campaign --seeds"
+            f" {len(names)}, or generate more in another folder than {setting['folder']}"
+        )
+    name = names[number]
+    stem = Path(setting["folder"]) / "cases" / machine / name
+    return case_of(stem, labels[name], folder)
+
+
+def case_of(stem: Path, label: Mapping[str, Any], folder: Path) -> Case:
+    """The case whose files have this path without their suffixes."""
+    study, readings = write_case(stem, folder)
+    return Case(
+        name=stem.name,
+        study=study,
+        readings=readings,
+        label=label,
+        stream=zlib.crc32(f"{label['machine']}/{stem.name}".encode()),
+        true_law=functools.partial(true_law, law=label["law"]),
+    )
+
+
+def true_law(problem: GapProblem, law: Mapping[str, Any]) -> NoiseLaw:
+    """The noise law of a label; outliers and tails are left to the diagnosis."""
+    correlation = law.get("rho", math.exp(-1.0))
+    carried = law.get("ar_over_sigma", 0.0)
+    within, stated = math.hypot(1.0, carried), problem.stated_law.law
+    changed = dataclasses.replace(
+        stated,
+        scale=within * stated.scale,
+        carried=np.array([(carried / within) ** 2]),
+        reach=np.array([-1.0 / math.log(correlation)]),
+        level=np.array([law.get("repeat_over_sigma", 0.0) / within]),
+    )
+    return NoiseLaw(changed)
+
+
+# -- files -----------------------------------------------------------------------------
 
 
 def write_case(stem: Path, out: Path) -> tuple[Path, Path]:
