@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks.second import cases as second
-from benchmarks.third import __main__ as command
-from benchmarks.third import cases, faults, physics, table
+from benchmarks.harness import cases, diagnosis, judge
+from benchmarks.third import faults, physics, world
 from benchmarks.third.machines import MACHINES, change, session
 from oed.gap import GapProblem
 from oed.model import Effect
@@ -83,16 +82,15 @@ def test_geometry_alone_is_no_fault_here_and_in_the_toolkit(
 ) -> None:
     rng = np.random.default_rng(number)
     machine = MACHINES[number]()
-    world = faults.world(session(machine, rng), rng)
-    sight = cases.Sight(world, "white", rng)
-    legs = np.full((len(world.s.time), machine.legs), 5e-6)
-    assert np.linalg.norm(sight.differences(change(world.s, legs=legs))) < 0.2
-    label = {"machine": machine.name}
-    drawn = sight, label, sight.read(change(world.s))
-    monkeypatch.setattr(cases, "draw", lambda seed: drawn)
-    cases.write(tmp_path, number)
-    case = second.Case(tmp_path, machine.name, "case_000")
-    problem, _ = second.prepare(case)
+    drawn_world = faults.world(session(machine, rng), rng)
+    sight = world.Sight(drawn_world, "white", rng)
+    legs = np.full((len(drawn_world.s.time), machine.legs), 5e-6)
+    assert np.linalg.norm(sight.differences(change(drawn_world.s, legs=legs))) < 0.2
+    label = {"machine": machine.name, "law": {"law": "white"}}
+    drawn = sight, label, sight.read(change(drawn_world.s))
+    monkeypatch.setattr(world, "drawn", lambda seed: drawn)
+    case = world.draw({}, number, tmp_path)
+    problem, _ = diagnosis.prepare(case.study, case.readings)
     fit = np.linalg.lstsq(problem.slopes, problem.residual, rcond=1e-9)[0]
     rest = problem.residual - problem.slopes @ fit
     assert np.abs(problem.residual).max() > 100.0
@@ -100,8 +98,8 @@ def test_geometry_alone_is_no_fault_here_and_in_the_toolkit(
 
 
 def test_size_of_a_fault_is_as_drawn() -> None:
-    _, label, values = cases.draw(4)
-    _, again, same = cases.draw(4)
+    _, label, values = world.drawn(4)
+    _, again, same = world.drawn(4)
     assert (label["kind"], label["machine"]) == ("single", "delta")
     assert label["sqrt_lambda_total"] == pytest.approx(20.0, rel=1e-3)
     assert label == again
@@ -114,32 +112,25 @@ def test_size_of_a_fault_is_as_drawn() -> None:
     ids=["few", "all"],
 )
 def test_a_case_is_diagnosed_and_tabulated(
-    tried: set[str] | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tried: set[str] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With few effects of the catalogue, and with all."""
-    prepare = second.prepare
+    prepare = diagnosis.prepare
 
-    def prepared(case: second.Case) -> tuple[GapProblem, list[Effect]]:
-        problem, effects = prepare(case)
+    def prepared(study: Path, readings: Path) -> tuple[GapProblem, list[Effect]]:
+        problem, effects = prepare(study, readings)
         return problem, [e for e in effects if tried is None or e.name in tried]
 
-    monkeypatch.setattr(second, "prepare", prepared)
-    out, page = tmp_path / "third.jsonl", tmp_path / "third.md"
-    assert command.main(["--seeds", "4", "5", "--out", str(out)]) == 0
-    [record] = table.records(out)
-    assert record["result"].get("failure") is None
-    assert record["result"]["verdict"] in {
+    monkeypatch.setattr(diagnosis, "prepare", prepared)
+    setting = {"world": "third", "observer": cases.ESTIMATED}
+    row = {**setting, **cases.diagnosis(setting, 4), "cpu_s": 1.0}
+    assert row.get("failure") is None
+    assert row["verdict"] in {
         "none", "scatter", "effect", "class", "mixture", "unknown",
     }  # fmt: skip
-    assert command.main(["--seeds", "4", "5", "--out", str(out)]) == 0
-    assert len(table.records(out)) == 1, "seed 4 is not diagnosed twice"
-    page.write_text(f"Before\n\n{table.START}\nold\n{table.END}\nafter\n")
-    assert command.main(["--table", str(out), "--page", str(page)]) == 0
-    text = page.read_text(encoding="utf-8")
-    assert "1 cases of seeds 4 to 4" in text
-    assert "old" not in text
-    assert text.endswith("after\n")
-    detected = int(record["result"]["verdict"] != "none")
-    row = "| detection at $\\sqrt\\lambda$ 10 and more, single | "
-    assert f"{row}{detected}.00 " in text
-    assert record["label"]["effects"][0]["effect"] == "gravity"
+    assert row["label"]["effects"][0]["effect"] == "gravity"
+    text = judge.table([row])
+    assert text.startswith("1 cases, 0 of which the diagnosis could not read")
+    detected = int(row["verdict"] != "none")
+    line = "| detection at $\\sqrt\\lambda$ 10 and more, single | "
+    assert f"{line}{detected}.00 " in text

@@ -1,4 +1,4 @@
-"""Cases of the third world: readings as the second benchmark reads them, and labels.
+"""Cases of the third world, in files as the second generator has them, and labels.
 
 The size of a fault is sqrt(lambda): the norm of the change of the readings in units of
 the noise, free of what geometry and cups within their tolerances take up.
@@ -7,6 +7,7 @@ the noise, free of what geometry and cups within their tolerances take up.
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.second.cases import labels_file
+from benchmarks.harness.worlds import Case
+from benchmarks.second.world import case_of
 from benchmarks.third import faults
 from benchmarks.third import machines as world_machines
 from benchmarks.third.faults import World
@@ -101,7 +103,7 @@ def _covariance(s: Session, noise: str) -> Array:
     return np.kron(np.eye(2 if s.machine.name == "planar" else 1), one)
 
 
-def draw(seed: int) -> tuple[Sight, dict[str, Any], Array]:
+def drawn(seed: int) -> tuple[Sight, dict[str, Any], Array]:
     """The case of a seed: its machine, label and readings (n, channels)."""
     rng = np.random.default_rng([seed, 3])
     count = len(world_machines.MACHINES)
@@ -172,7 +174,7 @@ def _label(
     acting: Sequence[Array],
     rivals: Mapping[str, Array],
 ) -> dict[str, Any]:
-    """The label that the second benchmark's scoring reads; closures do not count."""
+    """The label that the judge reads; closures do not count."""
     shown = [sight.differences(fault) for fault in acting]
     effects = []
     for k, name in enumerate(names):
@@ -186,7 +188,7 @@ def _label(
         "law": {"law": sight.noise},
         "effects": effects,
         "sqrt_lambda_total": float(np.linalg.norm(sum(shown))),
-        "closure": {split: {"C": 0.0, "gain": 0.0} for split in ("within", "whole")},
+        "closure": {},
     }
 
 
@@ -222,22 +224,19 @@ def _where(sight: Sight, c: Array, shown: Array) -> dict[str, Any]:
 # -- files -----------------------------------------------------------------------------
 
 
-def write(folder: Path, seed: int) -> tuple[str, dict[str, Any]]:
-    """Files of a seed's case as a set of one case; its machine and label."""
-    sight, label, values = draw(seed)
-    machine = label["machine"]
-    stem = folder / "cases" / machine / "case_000"
-    stem.parent.mkdir(parents=True, exist_ok=True)
+def draw(setting: Mapping[str, Any], number: int, folder: Path) -> Case:
+    """The case of a seed, in the second generator's files."""
+    sight, label, values = drawn(number)
+    stem = folder / "case_000"
     case = {
-        "machine": machine, "setups": sight.s.setups, "down": [0.0, 0.0, -1.0],
+        "machine": label["machine"], "setups": sight.s.setups, "down": [0.0, 0.0, -1.0],
         "screw_lead_mm": 1e3 * faults.LEAD, "scale_period_mm": 0.02, "tolerances": [],
     }  # fmt: skip
     stem.with_suffix(".json").write_text(json.dumps(case), encoding="utf-8")
-    labels = json.dumps({stem.name: label})
-    labels_file(folder, machine).write_text(labels, encoding="utf-8")
     with stem.with_suffix(".readings.csv").open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows(sight.s, values))
-    return machine, label
+    case_files = case_of(stem, label, folder / "study")
+    return dataclasses.replace(case_files, name=f"seed {number}", true_law=None)
 
 
 def rows(s: Session, values: Array) -> list[list[Any]]:
