@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.second import cases
-from benchmarks.visits import later, table
+from benchmarks.second.world import GENERATOR
+from benchmarks.visits import cases, later
 
-NO_GENERATOR = not (cases.GENERATOR / "make.py").is_file()
+NO_GENERATOR = not (GENERATOR / "make.py").is_file()
 
 
 @pytest.mark.skipif(NO_GENERATOR, reason="needs the second generator")
 def test_a_run_that_is_read_again_reads_the_same() -> None:
     """A null case without noise at the poses of its own first run of the planar machine."""
-    make = later.modules(cases.GENERATOR)
+    make = later.modules(GENERATOR)
     first = later.draw(make, "planar", "null", "white", 0.0, (7, 1))
     case = first.case
     k = next(i for i, run in enumerate(case.runs) if run["dir"] > 0)
@@ -50,7 +50,7 @@ def record(before: bool, after: bool | None, predicted: float = 0.9) -> dict[str
 
 def test_the_answer_that_stands_is_the_last_one() -> None:
     cases_of = [record(True, None), record(False, True), record(False, False)]
-    text = table.markdown([*cases_of, {"failure": "out of reach"}])
+    text = cases.table([*cases_of, {"failure": "out of reach"}])
     assert "4 cases, 1 left out, 2 visited again" in text
     row = next(line for line in text.splitlines() if line.startswith("| right class |"))
     assert row.split("|")[2].strip().startswith("0.33")
