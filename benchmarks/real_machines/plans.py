@@ -1,70 +1,175 @@
-"""Realised accuracy of plans for real machines beside plans for rigid ones.
+"""Plans for real machines beside plans for rigid ones: by the criterion, and as realised.
 
-    python -m benchmarks.real_machines.plans a3 --level typical --seeds 0 20 --out FILE.jsonl
-    python -m benchmarks.real_machines.plans --table FILE.jsonl ...
+    PYTHONPATH=. oed campaign --allow-code benchmarks/attainable.campaign.toml --seeds 4
+    python -m benchmarks.harness attainable
+    PYTHONPATH=. oed campaign --allow-code benchmarks/real_plans.campaign.toml --seeds 8
+    python -m benchmarks.harness real_plans
 
-Machines are drawn by an independent generator, with all of their effects. Of the
-poses of its session each plan takes some, by the mean variance of the tool point over the
-session's poses, as `[design]` with and without effects does. Both are fitted with effects
+From the poses of one session each plan takes some. `attainable`: for a rigid machine, for
+effects of the typical size of a healthy machine, and for effects of the full size that the
+catalogue expects; each plan is valued on machines with effects of each of these sizes, by
+the mean variance of the tool point over the session's poses. All readings of the session
+together are a bound for every plan.
+
+`real_plans`: as `[design]` with and without effects does. Machines are drawn by an
+independent generator, with all of their effects, and both plans are fitted with effects
 allowed. Judged is the true error of the tool point once the parameters are compensated.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import tempfile
-from collections.abc import Sequence
-from pathlib import Path
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.real_machines import world
-from benchmarks.real_machines.__main__ import judge
-from benchmarks.real_machines.attainable import MACHINES, effects_of, problem
-from oed.base import Array, Index
-from oed.effects import expected_columns
-from oed.estimation import Discrepancy, identify
+from benchmarks.real_machines.cases import judge
+from oed.accuracy import error_maps
+from oed.base.arrays import Array, Index
+from oed.compensate.effects.expected_columns import expected_columns
+from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.design import candidates
+from oed.design.blocks import information
+from oed.design.exchange import choose
+from oed.design.forms.variance import Variance
+from oed.estimation import identify
+from oed.estimation.discrepancy import HEALTHY
 from oed.gap.data import problem as problems
+from oed.identifiability import prior_information
+from pkm_studies.resolve import effects_of_planned, pose_error_slopes
 
+#: sizes of effects that a plan is made for, and that a machine has; all readings
+SIZES, ALL = ("rigid", "typical", "full"), "all readings"
+#: combinations of effects that a plan profiles out
+UNKNOWNS = 60
+#: poses of the session at which accuracy counts while planning
+WORKSPACE = 60
 KINDS = ("rigid", "real")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("machine", choices=MACHINES, nargs="?")
-    parser.add_argument("--level", choices=world.LEVELS, default="healthy")
-    parser.add_argument("--readings", type=int, default=48)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20))
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--table", type=Path, nargs="*")
-    options = parser.parse_args()
-    if options.table:
-        print(table(options.table))
-        return
-    for seed in range(*options.seeds):
-        record = one(options.machine, options.level, options.readings, seed)
-        with options.out.open("a") as file:
-            file.write(json.dumps(record) + "\n")
-
-
-def one(machine: str, level: str, count: int, seed: int) -> dict[str, Any]:
-    """Realised and predicted errors of both plans on one machine, um."""
-    with tempfile.TemporaryDirectory() as folder:
-        bench = world.draw(machine, 0, level, seed, Path(folder))
-    record: dict[str, Any] = {
-        "machine": machine,
-        "level": level,
-        "seed": seed,
-        "readings": count,
+def attainable(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Rms error, um, by the sizes of the machine's effects and of those of the plan."""
+    bench = world.draw(setting["machine"], 0, "healthy", seed)
+    full = effects_of(bench, np.random.default_rng(seed))
+    effects = (None, full.of_size(HEALTHY), full)
+    machines = {n: problem(bench, e) for n, e in zip(SIZES, effects, strict=True)}
+    plans = {
+        name: one.plan(setting["readings"], np.random.default_rng(seed))
+        for name, one in machines.items()
     }
+    plans[ALL] = np.arange(len(machines["rigid"].blocks))
+    return {
+        name: {plan: one.rms(indices) for plan, indices in plans.items()}
+        for name, one in machines.items()
+    }
+
+
+def attainable_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Mean errors by machine; in brackets the largest loss against the best plan."""
+    columns = (*SIZES, ALL)
+    lines = [f"| machine | n | effects | {' | '.join(columns)} |", "|---" * 7 + "|"]
+    for machine in dict.fromkeys(row["machine"] for row in rows):
+        some = [row for row in rows if row["machine"] == machine]
+        for size in SIZES:
+            values = np.array([[row[size][plan] for plan in columns] for row in some])
+            best = values[:, SIZES.index(size)]
+            loss = 100.0 * (values / best[:, None] - 1.0).max(axis=0)
+            cells = [
+                f"{v:.4g} ({x:.1f} %)"
+                for v, x in zip(values.mean(0), loss, strict=True)
+            ]
+            cells[-1] = f"{values[:, -1].mean():.4g}"
+            lines.append(f"| {machine} | {len(some)} | {size} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """Candidates of a session on a machine with effects of one size.
+
+    blocks  (C, k, n) rows over parameters and effects
+    prior   (n, n) information before any reading
+    factor  (r, n) errors of the tool point over the workspace, m
+    """
+
+    blocks: Array
+    prior: Array
+    factor: Array
+
+    def rms(self, chosen: Index) -> float:
+        """Root mean square error of the tool point with chosen readings, um."""
+        total = self.prior + information(self.blocks[chosen])
+        covariance = np.linalg.inv(total)
+        variances = np.einsum("ri,ij,rj->r", self.factor, covariance, self.factor)
+        return 1e6 * float(np.sqrt(variances.sum()))
+
+    def plan(self, size: int, rng: np.random.Generator) -> Index:
+        """The readings that serve this machine best."""
+        criterion = Variance(np.linalg.qr(self.factor, mode="r"))
+        choice = choose(
+            self.blocks, size, rng, criterion, prior=self.prior, certify=False
+        )
+        return np.sort(choice.indices)
+
+
+def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
+    """What all effects of a bench's machine do to its session, at expected sizes."""
+    place = SimpleNamespace(
+        command=_workspace(bench), table=SimpleNamespace(reference="best_fit")
+    )
+    request = SimpleNamespace(gravity=bench.gravity)
+    effects = effects_of_planned(
+        bench.measurement, bench.series, bench.effects, request, place, rng, UNKNOWNS
+    )
+    assert effects is not None  # every machine of the generator has some
+    return effects
+
+
+def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
+    """The session's candidates on a machine with these effects, or without any."""
+    measurement = bench.measurement
+    maps = error_maps(measurement.kinematics, _workspace(bench), "best_fit")
+    pool = candidates.build(
+        measurement,
+        bench.series,
+        measurement.nominal,
+        "tolerance",
+        nuisances=None if effects is None else effects.readings,
+    )
+    prior = pool.prior_information.copy()
+    prior[: pool.columns, : pool.columns] += prior_information(measurement)
+    tool = np.zeros((*maps.raw.shape[:2], 0)) if effects is None else effects.tool
+    slopes = pose_error_slopes(pool, maps.raw, SimpleNamespace(tool=tool))
+    moved = [k for k, name in enumerate(maps.names) if name in "xyz"]
+    factor = slopes[:, moved].reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
+    return Problem(pool.blocks, prior, factor)
+
+
+def _workspace(bench: world.Bench) -> Array:
+    """Some of the session's commands, at which accuracy counts."""
+    return bench.command[:: max(len(bench.command) // WORKSPACE, 1)]
+
+
+# -- as realised -----------------------------------------------------------------------
+
+
+def realised(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Realised errors of both plans on one machine, um."""
+    bench = world.draw(setting["machine"], 0, setting["level"], seed)
+    count = setting["readings"]
     chosen = {kind: _chosen(bench, count, seed, kind == "real") for kind in KINDS}
-    for kind, indices in chosen.items():
-        record[kind] = _realised(bench, indices, seed)
+    record: dict[str, Any] = {
+        kind: _realised(bench, indices, seed) for kind, indices in chosen.items()
+    }
     common = set(chosen["rigid"]) & set(chosen["real"])
-    record["common"] = len(common) / count
-    return record
+    return record | {"common": len(common) / count}
 
 
 def _chosen(bench: world.Bench, count: int, seed: int, real: bool) -> Index:
@@ -116,31 +221,29 @@ def _taken(bench: world.Bench, indices: Index) -> tuple[list[Any], Index]:
     return series, np.concatenate(numbers)
 
 
-def table(files: Sequence[Path]) -> str:
+def realised_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Ratios of the realised errors, with the standard errors of their means."""
     lines = [
         "| machine | level | machines | rigid plan, um | real plan, um | ratio | standard error |"
         " 10 % | 90 % |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for file in files:
-        records = [json.loads(line) for line in file.read_text().splitlines()]
-        errors = np.array([[r[kind]["rms_um"] for kind in KINDS] for r in records])
-        lines.append(_line(records[0], errors))
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["machine"], row["level"]), []).append(row)
+    for (machine, level), some in groups.items():
+        errors = np.array([[r[kind]["rms_um"] for kind in KINDS] for r in some])
+        lines.append(f"| {machine} | {level} | {_line(errors)} |")
     return "\n".join(lines)
 
 
-def _line(record: dict[str, Any], errors: Array) -> str:
+def _line(errors: Array) -> str:
     logs = np.log(errors[:, 0] / errors[:, 1])
     error = float(logs.std(ddof=1) / np.sqrt(len(logs)))
     ratio = float(np.exp(logs.mean()))
     rigid, real = np.median(errors, axis=0)
     low, high = np.exp(np.quantile(logs, [0.1, 0.9]))
     return (
-        f"| {record['machine']} | {record['level']} | {len(logs)} | {rigid:.3g} | {real:.3g} | {ratio:.2f} |"
-        f" {ratio * error:.2f} | {low:.2f} | {high:.2f} |"
+        f"{len(logs)} | {rigid:.3g} | {real:.3g} | {ratio:.2f} |"
+        f" {ratio * error:.2f} | {low:.2f} | {high:.2f}"
     )
-
-
-if __name__ == "__main__":
-    main()

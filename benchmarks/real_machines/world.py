@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.second import adapter
-from benchmarks.second.cases import GENERATOR
+from benchmarks.harness.diagnosis import bench as bench_of
+from benchmarks.second.world import GENERATOR, MACHINES, write_case
 from oed import dataset
 from oed.base import Array
 from oed.measurement import Measurement
 from oed.model.effect import Effect
-from pkm_studies import study as studies
-from pkm_studies.resolve import gap_request, resolve
-from pkm_studies.user_code import Consent
 
 MM = 1e-3
 HEALTHY = (0.6, 1.4)
@@ -50,12 +48,17 @@ class Bench:
     times: Any = None
 
 
-def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
+def draw(machine: str, size: float, level: str, seed: int) -> Bench:
     """A machine with all effects small, and one of sqrt(lambda) `size` (0: none).
 
     level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "typical": each about
             its typical size; "rigid": none
     """
+    with tempfile.TemporaryDirectory() as folder:
+        return _draw(machine, size, level, seed, Path(folder))
+
+
+def _draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     sys.path.insert(0, str(GENERATOR))
     import make  # the generator's own modules
     from effects import LAWS, LISTED, noise
@@ -64,7 +67,7 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
 
     from design import design
 
-    key = [seed, adapter.MACHINES.index(machine), round(size), LEVELS.index(level)]
+    key = [seed, MACHINES.index(machine), round(size), LEVELS.index(level)]
     rng = np.random.default_rng(key)
     c = design(machine, rng, False)
     geometry = Pert()
@@ -88,14 +91,10 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     tip = x + np.einsum("nij,nj->ni", R, np.broadcast_to(P.f("T"), (c.n, 3))) + P.f("X")
     c.sensed = make.sensors(c, rng)
     label = dict(kind="single")
-    out.mkdir(parents=True, exist_ok=True)
     stem = out / "case"
     make.write(c, y, label, stem)
-    path, readings = adapter.write_case(stem, out / "study")
-    study = studies.load(path, Consent.GIVEN)
-    resolved = resolve(study, readings=[])
-    request = gap_request(study, resolved.machine)
-    measurement = resolved.measurement_with(resolved.setups)
+    path, readings = write_case(stem, out / "study")
+    measurement, effects, gravity = bench_of(path)
     data = dataset.load(readings, measurement)
     tools = np.array([q.get("tool_mm", 0.0) for q in c.setups])[c.setup] * MM
     command = _command(measurement.machine, c)
@@ -104,8 +103,8 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
         series=data.series,
         y=data.y,
         covariates=data.covariates,
-        gravity=request.gravity,
-        effects=request.effects,
+        gravity=gravity,
+        effects=effects,
         command=command,
         tool=np.column_stack([0 * tools, 0 * tools, tools]),
         shift=(tip - c.x0) * MM,

@@ -1,0 +1,403 @@
+"""Accuracy that is predicted and reached on machines with small effects.
+
+    PYTHONPATH=. oed campaign --allow-code benchmarks/real_machines.campaign.toml --seeds 20
+    python -m benchmarks.harness real_machines
+    PYTHONPATH=. oed campaign --allow-code benchmarks/real_answers.campaign.toml --seeds 20
+    python -m benchmarks.harness real_answers
+
+Machines are drawn by an independent generator (`benchmarks.second`). Judged is the error
+of the tool point at the session's poses, free of its best rigid motion: by the parameters
+alone, and with the effects corrected as well; in the second campaign by the best answer
+of a diagnosis, and by the mixture over all answers.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.real_machines import world
+from oed.accuracy import ErrorMaps
+from oed.base.arrays import Array
+from oed.compensate.effects.absorbed import absorbing_shift
+from oed.compensate.effects.answer_fits import AnswerFits, with_constants
+from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
+from oed.compensate.effects.fit import (
+    CorrectedEstimate,
+    EffectReadings,
+    estimate_with_effects,
+)
+from oed.compensate.effects.mixture import AnswerMixture, columns_of_forms
+from oed.estimation import identify
+from oed.estimation.discrepancy import LARGE, SMALL
+from oed.estimation.estimate import Estimate
+from oed.gap import procedure
+from oed.gap.data import problem as problems
+from oed.gap.data.diagnosis import Diagnosis
+from oed.gap.data.problem import GapProblem
+from oed.posterior import laplace
+
+#: draws of an estimate that are judged, and of an answer
+DRAWS, ANSWER_DRAWS = 200, 400
+INTERVAL = (0.025, 0.975)
+#: what is compared in each campaign: its words, and what its error and width are over
+FITS = {
+    "law": ("geometry alone", "law"),
+    "geometry": ("effects allowed", "law"),
+    "corrected": ("effects corrected", "law"),
+    "sent": ("effects absorbed", "law"),
+}
+ANSWERS = {
+    "geometry": ("geometry, no gap", "best"),
+    "best": ("best answer, geometry alone", "best"),
+    "mixture": ("mixture, geometry alone", "best"),
+    "best_effects": ("best answer, its effects corrected", "best_effects"),
+    "best_effects_mixed": ("the same, intervals of the mixture", "best_effects"),
+}
+#: columns of a setting that the table groups by
+GROUPS = ("machine", "level", "size")
+
+
+class Known(NamedTuple):
+    """Draws of a machine: parameters (m, n), displacements (m, rows, 3) by effects."""
+
+    theta: Array
+    shifts: Array
+
+
+# -- one fit with all effects ----------------------------------------------------------
+
+
+def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Errors of one machine of a kind, level and size: without effects, and with them."""
+    bench = world.draw(setting["machine"], setting["size"], setting["level"], seed)
+    record: dict[str, Any] = dict(bench.case)
+    rng = np.random.default_rng(seed)
+    started = time.process_time()
+    law = identify(bench.measurement, bench.series, bench.y, estimate_noise=True)
+    record["seconds_law"] = time.process_time() - started
+    record["law"] = judge(bench, law.theta, _normal_draws(law, rng))
+    started = time.process_time()
+    plain = identify(bench.measurement, bench.series, bench.y)
+    problem = problems.assemble(
+        bench.measurement,
+        bench.series,
+        bench.covariates,
+        plain.theta,
+        bench.y,
+        gravity=bench.gravity,
+    )
+    columns = expected_columns(problem, bench.effects)
+    record["seconds_columns"] = time.process_time() - started
+    estimate = identify(
+        bench.measurement,
+        problem.series,
+        bench.y,
+        estimate_noise=True,
+        discrepancy=columns.of_sizes(np.concatenate([SMALL, LARGE])).discrepancy,
+        rng=rng,
+    )
+    record["seconds"] = time.process_time() - started
+    shifts = tool_shifts(bench, problem, columns)
+    sampled = estimate.effects
+    record["log_evidence"] = sampled.log_evidence
+    record["effect_size"] = float(np.sqrt((sampled.size**2).mean()))
+    record["columns"], record["readings"] = len(sampled.coefficients.T), len(bench.y)
+    null = estimate.coordinates.null_basis
+    lost = rng.standard_normal((len(sampled.theta), null.shape[1])) @ null.T
+    drawn = np.einsum("pik,dk->dpi", shifts, sampled.coefficients)
+    mean = sampled.theta.mean(axis=0)
+    record["geometry"] = judge(bench, mean, sampled.theta + lost, drawn)
+    record["corrected"] = judge(
+        bench, mean, sampled.theta + lost, drawn, drawn.mean(axis=0)
+    )
+    known = drawn.mean(axis=0)
+    sent = mean + absorbing_shift(
+        slopes(bench, mean), known, bench.measurement.tolerance[: len(mean)]
+    )
+    record["sent"] = judge(bench, sent, sampled.theta + lost, drawn)
+    return record
+
+
+def slopes(bench: world.Bench, theta: Array) -> ErrorMaps:
+    """Displacements (rows, 3, n) of the tool per parameter at the session's rows."""
+    machine = bench.measurement.machine
+    count = len(machine.parameters)
+    steps = 1e-3 * bench.measurement.tolerance[:count]
+    moved = world.displacement(
+        bench, np.vstack([theta[None, :count], theta[:count] + np.diag(steps)])
+    )
+    change = np.zeros((*moved.shape[1:], len(theta)))
+    free = np.flatnonzero(steps)
+    for k in free:
+        change[:, :, k] = (moved[1 + k] - moved[0]) / steps[k]
+    return ErrorMaps(bench.command, ("x", "y", "z"), change, np.zeros_like(change))
+
+
+def _normal_draws(estimate: Estimate, rng: np.random.Generator) -> Array:
+    values, vectors = np.linalg.eigh(estimate.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return estimate.theta + rng.standard_normal((DRAWS, len(root))) @ root.T
+
+
+def tool_shifts(
+    bench: world.Bench, problem: problems.GapProblem, columns: ExpectedColumns
+) -> Array:
+    """Displacements (n, 3, k) of the tool at the session's rows per unit of each column."""
+    machine = bench.measurement.machine
+    count = len(machine.parameters)
+    row_of = {
+        (setup, round(float(t), 6)): i
+        for i, (setup, t) in enumerate(zip(bench.setup_names, bench.times, strict=True))
+    }
+    at = {}
+    for number, form in enumerate(columns.forms):
+        for name in form.names:
+            at[number, name] = len(at)
+    table = np.zeros((len(bench.command), 3, len(at)))
+    for series, state in zip(problem.series, problem.states, strict=True):
+        kinematics = bench.measurement.kinematics
+        tool = np.array(bench.measurement.setups[series.setup].tool)
+        slopes = kinematics.slopes.over_parameters(
+            state.pose, state.joints, problem.theta[:count]
+        )
+        frames = kinematics.frames(state.pose, tool)[2]
+        by_parameter = np.einsum("mij,mjk->mik", frames[:, :3], slopes)
+        rows = np.array(
+            [row_of.get((series.setup, round(float(t), 6)), -1) for t in state.time]
+        )
+        seen = rows >= 0
+        for number, form in enumerate(columns.forms):
+            for column in form.effect.columns(state, **form.constants):
+                if (number, column.name) not in at:
+                    continue
+                moved = np.zeros((len(state), 3))
+                for joint, change in column.joints.items():
+                    moved += state.twist[:, :3, joint] * change[:, None]
+                for name, change in column.parameters.items():
+                    if name in {p.name for p in machine.parameters}:
+                        moved += (
+                            by_parameter[:, :, machine.index(name)] * change[:, None]
+                        )
+                table[rows[seen], :, at[number, column.name]] = (
+                    moved[seen] * column.scale
+                )
+    return table @ columns.mixing
+
+
+def judge(
+    bench: world.Bench,
+    theta: Array,
+    draws: Array,
+    effects: Array | None = None,
+    corrected: Array | float = 0.0,
+) -> dict[str, float]:
+    """Error of the tool point that is left, beside its intervals.
+
+    draws    (m, n) of the parameters;  effects (m, rows, 3) displacements by effects
+    corrected  (rows, 3) displacement that is corrected beside the parameters
+    """
+    machine = bench.measurement.machine
+    axes = np.array([1, 2]) if machine.name.startswith("planar") else np.arange(3)
+    count = len(machine.parameters)
+    kinematics = bench.measurement.kinematics
+    points = np.zeros_like(bench.shift)
+    for tool in np.unique(bench.tool, axis=0):
+        rows = np.flatnonzero((bench.tool == tool).all(axis=1))
+        pose, _ = kinematics.inverse(bench.command[rows], machine.nominal, tool)
+        points[rows] = kinematics.frames(pose, tool)[1]
+    moved = world.displacement(
+        bench, np.vstack([theta[None, :count], draws[:, :count]])
+    )
+    stated = moved[0] + corrected
+    machines = moved[1:] if effects is None else moved[1:] + effects
+    error = world.free_of_frame(points, (bench.shift - stated)[None], axes)[0]
+    drawn = world.free_of_frame(points, machines - stated, axes)
+    low, high = np.quantile(drawn, INTERVAL, axis=0)
+    rms = np.sqrt((drawn**2).mean(axis=1))
+    return {
+        "coverage": float(((error > low) & (error < high)).mean()),
+        "rms_um": 1e6 * float(np.sqrt((error**2).mean())),
+        "predicted_um": 1e6 * float(np.median(rms)),
+    }
+
+
+# -- the answers of a diagnosis --------------------------------------------------------
+
+
+def _named(mixture: AnswerMixture) -> list[tuple[str, float]]:
+    """Each answer's effects, and its probability."""
+    return [
+        ("+".join(a.effects) + "unseen" * a.unseen, a.probability)
+        for a in mixture.answers
+    ]
+
+
+def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """One machine: diagnosed, fitted by each answer, and judged."""
+    bench = world.draw(setting["machine"], setting["size"], "healthy", seed)
+    record: dict[str, Any] = dict(bench.case)
+    rng = np.random.default_rng([seed, round(setting["size"])])
+    started = time.process_time()
+    problem = problems.prepare(
+        bench.measurement,
+        bench.series,
+        bench.y,
+        bench.covariates,
+        gravity=bench.gravity,
+    )
+    diagnosis = procedure.explain_residuals(problem, bench.effects, rng)
+    record["seconds_diagnosis"] = time.process_time() - started
+    started = time.process_time()
+    alone = identify(bench.measurement, problem.series, bench.y, estimate_noise=True)
+    given = EffectReadings(
+        bench.measurement, problem.series, bench.y, bench.covariates, bench.gravity
+    )
+    corrected = _corrected(bench, given, diagnosis, alone.theta)
+    record["seconds_best"] = time.process_time() - started
+    started = time.process_time()
+    fits = AnswerFits(
+        readings=given,
+        effects=bench.effects,
+        allowed=expected_columns(problem, bench.effects),
+        estimate_noise=True,
+        rng=rng,
+        corrected=corrected,
+    )
+    mixture = fits.fit(diagnosis.answers, diagnosis.contents, alone)
+    assert mixture is not None  # some answer is likely enough, and is fitted
+    record["seconds_mixture"] = time.process_time() - started
+    record["verdict"], record["rest"] = diagnosis.verdict, mixture.rest
+    record["answers"] = _named(mixture)
+    nothing = laplace.draw_approximation(
+        bench.measurement, problem.series, bench.y, alone, rng, ANSWER_DRAWS
+    )
+    still = np.zeros((len(nothing.theta), *bench.shift.shape))
+    geometry = Known(nothing.theta, still)
+    drawn = mixture.draw(rng, ANSWER_DRAWS)
+    mixed = Known(
+        drawn.theta, _shifts(bench, problem, drawn.columns, drawn.coefficients)
+    )
+    best, best_mean = geometry, alone.theta
+    if corrected is not None:
+        best_mean = corrected.estimate.theta[: corrected.parameters]
+        best = _of_best(bench, problem, corrected, rng)
+    record["geometry"] = judge(bench, alone.theta, *geometry)
+    record["best"] = judge(bench, best_mean, *best)
+    record["mixture"] = judge(bench, _absorbing(bench, mixture.mean, mixed), *mixed)
+    record["best_absorbing"] = judge(bench, _absorbing(bench, best_mean, best), *best)
+    record["mixture_mean"] = judge(bench, mixture.mean, *mixed)
+    by_effects = best.shifts.mean(axis=0)
+    record["best_effects"] = judge(bench, best_mean, *best, by_effects)
+    record["best_effects_mixed"] = judge(bench, best_mean, *mixed, by_effects)
+    return record
+
+
+def _corrected(
+    bench: world.Bench, given: EffectReadings, diagnosis: Diagnosis, theta: Array
+) -> CorrectedEstimate | None:
+    """The fit with the effects that the diagnosis decides for, as in `oed diagnose`."""
+    by_name = {effect.name: effect for effect in bench.effects}
+    effects = [
+        with_constants(by_name[name], diagnosis.constants[name])
+        for name in diagnosis.answers[0].effects
+        if name in diagnosis.constants
+    ]
+    if diagnosis.verdict in ("none", "scatter") or not effects:
+        return None
+    return estimate_with_effects(given, effects, theta)
+
+
+def _of_best(
+    bench: world.Bench,
+    problem: GapProblem,
+    corrected: CorrectedEstimate,
+    rng: np.random.Generator,
+) -> Known:
+    drawn = laplace.draw_approximation(
+        corrected.measurement,
+        corrected.series,
+        bench.y,
+        corrected.estimate,
+        rng,
+        ANSWER_DRAWS,
+    )
+    count = corrected.parameters
+    columns = columns_of_forms(corrected.forms)
+    shifts = _shifts(bench, problem, columns, drawn.theta[:, count:])
+    return Known(drawn.theta[:, :count], shifts)
+
+
+def _shifts(
+    bench: world.Bench,
+    problem: GapProblem,
+    columns: ExpectedColumns | None,
+    coefficients: Array,
+) -> Array:
+    """Displacements (m, rows, 3) of the tool by drawn effects (m, k)."""
+    if columns is None:
+        return np.zeros((len(coefficients), *bench.shift.shape))
+    unit = tool_shifts(bench, problem, columns)
+    return np.einsum("pik,dk->dpi", unit, coefficients)
+
+
+def _absorbing(bench: world.Bench, mean: Array, known: Known) -> Array:
+    """Parameters sent: the mean, shifted so that it takes up what effects are known to do."""
+    tolerance = bench.measurement.tolerance[: len(mean)]
+    error = known.shifts.mean(axis=0)
+    return mean + absorbing_shift(slopes(bench, mean), error, tolerance)
+
+
+# -- table -----------------------------------------------------------------------------
+
+
+def accuracy_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A row for each machine, level, size and fit."""
+    return _table(rows, FITS)
+
+
+def answers_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A row for each machine, size and kind of compensation."""
+    return _table(rows, ANSWERS)
+
+
+def _table(
+    rows: Sequence[Mapping[str, Any]], kinds: Mapping[str, tuple[str, str]]
+) -> str:
+    head = "| machine | n | compensation | hold | ratio | error | largest | width |"
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in GROUPS if name in row)
+        groups.setdefault(key, []).append(row)
+    lines = [head, "|---" * 8 + "|"]
+    for key, group in groups.items():
+        words = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in key)
+        lines += [f"| {words} | {cells} |" for cells in _cells(group, kinds)]
+    return "\n".join(lines)
+
+
+def _cells(
+    rows: Sequence[Mapping[str, Any]], kinds: Mapping[str, tuple[str, str]]
+) -> Iterator[str]:
+    """Of each kind: share of intervals that hold, realised over predicted error (median
+    and 90th percentile), error and width over those of what it is compared with.
+    """
+    for kind, (title, base) in kinds.items():
+        error = np.array([r[kind]["rms_um"] for r in rows])
+        over = error / [r[base]["rms_um"] for r in rows]
+        predicted = np.array([r[kind]["predicted_um"] for r in rows])
+        width = predicted / [r[base]["predicted_um"] for r in rows]
+        hold = np.mean([r[kind]["coverage"] for r in rows])
+        ratio = np.quantile(error / predicted, [0.5, 0.9])
+        mean = float(np.exp(np.mean(np.log(over))))
+        yield (
+            f"{len(rows)} | {title} | {hold:.2f} | {ratio[0]:.1f}, {ratio[1]:.1f} |"
+            f" {mean:.2f} | {over.max():.2f} | {np.median(width):.2f}"
+        )
