@@ -1,5 +1,7 @@
 """A case with all of its lengths times a factor, and what that changes in the answers.
 
+    python -m benchmarks.random_machines.scaling
+
 No answer may depend on the unit of length: the same machine a thousand times as large,
 read with a thousand times the noise, has the same probabilities. Times, turns, loads
 and temperatures stay.
@@ -13,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.random_machines import case as cases
-from benchmarks.random_machines.case import Case
+from benchmarks.random_machines import cases
+from benchmarks.random_machines.cases import Case
 from oed import build_study, identify, read_readings
 from oed.gap.cause import searches
 from oed.gap.cause.compare import compare, probabilities
@@ -171,3 +173,17 @@ def _times(value: Any, factor: float) -> Any:
     if isinstance(value, list):
         return [_times(item, factor) for item in value]
     return factor * value
+
+
+def main() -> None:
+    """Print how much a thousandfold length changes probabilities."""
+    print("| machine | gap | largest change |")
+    print("| --- | --- | --: |")
+    for model, gap, kind, seed in CASES:
+        drawn = cases.draw_with_gap(model, gap, kind, seed)
+        change = largest(*changes(drawn))
+        print(f"| `{model}` | {gap or 'none'} | {change:.4f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

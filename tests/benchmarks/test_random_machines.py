@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.random_machines import case, machines, noise, run, scaling, table
-from benchmarks.random_machines.closures import PLAIN
+from benchmarks.random_machines import cases, machines, scaling, sessions
+from benchmarks.random_machines.machines import PLAIN
 from oed.gap.forms import library
 
 #: the nightly run has one family of each kind
@@ -20,7 +20,7 @@ FAMILIES = [
 @pytest.mark.parametrize("model", sorted(PLAIN))
 def test_plain_closures_are_those_of_the_toolkit(model: str) -> None:
     """The true machine stands where the toolkit's kinematics have it."""
-    machine = case.machine_of({"model": model})
+    machine = cases.machine_of({"model": model})
     rng = np.random.default_rng(3)
     tolerance = np.array([p.tolerance for p in machine.parameters])
     true = machine.nominal + machines.parameter_errors(tolerance, rng)
@@ -41,9 +41,9 @@ def _nearby(machine, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(0.7 * low + 0.3 * high, 0.3 * low + 0.7 * high, (5, len(low)))
 
 
-@pytest.mark.parametrize("name", noise.LAWS)
+@pytest.mark.parametrize("name", sessions.LAWS)
 def test_noise_has_the_stated_spread(name: str) -> None:
-    law = noise.Law(name, share=0.8, reach=5.0, offset=2.0)
+    law = sessions.Law(name, share=0.8, reach=5.0, offset=2.0)
     rng = np.random.default_rng(4)
     chains = np.array([law.chain(40, rng) for _ in range(1500)])
     variance = 1.0 + law.offset**2 if name == "offsets" else 1.0
@@ -61,7 +61,7 @@ def test_columns_of_effects_have_no_unit_of_length(model: str) -> None:
     it hardly improves.
     """
     kind = "planar_position" if model == "cables_planar" else "ball_bar"
-    drawn = case.draw_with_gap(model, "", kind, 6)
+    drawn = cases.draw_with_gap(model, "", kind, 6)
     larger = scaling.scaled(drawn)
     usual, effects = scaling.prepared(drawn, 1.0)
     other, scaled = scaling.prepared(larger, scaling.FACTOR)
@@ -89,7 +89,7 @@ def test_the_table_counts_alarms() -> None:
         "readings": 20,
     }
     records = [{**made, "verdict": v} for v in ("none", "none", "unknown", "failed")]
-    rows = table.markdown(records).splitlines()
+    rows = cases.table(records).splitlines()
     assert rows[2] == "| all | 4 | 2 (50.0 %) | 15.0..85.0 % |"
     assert rows[3].startswith("| `delta` | 4 | 2 ")
 
@@ -97,15 +97,15 @@ def test_the_table_counts_alarms() -> None:
 @pytest.mark.slow
 def test_few_random_machines_are_said_to_have_a_gap() -> None:
     """Nothing fails, and of five machines at most two alarm."""
-    records = [run.record(number, seed=7) for number in range(4, 9)]
-    assert not [r["traceback"] for r in records if r["verdict"] == run.FAILED]
-    assert sum(map(table.is_alarm, records)) <= 2
+    records = [cases.alarm({"stream": 7}, number) for number in range(4, 9)]
+    assert not [r["traceback"] for r in records if r["verdict"] == cases.FAILED]
+    assert sum(map(cases.is_alarm, records)) <= 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", scaling.CASES[:6])
 def test_no_probability_hangs_on_the_unit_of_length(row) -> None:
     """Of named effects and none."""
-    drawn = case.draw_with_gap(*row)
+    drawn = cases.draw_with_gap(*row)
     usual, other = scaling.changes(drawn)
     assert scaling.largest(usual, other) < 0.01

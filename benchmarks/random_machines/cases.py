@@ -1,24 +1,40 @@
-"""A random machine with its study and its readings, in files as a user has them."""
+"""Random machines without a gap: how often the diagnosis reports one.
+
+    PYTHONPATH=. oed campaign --allow-code benchmarks/random_machines.campaign.toml --seeds 155
+    python -m benchmarks.harness random_machines
+
+A case is a random machine with its study and its readings, in files as a user has them.
+"""
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+import tempfile
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.random_machines import instruments, machines, noise, plans
-from benchmarks.random_machines.instruments import Bench, Mounted
-from oed import build_study
+from benchmarks.harness.statistics import share
+from benchmarks.random_machines import machines, sessions
+from benchmarks.random_machines.sessions import Bench, Mounted
+from oed import build_study, diagnose, identify, read_readings
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
 
+Record = Mapping[str, Any]
+#: verdict where the check of the readings takes a clean machine's for mistaken
+MISTAKEN, FAILED = "mistaken", "failed"
 Array = np.ndarray
 SIGMAS = (0.1e-6, 0.5e-3)
 #: least and largest noise over the machine's size
@@ -54,8 +70,8 @@ class Case:
     model: str
     size: float
     sigma: float
-    law: noise.Law
-    plan: plans.Plan
+    law: sessions.Law
+    plan: sessions.Plan
     instruments: tuple[str, ...]
     study: Mapping[str, Any]
     readings: pd.DataFrame
@@ -87,12 +103,12 @@ def draw(number: int, seed: int) -> Case:
     """Case `number` of a seed: models and laws take turns, the rest is random."""
     rng = np.random.default_rng([seed, number])
     model = machines.MODELS[number % len(machines.MODELS)]
-    law = noise.LAWS[(number // len(machines.MODELS) + number) % len(noise.LAWS)]
+    law = sessions.LAWS[(number // len(machines.MODELS) + number) % len(sessions.LAWS)]
     own = machine_of({"model": model})
     while True:  # a random geometry may have no workspace
         drawn = machines.draw(model, own, rng)
         try:
-            return _case(drawn, noise.draw(law, rng), rng)
+            return _case(drawn, sessions.draw_law(law, rng), rng)
         except AssemblyError:
             continue
 
@@ -112,20 +128,20 @@ def draw_with_gap(model: str, gap: str, kind: str, seed: int) -> Case:
     own = machine_of({"model": model})
     while True:
         drawn = machines.draw(model, own, rng)
-        plan = plans.full(drawn.size)
+        plan = sessions.full(drawn.size)
         try:
-            return _case(drawn, noise.draw("white", rng), rng, gap, [kind], plan)
+            return _case(drawn, sessions.draw_law("white", rng), rng, gap, [kind], plan)
         except AssemblyError:
             continue
 
 
 def _case(
     drawn: machines.Drawn,
-    law: noise.Law,
+    law: sessions.Law,
     rng: np.random.Generator,
     gap: str = "",
     kinds: Sequence[str] = (),
-    plan: plans.Plan | None = None,
+    plan: sessions.Plan | None = None,
 ) -> Case:
     machine = machine_of(drawn.table)
     free = np.array([p.name not in machine.frame for p in machine.parameters])
@@ -139,7 +155,7 @@ def _case(
         count = 1 + (rng.random() < 0.35)
         kinds = [str(k) for k in rng.choice(_choices(machine, drawn.model), count)]
     if plan is None:
-        plan = plans.draw(drawn.size, MOST // (3 * len(kinds)), rng)
+        plan = sessions.draw_plan(drawn.size, MOST // (3 * len(kinds)), rng)
     session = _Session(machine, truth, bench, plan, law, gap)
     setups = [session.take(f"s{k + 1}", kind) for k, kind in enumerate(kinds)]
     tables = {
@@ -170,8 +186,8 @@ class _Session:
         machine: Machine,
         truth: machines.Truth,
         bench: Bench,
-        plan: plans.Plan,
-        law: noise.Law,
+        plan: sessions.Plan,
+        law: sessions.Law,
         gap: str,
     ) -> None:
         self.machine, self.truth, self.bench = machine, truth, bench
@@ -185,16 +201,16 @@ class _Session:
         length, cup = self._bar()
         mounted = self._mount(name, kind, length, cup)
         passes = (True, False) if plan.both else (True,)
-        times = plans.clock(plan, plan.runs * len(passes), plan.readings, rng)
+        times = sessions.clock(plan, plan.runs * len(passes), plan.readings, rng)
         times += self._now
         self._now = float(times.max()) + 600.0
-        warm = plans.temperatures(times, rng)
+        warm = sessions.temperatures(times, rng)
         taken = 0
         for number in range(plan.runs):
             path = self._path(kind, length, cup)
             for forward in passes:
                 commands = path if forward else path[::-1]
-                said = plans.covariates(
+                said = sessions.covariates(
                     plan, number, forward, times[taken], warm[taken]
                 )
                 label = f"{number + 1}{'+' if forward else '-'}"
@@ -217,33 +233,33 @@ class _Session:
 
     def _mount(self, name: str, kind: str, length: float, cup: Array) -> Mounted:
         if kind == "ball_bar":
-            return instruments.ball_bar(self.bench, name, length, cup)
+            return sessions.ball_bar(self.bench, name, length, cup)
         if kind.startswith("rm"):
-            return instruments.relative(self.bench, name, kind)
+            return sessions.relative(self.bench, name, kind)
         special = {
-            "pose_tracker": instruments.pose_tracker,
-            "laser_ball_bar": instruments.laser_ball_bar,
-            "height": instruments.height,
-            "calliper": instruments.calliper,
+            "pose_tracker": sessions.pose_tracker,
+            "laser_ball_bar": sessions.laser_ball_bar,
+            "height": sessions.height,
+            "calliper": sessions.calliper,
         }
         if kind in special:
             return special[kind](self.bench, name)
-        return instruments.position(self.bench, name, kind)
+        return sessions.position(self.bench, name, kind)
 
     def _path(self, kind: str, length: float, cup: Array) -> Array:
         rng, count = self.bench.rng, self.plan.readings
         if kind.startswith("rm"):
             return self._straight(kind)
         wanted = "loop" if kind == "ball_bar" else ""
-        path = plans.path(self.machine, count, self.truth.joints, rng, wanted)
+        path = sessions.path(self.machine, count, self.truth.joints, rng, wanted)
         if kind != "ball_bar":
             return path
         names = [c.name for c in self.machine.command]
         if names[:3] == ["x", "y", "z"]:
-            path[:, :3] = plans.circles(count, length, cup, rng)
+            path[:, :3] = sessions.circles(count, length, cup, rng)
         else:
             self._lead(path, length, cup)
-        if not plans.keep_within_reach(self.machine, path, self.truth.joints):
+        if not sessions.within_reach(self.machine, path, self.truth.joints):
             raise AssemblyError("the ball bar leads out of reach", np.array([0]))
         return path
 
@@ -320,3 +336,83 @@ def write(case: Case, folder: Path) -> Path:
     path = folder / "random.readings.csv"
     case.readings.to_csv(path, index=False, float_format="%.17g")
     return path
+
+
+# -- the diagnosis -------------------------------------------------------------------------
+
+
+def answer(case: Case) -> dict[str, Any]:
+    """What the diagnosis of a case says: verdict, answers, and the fit it starts from."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write(case, Path(folder))
+        readings = read_readings(build_study(case.study, folder), path)
+        estimate = identify(readings)
+        state = diagnose(estimate).state
+    fit, gap = state.estimate, state.result.gap
+    record = {"chi2": float(fit.chi2), "dof": float(fit.dof)}
+    if gap is None:
+        return record | {"verdict": MISTAKEN, "words": list(state.warnings)}
+    return record | {
+        "verdict": gap.verdict,
+        "answers": [[a.effects, round(a.probability, 4)] for a in gap.answers[:5]],
+        "noise": list(gap.noise),
+        "unknown": gap.unknown,
+    }
+
+
+def alarm(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """The diagnosis of one machine; one that fails leaves its traceback.
+
+    The setting names the stream, the seed of all machines.
+    """
+    case = draw(seed, setting["stream"])
+    try:
+        return case.facts | answer(case)
+    except Exception:  # whatever fails is a defect to be read in the row
+        return case.facts | {"verdict": FAILED, "traceback": traceback.format_exc()}
+
+
+# -- table -----------------------------------------------------------------------------
+
+HEAD = "| | machines | false alarms | 95 % interval |\n| --- | --: | --: | --- |"
+#: in which order the parts of the table come, and what they group by
+GROUPS: Sequence[tuple[str, Callable[[Record], str]]] = (
+    ("machine", lambda r: f"`{r['model']}`"),
+    ("noise", lambda r: str(r["law"])),
+    ("plan", lambda r: str(r["plan"])),
+    ("instruments", lambda r: "one" if len(r["instruments"]) == 1 else "two"),
+    ("size", lambda r: _decade(r["size_m"])),
+    ("readings", lambda r: "above 150" if _count(r) > 150 else "up to 150"),
+)
+
+
+def is_alarm(record: Record) -> bool:
+    """Whether anything but "none" was said of a machine without a gap."""
+    return bool(record["verdict"] != "none")
+
+
+def table(records: Sequence[Record]) -> str:
+    """The table of all groups."""
+    lines = [HEAD, _row("all", records)]
+    for _, key in GROUPS:
+        for value in sorted({key(r) for r in records}):
+            lines.append(_row(value, [r for r in records if key(r) == value]))
+    return "\n".join(lines)
+
+
+def _row(name: str, records: Sequence[Record]) -> str:
+    alarms = share(name, [is_alarm(r) for r in records])
+    hits, low, high = (100.0 * v for v in (alarms.value, alarms.low, alarms.high))
+    count = sum(map(is_alarm, records))
+    return f"| {name} | {len(records)} | {count} ({hits:.1f} %) | {low:.1f}..{high:.1f} % |"
+
+
+def _decade(size: float) -> str:
+    for least in (3.0, 1.0, 0.3):
+        if size >= least:
+            return f"from {least:g} m"
+    return "below 0.3 m"
+
+
+def _count(record: Record) -> int:
+    return int(record["runs"] * record["readings"] * len(record["instruments"]))

@@ -1,0 +1,455 @@
+"""Random sessions in plain NumPy: noise, plans, and what instruments read.
+
+Noise comes as unit errors of chains of readings. A chain is one source of error (a
+channel) along one run. All laws state their standard deviation, but for the offsets of
+runs, which no study states:
+
+white       independent normal errors
+along       half to nine tenths of the variance is carried along the run, exponentially
+            over 3 to 12 readings
+offsets     white, and each chain off by a normal error of 0.5 to 3
+tails       independent Student t errors of 4 degrees of freedom
+
+An instrument reads a tool that stands somewhere. It draws its own place and unknowns
+within stated tolerances.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.random_machines.machines import parameter_errors, rotations
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.machine import Coordinate, Machine
+
+Array = np.ndarray
+LAWS = ("white", "along", "offsets", "tails")
+
+
+@dataclasses.dataclass(frozen=True)
+class Law:
+    """A law with its numbers: share and reach of what is carried, offsets of runs."""
+
+    name: str
+    share: float
+    reach: float
+    offset: float
+
+    def chain(self, count: int, rng: np.random.Generator) -> Array:
+        """Errors (count,) of one chain."""
+        normal = rng.standard_normal(count)
+        if self.name == "white":
+            return normal
+        if self.name == "tails":
+            return np.asarray(rng.standard_t(4.0, count) / math.sqrt(2.0))
+        if self.name == "offsets":
+            return np.asarray(normal + self.offset * rng.standard_normal())
+        keep = math.exp(-1.0 / self.reach)
+        carried = rng.standard_normal(count)
+        for k in range(1, count):
+            fresh = math.sqrt(1.0 - keep**2) * carried[k]
+            carried[k] = keep * carried[k - 1] + fresh
+        slow, fast = math.sqrt(self.share), math.sqrt(1.0 - self.share)
+        return np.asarray(slow * carried + fast * normal)
+
+
+def draw_law(name: str, rng: np.random.Generator) -> Law:
+    """A law of LAWS with random numbers."""
+    share, reach, offset = rng.uniform((0.5, 3.0, 0.5), (0.9, 12.0, 3.0))
+    return Law(name, float(share), float(reach), float(offset))
+
+
+# -- plans ---------------------------------------------------------------------------------
+
+RUNS, READINGS = (2, 12), (10, 72)
+#: part of the workspace's half width that paths keep to
+INSIDE = 0.9
+#: tries to lay a path within reach, each smaller than the one before
+TRIES = 12
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How a session goes.
+
+    runs        number of paths
+    readings    of each pass of a path
+    both        whether each path is run in both directions
+    columns     covariates that are written down
+    feeds       mm/min, in turn from path to path
+    payloads    N, in turn
+    pause       s between passes
+    step        s between readings
+    regular     whether the clock is regular
+    """
+
+    runs: int
+    readings: int
+    both: bool
+    columns: frozenset[str]
+    feeds: Sequence[float]
+    payloads: Sequence[float]
+    pause: float
+    step: float
+    regular: bool
+
+    @property
+    def words(self) -> str:
+        """The plan's kind, for the table."""
+        ways = "both ways" if self.both else "one way"
+        return f"{ways}, {'time' if 'time' in self.columns else 'no time'}"
+
+
+def draw_plan(size: float, most: int, rng: np.random.Generator) -> Plan:
+    """A random plan of at most so many readings, or of the fewest there are."""
+    both = bool(rng.random() < 0.5)
+    passes = 2 if both else 1
+    runs = int(rng.integers(RUNS[0], RUNS[1] + 1))
+    runs = max(1 if both else 2, runs // passes)
+    readings = int(np.exp(rng.uniform(*np.log(READINGS))))
+    fewest = max(READINGS[0], most // (runs * passes))
+    readings = max(READINGS[0], min(readings, fewest))
+    optional = ("time", "direction", "feed", "payload", "temperature")
+    shares = (0.65, 0.9 if both else 0.3, 0.5, 0.4, 0.15)
+    columns = {n for n, p in zip(optional, shares, strict=True) if rng.random() < p}
+    first_feed = 1e3 * size * math.exp(rng.uniform(*np.log((0.5, 10.0))))
+    feeds = [first_feed] if rng.random() < 0.5 else [first_feed, 2.5 * first_feed]
+    load = math.exp(rng.uniform(*np.log((5.0, 500.0))))
+    payloads = [load] if rng.random() < 0.3 else [0.0, load]
+    step, pause = math.exp(rng.uniform(*np.log((1.0, 30.0)))), rng.uniform(0.0, 1200.0)
+    regular = bool(rng.random() < 0.5)
+    return Plan(
+        runs=runs,
+        readings=readings,
+        both=both,
+        columns=frozenset(columns),
+        feeds=feeds,
+        payloads=payloads,
+        pause=float(pause),
+        step=round(step, 1),
+        regular=regular,
+    )
+
+
+def full(size: float) -> Plan:
+    """Six paths both ways in two hours, with all that can be written down."""
+    return Plan(
+        runs=6,
+        readings=15,
+        both=True,
+        columns=frozenset(("time", "direction", "feed", "payload")),
+        feeds=[2e3 * size, 5e3 * size],
+        payloads=[0.0, 50.0],
+        pause=400.0,
+        step=10.0,
+        regular=True,
+    )
+
+
+# -- paths -----------------------------------------------------------------------------
+
+
+def path(
+    machine: Machine,
+    count: int,
+    reachable: Callable[[Array], Array],
+    rng: np.random.Generator,
+    kind: str = "",
+) -> Array:
+    """Commands (count, n_dof) of a random path within the workspace.
+
+    kind         loop, line or scatter; a random one by default
+    reachable    joints of commands; raises AssemblyError
+
+    Raises AssemblyError where even a short path is out of reach.
+    """
+    kind = kind or str(rng.choice(["loop", "loop", "line", "scatter"]))
+    low, high = (
+        np.array([getattr(c, end) for c in machine.workspace()])
+        for end in ("lower", "upper")
+    )
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    share = rng.uniform(0.4, 1.0)
+    for attempt in range(TRIES):
+        unit = _unit_path(kind, count, len(low), rng)
+        commands = middle + half * INSIDE * share * 0.85**attempt * unit
+        if within_reach(machine, commands, reachable):
+            return commands
+    raise AssemblyError("no path is within reach", np.array([0]))
+
+
+def _unit_path(kind: str, count: int, width: int, rng: np.random.Generator) -> Array:
+    """A path (count, width) in a box from -1 to 1."""
+    if kind == "scatter":
+        return rng.uniform(-1.0, 1.0, (count, width))
+    angle = 2.0 * np.pi * np.arange(count) / count + rng.uniform(0.0, 2.0 * np.pi)
+    if kind == "line":
+        along = np.linspace(-1.0, 1.0, count)[:, None]
+        offset = rng.uniform(-0.4, 0.4, width)
+        return np.clip(offset + 0.6 * along * rng.uniform(-1.0, 1.0, width), -1.0, 1.0)
+    first, second = rng.uniform(-0.6, 0.6, (2, width))
+    offset = rng.uniform(-0.3, 0.3, width)
+    loop = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second)
+    return np.clip(offset + loop, -1.0, 1.0)
+
+
+def within_reach(
+    machine: Machine, commands: Array, reachable: Callable[[Array], Array]
+) -> bool:
+    try:
+        joints = reachable(commands)
+    except AssemblyError:
+        return False
+    return _inside(joints, machine.joints) and _inside(commands, machine.workspace())
+
+
+def _inside(values: Array, coordinates: Sequence[Coordinate]) -> bool:
+    low = np.array([c.lower for c in coordinates])
+    high = np.array([c.upper for c in coordinates])
+    return bool(((values > low) & (values < high)).all())
+
+
+def circles(count: int, length: float, cup: Array, rng: np.random.Generator) -> Array:
+    """Tool points (count, 3) of a ball bar's circle about a cup (3,)."""
+    rise = rng.uniform(0.2, 1.2)
+    normal = np.array([0.3 * rng.standard_normal(), 0.3 * rng.standard_normal(), 1.0])
+    normal /= np.linalg.norm(normal)
+    first = np.cross(normal, [1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    angle = 2.0 * np.pi * np.arange(count) / count + rng.uniform(0.0, 2.0 * np.pi)
+    across = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second)
+    return cup + length * (np.sin(rise) * normal + np.cos(rise) * across)
+
+
+# -- what is written down --------------------------------------------------------------
+
+
+def clock(plan: Plan, passes: int, readings: int, rng: np.random.Generator) -> Array:
+    """Times (passes, readings), s."""
+    times, now = np.empty((passes, readings)), rng.uniform(0.0, 100.0)
+    for k in range(passes):
+        steps = np.full(readings, plan.step)
+        if not plan.regular:
+            steps *= rng.uniform(0.7, 1.5, readings)
+            now += rng.uniform(0.0, plan.pause)
+        times[k] = now + np.cumsum(steps)
+        now = times[k, -1] + plan.pause
+    return np.round(times, 1)
+
+
+def temperatures(times: Array, rng: np.random.Generator) -> Array:
+    """A shop's slow temperature at each reading, deg C."""
+    span = max(float(np.ptp(times)), 1.0)
+    swing = rng.uniform(0.2, 3.0)
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    slow = swing * np.sin(2.0 * np.pi * 0.7 * times / span + phase)
+    return np.asarray(
+        np.round(20.0 + slow + 0.05 * rng.standard_normal(times.shape), 2)
+    )
+
+
+def covariates(
+    plan: Plan, number: int, forward: bool, times: Array, warm: Array
+) -> dict[str, Any]:
+    """Columns of one pass of a path: numbers, or one a reading."""
+    every = {
+        "time": ("time_s", times),
+        "direction": ("direction", 1 if forward else -1),
+        "feed": ("feed_mm_min", plan.feeds[number % len(plan.feeds)]),
+        "payload": ("payload_N", plan.payloads[number % len(plan.payloads)]),
+        "temperature": ("temp_leg_C", warm),
+    }
+    return {name: v for key, (name, v) in every.items() if key in plan.columns}
+
+
+# -- instruments ---------------------------------------------------------------------------
+
+#: channel values (n, channels) from points (n, 3), rotations (n, 3, 3) and unit errors
+Read = Callable[[Array, Array, Array], Array]
+XYZ = ("x", "y", "z")
+
+
+@dataclasses.dataclass(frozen=True)
+class Mounted:
+    """An instrument as mounted.
+
+    table       `[[setup]]` of its study
+    noise       its entries of `[noise]`
+    channels    columns of the readings
+    sources     number of independent errors of a reading
+    read        channel values in the columns' units
+    reference   whether a run's first pose is its reference, which the others refer to
+    """
+
+    table: Mapping[str, Any]
+    noise: Mapping[str, float]
+    channels: Sequence[str]
+    sources: int
+    read: Read
+    reference: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """Where instruments are put up: centre (3,) of the workspace, sizes, SI."""
+
+    centre: Array
+    size: float
+    sigma: float
+    rng: np.random.Generator
+
+    def unknowns(self, *tolerances: float) -> Array:
+        """Errors within tolerances."""
+        return parameter_errors(np.array(tolerances), self.rng)
+
+
+def _lengths(bench: Bench, names: Sequence[str]) -> dict[str, float]:
+    return {f"{name}_um": 1e6 * bench.sigma for name in names}
+
+
+def ball_bar(bench: Bench, name: str, length: float, cup: Array) -> Mounted:
+    """A ball bar whose cup was set by hand near a stated place (3,)."""
+    tolerance = min(1e-3, 2e-3 * bench.size)
+    table = {"name": name, "instrument": "ball_bar_free_cup", "length_mm": 1e3 * length}
+    table |= {f"at_{k}_mm": 1e3 * float(v) for k, v in zip(XYZ, cup, strict=True)}
+    table["tolerance"] = {f"cup_{k}_mm": 1e3 * tolerance for k in XYZ}
+    true_cup = cup + bench.unknowns(*[tolerance] * 3)
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        distance = np.linalg.norm(point - true_cup, axis=1)
+        return 1e3 * (distance[:, None] + bench.sigma * errors)
+
+    return Mounted(table, _lengths(bench, ["length"]), ("length_mm",), 1, read)
+
+
+def position(bench: Bench, name: str, kind: str) -> Mounted:
+    """A camera or tracker that reads positions in a frame of its own."""
+    shift = {"camera": 5e-3, "pose_tracker_position": 0.05e-3}.get(kind, 5e-3)
+    shift, turn = min(shift, 5e-3 * bench.size), 1e-3
+    axes = (0, 1) if kind == "planar_position" else (0, 1, 2)
+    turns = (
+        ("turn_z",) if kind == "planar_position" else tuple(f"turn_{k}" for k in XYZ)
+    )
+    table: dict[str, Any] = {"name": name, "instrument": kind}
+    table["tolerance"] = {f"shift_{XYZ[k]}_mm": 1e3 * shift for k in axes}
+    table["tolerance"] |= {n: 1e3 * turn for n in (f"{t}_mrad" for t in turns)}
+    offset = np.zeros(3)
+    offset[list(axes)] = bench.unknowns(*[shift] * len(axes))
+    angles = np.zeros(3)
+    angles[3 - len(turns) :] = bench.unknowns(*[turn] * len(turns))
+    frame = rotations(angles[None])[0]
+    names = [f"read_{XYZ[k]}" for k in axes]
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        seen = (point @ frame.T + offset)[:, list(axes)]
+        return 1e3 * (seen + bench.sigma * errors)
+
+    columns = [f"{n}_mm" for n in names]
+    return Mounted(table, _lengths(bench, names), columns, len(axes), read)
+
+
+def pose_tracker(bench: Bench, name: str) -> Mounted:
+    """A tracker of position and orientation."""
+    shift, turn = 0.05e-3, 0.05e-3
+    table: dict[str, Any] = {"name": name, "instrument": "pose_tracker"}
+    table["tolerance"] = {f"shift_{k}_mm": 1e3 * shift for k in XYZ}
+    table["tolerance"] |= {f"turn_{k}_mrad": 1e3 * turn for k in XYZ}
+    offset = bench.unknowns(*[shift] * 3)
+    frame = rotations(bench.unknowns(*[turn] * 3)[None])[0]
+    angle_sigma = bench.sigma / bench.size
+    angles = ("alpha", "beta", "gamma")
+    noise = _lengths(bench, [f"read_{k}" for k in XYZ])
+    noise |= {f"read_{a}_urad": 1e6 * angle_sigma for a in angles}
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        seen = point @ frame.T + offset + bench.sigma * errors[:, :3]
+        turned = frame @ rotation
+        flat = np.hypot(turned[:, 1, 2], turned[:, 2, 2])
+        alpha = np.arctan2(-turned[:, 1, 2], turned[:, 2, 2])
+        beta = np.arctan2(turned[:, 0, 2], flat)
+        gamma = np.arctan2(-turned[:, 0, 1], turned[:, 0, 0])
+        three = np.column_stack([alpha, beta, gamma]) + angle_sigma * errors[:, 3:]
+        return np.hstack([1e3 * seen, np.rad2deg(three)])
+
+    columns = [f"read_{k}_mm" for k in XYZ] + [f"read_{a}_deg" for a in angles]
+    return Mounted(table, noise, columns, 6, read)
+
+
+def laser_ball_bar(bench: Bench, name: str) -> Mounted:
+    """A laser ball bar on a gimbal beside the workspace: range and two angles."""
+    away = bench.centre + bench.size * np.array([0.6, -1.1, -0.5])
+    shift, turn = 0.1e-3, 0.1e-3
+    angle_sigma = bench.sigma / bench.size
+    table: dict[str, Any] = {"name": name, "instrument": "laser_ball_bar_position"}
+    table |= {f"at_{k}_mm": 1e3 * float(v) for k, v in zip(XYZ, away, strict=True)}
+    table["range_noise_um"] = 1e6 * bench.sigma
+    table["angle_noise_urad"] = 1e6 * angle_sigma
+    table["tolerance"] = {f"shift_{k}_mm": 1e3 * shift for k in XYZ}
+    table["tolerance"] |= {f"turn_{k}_mrad": 1e3 * turn for k in XYZ}
+    offset = bench.unknowns(*[shift] * 3)
+    frame = rotations(bench.unknowns(*[turn] * 3)[None])[0]
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        d = (point - away) @ frame.T + offset
+        reach = np.linalg.norm(d, axis=1) + bench.sigma * errors[:, 0]
+        up = np.arcsin(d[:, 2] / np.linalg.norm(d, axis=1)) + angle_sigma * errors[:, 1]
+        # the error about z is one of the way round, which is shorter higher up
+        around = np.arctan2(d[:, 1], d[:, 0]) + angle_sigma * errors[:, 2]
+        flat = reach * np.cos(up)
+        seen = [flat * np.cos(around), flat * np.sin(around), reach * np.sin(up)]
+        return 1e3 * (np.column_stack(seen) + away)
+
+    columns = [f"read_{k}_mm" for k in XYZ]
+    return Mounted(table, {}, columns, 3, read)
+
+
+def height(bench: Bench, name: str) -> Mounted:
+    """A length gauge against a table that is nearly level."""
+    offset_sd, tilt_sd = min(1e-3, 2e-3 * bench.size), 0.1e-3
+    table = {"name": name, "instrument": "length_gauge", "at_z_mm": 0.0}
+    table["tolerance"] = {
+        "height_mm": 1e3 * offset_sd,
+        "tilt_x_mrad": 1e3 * tilt_sd,
+        "tilt_y_mrad": 1e3 * tilt_sd,
+    }
+    offset, tilt_x, tilt_y = bench.unknowns(offset_sd, tilt_sd, tilt_sd)
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        plane = offset + tilt_x * point[:, 1] - tilt_y * point[:, 0]
+        return 1e3 * ((point[:, 2] - plane)[:, None] + bench.sigma * errors)
+
+    return Mounted(table, _lengths(bench, ["height"]), ("height_mm",), 1, read)
+
+
+def calliper(bench: Bench, name: str) -> Mounted:
+    """A calliper: distances from a run's first pose on an object of unknown scale."""
+    table: dict[str, Any] = {"name": name, "instrument": "calliper"}
+    table["tolerance"] = {"scale_ppm": 100.0}
+    scale = float(bench.unknowns(100e-6)[0])
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        distance = np.linalg.norm(point - point[:1], axis=1) * (1.0 + scale)
+        return 1e3 * (distance[:, None] + bench.sigma * errors)
+
+    noise = _lengths(bench, ["length"])
+    return Mounted(table, noise, ("length_mm",), 1, read, reference=True)
+
+
+def relative(bench: Bench, name: str, kind: str) -> Mounted:
+    """Displacements from a line's first pose, of the planar machine (rm1 to rm5)."""
+    axes = {"rm1": (1,), "rm2": (2,), "rm3": (2,), "rm4": (1,), "rm5": (1, 2)}[kind]
+    table = {"name": name, "instrument": kind}
+    names = [f"d{XYZ[k]}" for k in axes]
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        moved = (point - point[:1])[:, list(axes)]
+        return 1e3 * (moved + bench.sigma * (errors - errors[:1]))
+
+    columns = [f"{n}_mm" for n in names]
+    return Mounted(table, _lengths(bench, names), columns, len(axes), read, True)
