@@ -18,11 +18,9 @@ PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 export OPENBLAS_NUM_THREADS ?= 1
 # Where it is set, every process of the tests would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
-# The blind benchmark: what is there already is not made again. A diagnosis that fails stops nothing: the score counts it
+# The blind benchmark: what is there already is not made again. A diagnosis that fails stops nothing: the judge counts it
 # as wrong.
 BLIND_CASES ?= 40
-BLIND = out/blind
-BLIND_DO = $(BIN)/python -m benchmarks.blind
 UV_WANTED := 'uv>=0.13,<1'
 
 SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --compile-bytecode --python $(BIN)/python
@@ -49,13 +47,8 @@ test-lowest: $(BIN)/uv
 	.venv-lowest/bin/pytest $(PYTEST_ARGS)
 
 blind: setup-dev
-	$(BLIND_DO) generate --set blind --cases $(BLIND_CASES) --out $(BLIND)/set
-	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_CASES) --out $(BLIND)/pairs
-	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld.jsonl
-	$(BLIND_DO) list --cases $(BLIND)/pairs --least 6 --apart 6 --or-none --out $(BLIND)/separated.jsonl
 	PYTHONPATH=. $(BIN)/oed campaign --allow-code benchmarks/blind.campaign.toml --seeds $(BLIND_CASES)
-	PYTHONPATH=. $(BIN)/oed campaign --allow-code benchmarks/blind_known_noise.campaign.toml --seeds $(BLIND_CASES)
-	$(BLIND_DO) score --folder $(BLIND)
+	$(BIN)/python -m benchmarks.harness blind
 
 # Warnings are errors; -n: every reference must resolve.
 docs: $(VENV)/.stamp-docs

@@ -5,8 +5,6 @@ import importlib
 import os
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -142,42 +140,4 @@ def shared_data() -> Path:
         pytest.skip(
             "the folder shared/data with real measurements is not beside the project"
         )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def blind_modules() -> Iterator[Callable[..., SimpleNamespace]]:
-    """Modules of the blind benchmark, each by its last name; the folder they live in is
-    not installed.
-    """
-
-    def found(*names: str) -> SimpleNamespace:
-        modules = {
-            n.rpartition(".")[2]: importlib.import_module(f"benchmarks.blind.{n}")
-            for n in names
-        }
-        return SimpleNamespace(
-            **modules, main=importlib.import_module("benchmarks.blind.__main__").main
-        )
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(ROOT)
-        yield found
-
-
-@pytest.fixture(scope="session")
-def blind_case_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small set of the blind benchmark: cases of one effect or two on the A3."""
-    folder = tmp_path_factory.mktemp("set")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(ROOT)
-        write = importlib.import_module("benchmarks.blind.generator.write")
-    write.generate(
-        folder,
-        name="dev",
-        count=24,
-        seed=3,
-        machines=["a3"],
-        kinds=["null", "single", "pair", "exact"],
-    )
     return folder

@@ -35,7 +35,7 @@ def module(name: str) -> ModuleType:
 @pytest.mark.parametrize("name", NAMES)
 def test_oracle_and_toolkit_read_the_same_machine(name: str) -> None:
     """Readings, and pose errors after a compensation that is off, to rounding."""
-    bench = module("configurations").configuration(name)
+    bench = module("machines").configuration(name)
     m = bench.measurement
     rng = np.random.default_rng(3)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
@@ -77,7 +77,7 @@ def test_laws_of_the_noise_are_as_stated() -> None:
 
 def test_draws_follow_the_lost_directions() -> None:
     """Their readings are those of their coordinates; mean and spread are the fit's."""
-    bench = module("configurations").configuration("a3_30")
+    bench = module("machines").configuration("a3_30")
     m = bench.measurement
     rng = np.random.default_rng(5)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
@@ -98,8 +98,8 @@ def test_draws_follow_the_lost_directions() -> None:
 
 def test_intervals_hold_where_runs_are_off() -> None:
     """Of the delta with offsets of 2 sigma, which intervals of the stated noise miss."""
-    one_machine = module("measure").one_machine
-    bench = module("configurations").configuration("delta")
+    one_machine = module("intervals").one_machine
+    bench = module("machines").configuration("delta")
     estimated = [one_machine(bench, "offsets", k, 1) for k in range(8)]
     stated = [
         one_machine(bench, "offsets", k, 1, estimate_noise=False) for k in range(8)
@@ -112,8 +112,8 @@ def test_intervals_hold_where_runs_are_off() -> None:
 
 
 def test_a_stated_seat_is_of_the_same_machines_and_no_part_of_the_law() -> None:
-    configuration = module("configurations").configuration
-    one_machine = module("measure").one_machine
+    configuration = module("machines").configuration
+    one_machine = module("intervals").one_machine
     stated, free = configuration("a3_30_stated"), configuration("a3_30")
     truth = free.measurement.nominal + 1e-4
     assert stated.read(truth) == pytest.approx(free.read(truth), abs=0.0)
@@ -134,9 +134,10 @@ def run_campaign(name: str, tmp_path: Path, changes: dict[str, str]) -> Path:
         text, count = re.subn(line, f"{field} = {values}", text, flags=re.MULTILINE)
         assert count == 1
     path = tmp_path / f"{name}.campaign.toml"
-    functions = "from benchmarks.coverage.case import *\n"
-    (tmp_path / "case.py").write_text(functions, encoding="utf-8")
-    path.write_text(text.replace("coverage/case.py:", "case.py:"), encoding="utf-8")
+    for part in ("intervals", "ranks"):
+        functions = f"from benchmarks.coverage.{part} import *\n"
+        (tmp_path / f"{part}.py").write_text(functions, encoding="utf-8")
+    path.write_text(text.replace('"coverage/', '"'), encoding="utf-8")
     options = ["--out", str(tmp_path / name), "--workers", "1", "--quiet"]
     assert main(["campaign", str(path), *options]) == 0
     return tmp_path / name
@@ -146,9 +147,9 @@ def test_the_campaign_of_intervals_writes_the_page_s_table(tmp_path: Path) -> No
     few = {"seeds": "2", "configuration": '["planar"]', "law": '["white"]'}
     folder = run_campaign("coverage", tmp_path, few)
     cases = pd.read_parquet(folder / "cases.parquet")
-    bench = module("configurations").configuration("planar")
+    bench = module("machines").configuration("planar")
     for number, row in enumerate(cases.to_dict("records")):
-        outcome = module("measure").one_machine(bench, "white", number, 1)
+        outcome = module("intervals").one_machine(bench, "white", number, 1)
         assert outcome.as_json().items() <= row.items()
     page = tmp_path / "page.md"
     page.write_text(
@@ -156,8 +157,8 @@ def test_the_campaign_of_intervals_writes_the_page_s_table(tmp_path: Path) -> No
         "\nafter\n",
         encoding="utf-8",
     )
-    options = ["intervals", "--out", str(folder), "--page", str(page)]
-    module("__main__").main(options)
+    options = ["coverage", "--campaign", str(folder), "--page", str(page)]
+    assert importlib.import_module("benchmarks.harness.__main__").main(options) == 0
     text = page.read_text(encoding="utf-8")
     assert "old" not in text
     assert "| planar | white | 2 |" in text
@@ -168,7 +169,7 @@ def test_the_campaign_of_intervals_writes_the_page_s_table(tmp_path: Path) -> No
 
 
 def test_a_cell_knows_what_misses() -> None:
-    summarise = module("cell").summarise
+    summarise = module("intervals").summarise
     good = {"combinations": "1" * 20, "bands": "11", "nees": 1.0}
     bad = {"combinations": "0" + "1" * 19, "bands": "10", "nees": 1.0}
     figures = summarise([good] * 50 + [bad] * 50)
@@ -183,7 +184,7 @@ def test_a_cell_knows_what_misses() -> None:
 
 def test_what_compensation_leaves_is_predicted_exactly() -> None:
     """Against the oracle; to first order, x and y of the A3 are micrometres off."""
-    bench = module("configurations").configuration("a3_30")
+    bench = module("machines").configuration("a3_30")
     m = bench.measurement
     rng = np.random.default_rng(4)
     identified = (m.tolerance * rng.standard_normal(len(m.nominal)))[:24]
@@ -210,8 +211,8 @@ def test_what_compensation_leaves_is_predicted_exactly() -> None:
 @pytest.mark.parametrize("law", ["white", "t4", "offsets", "ar1", "all", "outliers"])
 def test_intervals_hold_under_every_law(law: str) -> None:
     """Sixty machines; limits are those of the page, less four standard errors."""
-    one_machine = module("measure").one_machine
-    bench = module("configurations").configuration("planar")
+    one_machine = module("intervals").one_machine
+    bench = module("machines").configuration("planar")
     outcomes = [one_machine(bench, law, k, 2) for k in range(60)]
     shares = np.array([o.combinations.mean() for o in outcomes])
     error = shares.std(ddof=1) / np.sqrt(60)
@@ -239,12 +240,13 @@ def test_the_campaign_of_ranks_prints_its_table(
     few = {"seeds": "3", "configuration": '["planar", "delta"]'}
     folder = run_campaign("ranks", tmp_path, few)
     capsys.readouterr()
-    module("__main__").main(["ranks", "--out", str(folder)])
+    options = ["ranks", "--campaign", str(folder)]
+    assert importlib.import_module("benchmarks.harness.__main__").main(options) == 0
     printed = capsys.readouterr().out
     # Six combinations, and seven coordinates of the law: three scales, share, reach, level
     # and course.
     assert "| planar | 3 | 13 |" in printed
-    bench = module("configurations").configuration("delta")
+    bench = module("machines").configuration("delta")
     expected = module("ranks").one_machine(bench, 2, 1, "laplace")
     row = pd.read_parquet(folder / "cases.parquet").iloc[5]
     assert {name: int(row[name]) for name in expected} == expected
@@ -255,7 +257,7 @@ def test_the_campaign_of_ranks_prints_its_table(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a3_30", "delta"])
 def test_ranks_are_uniform(name: str) -> None:
-    bench = module("configurations").configuration(name)
+    bench = module("machines").configuration(name)
     ranks = module("ranks")
     rows = [ranks.one_machine(bench, number, 7, "laplace") for number in range(100)]
     values = np.array([list(row.values()) for row in rows])

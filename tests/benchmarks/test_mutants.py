@@ -5,10 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.mutants import __main__ as mutants
-from benchmarks.mutants import trial
-from benchmarks.mutants.draw import Mutant, draw, shares
-from benchmarks.mutants.mutations import Mutation, applied, is_valid, mutations
+from benchmarks import mutants
+from benchmarks.mutants import (
+    Mutant,
+    Mutation,
+    applied,
+    draw,
+    is_valid,
+    mutations,
+    shares,
+)
 
 TEXT = '''"""Sums: 1 + 1 < 3."""
 def total(x: Annotated[int, 4], y, step=0.5, keep=False):
@@ -87,15 +93,15 @@ def toy(tmp_path: Path) -> Path:
 def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
     """sum(x) * n is detected; n >= 0 in place of n > 0 is not: no test has n = 0."""
     cases = {
-        ("sign", 4): trial.KILLED,
-        ("comparison", 3): trial.SURVIVED,
+        ("sign", 4): mutants.KILLED,
+        ("comparison", 3): mutants.SURVIVED,
     }
     drawn = {(m.kind, m.line): m for m in mutations(TOY)}
-    with trial.copied(toy) as tree:
-        limit = trial.limit_of(tree, "toy")
+    with mutants.copied(toy) as tree:
+        limit = mutants.limit_of(tree, "toy")
         for case, expected in cases.items():
             mutant = Mutant("toy", "oed/toy/mean.py", drawn[case])
-            assert trial.verdict(tree, mutant, limit) == expected
+            assert mutants.try_mutant(tree, mutant, limit) == expected
             assert (tree / mutant.path).read_text(encoding="utf-8") == TOY
     assert (toy / "oed/toy/mean.py").read_text(encoding="utf-8") == TOY
 
@@ -103,9 +109,9 @@ def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
 def test_a_mutant_without_end_is_killed_by_the_time_limit(toy: Path) -> None:
     before = "    n = len(x)"
     endless = Mutation("sign", 2, before, "    while True: pass")
-    with trial.copied(toy) as tree:
+    with mutants.copied(toy) as tree:
         mutant = Mutant("toy", "oed/toy/mean.py", endless)
-        assert trial.verdict(tree, mutant, 3.0) == trial.TIMED_OUT
+        assert mutants.try_mutant(tree, mutant, 3.0) == mutants.TIMED_OUT
 
 
 @pytest.mark.slow

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.real_data import page
-from benchmarks.real_data.entries import ENTRIES, STUDIES
-from benchmarks.real_data.run import run
+from benchmarks.real_data import ENTRIES, STUDIES, markdown, run
 from pkm_studies.plugins import project_plugins
 from pkm_studies.study.data_sources import jugglebot
 
@@ -27,11 +25,11 @@ def test_an_entry_runs(shared_data: Path, tmp_path: Path) -> None:
     assert 245.0 < lengths.nominal < 305.0
     assert heights.blind.rms < 60.0
     assert 0 < heights.needed <= heights.fitted == 19
-    text = page.markdown([outcome])
+    text = markdown([outcome])
     assert f"{heights.blind.rms:.3g} um" in text
     assert "CC0" in text
     without = dataclasses.replace(outcome, rows=[])
-    assert "| nothing |" in page.markdown([without])
+    assert "| nothing |" in markdown([without])
 
 
 def test_entries_name_what_is_there() -> None:

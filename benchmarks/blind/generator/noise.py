@@ -16,9 +16,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from benchmarks.blind.generator.machine import Array
-from benchmarks.blind.generator.plans import REFERENCE, Plan
-from benchmarks.blind.generator.runs import Index
+from benchmarks.blind.generator.machines import Array
+from benchmarks.blind.generator.plans import REFERENCE, Index, Plan
 from benchmarks.blind.generator.scene import Layout
 
 LAWS = ("white", "correlated", "heavy", "run", "combined")

@@ -1,25 +1,498 @@
-"""Plans of measurement: set-ups, runs, their order, time, direction, feed, payload.
+"""Plans of measurement: instruments, set-ups, runs, their order and time, what is recorded.
 
 A plan is drawn anew for every case (order of runs, pauses), but its set-ups are those
 of the study file of its name. Rows are in the order in which they were taken, set-up
 after set-up. SI: m, rad, s, m/s, N.
+
+Every set-up has six state columns s; which of them a calibration knows as unknowns,
+with what tolerance, is in `nuisances`. Instruments take complex input.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
-from benchmarks.blind.generator import instruments
-from benchmarks.blind.generator.instruments import Setup
-from benchmarks.blind.generator.machine import Array, Machine, tip
-from benchmarks.blind.generator.machine_plans import SETUPS_AND_RUNS
-from benchmarks.blind.generator.machines import MACHINES
-from benchmarks.blind.generator.runs import Index, Run
+from benchmarks.blind.generator.machines import (
+    MACHINES,
+    Array,
+    Machine,
+    cayley,
+    norm,
+    tip,
+)
+
+# -- instruments -----------------------------------------------------------------------
+
+
+STATE = 6  # columns of s
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Instrument:
+    """An instrument.
+
+    read       (tip, reference tip, s, reference s, settings) -> (n, channels); m
+    channels   column stems, and noise sigma of each, m
+    nuisances  {state column: tolerance}
+    drifts     state columns that move when the mount creeps
+    reference  "teach", "run" or None
+    """
+
+    name: str
+    channels: tuple[tuple[str, float], ...]
+    read: Callable[[Array, Array, Array, Array, Mapping[str, float]], Array]
+    nuisances: Mapping[int, float]
+    drifts: tuple[int, ...]
+    reference: str | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setup:
+    """An instrument as mounted; tool: length added along the tool's axis, m; teach:
+    command, SI.
+    """
+
+    name: str
+    instrument: Instrument
+    tool: float = 0.0
+    settings: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    teach: tuple[float, ...] | None = None
+
+
+def _taught(
+    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
+) -> Array:
+    return norm(tip - ref - s[:, :3])[:, None]
+
+
+def _free(
+    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
+) -> Array:
+    return norm(tip - s[:, :3] - np.array([k["at_x"], k["at_y"], k["at_z"]]))[:, None]
+
+
+def _rm4(
+    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
+) -> Array:
+    d = tip - ref
+    return (d[:, 1] - s[:, 0] * d[:, 2] + s[:, 1] - sref[:, 1])[:, None]
+
+
+def _rm5(
+    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
+) -> Array:
+    d = tip - ref
+    across = d[:, 2] - s[:, 0] * d[:, 1] + s[:, 2] - sref[:, 2]
+    return np.stack([d[:, 1] + s[:, 1] - sref[:, 1], across], -1)
+
+
+def _probe(
+    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
+) -> Array:
+    return (tip[:, 2] + s[:, 0])[:, None]
+
+
+def _tracker(
+    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
+) -> Array:
+    flat = np.array([0.5, 0.5, 0.0])  # half the angle: the Gibbs vector of a small turn
+    turn = cayley(s[:, 3:6] * flat) @ cayley(s[:, 3:6] * np.array([0.0, 0.0, 0.5]))
+    return np.einsum("nij,nj->ni", turn, tip) + s[:, :3]
+
+
+_CUP = (0, 1, 2)
+BAR = Instrument(
+    name="ball_bar",
+    channels=(("length", 0.5e-6),),
+    read=_taught,
+    nuisances=dict.fromkeys(_CUP, 0.02e-3),
+    drifts=_CUP,
+    reference="teach",
+)
+FREE_BAR = Instrument(
+    name="ball_bar_free_cup",
+    channels=(("length", 0.5e-6),),
+    read=_free,
+    nuisances=dict.fromkeys(_CUP, 1.0e-3),
+    drifts=_CUP,
+)
+RM4 = Instrument(
+    name="rm4",
+    channels=(("dy", 3e-6),),
+    read=_rm4,
+    nuisances={0: 0.02e-3},
+    drifts=(1,),
+    reference="run",
+)
+RM5 = Instrument(
+    name="rm5",
+    channels=(("dy", 1e-6), ("dz", 3e-6)),
+    read=_rm5,
+    nuisances={0: 0.02e-3},
+    drifts=(1, 2),
+    reference="run",
+)
+PROBE = Instrument(
+    name="height_probe",
+    channels=(("height", 20e-6),),
+    read=_probe,
+    nuisances={0: 0.05e-3},
+    drifts=(0,),
+)
+TRACKER = Instrument(
+    name="pose_tracker_position",
+    channels=tuple((f"read_{n}", 10e-6) for n in "xyz"),
+    read=_tracker,
+    nuisances=dict.fromkeys(range(6), 0.05e-3),
+    drifts=(0, 1, 2),
+)
+BARS = ("ball_bar", "ball_bar_free_cup")
+
+
+# -- runs: passes along paths ----------------------------------------------------------
+
+
+Index = NDArray[np.int_]
+MM_MIN = 1e-3 / 60.0
+
+#: commands (m, dof) along a path in its order, and their phases (m,)
+Path = tuple[Array, Array]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Run:
+    """One pass along a path.
+
+    setup        number of the set-up
+    path         name of the path
+    command      (m, dof) in the order of travel
+    phase        (m,) rad along a circle, or -1..1 along a line
+    closed       whether the path is a closed circle
+    direction    +1 or -1
+    feed         m/s
+    payload      N
+    """
+
+    setup: int
+    path: str
+    command: Array
+    phase: Array
+    closed: bool
+    direction: int
+    feed: float
+    payload: float
+
+
+def _pass(
+    setup: int,
+    path: str,
+    route: Path,
+    way: int,
+    feed: float,
+    load: float,
+    closed: bool,
+) -> Run:
+    command, phase = route
+    if way < 0:
+        command, phase = command[::-1], phase[::-1]
+    return Run(
+        setup=setup,
+        path=path,
+        command=command,
+        phase=phase,
+        closed=closed,
+        direction=way,
+        feed=feed,
+        payload=load,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Levels:
+    """Feeds (m/s) and payloads (N) of a plan, lower first."""
+
+    feed: tuple[float, float]
+    load: tuple[float, float]
+
+
+def spread(
+    rng: Generator,
+    setup: int,
+    paths: dict[str, Path],
+    reference: str,
+    levels: Levels,
+    closed: bool,
+    *,
+    again: int,
+    twice: bool = False,
+) -> list[Run]:
+    """Every path both ways, feeds and payloads balanced over them.
+
+    The reference path comes `again` times in between. With `twice` every path is also
+    passed with the other feed and payload. Half of the other combinations of direction,
+    feed and payload are passed on the reference path.
+    """
+    runs = []
+    for k, (name, route) in enumerate(paths.items()):
+        for j, way in enumerate((1, -1)):
+            a, b = (k + j + int(rng.integers(2))) % 2, (k // 2 + j) % 2
+            feed, load = levels.feed[a], levels.load[b]
+            runs.append(_pass(setup, name, route, way, feed, load, closed))
+            if twice:
+                feed, load = levels.feed[1 - a], levels.load[1 - b]
+                runs.append(_pass(setup, name, route, way, feed, load, closed))
+    route = paths[reference]
+    others = [(-1, 0, 0), (1, 1, 0), (1, 0, 1), (-1, 1, 1)]
+    for way, a, b in others[: max(0, min(4, again))]:
+        feed, load = levels.feed[a], levels.load[b]
+        runs.append(_pass(setup, reference, route, way, feed, load, closed))
+    rng.shuffle(runs)
+    feed, load = levels.feed[0], levels.load[0]
+    base = _pass(setup, reference, route, 1, feed, load, closed)
+    for place in np.linspace(0, len(runs), again).astype(int)[::-1]:
+        runs.insert(int(place), base)
+    return runs
+
+
+#: feeds (mm/min) and payloads (N) of the machines, lower first
+FEEDS = {
+    "a3": (600, 2400),
+    "planar": (2000, 8000),
+    "delta": (1500, 6000),
+    "hexapod": (600, 2400),
+}
+LOADS = {
+    "a3": (0, 300),
+    "planar": (0, 500),
+    "delta": (0, 5),
+    "hexapod": (0, 200),
+}
+
+
+def plan_levels(machine: str, name: str) -> Levels:
+    """Feeds and payloads of a machine's plan; a poor plan has one of each."""
+    feed, load = FEEDS[machine], LOADS[machine]
+    if name == "poor":
+        middle = np.sqrt(feed[0] * feed[1]) * MM_MIN
+        return Levels((middle, middle), (0.0, 0.0))
+    return Levels(
+        (feed[0] * MM_MIN, feed[1] * MM_MIN), (float(load[0]), float(load[1]))
+    )
+
+
+# -- paths: commands with their phases -------------------------------------------------
+
+
+TEACH_Z, BAR_LENGTH = 1.286, 0.300
+
+
+def a3_circle(z: float, tool: float, count: int) -> Path:
+    """Commands (count, 3) at height z that keep the bar's length about a cup taught at
+    TEACH_Z + tool.
+    """
+    psi = 2 * np.pi * (np.arange(count) + 0.37) / count  # no leg turns at a reading
+    machine = MACHINES["a3"]
+
+    def excess(theta: Array) -> Array:
+        c = np.stack([np.full(count, z), psi, theta], -1)
+        pose = machine.inverse(c, np.full(count, tool))
+        away = tip(machine, pose.x, pose.R0, np.full(count, tool)) - np.array(
+            [0.0, 0.0, TEACH_Z + tool]
+        )
+        return np.asarray(np.sqrt((away**2).sum(-1)) - BAR_LENGTH)
+
+    low, high = np.full(count, 1e-3), np.full(count, np.deg2rad(40.0))
+    for _ in range(48):
+        mid = (low + high) / 2
+        far = excess(mid) > 0
+        low, high = np.where(far, low, mid), np.where(far, mid, high)
+    return np.stack([np.full(count, z), psi, (low + high) / 2], -1), psi
+
+
+def line(axis: int, other: float, count: int) -> Path:
+    """Commands (count, 2) along y (axis 0) or z (axis 1); places are no multiples of a
+    screw's pitch.
+    """
+    low, high = ((-1.5, 1.5), (0.0, 1.5))[axis]
+    s = np.linspace(-1.0, 1.0, count)
+    s[1:-1] += (0.31 / count) * np.sin(2.4 * np.arange(1, count - 1) ** 1.3)
+    command = np.full((count, 2), other)
+    command[:, axis] = (low + high) / 2 + s * (high - low) / 2
+    return command, s
+
+
+def delta_circle(radius: float, z: float, count: int) -> Path:
+    a = 2 * np.pi * (np.arange(count) + 0.3) / count
+    return np.stack([radius * np.cos(a), radius * np.sin(a), np.full(count, z)], -1), a
+
+
+def delta_row(y: float, count: int) -> Path:
+    half = np.sqrt(0.135**2 - y**2)
+    s = np.linspace(-1.0, 1.0, count)
+    return np.stack([half * s, np.full(count, y), np.zeros(count)], -1), s
+
+
+#: orientation along a hexapod's circle, deg: constant rx, ry, spin, and the size of a
+#: tilt that goes round with it
+_TILTS = (
+    (0.0, 0.0, 0.0, 0.0),
+    (11.0, 0.0, 6.0, 0.0),
+    (-8.0, 9.0, -9.0, 0.0),
+    (0.0, -12.0, 12.0, 0.0),
+    (0.0, 0.0, -12.0, 10.0),
+    (4.0, 4.0, 10.0, -9.0),
+    (-11.0, -6.0, 0.0, 0.0),
+    (9.0, 10.0, -4.0, 0.0),
+    (0.0, 5.0, 3.0, 9.0),
+    (-5.0, 0.0, -13.0, -8.0),
+)
+
+
+def hex_circle(number: int, tool: float, count: int) -> Path:
+    radius = (0.095, 0.060)[number % 2]
+    rx, ry, spin, wave = np.deg2rad(_TILTS[number % len(_TILTS)])
+    a = 2 * np.pi * (np.arange(count) + 0.37) / count
+    z = 0.200 + tool + np.sqrt(BAR_LENGTH**2 - radius**2)
+    tilt = [
+        rx + wave * np.cos(2 * a + number),
+        ry + wave * np.sin(a),
+        np.full(count, spin),
+    ]
+    return (
+        np.stack(
+            [radius * np.cos(a), radius * np.sin(a), np.full(count, z), *tilt], -1
+        ),
+        a,
+    )
+
+
+# -- set-ups and runs of each machine --------------------------------------------------
+
+
+SetupsAndRuns = tuple[tuple[Setup, ...], list[list[Run]]]
+
+
+def _a3(rng: Generator, name: str) -> SetupsAndRuns:
+    cup = Setup(
+        name="cup",
+        instrument=BAR,
+        settings={"length": BAR_LENGTH},
+        teach=(TEACH_Z, 0.0, 0.0),
+    )
+    long = dataclasses.replace(
+        cup, name="long_tool", tool=0.1, teach=(TEACH_Z + 0.1, 0.0, 0.0)
+    )
+    count = 30 if name == "poor" else 24
+    heights = (
+        (1.066, 1.146, 1.206, 1.266)
+        if name == "poor"
+        else (1.066, 1.116, 1.166, 1.216, 1.266)
+    )
+    levels = plan_levels("a3", name)
+    paths = {f"z{1e3 * z:.0f}": a3_circle(z, 0.0, count) for z in heights}
+    reference = "z1206" if name == "poor" else "z1166"
+    again = {"full": 4, "single": 4, "poor": 3}[name]
+    first = spread(
+        rng, 0, paths, reference, levels, True, again=again, twice=name == "single"
+    )
+    if name != "full":
+        return (cup,), [first]
+    paths = {
+        f"z{1e3 * z + 100:.0f}": a3_circle(z + 0.1, 0.1, count)
+        for z in (1.066, 1.166, 1.266)
+    }
+    return (cup, long), [first, spread(rng, 1, paths, "z1266", levels, True, again=3)]
+
+
+def _planar(rng: Generator, name: str) -> SetupsAndRuns:
+    rm5, rm4 = (
+        Setup(name="rm5", instrument=RM5),
+        Setup(name="rm4", instrument=RM4),
+    )
+    levels = plan_levels("planar", name)
+    z = (0.0, 0.375, 0.75, 1.125, 1.5) if name == "full" else (0.0, 0.75, 1.5)
+    y = (-1.5, -0.75, 0.0, 0.75, 1.5) if name == "full" else (-1.5, 0.0, 1.5)
+    flat = {f"z{1e3 * v:.0f}": line(0, v, 13) for v in z}
+    steep = {f"y{1e3 * v:.0f}": line(1, v, 13) for v in y}
+    again = 3 if name == "full" else 2
+    runs = [
+        spread(rng, 0, flat, "z750", levels, False, again=again),
+        spread(rng, 1, steep, "y0", levels, False, again=again),
+    ]
+    return (rm5, rm4), runs
+
+
+def _delta(rng: Generator, name: str) -> SetupsAndRuns:
+    tracker, probe = (
+        Setup(name="tracker", instrument=TRACKER),
+        Setup(name="probe", instrument=PROBE),
+    )
+    levels = plan_levels("delta", name)
+    rings: tuple[tuple[float, float], ...] = (
+        (0.06, 0.06),
+        (0.13, 0.06),
+        (0.13, 0.18),
+        (0.06, 0.30),
+        (0.12, 0.30),
+    )
+    rings = rings if name == "full" else (rings[1], rings[4])
+    paths = {f"r{1e3 * r:.0f}z{1e3 * z:.0f}": delta_circle(r, z, 13) for r, z in rings}
+    reference = "r130z180" if name == "full" else "r130z60"
+    # one way each but on the reference circle: three channels a row are many readings
+    # soon
+    ring = spread(
+        rng, 0, paths, reference, levels, True, again=3 if name == "full" else 2
+    )
+    ring = [
+        r for k, r in enumerate(ring) if r.path == reference or k % 3 or name == "poor"
+    ]
+    rows = {
+        f"y{1e3 * v:.0f}": delta_row(v, 10)
+        for v in (-0.11, -0.075, -0.035, 0.005, 0.04, 0.08, 0.12)
+    }
+    bed = spread(rng, 1, rows, "y5", levels, False, again=3 if name == "full" else 2)
+    return (tracker, probe), [ring, bed]
+
+
+def _hexapod(rng: Generator, name: str) -> SetupsAndRuns:
+    def cup(label: str, tool: float) -> Setup:
+        settings = {"length": BAR_LENGTH, "at_x": 0.0, "at_y": 0.0, "at_z": 0.2 + tool}
+        return Setup(name=label, instrument=FREE_BAR, tool=tool, settings=settings)
+
+    levels = plan_levels("hexapod", name)
+    count = 26 if name == "poor" else 20
+    numbers = range(5) if name == "poor" else range(8)
+    paths = {f"c{k + 1}": hex_circle(k, 0.0, count) for k in numbers}
+    first = spread(rng, 0, paths, "c2", levels, True, again=2 if name == "poor" else 3)
+    if name == "poor":
+        return (cup("bar", 0.0),), [first]
+    paths = {f"c{k + 1}": hex_circle(k, 0.1, count) for k in (1, 4, 5, 8, 9)}
+    return (cup("bar", 0.0), cup("long_tool", 0.1)), [
+        first,
+        spread(rng, 1, paths, "c2", levels, True, again=2),
+    ]
+
+
+SETUPS_AND_RUNS: dict[str, Callable[[Generator, str], SetupsAndRuns]] = {
+    "a3": _a3,
+    "planar": _planar,
+    "delta": _delta,
+    "hexapod": _hexapod,
+}
+PLANS = {
+    "a3": ("full", "single", "poor"),
+    **dict.fromkeys(("planar", "delta", "hexapod"), ("full", "poor")),
+}
+
+
+# -- rows of a case --------------------------------------------------------------------
+
 
 TEACH, REFERENCE, READ = 0, 1, 2
 
@@ -103,7 +576,7 @@ def _columns(rng: Generator, setups: tuple[Setup, ...], name: str) -> tuple[str,
     All in a good plan, temperatures in some; a poor plan lacks one to three.
     """
     shown = ["time_s", "direction", "feed_mm_min", "payload_N", "repeat"]
-    bars = any(s.instrument.name in instruments.BARS for s in setups)
+    bars = any(s.instrument.name in BARS for s in setups)
     if rng.random() < (0.5 if name != "poor" else 0.25):
         shown += [t for t in TEMPERATURES if t != "temp_bar_C" or bars]
     if name == "poor":

@@ -12,11 +12,16 @@ import dataclasses
 
 import numpy as np
 
-from benchmarks.blind.generator.instruments import STATE
-from benchmarks.blind.generator.machine import Array, Pose, slope, tip
-from benchmarks.blind.generator.machines import leg_direction, nearby, settle
-from benchmarks.blind.generator.plans import READ, Plan
-from benchmarks.blind.generator.runs import Index
+from benchmarks.blind.generator.machines import (
+    Array,
+    Pose,
+    leg_direction,
+    nearby,
+    settle,
+    slope,
+    tip,
+)
+from benchmarks.blind.generator.plans import READ, STATE, Index, Plan
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

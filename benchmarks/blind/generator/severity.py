@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg
 
-from benchmarks.blind.generator.machine import Array
+from benchmarks.blind.generator.machines import Array
 
 Size = Callable[[Array], float]
 
@@ -96,3 +96,20 @@ def amplitude(
     if abs(f - target) < 0.01 * target:
         return a0
     raise ArithmeticError(f"no amplitude gives sqrt(lambda) {target}: {f} at {a0}")
+
+
+def expected_closure(covariance: Array, change: Array, test: Array) -> dict[str, float]:
+    """Closure C that whoever knows the shape of a change (N,) and fits its size expects.
+
+    covariance (N, N) is that of noise and geometry together; test (N,) marks the
+    readings that are held out, of which `gain` is the expected fall of the score.
+    """
+    train = ~test
+    inner = covariance[np.ix_(train, train)]
+    across = covariance[np.ix_(train, test)]
+    weights = np.linalg.solve(inner, across).T
+    shown = change[test] - weights @ change[train]
+    rest = covariance[np.ix_(test, test)] - weights @ across
+    energy = float(change[train] @ np.linalg.solve(inner, change[train]))
+    gain = float(shown @ np.linalg.solve(rest, shown))
+    return {"C": 1.0 - 1.0 / max(energy, 1.0), "gain": gain}

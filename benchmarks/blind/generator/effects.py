@@ -1,0 +1,957 @@
+"""Effects, each with a form that departs from the textbook, and which machine has which.
+
+Heat: bodies warm with two time constants each (motor and nut fast, castings slow), legs
+unequally; sensors sit at one place and lag. Effects of moving remember, saturate or
+spread. Twelve effects are in nobody's library.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.random import Generator
+from scipy.interpolate import CubicSpline
+
+from benchmarks.blind.generator.machines import Array, Machine, joint_columns
+from benchmarks.blind.generator.plans import BARS, STATE, Index, Plan
+from benchmarks.blind.generator.scene import Layout, Motion, Push
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Effect:
+    """An effect with its form drawn; only its size is open.
+
+    push    amplitude (m, the largest addition to a joint, a place, a reading) -> what
+            it adds
+    blocks  where it acts, if it acts in part: "leg 2", "time 7200-9000", "run C3",
+            "direction +1", "phase 30-80"
+    """
+
+    name: str
+    push: Callable[[float], Push]
+    blocks: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Climate:
+    """Temperature rises, K: each leg's (n, legs), the frame's and the bar's (n,);
+    `shown` what sensors say.
+    """
+
+    leg: Array
+    frame: Array
+    bar: Array
+    shown: dict[str, Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """What an effect may depend on."""
+
+    plan: Plan
+    motion: Motion
+    layout: Layout
+    climate: Climate
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.plan.machine
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.plan.command)
+
+    @property
+    def stroke(self) -> Array:
+        """Each leg's place in its range of this plan, -1..1, (n, legs)."""
+        q = self.motion.q
+        low, high = q.min(0), q.max(0)
+        return np.asarray((2 * q - low - high) / (high - low))
+
+    @property
+    def by_bar(self) -> Array:
+        """1 for readings (N,) of a ball bar, 0 for others."""
+        bars = np.array(
+            [s.instrument.name in BARS for s in self.plan.setups], dtype=float
+        )
+        return np.asarray(bars[self.plan.setup[self.layout.row]])
+
+    def zero(self) -> Array:
+        """dp (n, np + extras) of nothing."""
+        return np.zeros((self.rows, len(self.machine.full)))
+
+
+def unit(push: Push) -> Push:
+    """A push scaled to a largest addition of 1 m. Raises ArithmeticError if there is
+    none.
+    """
+    peak = push.peak()
+    if not peak > 0 or not np.isfinite(peak):
+        raise ArithmeticError("this form of the effect does nothing on this plan")
+    return push.times(1.0 / peak)
+
+
+def linear(name: str, push: Push, blocks: tuple[str, ...] = ()) -> Effect:
+    """An effect proportional to its amplitude."""
+    return Effect(name=name, push=unit(push).times, blocks=blocks)
+
+
+def pick_legs(
+    rng: Generator, count: int, single: float = 0.5
+) -> tuple[Array, tuple[str, ...]]:
+    """Gains (legs,): one leg alone with probability `single`, else all with unequal
+    gains; and the blocks.
+    """
+    if rng.random() < single:
+        leg = int(rng.integers(count))
+        return np.eye(count)[leg], (f"leg {leg + 1}",)
+    return np.clip(1.0 + 0.3 * rng.normal(size=count), 0.3, 1.8), ()
+
+
+def place_joints(stage: Stage, leg: int, shift: Array, *, platform: bool) -> Array:
+    """dp (n, np + extras) that moves a leg's base joint (or carriage), or its platform
+    joint, by shift (n, 3).
+
+    Machines whose carriages run on guides take the components that these have: planar
+    sideways and along; delta outward, sideways and along; the hexaglide along, across
+    and up.
+    """
+    base, local = joint_columns(stage.machine, leg)
+    columns = local if platform and local else base
+    dp = stage.zero()
+    dp[:, columns] = shift[:, : len(columns)]
+    return dp
+
+
+def smooth(rng: Generator, u: Array, knots: int = 6) -> Array:
+    """A random smooth curve over u in -1..1, (any shape): natural cubic through normal
+    values at uneven knots.
+    """
+    from scipy.interpolate import CubicSpline
+
+    inner = np.sort(rng.uniform(-0.9, 0.9, knots - 2))
+    at = np.concatenate([[-1.0], inner, [1.0]])
+    at += np.linspace(0.0, 0.05, knots)  # never twice the same
+    return np.asarray(
+        CubicSpline(at, rng.normal(size=knots), bc_type="natural")(
+            np.clip(u, -1.0, 1.05)
+        )
+    )
+
+
+def spans(plan: Plan) -> float:
+    """Last time of the plan, s."""
+    return float(plan.time.max())
+
+
+# -- heat ------------------------------------------------------------------------------
+
+
+GRID = 60.0  # s
+
+
+def _lagged(drive: Array, tau: float) -> Array:
+    """First-order answer (m,) to a drive (m,) on the time grid."""
+    keep = np.exp(-GRID / tau)
+    out = np.empty_like(drive)
+    state = 0.0
+    for k, u in enumerate(drive):
+        state = keep * state + (1.0 - keep) * u
+        out[k] = state
+    return out
+
+
+def climate(rng: Generator, plan: Plan) -> Climate:
+    """Temperature rises at the rows' times."""
+    last = float(plan.time.max()) + 2 * GRID
+    t = np.arange(0.0, last, GRID)
+    busy = np.full(len(t), 0.75)
+    for begin, end in plan.pauses:
+        busy[(t >= begin) & (t < end)] = 0.05
+    for here in plan.runs:
+        busy[(t >= plan.time[here[0]] - GRID) & (t <= plan.time[here[-1]])] += (
+            0.5 * np.sqrt(plan.feed[here[0]] / plan.feed.max())
+        )
+    fast, slow = (
+        _lagged(busy, rng.uniform(400.0, 1500.0)),
+        _lagged(busy, rng.uniform(3600.0, 9000.0)),
+    )
+    share = rng.uniform(0.25, 0.75, plan.machine.legs)
+    gain = np.clip(
+        1.0 + 0.25 * rng.normal(size=plan.machine.legs), 0.4, 1.7
+    ) * rng.uniform(4.0, 9.0)
+    leg = gain * (share * fast[:, None] + (1 - share) * slow[:, None])
+    room = rng.uniform(0.8, 2.0) * np.sin(
+        2 * np.pi * t / 86400.0 * rng.uniform(0.8, 1.5) + rng.uniform(-0.8, 0.3)
+    )
+    room = room - room[0]
+    frame = rng.uniform(1.0, 3.0) * _lagged(
+        slow, rng.uniform(3600.0, 9000.0)
+    ) + 0.6 * _lagged(room, 5400.0)
+    hand = np.zeros(len(t))
+    for k in range(len(plan.setups)):
+        start = plan.time[plan.setup == k].min()
+        hand += np.where(
+            t >= start - GRID,
+            np.exp(-(t - start + GRID) / rng.uniform(700.0, 2400.0)),
+            0.0,
+        )
+    bar = rng.uniform(0.2, 0.6) * room + rng.uniform(1.5, 3.0) * hand
+    at = [np.interp(plan.time, t, v) for v in (*leg.T, frame, bar)]
+    legs = np.stack(at[: plan.machine.legs], -1)
+    return Climate(
+        legs, at[-2], at[-1], _sensors(rng, plan, t, leg.mean(1), frame, bar)
+    )
+
+
+def _sensors(
+    rng: Generator, plan: Plan, t: Array, leg: Array, frame: Array, bar: Array
+) -> dict[str, Array]:
+    """Sensor readings (n,): lagged, with an offset, noise of 0.05 K, told to 0.1 K."""
+    shown = {}
+    for name, body in (
+        ("temp_leg_C", leg),
+        ("temp_frame_C", frame),
+        ("temp_bar_C", bar),
+    ):
+        lagged = body[0] + _lagged(body - body[0], rng.uniform(120.0, 600.0))
+        reading = rng.uniform(0.8, 1.1) * np.interp(plan.time, t, lagged) + rng.normal(
+            0.0, 0.2
+        )
+        shown[name] = np.round(reading + rng.normal(0.0, 0.05, len(reading)), 1)
+    return shown
+
+
+def leg_thermal(rng: Generator, stage: Stage) -> Effect:
+    """Screws grow along the part between nut and bearing; each leg has its own two time
+    constants' mixture.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs, 0.4)
+    q = stage.motion.q
+    fixed = rng.uniform(0.0, 0.25) * q.min()
+    dq = gains * (q - fixed) * stage.climate.leg
+    return linear("leg_thermal", Push(dq=dq), blocks)
+
+
+def frame_thermal(rng: Generator, stage: Stage) -> Effect:
+    """The frame grows with a gradient: one side is nearer to the heat."""
+    side = rng.normal(size=stage.machine.legs)
+    spread = 1.0 + rng.uniform(0.1, 0.5) * side / np.abs(side).max()
+    dp = stage.climate.frame[:, None] * stage.machine.growth(spread)
+    return linear("frame_thermal", Push(dp=dp))
+
+
+def bar_thermal(rng: Generator, stage: Stage) -> Effect:
+    """The bar is warm from the hand, and follows the room: its reading loses what it
+    has grown.
+    """
+    dy = -0.3 * stage.climate.bar[stage.layout.row] * stage.by_bar
+    return linear("bar_thermal", Push(dy=dy))
+
+
+# -- weight and payload ----------------------------------------------------------------
+
+
+def joint_force(stage: Stage, weight: float) -> Array:
+    """Force (n, legs), N, that each joint carries: payload at the tool point and the
+    moving weight at its centre.
+    """
+    motion = stage.motion
+    return np.asarray(
+        stage.plan.payload[:, None] * motion.lift + weight * motion.lift_com
+    )
+
+
+def gravity(rng: Generator, stage: Stage) -> Effect:
+    """Legs shorten under force: longer ones more (beam-like), stiffer under load, no
+    two alike.
+    """
+    machine, q = stage.machine, stage.motion.q
+    weight = machine.weight * rng.uniform(0.6, 1.4)
+    force = joint_force(stage, weight)
+    typical = float(np.abs(force).mean())
+    harden = rng.uniform(0.0, 0.35)
+    load = force * (np.abs(force) / typical + 0.05) ** -harden
+    slender = 1.0 + rng.uniform(0.2, 1.2) * (
+        (q / q.mean(0)) ** rng.choice([1.0, 2.0, 3.0]) - 1.0
+    )
+    legs = np.clip(1.0 + 0.15 * rng.normal(size=machine.legs), 0.6, 1.4)
+    dq = -load * slender * legs
+    return linear("gravity", Push(dq=dq))
+
+
+def frame_bending(rng: Generator, stage: Stage) -> Effect:
+    """A smooth field of pose that no joint explains: a few bent modes of the tool's
+    displacement.
+    """
+    command = stage.plan.command
+    span = np.ptp(command, axis=0)
+    varying = span > 1e-9
+    u = 2 * (command[:, varying] - command[:, varying].min(0)) / span[varying] - 1
+    place = stage.motion.tip
+    reach = np.ptp(place, axis=0)
+    v = 2 * (place - place.min(0)) / np.where(reach > 1e-9, reach, 1.0) - 1
+    field = np.zeros((stage.rows, 3))
+    for _ in range(int(rng.integers(2, 4))):
+        mix = v @ rng.normal(size=3) / np.sqrt(3.0)
+        mix = mix + 0.15 * rng.normal() * np.sin(np.pi * u[:, rng.integers(u.shape[1])])
+        bow = np.tanh(mix) * np.cos(
+            rng.uniform(0.5, 1.5) * mix + rng.uniform(0, 2 * np.pi)
+        )
+        mode = 0.4 * bow + mix**2
+        field += mode[:, None] * rng.normal(size=3)
+    sag = 1.0 + rng.uniform(0.0, 0.5) * stage.plan.payload / max(
+        float(stage.plan.payload.max()), 1.0
+    )
+    if stage.machine.name == "planar":
+        field[:, 0] = 0.0
+    return linear("frame_bending", Push(dtip=field * sag[:, None]))
+
+
+def guideway(rng: Generator, stage: Stage) -> Effect:
+    """A carriage leaves its straight line: bows, a joint between two rails, a short
+    wave.
+    """
+    machine = stage.machine
+    legs = (
+        [int(rng.integers(machine.legs))]
+        if rng.random() < 0.6
+        else list(range(machine.legs))
+    )
+    dp = stage.zero()
+    for leg in legs:
+        u = stage.stroke[:, leg]
+        for name in ("side",) if machine.name == "planar" else ("out", "side"):
+            bow = smooth(rng, u, int(rng.integers(4, 8)))
+            kink = rng.uniform(0.0, 0.8) * np.tanh((u - rng.uniform(-0.6, 0.6)) / 0.05)
+            dp[:, machine.column(f"{name}{leg + 1}")] = bow + kink
+    blocks = (f"leg {legs[0] + 1}",) if len(legs) == 1 else ()
+    return linear("guideway", Push(dp=dp), blocks)
+
+
+# -- moving ----------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Pass:
+    """The way through one run: q (m, legs) with each leg's turning points between; row
+    (m,) that each is for, or -1.
+
+    Closed circles are entered rolling, half a turn before.
+    """
+
+    q: Array
+    row: Index
+
+
+def passes(stage: Stage) -> list[Pass]:
+    """The way through every run, in order."""
+    ways = []
+    for here, closed in zip(stage.plan.runs, stage.plan.closed, strict=True):
+        q = stage.motion.q[here]
+        if closed:
+            ring = np.vstack([q, q[:1]])
+            slope = CubicSpline(np.arange(len(ring)), ring, bc_type="periodic")(
+                np.arange(len(here)), 1
+            )
+            start = len(here) // 2
+            order = np.r_[np.arange(start, len(here)), np.arange(len(here))]
+            row = np.r_[np.full(len(here) - start, -1), here]
+        else:
+            slope = CubicSpline(np.arange(len(here)), q)(np.arange(len(here)), 1)
+            order, row = np.arange(len(here)), here
+        q, slope = q[order], slope[order]
+        turns = _turning(q[:-1], q[1:], slope[:-1], slope[1:])
+        way = np.empty((2 * len(q) - 1, q.shape[1]))
+        way[::2], way[1::2] = q, turns
+        rows = np.full(len(way), -1)
+        rows[::2] = row
+        ways.append(Pass(way, rows))
+    return ways
+
+
+def _turning(q0: Array, q1: Array, m0: Array, m1: Array) -> Array:
+    """Extremum of the cubic between neighbours where their slopes differ in sign, else
+    the middle; (m, legs).
+    """
+    a, b = 2 * (q0 - q1) + m0 + m1, 3 * (q1 - q0) - 2 * m0 - m1
+    # root of 3 a t^2 + 2 b t + m0 in 0..1, in the form that is safe for small a
+    root = np.sqrt(np.maximum(b**2 - 3 * a * m0, 0.0))
+    t = np.divide(
+        -m0,
+        b + np.where(m1 >= m0, root, -root),
+        out=np.full_like(q0, 0.5),
+        where=m0 * m1 < 0,
+    )
+    t = np.clip(t, 0.0, 1.0)
+    return np.asarray(((a * t + b) * t + m0) * t + q0)
+
+
+def play(stage: Stage, ways: Sequence[Pass], widths: Array, weights: Array) -> Array:
+    """Weighted sum (n, legs) of play operators less their input; `widths` (k, legs), m,
+    `weights` (k,).
+
+    The state is carried from run to run; it is what each machine part remembers.
+    """
+    out = np.zeros_like(stage.motion.q)
+    half = widths / 2
+    state = np.repeat(stage.motion.q[:1], len(widths), axis=0)
+    for way in ways:
+        low, high = way.q[:, None] - half, way.q[:, None] + half
+        for k, row in enumerate(way.row):
+            state = np.minimum(np.maximum(state, low[k]), high[k])
+            if row >= 0:
+                out[row] = weights @ (state - way.q[k])
+    return out
+
+
+def backlash(rng: Generator, stage: Stage) -> Effect:
+    """Play with memory: several gaps in a row, softened; amplitude is half the total
+    gap of the loosest leg.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs)
+    ratio = np.sort(rng.uniform(0.3, 1.0, 3))
+    weights = rng.dirichlet(np.ones(3))
+    ratio[-1] = 1.0
+    scale = 1.0 / float((weights * ratio).sum())
+    ways = passes(stage)
+    wear = 1.0 + rng.uniform(0.0, 0.35) * stage.stroke * rng.choice([-1.0, 1.0])
+
+    def push(a: float) -> Push:
+        widths = 2 * a * scale * ratio[:, None] * gains / gains.max()
+        return Push(dq=play(stage, ways, widths, weights) * wear)
+
+    return Effect(
+        name="backlash",
+        push=push,
+        blocks=blocks,
+    )
+
+
+def friction(rng: Generator, stage: Stage) -> Effect:
+    """Wind-up against a compliant drive: Dahl's presliding, Stribeck over speed, drag
+    that varies along the stroke.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs)
+    q, rate = stage.motion.q, stage.motion.rate
+    slide = float(
+        np.exp(rng.uniform(np.log(0.03e-3), np.log(0.6e-3)))
+    )  # m, presliding of drives
+    swing = rng.uniform(0.05, 0.2) * np.sin(
+        rng.uniform(1.5, 4.0) * stage.stroke + rng.uniform(0, 2 * np.pi)
+    )
+    slow = np.median(np.abs(rate)) * rng.uniform(0.2, 0.8)
+    level = (1.0 + swing) * (
+        1.0 + rng.uniform(0.05, 0.3) * np.exp(-np.abs(rate) / slow)
+    )
+    yielding = 1.0 + rng.uniform(0.5, 1.5) * (q - q.mean(0)) / q.mean(0)
+    dq = -gains * level * yielding * _dahl(stage, slide)
+    return linear("friction", Push(dq=dq), blocks)
+
+
+def _dahl(stage: Stage, slide: float) -> Array:
+    """Wound-up share (n, legs), -1..1: it follows the direction of travel after a way
+    of `slide`, m.
+    """
+    out, state = np.zeros_like(stage.motion.q), np.zeros(stage.machine.legs)
+    for way in passes(stage):
+        steps = np.diff(way.q, axis=0, prepend=way.q[:1])
+        sign, keep = np.sign(steps), np.exp(-np.abs(steps) / slide)
+        if way.row[0] >= 0:  # a line is entered rolling
+            state = sign[1]
+        for k, row in enumerate(way.row):
+            state = sign[k] + (state - sign[k]) * keep[k]
+            if row >= 0:
+                out[row] = state
+    return out
+
+
+def servo_lag(rng: Generator, stage: Stage) -> Effect:
+    """Following error of a loop with feed-forward: rate and acceleration parts,
+    saturating, gains unequal.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs, 0.4)
+    rate, acc = stage.motion.rate, stage.motion.acceleration
+    top = float(np.abs(rate).max())
+    curve = rng.uniform(0.0, 0.35)
+    lag = rate * (1.0 - curve * np.abs(rate) / top)
+    second = (
+        rng.uniform(-0.4, 0.4)
+        * acc
+        * (np.abs(lag).max() / max(float(np.abs(acc).max()), 1e-12))
+    )
+    return linear("servo_lag", Push(dq=-gains * (lag + second)), blocks)
+
+
+def joint_clearance(rng: Generator, stage: Stage) -> Effect:
+    """Joints settle on one side of their gap or the other by the sign of its force,
+    softly, and a little aside.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs)
+    force = joint_force(stage, rng.uniform(0.0, 0.6) * stage.machine.weight)
+    soft = np.tanh(force / (rng.uniform(0.02, 0.15) * np.abs(force).max(0)))
+    aside = rng.uniform(0.0, 0.2) * stage.stroke * np.abs(soft)
+    return linear("joint_clearance", Push(dq=-gains * (soft + aside)), blocks)
+
+
+# -- length: errors that repeat with a leg's length or a joint's angle -----------------
+
+
+def encoder_scale(rng: Generator, stage: Stage) -> Effect:
+    """A scale that is not quite uniform: what is uniform of it hides in the geometry,
+    more than what is not.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs, 0.6)
+    u = stage.stroke
+    bend = rng.uniform(-0.04, 0.04) * float(np.ptp(stage.motion.q)) / 2
+    dq = gains * (stage.motion.q + bend * (u**2 + 0.4 * u**3))
+    return linear("encoder_scale", Push(dq=dq), blocks)
+
+
+def common_scale(rng: Generator, stage: Stage) -> Effect:
+    """The same scale error in every leg: on one bar and tool nothing tells it from the
+    bar's length.
+    """
+    return linear("encoder_scale", Push(dq=stage.motion.q.copy()))
+
+
+def pitch_accumulation(rng: Generator, stage: Stage) -> Effect:
+    """Lead error of a screw: accumulated random pitch errors, smooth, with one worn
+    stretch.
+    """
+    gains, blocks = pick_legs(rng, stage.machine.legs, 0.6)
+    u = stage.stroke
+    dq = np.zeros_like(u)
+    for leg in range(u.shape[1]):
+        curve = smooth(rng, u[:, leg], int(rng.integers(5, 9)))
+        worn = rng.uniform(0.0, 1.2) * np.exp(
+            -(((u[:, leg] - rng.uniform(-0.6, 0.6)) / 0.25) ** 2)
+        )
+        dq[:, leg] = gains[leg] * (curve + worn)
+    return linear("pitch_accumulation", Push(dq=dq), blocks)
+
+
+def _harmonics(
+    rng: Generator, phase: Array, orders: tuple[int, ...], first: float
+) -> Array:
+    wave = first * np.sin(phase + rng.uniform(0, 2 * np.pi))
+    for order in orders:
+        wave = wave + rng.uniform(0.1, 0.5) * np.sin(
+            order * phase + rng.uniform(0, 2 * np.pi)
+        )
+    return np.asarray(wave)
+
+
+def screw_cyclic(rng: Generator, stage: Stage) -> Effect:
+    """Once and more per turn of the screw; the amplitude changes along it."""
+    pitches = (
+        (5.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0)
+        if stage.machine.name != "planar"
+        else (20.0, 25.0, 32.0, 40.0, 50.0)
+    )
+    pitch = float(rng.choice(pitches)) * 1e-3
+    gains, blocks = pick_legs(rng, stage.machine.legs)
+    u = stage.stroke
+    dq = np.zeros_like(u)
+    for leg in range(u.shape[1]):
+        wave = _harmonics(
+            rng,
+            2 * np.pi * stage.motion.q[:, leg] / pitch,
+            (2, 3) if rng.random() < 0.5 else (2,),
+            1.0,
+        )
+        dq[:, leg] = gains[leg] * wave * (1.0 + rng.uniform(-0.3, 0.3) * u[:, leg])
+    return linear("screw_cyclic", Push(dq=dq), blocks)
+
+
+def encoder_subdivision(rng: Generator, stage: Stage) -> Effect:
+    """Interpolation error within a grating's period: offset and amplitude of sine and
+    cosine, so first and second.
+    """
+    fine = {"planar": (40, 100, 200), "delta": (1000, 2000, 5000)}
+    period = float(rng.choice(fine.get(stage.machine.name, (20, 40, 100)))) * 1e-6
+    gains, blocks = pick_legs(rng, stage.machine.legs)
+    dq = np.zeros_like(stage.motion.q)
+    for leg in range(dq.shape[1]):
+        dq[:, leg] = gains[leg] * _harmonics(
+            rng, 2 * np.pi * stage.motion.q[:, leg] / period, (2, 4), 1.0
+        )
+    return linear("encoder_subdivision", Push(dq=dq), blocks)
+
+
+def joint_runout(rng: Generator, stage: Stage) -> Effect:
+    """A joint's centre wanders as it swings: harmonics of the leg's direction angle,
+    base or platform side.
+    """
+    legs = stage.machine.legs
+    chosen = [int(rng.integers(legs))] if rng.random() < 0.6 else list(range(legs))
+    platform = bool(rng.random() < 0.5)
+    total = stage.zero()
+    for leg in chosen:
+        v = stage.motion.leg[:, leg]
+        direction = np.einsum("nij,ni->nj", stage.motion.pose.R0, v) if platform else v
+        swing = np.arctan2(
+            direction @ _across(rng, direction),
+            np.abs(direction @ (direction.mean(0) / np.linalg.norm(direction.mean(0)))),
+        )
+        shift = np.zeros((stage.rows, 3))
+        for axis in range(
+            3
+        ):  # eccentricity, ovality, and the waviness of rolling elements
+            for orders, size in (((1, 2), 1.0), ((2, 3), 0.7), ((8, 12, 16), 0.15)):
+                wave = np.cos(swing * rng.choice(orders) + rng.uniform(0, 2 * np.pi))
+                shift[:, axis] += size * rng.normal() * wave
+        total += place_joints(stage, leg, shift, platform=platform)
+    blocks = (f"leg {chosen[0] + 1}",) if len(chosen) == 1 else ()
+    return linear("joint_runout", Push(dp=total), blocks)
+
+
+def _across(rng: Generator, v: Array) -> Array:
+    """The direction (3,) in which the unit vectors v (n, 3) swing most."""
+    return np.asarray(np.linalg.svd(v - v.mean(0), full_matrices=False)[2][0])
+
+
+# -- mounts and sudden changes ---------------------------------------------------------
+
+
+def bar_length(rng: Generator, stage: Stage) -> Effect:
+    """The bar's calibration is off: every reading by the same length."""
+    return linear("bar_length", Push(dy=stage.by_bar))
+
+
+def mount_drift(rng: Generator, stage: Stage) -> Effect:
+    """A mount creeps after clamping: a fast and a slow part (log-like), and may slip
+    once; set-ups differ.
+    """
+    plan = stage.plan
+    ds = np.zeros((stage.rows, STATE))
+    only = (
+        int(rng.integers(len(plan.setups)))
+        if len(plan.setups) > 1 and rng.random() < 0.4
+        else None
+    )
+    for k, setup in enumerate(plan.setups):
+        if only is not None and k != only:
+            continue
+        here = np.flatnonzero(plan.setup == k)
+        t = plan.time[here] - plan.time[here[0]]
+        creep = np.log1p(t / rng.uniform(300.0, 3000.0)) + rng.uniform(
+            0.0, 0.6
+        ) * t / max(float(t.max()), 1.0)
+        slip = (
+            rng.uniform(0.0, 0.3) * creep.max() * (t > rng.uniform(0.2, 0.9) * t.max())
+        )
+        way = rng.normal(size=len(setup.instrument.drifts))
+        ds[np.ix_(here, np.array(setup.instrument.drifts))] = (
+            (creep + slip)[:, None] * way / np.linalg.norm(way)
+        )
+    runs = (
+        []
+        if only is None
+        else sorted({int(r) for r in plan.run[(plan.setup == only) & (plan.run >= 0)]})
+    )
+    blocks = tuple(f"run {plan.run_name(r)}" for r in runs)
+    return linear("mount_drift", Push(ds=ds), blocks)
+
+
+def step(rng: Generator, stage: Stage) -> Effect:
+    """Something jumps at a moment: a leg's zero, a joint's place, or the reading; part
+    of it may come back later.
+
+    Its block is the time in which more than half of it acts: to the end where less than
+    half comes back.
+    """
+    plan = stage.plan
+    last = spans(plan)
+    inside = int(rng.uniform(0.15, 0.85) * stage.rows)
+    run = max(int(plan.run[inside]), 0)
+    at = (
+        float(plan.time[inside if rng.random() < 0.3 else plan.runs[run][0]]) - 1.0
+    )  # mostly between runs
+    rows = 1.0 * (plan.time >= at)
+    end = last
+    if rng.random() < 0.4:
+        back, gone = at + rng.uniform(0.1, 0.6) * (last - at), rng.uniform(0.3, 1.0)
+        rows = rows - gone * (plan.time >= back)
+        end = back if gone > 0.5 else last
+    blocks: tuple[str, ...] = (f"time {at:.0f}-{end:.0f}",)
+    if (
+        rng.random() < 0.75 or stage.machine.name == "planar"
+    ):  # its mounts are zeroed with every run
+        leg = int(rng.integers(stage.machine.legs))
+        dq = np.zeros_like(stage.motion.q)
+        dq[:, leg] = rows
+        return linear("step", Push(dq=dq), (*blocks, f"leg {leg + 1}"))
+    ds = np.zeros((stage.rows, STATE))
+    for k, setup in enumerate(plan.setups):
+        here = plan.setup == k
+        way = rng.normal(size=len(setup.instrument.drifts))
+        ds[np.ix_(here, np.array(setup.instrument.drifts))] = (
+            rows[here, None] * way / np.linalg.norm(way)
+        )
+    return linear("step", Push(ds=ds), blocks)
+
+
+# -- in nobody's library ---------------------------------------------------------------
+
+
+def cross_talk(rng: Generator, stage: Stage) -> Effect:
+    """The controller lets one leg's current disturb another: force of one times the
+    rate's sign of the next.
+    """
+    legs = stage.machine.legs
+    a, b = rng.choice(legs, 2, replace=False)
+    other = stage.motion.rate[:, b] / np.abs(stage.motion.rate[:, b]).max()
+    dq = np.zeros_like(stage.motion.q)
+    dq[:, a] = other * (
+        1.0 + stage.stroke[:, a] * rng.uniform(0.3, 1.0)
+    ) + 0.4 * np.abs(other)
+    return linear("cross_talk", Push(dq=dq), (f"leg {a + 1}",))
+
+
+def feed_resonance(rng: Generator, stage: Stage) -> Effect:
+    """The structure rings at one feed only: a wave along the path, largest where the
+    path bends most.
+    """
+    feeds = np.unique(stage.plan.feed[stage.plan.feed > 0])
+    feed = feeds[-1] if rng.random() < 0.7 else feeds[0]
+    wave = feed * rng.uniform(2.0, 7.0)  # m of path a cycle: aliased by the readings
+    shape = np.sin(2 * np.pi * stage.motion.arc / (wave * 0.37) + rng.uniform(0, 6.28))
+    swell = 1.0 + 0.6 * np.sin(2 * stage.plan.phase + rng.uniform(0, 6.28))
+    way = rng.normal(size=3)
+    if stage.machine.name == "planar":
+        way[0] = 0.0
+    on = np.isclose(stage.plan.feed, feed)
+    field = (on * swell * (0.5 + shape))[:, None] * way / np.linalg.norm(way)
+    runs = tuple(
+        f"run {stage.plan.run_name(r)}"
+        for r in sorted({int(v) for v in stage.plan.run[on]})
+    )
+    blocks = () if len(feeds) == 1 else runs
+    return linear("feed_resonance", Push(dtip=field), blocks)
+
+
+def spindle_growth(rng: Generator, stage: Stage) -> Effect:
+    """The tool grows while the spindle runs, and nobody wrote down when."""
+    t, last = stage.plan.time, spans(stage.plan)
+    growth = np.zeros(stage.rows)
+    tau = rng.uniform(400.0, 1500.0)
+    blocks = []
+    for _ in range(int(rng.integers(2, 5))):
+        on = rng.uniform(0.0, 0.85) * last
+        off = on + rng.uniform(0.05, 0.2) * last
+        rise = 1.0 - np.exp(-np.clip(t - on, 0.0, off - on) / tau)
+        growth += rise * np.exp(-np.clip(t - off, 0.0, None) / (1.5 * tau)) * (t >= on)
+        blocks.append(f"time {on:.0f}-{off:.0f}")
+    field = -growth[:, None] * stage.motion.axis
+    return linear("spindle_growth", Push(dtip=field), tuple(blocks))
+
+
+def humidity_wave(rng: Generator, stage: Stage) -> Effect:
+    """A composite swells one way with the room's moisture, a slow wave of hours."""
+    t = stage.plan.time
+    wave = np.sin(
+        2 * np.pi * t / (3600.0 * rng.uniform(1.5, 4.0)) + rng.uniform(0, 6.28)
+    )
+    wave += 0.4 * np.sin(
+        2 * np.pi * t / (3600.0 * rng.uniform(0.7, 1.5)) + rng.uniform(0, 6.28)
+    )
+    total = stage.zero()
+    for leg in range(stage.machine.legs):
+        shift = np.ones((stage.rows, 1)) * rng.normal(size=3)
+        total += place_joints(stage, leg, shift, platform=True)
+    return linear("humidity_wave", Push(dp=total * wave[:, None]))
+
+
+def cable_drag(rng: Generator, stage: Stage) -> Effect:
+    """A cable pulls the tool aside, by where it points, and differently on the way
+    back.
+    """
+    phase = stage.plan.phase
+    lag = rng.uniform(0.3, 1.0) * stage.plan.direction
+    pull = np.exp(1.5 * np.cos(phase - rng.uniform(0, 6.28) - lag)) - 1.2
+    away = stage.motion.tip - stage.motion.tip.mean(0)
+    side = np.stack([away[:, 1], -away[:, 0], 0 * away[:, 0]], -1)
+    if stage.machine.name == "planar":
+        side = np.stack([0 * pull, pull, 0.5 * pull**2], -1)
+    size = np.abs(side).max()
+    field = pull[:, None] * (side / size + 0.4 * rng.normal(size=3))
+    if stage.machine.name == "planar":
+        field[:, 0] = 0.0
+    return linear("cable_drag", Push(dtip=field))
+
+
+def platform_torsion(rng: Generator, stage: Stage) -> Effect:
+    """The platform twists with the moment of its load: joints move sideways by one
+    leg's force times another's.
+    """
+    force = joint_force(stage, 0.4 * stage.machine.weight)
+    force = force / np.abs(force).max()
+    moment = force[:, 0] * force[:, 1] - 0.6 * force[:, 0] ** 2
+    total = stage.zero()
+    for leg in range(stage.machine.legs):
+        v = np.cross(stage.motion.leg[:, leg], rng.normal(size=3)) * moment[:, None]
+        total += place_joints(stage, leg, v, platform=True)
+    return linear("platform_torsion", Push(dp=total))
+
+
+def interference(rng: Generator, stage: Stage) -> Effect:
+    """Something electrical at a fixed period in time beats with the readings."""
+    period = float(rng.choice([17.0, 41.0, 90.0, 300.0, 700.0])) * rng.uniform(0.9, 1.1)
+    t = stage.plan.time[stage.layout.row]
+    wave = np.sin(2 * np.pi * t / period + rng.uniform(0, 6.28))
+    wave = wave + 0.5 * np.sign(np.sin(4 * np.pi * t / period))
+    channel = stage.layout.channel == rng.integers(stage.layout.channel.max() + 1)
+    return linear(
+        "interference",
+        Push(dy=wave * channel * stage.layout.sigma / stage.layout.sigma.max()),
+    )
+
+
+def table_sag(rng: Generator, stage: Stage) -> Effect:
+    """The table gives way under the tool's place, and the mount on it leans."""
+    place = stage.motion.tip
+    reach = max(float(np.ptp(place, axis=0).max()), 1e-9)
+    centre = place[int(rng.integers(stage.rows))]
+    dip = np.exp(
+        -((place - centre) ** 2).sum(-1) / (rng.uniform(0.1, 0.22) * reach) ** 2
+    )
+    ds = np.zeros((stage.rows, STATE))
+    for k, setup in enumerate(stage.plan.setups):
+        here = stage.plan.setup == k
+        way = rng.normal(size=len(setup.instrument.drifts))
+        ds[np.ix_(here, setup.instrument.drifts)] = dip[here, None] * way
+    return linear("table_sag", Push(ds=ds))
+
+
+def wrong_table(rng: Generator, stage: Stage) -> Effect:
+    """One corner of the controller's compensation table is wrong: two legs, a patch of
+    the workspace.
+    """
+    legs = stage.machine.legs
+    a, b = rng.choice(legs, 2, replace=False)
+    centre = stage.stroke[int(rng.integers(stage.rows))]
+    near = np.exp(
+        -(np.abs(stage.stroke[:, [a, b]] - centre[[a, b]]) ** 4)
+        / rng.uniform(0.2, 0.3) ** 4
+    )
+    dq = np.zeros_like(stage.motion.q)
+    dq[:, a], dq[:, b] = near.prod(1), rng.uniform(-1.0, 1.0) * near.prod(1)
+    return linear("wrong_table", Push(dq=dq), (f"leg {a + 1}", f"leg {b + 1}"))
+
+
+def pump(rng: Generator, stage: Stage) -> Effect:
+    """A coolant pump switches on and off and moves everything a little while it runs."""
+    t, last = stage.plan.time, spans(stage.plan)
+    cycle, share = rng.uniform(0.06, 0.15) * last, rng.uniform(0.3, 0.7)
+    on = ((t / cycle + rng.random()) % 1.0) < share
+    dq = on[:, None] * rng.normal(size=stage.machine.legs) * (1.0 + 0.5 * stage.stroke)
+    return linear("pump", Push(dq=dq))
+
+
+def run_in(rng: Generator, stage: Stage) -> Effect:
+    """Each run begins unsettled: oil film and servo take some readings to come to rest."""
+    fade = np.zeros(stage.rows)
+    lengths = rng.uniform(1.5, 4.5)
+    for here in stage.plan.runs:
+        fade[here] = np.exp(-np.arange(len(here)) / lengths) * rng.uniform(0.6, 1.4)
+    way = rng.normal(size=3)
+    if stage.machine.name == "planar":
+        way[0] = 0.0
+    return linear("run_in", Push(dtip=fade[:, None] * way / np.linalg.norm(way)))
+
+
+def stick(rng: Generator, stage: Stage) -> Effect:
+    """A cover rubs in one sector, one way only."""
+    way = 1.0 if rng.random() < 0.5 else -1.0
+    phase = stage.plan.phase
+    centre = rng.choice(phase[stage.plan.run >= 0])
+    wide = 0.5 if np.ptp(phase) > 3.0 else 0.2
+    gap = (
+        np.angle(np.exp(1j * (phase - centre)))
+        if np.ptp(phase) > 3.0
+        else phase - centre
+    )
+    patch = np.exp(-((gap / wide) ** 2)) * (stage.plan.direction == way)
+    dq = patch[:, None] * rng.normal(size=stage.machine.legs)
+    blocks: tuple[str, ...] = (f"direction {way:+.0f}",)
+    if np.ptp(phase) > 3.0:
+        low, high = (
+            np.rad2deg(centre - 1.2 * wide) % 360,
+            np.rad2deg(centre + 1.2 * wide) % 360,
+        )
+        blocks = (*blocks, f"phase {low:.0f}-{high:.0f}")
+    return linear("stick", Push(dq=dq), blocks)
+
+
+# -- by name ---------------------------------------------------------------------------
+
+
+Form = Callable[[Generator, Stage], Effect]
+
+KNOWN: dict[str, Form] = {
+    "leg_thermal": leg_thermal,
+    "frame_thermal": frame_thermal,
+    "gravity": gravity,
+    "frame_bending": frame_bending,
+    "backlash": backlash,
+    "friction": friction,
+    "servo_lag": servo_lag,
+    "encoder_scale": encoder_scale,
+    "pitch_accumulation": pitch_accumulation,
+    "screw_cyclic": screw_cyclic,
+    "encoder_subdivision": encoder_subdivision,
+    "guideway": guideway,
+    "joint_runout": joint_runout,
+    "joint_clearance": joint_clearance,
+    "bar_length": bar_length,
+    "bar_thermal": bar_thermal,
+    "mount_drift": mount_drift,
+    "step": step,
+}
+UNKNOWN: dict[str, Form] = {
+    f.__name__: f
+    for f in (
+        cross_talk,
+        feed_resonance,
+        spindle_growth,
+        humidity_wave,
+        cable_drag,
+        platform_torsion,
+        interference,
+        table_sag,
+        wrong_table,
+        pump,
+        run_in,
+        stick,
+    )
+}
+#: the exact class: one bar and one tool cannot tell these two
+EXACT: dict[str, Form] = {
+    "encoder_scale": common_scale,
+    "bar_length": bar_length,
+}
+
+_BARS = ("bar_length", "bar_thermal")
+#: sliders have guideways, bars need a ball bar, gaps need a pull; relative readings of
+#: a minute see no mount creep
+_ABSENT = {
+    "a3": ("guideway",),
+    "hexapod": ("guideway",),
+    "planar": (*_BARS, "joint_clearance", "mount_drift", "spindle_growth"),
+    "delta": (*_BARS, "joint_clearance"),
+}
+
+
+def known_on(machine: str) -> tuple[str, ...]:
+    """Known effects that a machine can have."""
+    return tuple(n for n in KNOWN if n not in _ABSENT[machine])
+
+
+def unknown_on(machine: str) -> tuple[str, ...]:
+    """Unknown effects that a machine can have."""
+    return tuple(n for n in UNKNOWN if n not in _ABSENT[machine])
