@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.coverage import table
-from oed.base import Array
-from oed.design import Candidates
+from benchmarks.harness import pages
+from oed.base.arrays import Array
+from oed.design import candidates
 from oed.measurement import Series, draw_readings
 from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
@@ -173,7 +173,7 @@ def main() -> None:
     if options.page is None:
         print(text)
     else:
-        table.write_block(options.page, "next table", text)
+        pages.write_block(options.page, "next table", text)
 
 
 if __name__ == "__main__":

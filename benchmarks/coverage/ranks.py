@@ -1,7 +1,7 @@
 """Simulation-based calibration: ranks of the truth among posterior draws.
 
     PYTHONPATH=. oed campaign --allow-code benchmarks/ranks.campaign.toml
-    python -m benchmarks.coverage ranks --page docs/benchmarks/coverage.md
+    python -m benchmarks.harness ranks --page docs/benchmarks/coverage.md
 
 Parameters are drawn from the tolerances and a noise law from its prior; the oracle
 reads the machine and the law disturbs the readings. Then the rank of each truth among
@@ -11,20 +11,29 @@ identifiable combination, and of every coordinate of the noise law.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
 import dataclasses
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy import stats
 
-from benchmarks.coverage import measure
-from benchmarks.coverage.bench import Bench
-from oed import posterior
-from oed.estimation import Estimate, identify
+from benchmarks.coverage.intervals import generator, true_coordinates
+from benchmarks.coverage.machines import Bench, configuration
+from oed.estimation.estimate import Estimate
+from oed.estimation.identification import identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: columns of a row that are no ranks
+NO_RANKS = ("configuration", "sampler", "stream", "seed", "error", "cpu_s")
 Sampler = Literal["laplace", "auto", "emcee"]
 #: draws that a rank is among
 DRAWS = 99
@@ -74,8 +83,8 @@ def one_machine(
     """Rank of each combination and of each coordinate of the noise law."""
     m = bench.measurement
     structure = reading_structure(m, bench.series, m.nominal)
-    prior = NoisePrior.of(structure)
-    rng = measure.generator(seed, "ranks", bench.name, number)
+    prior = noise_prior(structure)
+    rng = generator(seed, "ranks", bench.name, number)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     law = rng.standard_normal(prior.dimensions)
     errors = prior.laws(law[None]).whitening(structure).draw(rng)[0]
@@ -84,7 +93,7 @@ def one_machine(
     estimate = identify(m, bench.series, y, stages=bench.stages, estimate_noise=True)
     z, laws = _draws(bench, estimate, y, sampler, rng)
     turn = bench.coordinates.dual @ estimate.coordinates.basis
-    true = turn @ measure.true_coordinates(bench, estimate, exact)
+    true = turn @ true_coordinates(bench, estimate, exact)
     below = (z @ turn.T < true).sum(axis=0)
     ranks = {f"combination {k + 1}": int(v) for k, v in enumerate(below)}
     of_law = (laws < law).sum(axis=0)
@@ -121,16 +130,44 @@ def _draws(
     return z[chosen], laws[chosen]
 
 
-def markdown(results: dict[str, Calibration]) -> str:
+def truth_ranks(setting: Mapping[str, Any], seed: int) -> dict[str, int]:
+    """Rank of each truth of machine `seed` among posterior draws.
+
+    setting  configuration, sampler, and stream, the seed of all machines
+    """
+    bench = configuration(setting["configuration"])
+    return one_machine(bench, seed, setting["stream"], setting["sampler"])
+
+
+def calibration_of_rows(rows: Sequence[Mapping[str, Any]]) -> Calibration:
+    """The test of the ranks of one configuration's machines."""
+    names = [n for n, v in rows[0].items() if n not in NO_RANKS and v is not None]
+    values = np.array([[int(row[n]) for n in names] for row in rows])
+    return calibration(names, values, rows[0]["stream"])
+
+
+def uniformity(cases: pd.DataFrame, setting: Mapping[str, Any]) -> dict[str, Any]:
+    """Probability that all ranks are uniform, and their counts in bins."""
+    ranks = cases.dropna(axis="columns").to_dict("records")
+    result = calibration_of_rows([{**setting, **row} for row in ranks])
+    row: dict[str, Any] = {"quantities": len(result.names), "joint p": result.joint}
+    return row | {f"bin {k + 1}": int(n) for k, n in enumerate(result.counts)}
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """One row a configuration: what the ranks are of, and how uniform they are."""
+    machines: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        machines.setdefault(row["configuration"], []).append(row)
     bins = " | ".join(str(k + 1) for k in range(BINS))
     lines = [f"| readings | machines | quantities | joint p | {bins} |"]
     lines.append(f"| --- | --: | --: | --: |{' --: |' * BINS}")
-    for name, result in results.items():
+    for name, some in machines.items():
+        result = calibration_of_rows(some)
         joint = f"{result.joint:.2g}"
         if result.joint < LEAST_PROBABILITY:
             joint = f"**{joint}**"
-        machines, quantities = result.ranks.shape
-        counts = " | ".join(str(count) for count in result.counts)
-        lines.append(f"| {name} | {machines} | {quantities} | {joint} | {counts} |")
+        count, quantities = result.ranks.shape
+        counts = " | ".join(str(number) for number in result.counts)
+        lines.append(f"| {name} | {count} | {quantities} | {joint} | {counts} |")
     return "\n".join(lines)
