@@ -6,7 +6,7 @@
     python benchmarks/design.py --relaxations                # each relaxation, cvxpy, studies' candidates
     python benchmarks/design.py --large                      # this project alone, up to 200,000 candidates, with memory
 
-Problem A is in `peers/__init__.py`, with the other packages' adapters. Values are
+Problem A is in `peers.py`, with the other packages' adapters. Values are
 computed here, from the rows that a package returns. Seconds are processor time on one
 thread, of the choice alone, without imports: medians of three runs for this project,
 one run for the others. A ratio is to this project's best row of the problem. The
@@ -52,7 +52,7 @@ import peer_runs
 from design_table import Row, format_markdown, format_text, sort
 from oed.design import branch, condition, exchange, relaxation
 from oed.design.blocks import as_blocks, information
-from peers import COLUMNS, SIZE, candidates, processor_seconds, value
+from peers import COLUMNS, PEERS, SIZE, candidates, processor_seconds, value
 
 RELAXED_D, EXACT_D, RELAXED_E = "A, D relaxed", "A, D", "A, E relaxed"
 RELAXED_POSES, POSES = "C0, D relaxed", ("C0, D", "C1, D", "C2, D")
@@ -238,7 +238,7 @@ def parse_arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--peers", type=Path, metavar="DIR", help="folder of the environments")
     add("--install-peers", type=Path, metavar="DIR", help="create them, and stop")
-    add("--only", nargs="*", default=[], choices=peer_runs.PEERS, help="packages")
+    add("--only", nargs="*", default=[], choices=PEERS, help="packages")
     add("--timeout", type=float, default=120.0, help="seconds for one task or solver")
     add("--markdown", type=Path, metavar="FILE", help="write the best rows there too")
     add("--relaxations", action="store_true", help="each relaxation beside cvxpy")
@@ -259,7 +259,7 @@ def run(arguments: argparse.Namespace) -> list[Row]:
         advice = "name their folder with --peers, created by --install-peers"
         print(f"other packages skipped: {advice}", file=sys.stderr)
         return rows
-    names = arguments.only or peer_runs.PEERS
+    names = arguments.only or PEERS
     folder = arguments.peers.absolute()
     return rows + peer_runs.run_all(folder, arguments.timeout, names)
 
@@ -277,7 +277,7 @@ def main() -> None:
     """Print one table."""
     arguments = parse_arguments()
     if arguments.install_peers:
-        names = arguments.only or peer_runs.PEERS
+        names = arguments.only or PEERS
         peer_runs.install(arguments.install_peers.absolute(), names)
         return
     rows = sort(run(arguments))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import shutil
@@ -14,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from design_table import Row
-from peers import Task, value
+from peers import PEERS, Task, value
 
 HERE = Path(__file__).resolve().parent
-PEERS = sorted(path.stem for path in (HERE / "peers").glob("[a-z]*.py"))
 
 
 def interpreter(folder: Path, name: str) -> Path:
@@ -28,7 +26,7 @@ def interpreter(folder: Path, name: str) -> Path:
 def install(folder: Path, names: list[str]) -> None:
     """Creates one environment for each package; removes those that fail to install."""
     for name in names:
-        requirements = importlib.import_module(f"peers.{name}").REQUIRES
+        requirements = PEERS[name].requires
         steps = _install_steps(folder, name, requirements)
         done = all(subprocess.run(step, check=False).returncode == 0 for step in steps)
         if not done:
@@ -90,8 +88,7 @@ def run_all(folder: Path, limit: float, names: list[str]) -> list[Row]:
     """All tasks of these packages."""
     rows = []
     for name in names:
-        tasks = importlib.import_module(f"peers.{name}").TASKS
-        for number, task in enumerate(tasks):
+        for number, task in enumerate(PEERS[name].tasks):
             rows.append(run_task(folder, name, number, task, limit))
             print(f"  {rows[-1].method}", file=sys.stderr, flush=True)
     return rows

@@ -7,8 +7,7 @@
 
 The best known value of an instance is the largest of this run: this project's choice at
 its default, the same with `--rounds` rounds (300), and the others. Values are computed
-from oed import design
-from the chosen rows by one formula for all (`peers/numpy_exchange.py`). Seconds are
+from the chosen rows by one formula for all (`peers.py`). Seconds are
 processor time on one thread; for this project the least of three runs, with the
 relaxation and its bound. `benchmarks/design.py --install-peers ENVS` makes doetools'
 environment.
@@ -37,9 +36,11 @@ import numpy as np
 
 import hexapod
 import peer_runs
+import peers
 import study_candidates
-from oed import design
-from peers import numpy_exchange, processor_seconds
+from oed.design import exchange
+from oed.design.blocks import as_blocks
+from peers import processor_seconds
 
 #: values that differ by less are equally good
 EQUAL = 1e-6
@@ -102,16 +103,16 @@ def choose(instance: Instance, rounds: int) -> tuple[float, float]:
     rng = np.random.default_rng(1)
     choice = design.choose(instance.blocks, instance.size, rng, rounds=rounds)
     seconds = processor_seconds() - start
-    return numpy_exchange.log_det(instance.blocks, choice.indices), seconds
+    return peers.log_det(instance.blocks, choice.indices), seconds
 
 
 def choose_by_numpy(instance: Instance, starts: int) -> tuple[float, float]:
     """Value and seconds of the NumPy exchange."""
     start = processor_seconds()
     rng = np.random.default_rng(1)
-    chosen = numpy_exchange.exchange(instance.blocks, instance.size, starts, rng)
+    chosen = peers.exchange(instance.blocks, instance.size, starts, rng)
     seconds = processor_seconds() - start
-    return numpy_exchange.log_det(instance.blocks, chosen), seconds
+    return peers.log_det(instance.blocks, chosen), seconds
 
 
 class Comparison(NamedTuple):
@@ -166,7 +167,7 @@ def choose_by_doetools(instance: Instance, folder: Path | None) -> tuple[float, 
     if answer is None:
         return nothing
     indices, seconds = answer
-    return numpy_exchange.log_det(instance.blocks, indices), seconds
+    return peers.log_det(instance.blocks, indices), seconds
 
 
 def compare(

@@ -1,15 +1,38 @@
-"""Single-line mutations of a module's text, by its syntax tree.
+"""Mutate single lines of `oed`, and name the mutants that their room's tests miss.
 
-Docstrings, annotations, decorators and formatted strings stay as they are.
+    python -m benchmarks.mutants --seed 1
+    python -m benchmarks.mutants --seed 1 --count 20 --rooms noise gap --out mutants.csv
+
+Draws mutations over the rooms by their lines of code: a sign, a factor, an index, the
+order of two arguments, a comparison, an extremum, a negation or a default changes;
+docstrings, annotations, decorators and formatted strings stay. The tests in
+tests/oed/<room> run against each, in a temporary copy of the tree. A mutant is killed by
+a failure or by the time limit; those that survive are printed.
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
+import contextlib
+import csv
 import dataclasses
 import itertools
+import os
 import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+# -- mutations of a module, by its syntax tree -----------------------------------------
+
 
 SIGNS = {
     ast.Add: ("+", "-"),
@@ -300,3 +323,259 @@ def _is_text(node: ast.expr) -> bool:
 
 def _on_one_line(node: ast.expr) -> bool:
     return node.lineno == node.end_lineno
+
+
+# -- mutants over the rooms ------------------------------------------------------------
+
+
+PACKAGE = "oed"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Mutant:
+    """A mutation of a module of a room.
+
+    room        folder of `oed`
+    path        of the module, from the root of the tree
+    mutation    the changed line
+    """
+
+    room: str
+    path: str
+    mutation: Mutation
+
+
+def rooms_of(root: Path) -> list[str]:
+    """The rooms of `oed`: its folders that hold modules, sorted."""
+    folders = sorted((root / PACKAGE).iterdir())
+    return [folder.name for folder in folders if any(folder.glob("*.py"))]
+
+
+def draw(
+    root: Path, rooms: list[str], count: int, rng: np.random.Generator
+) -> list[Mutant]:
+    """`count` mutants: at most one a line, the kind drawn before the mutation.
+
+    A room gives fewer than its share where it has fewer lines to mutate.
+    """
+    numbers = [_number_of_lines(root, room) for room in rooms]
+    mutants = []
+    for room, number in zip(rooms, shares(numbers, count), strict=True):
+        mutants += _draw_in_room(root, room, number, rng)
+    return mutants
+
+
+def shares(sizes: list[int], count: int) -> list[int]:
+    """`count` in whole parts proportional to the sizes, by largest remainders."""
+    exact = count * np.array(sizes) / sum(sizes)
+    whole = np.floor(exact).astype(int)
+    order = np.argsort(whole - exact, kind="stable")
+    whole[order[: count - whole.sum()]] += 1
+    return whole.tolist()
+
+
+def _draw_in_room(
+    root: Path, room: str, count: int, rng: np.random.Generator
+) -> list[Mutant]:
+    texts = {
+        path.relative_to(root).as_posix(): path.read_text(encoding="utf-8")
+        for path in _modules(root, room)
+    }
+    by_line: dict[tuple[str, int], list[Mutation]] = {}
+    for name, text in texts.items():
+        for mutation in mutations(text):
+            by_line.setdefault((name, mutation.line), []).append(mutation)
+    lines = sorted(by_line)
+    mutants: list[Mutant] = []
+    for k in rng.permutation(len(lines)):
+        if len(mutants) == count:
+            break
+        name, _ = lines[k]
+        mutation = _draw_mutation(by_line[lines[k]], rng)
+        if is_valid(texts[name], mutation):
+            mutants.append(Mutant(room, name, mutation))
+    return mutants
+
+
+def _draw_mutation(choices: list[Mutation], rng: np.random.Generator) -> Mutation:
+    kinds = sorted({choice.kind for choice in choices})
+    kind = kinds[rng.integers(len(kinds))]
+    of_kind = [choice for choice in choices if choice.kind == kind]
+    return of_kind[rng.integers(len(of_kind))]
+
+
+def _number_of_lines(root: Path, room: str) -> int:
+    texts = (path.read_text(encoding="utf-8") for path in _modules(root, room))
+    return sum(len(code_lines(text)) for text in texts)
+
+
+def _modules(root: Path, room: str) -> list[Path]:
+    return sorted((root / PACKAGE / room).rglob("*.py"))
+
+
+# -- trials ----------------------------------------------------------------------------
+
+
+TESTS = Path("tests") / "oed"
+#: where the packages of a tree lie; before the installed ones
+PACKAGES = (".", "models", "studies", "reports", "tests", "tests/fixtures")
+IGNORED = shutil.ignore_patterns(".*", "__pycache__", "out")
+#: seconds that a mutant may take: so many times the unchanged tests, and a margin
+SLOWER, MARGIN = 4.0, 20.0
+
+KILLED, TIMED_OUT, SURVIVED = "killed", "time limit", "survived"
+NO_TESTS = "no tests"
+
+
+class FailingTestsError(Exception):
+    """The tests of a room fail without any mutation."""
+
+
+@contextlib.contextmanager
+def copied(root: Path) -> Iterator[Path]:
+    """A temporary copy of a tree; data beside it stand beside the copy as well."""
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        tree = Path(folder) / "tree"
+        shutil.copytree(root, tree, ignore=IGNORED)
+        data = root.parent / "shared"
+        if data.is_dir():
+            (tree.parent / "shared").symlink_to(data.resolve())
+        yield tree
+
+
+def limit_of(tree: Path, room: str) -> float:
+    """Seconds that the tests of a room may take, from a run without mutation."""
+    start = time.monotonic()
+    if _run_tests(tree, room, None) != SURVIVED:
+        command = f"pytest {TESTS / room}"
+        raise FailingTestsError(f"{command} fails without a mutation: mend that first.")
+    return MARGIN + SLOWER * (time.monotonic() - start)
+
+
+def has_tests(tree: Path, room: str) -> bool:
+    return any((tree / TESTS / room).glob("test_*.py"))
+
+
+def try_mutant(tree: Path, mutant: Mutant, limit: float) -> str:
+    """KILLED, TIMED_OUT or SURVIVED; the copy is as before afterwards."""
+    path = tree / mutant.path
+    text = path.read_text(encoding="utf-8")
+    path.write_text(applied(text, mutant.mutation), encoding="utf-8")
+    try:
+        return _run_tests(tree, mutant.room, limit)
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def _run_tests(tree: Path, room: str, limit: float | None) -> str:
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    command = [sys.executable, "-m", "pytest", str(TESTS / room), *options]
+    process = subprocess.Popen(
+        command,
+        cwd=tree,
+        env=_environment(tree),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        return KILLED if process.wait(limit) else SURVIVED
+    except subprocess.TimeoutExpired:
+        return TIMED_OUT
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _environment(tree: Path) -> dict[str, str]:
+    """The copy's modules are imported; no bytecode of a mutant remains."""
+    search = os.pathsep.join(str(tree / name) for name in PACKAGES)
+    settings = {"PYTHONPATH": search, "PYTHONDONTWRITEBYTECODE": "1"}
+    return {"OPENBLAS_NUM_THREADS": "1", **os.environ, **settings}
+
+
+# -- command ---------------------------------------------------------------------------
+
+
+ROOT = Path(__file__).resolve().parents[1]
+DETECTED = {KILLED, TIMED_OUT}
+COLUMNS = ("room", "file", "line", "kind", "verdict", "before", "after")
+
+Trial = tuple[Mutant, str]
+
+
+def main(arguments: list[str] | None = None, root: Path = ROOT) -> int:
+    """Exit code: 0 all mutants are killed, 1 some survive, 2 bad input."""
+    rooms = rooms_of(root)
+    parser = _parser(rooms)
+    options = parser.parse_args(arguments)
+    if options.out and options.out.exists():
+        parser.error(f"--out {options.out} exists: name a new file or remove it.")
+    rng = np.random.default_rng(options.seed)
+    mutants = draw(root, options.rooms or rooms, options.count, rng)
+    try:
+        trials = list(_trials(root, mutants))
+    except FailingTestsError as error:
+        parser.error(str(error))
+    if options.out:
+        _write(options.out, trials)
+    _print_summary(trials)
+    return int(any(verdict not in DETECTED for _, verdict in trials))
+
+
+def _trials(root: Path, mutants: list[Mutant]) -> Iterator[Trial]:
+    limits: dict[str, float] = {}
+    with copied(root) as tree:
+        for mutant in mutants:
+            verdict = NO_TESTS
+            if has_tests(tree, mutant.room):
+                if mutant.room not in limits:
+                    limits[mutant.room] = limit_of(tree, mutant.room)
+                verdict = try_mutant(tree, mutant, limits[mutant.room])
+            _print_trial(mutant, verdict)
+            yield mutant, verdict
+
+
+def _print_trial(mutant: Mutant, verdict: str) -> None:
+    mutation = mutant.mutation
+    place = f"{mutant.path}:{mutation.line}"
+    print(f"{verdict:10s}  {mutation.kind:10s}  {place}", flush=True)
+    if verdict not in DETECTED:
+        print(f"    - {mutation.before.strip()}", flush=True)
+        print(f"    + {mutation.after.strip()}", flush=True)
+
+
+def _print_summary(trials: list[Trial]) -> None:
+    drawn = Counter(mutant.room for mutant, _ in trials)
+    killed = Counter(mutant.room for mutant, v in trials if v in DETECTED)
+    print(f"\n{'room':20s}{'mutants':>8s}{'survivors':>11s}")
+    for room, number in sorted(drawn.items()):
+        print(f"{room:20s}{number:8d}{number - killed[room]:11d}")
+    print(f"{'all':20s}{drawn.total():8d}{drawn.total() - killed.total():11d}")
+
+
+def _write(path: Path, trials: list[Trial]) -> None:
+    with path.open("x", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for mutant, verdict in trials:
+            m = mutant.mutation
+            texts = (m.before.strip(), m.after.strip())
+            row = (mutant.room, mutant.path, m.line, m.kind, verdict, *texts)
+            writer.writerow(row)
+
+
+def _parser(rooms: list[str]) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.mutants",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--count", type=int, default=60, help="of mutants")
+    parser.add_argument("--rooms", nargs="+", choices=rooms, metavar="ROOM")
+    parser.add_argument("--out", type=Path, help="a table of all mutants (CSV)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

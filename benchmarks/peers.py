@@ -1,0 +1,426 @@
+"""Problem A of the design benchmark, and the adapters to other packages.
+
+Call it in the folder `benchmarks`: `python -m peers NAME TASK`, for problem A, or
+`python -m peers NAME TASK FILE SIZE`, for rows (C, n) in a .npy file. It runs one task of
+one package in that package's environment, and prints one line of JSON with `indices` (row
+numbers), `seconds` (processor time of the choice alone) and `version`. Output of the
+package itself goes to the error stream.
+
+Only NumPy is imported here, because each package runs in an environment of its own.
+
+Problem A: choose 30 different rows of the 2000 x 21 matrix
+`numpy.random.default_rng(0).standard_normal((2000, 21))`. Maximise log det (D) or the
+least eigenvalue (E) of their information matrix.
+
+A task prepares what is not part of the choice: imports, and data in the package's format.
+It returns the choice as a function, and only that function is timed.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import random
+import re
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+SIZE, COLUMNS, CANDIDATES = 30, 21, 2000
+#: least eigenvalue below which the information matrix counts as singular
+SINGULAR = 1e-12
+
+Choose = Callable[[], Any]
+
+
+class Task(NamedTuple):
+    """One method of one package for one problem."""
+
+    problem: str  #: "A, D" or "A, E"
+    method: str  #: description for the table
+    prepare: Callable[..., Choose]  #: takes the rows, returns the timed function
+    note: str = ""  #: how its result differs from what the problem asks
+
+
+class Peer(NamedTuple):
+    """A package.
+
+    requires  pinned requirements, the package itself first
+    tasks     what it is asked to do
+    """
+
+    requires: tuple[str, ...]
+    tasks: tuple[Task, ...]
+
+
+def processor_seconds() -> float:
+    """Processor time of this process and of its finished children.
+
+    Other processes on the machine do not count. On Windows, children do not either.
+    """
+    try:
+        import resource
+    except ImportError:
+        return time.process_time()
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def candidates(count: int = CANDIDATES) -> np.ndarray:
+    """Rows of problem A, (count, 21)."""
+    return np.random.default_rng(0).standard_normal((count, COLUMNS))
+
+
+def value(problem: str, indices: Sequence[Any] | np.ndarray) -> tuple[float, str]:
+    """Criterion value of the chosen row numbers, and the rules they break, if any."""
+    chosen = np.asarray(indices, dtype=int)
+    matrix = candidates()[chosen]
+    singular_values = np.linalg.svd(matrix, compute_uv=False)
+    complete = len(singular_values) == COLUMNS
+    least = float(singular_values[-1] ** 2) if complete else 0.0
+    violations = ", ".join(_violations(chosen))
+    if problem.endswith("E"):
+        return least, violations
+    if least <= SINGULAR:
+        return -np.inf, violations
+    return 2.0 * float(np.log(singular_values).sum()), violations
+
+
+def _violations(chosen: np.ndarray) -> list[str]:
+    violations = []
+    repeats = len(chosen) - len(set(chosen.tolist()))
+    if repeats:
+        violations.append(f"{repeats} repeated")
+    if len(chosen) != SIZE:
+        violations.append(f"{len(chosen)} runs")
+    return violations
+
+
+# -- doekit: KL exchange for D, Fedorov's for the other criteria, on a model matrix.
+
+
+def doekit_kl(rows: np.ndarray) -> Choose:
+    """Its `kl_exchange` with its defaults."""
+    from doekit.generation.search.optimal import kl_exchange
+
+    return lambda: kl_exchange(rows, SIZE, rng=np.random.default_rng(1))
+
+
+def doekit_fedorov(rows: np.ndarray) -> Choose:
+    """Its `fedorov_exchange` for the least eigenvalue."""
+    from doekit.domain.criteria import get_criterion
+    from doekit.generation.search.optimal import fedorov_exchange
+
+    return lambda: fedorov_exchange(
+        rows, SIZE, get_criterion("E"), rng=np.random.default_rng(1)
+    )
+
+
+# -- doetools: Fedorov's exchange on a whitened model matrix.
+
+
+def doetools_fedorov(rows: np.ndarray, size: int = SIZE) -> Choose:
+    """Its `optimize_d_optimal` with its 50 random starts."""
+    from doetools.design.d_opt.optimizer import optimize_d_optimal
+
+    return lambda: optimize_d_optimal(
+        rows, n_min=size, n_max=size, random_state=1
+    ).best_indices[size]
+
+
+# -- figaroh: the optimisers of its calibration, on information matrices, not a robot.
+
+
+def figaroh_socp(rows: np.ndarray) -> Choose:
+    """The 30 largest relaxed weights by picos and CVXOPT.
+
+    The package itself takes every weight above 1e-5.
+    """
+    from figaroh.optimal.base_optimal_calibration import SOCPOptimizer
+
+    pool = dict(enumerate(rows[:, :, None] * rows[:, None, :]))
+    return lambda: list(SOCPOptimizer(pool, {"NbSample": len(rows)}).solve()[1])[:SIZE]
+
+
+def figaroh_detmax(rows: np.ndarray) -> Choose:
+    """Its exchange from one random start."""
+    from figaroh.optimal.base_optimal_calibration import Detmax
+
+    exchange = Detmax(dict(enumerate(rows[:, :, None] * rows[:, None, :])), SIZE)
+
+    evaluate = exchange.get_critD
+    current: list[int] = []
+
+    # the class keeps its set in a local variable of `main_algo`: record it here
+    def evaluate_and_record(chosen: list[int]) -> float:
+        current[:] = chosen
+        return evaluate(chosen)
+
+    def choose() -> list[int]:
+        exchange.get_critD = evaluate_and_record
+        exchange.main_algo()
+        return current
+
+    return choose
+
+
+# -- industrialstats: row exchange over a candidate set that replaces its own grid.
+
+
+def industrialstats_exchange(rows: np.ndarray) -> Choose:
+    """Its `OptimalDesign` with its 5 random starts (it takes no seed)."""
+    import pandas as pd
+    from industrialstats.designs.base import Factor
+    from industrialstats.designs.optimal import OptimalDesign
+
+    names = [f"x{k}" for k in range(rows.shape[1])]
+    factors = [Factor(name, [-5.0, 5.0], "continuous") for name in names]
+    design = OptimalDesign(factors, SIZE, "D", model_terms=names)
+    design.candidate_set = pd.DataFrame(rows, columns=names)
+    numbers = {row.tobytes(): number for number, row in enumerate(rows)}
+
+    def choose() -> list[int]:
+        chosen = design.generate_design()[names].to_numpy(dtype=float)
+        return [numbers[np.ascontiguousarray(row).tobytes()] for row in chosen]
+
+    return choose
+
+
+# -- numpy_exchange: a greedy plan and random plans, improved by Fedorov's formula.
+
+
+#: relative gain in the determinant below which an exchange counts as none
+GAIN = 1e-9
+
+
+def log_det(blocks: np.ndarray, chosen: np.ndarray) -> float:
+    """Value of a plan, from the singular values of its rows."""
+    rows = blocks[chosen].reshape(-1, blocks.shape[2])
+    with np.errstate(divide="ignore"):
+        return 2.0 * float(np.log(np.linalg.svd(rows, compute_uv=False)).sum())
+
+
+def select_greedily(blocks: np.ndarray, size: int) -> np.ndarray:
+    """Candidates added one by one, each the one that raises the determinant most."""
+    count, k, columns = blocks.shape
+    m = 1e-6 * float(np.mean(blocks**2)) * np.eye(columns)
+    allowed, chosen = np.ones(count, dtype=bool), []
+    for _ in range(size):
+        factors = np.linalg.det(np.eye(k) + blocks @ np.linalg.inv(m) @ blocks.mT)
+        best = int(np.argmax(np.where(allowed, factors, -np.inf)))
+        chosen.append(best)
+        allowed[best] = False
+        m = m + blocks[best].T @ blocks[best]
+    return np.array(chosen)
+
+
+def exchange_rows(rows: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Best pair of rows (C, n) exchanged until none raises the determinant."""
+    chosen = chosen.copy()
+    while True:
+        side = rows @ np.linalg.inv(rows[chosen].T @ rows[chosen])
+        leverage = np.sum(side * rows, axis=1)
+        factors = (side[chosen] @ rows.T) ** 2
+        factors += np.outer(1.0 - leverage[chosen], 1.0 + leverage)
+        factors[:, chosen] = 0.0
+        place, row = divmod(int(factors.argmax()), len(rows))
+        if not factors[place, row] > 1.0 + GAIN:
+            return chosen
+        chosen[place] = row
+
+
+def exchange_blocks(blocks: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Each block in turn replaced by the best one until none raises the determinant."""
+    chosen, changed = chosen.copy(), True
+    k, columns = blocks.shape[1:]
+    while changed:
+        changed = False
+        for place in range(len(chosen)):
+            others = blocks[np.delete(chosen, place)].reshape(-1, columns)
+            ridge = 1e-12 * float(np.mean(others**2)) * np.eye(columns)
+            inverse = np.linalg.inv(others.T @ others + ridge)
+            factors = np.linalg.det(np.eye(k) + blocks @ inverse @ blocks.mT)
+            before = factors[chosen[place]]
+            factors[np.delete(chosen, place)] = 0.0
+            best = int(np.argmax(factors))
+            if factors[best] > before * (1.0 + GAIN):
+                chosen[place], changed = best, True
+    return chosen
+
+
+def exchange(
+    blocks: np.ndarray, size: int, starts: int, rng: np.random.Generator
+) -> np.ndarray:
+    """The best plan of a greedy start and of `starts` random ones; blocks (C, k, n)."""
+    plans = [select_greedily(blocks, size)]
+    plans += [rng.permutation(len(blocks))[:size] for _ in range(starts)]
+    if blocks.shape[1] == 1:
+        plans = [exchange_rows(blocks[:, 0], plan) for plan in plans]
+    else:
+        plans = [exchange_blocks(blocks, plan) for plan in plans]
+    return max(plans, key=lambda plan: log_det(blocks, plan))
+
+
+def _task(rows: np.ndarray, starts: int) -> Choose:
+    rng = np.random.default_rng(1)
+    return lambda: exchange(rows[:, None], SIZE, starts, rng)
+
+
+# -- optdesign: exchange of one row at a time from a given order of the rows.
+
+
+def optdesign_exchange(rows: np.ndarray, starts: int) -> Choose:
+    """Best of `starts` random orders."""
+    from optdesign import opt_dmetric, setup_random
+
+    def choose() -> np.ndarray:
+        rng = np.random.default_rng(1)
+        best_score, best = -np.inf, None
+        for _ in range(starts):
+            order = np.asarray(setup_random(rows, rng))
+            chosen = order[opt_dmetric(rows[order], SIZE, maxiter=1000)[:SIZE]]
+            score = float(np.linalg.slogdet(rows[chosen].T @ rows[chosen])[1])
+            if score > best_score:
+                best_score, best = score, chosen
+        return best
+
+    return choose
+
+
+# -- pydex: relaxed weights by cvxpy, then Adams' apportionment.
+
+
+def pydex_weights(rows: np.ndarray, criterion: str) -> Choose:
+    """The information matrices are its `atomic_fims`: nothing is differentiated."""
+    from pydex.core.designer import Designer
+
+    designer = Designer()
+    designer.simulate = lambda ti_controls, model_parameters: np.array(
+        [ti_controls @ model_parameters]
+    )
+    designer.ti_controls_candidates = rows
+    designer.model_parameters = np.ones(rows.shape[1])
+    designer.initialize(verbose=0)
+    designer.sensitivities = rows[:, None, None, :]
+    designer.atomic_fims = rows[:, :, None] * rows[:, None, :]
+    designer._model_parameters_changed = designer._candidates_changed = False
+
+    def choose() -> np.ndarray:
+        goal = getattr(designer, f"{criterion}_opt_criterion")
+        designer.design_experiment(goal, package="cvxpy", optimizer="CLARABEL")
+        designer.apportion(SIZE, trimmed=False, compute_actual_efficiency=False)
+        counts = np.zeros(len(rows), dtype=int)
+        for candidate, runs in zip(
+            designer.optimal_candidates, designer.apportionments, strict=True
+        ):
+            counts[candidate[0]] = int(np.nansum(runs))
+        return np.repeat(np.arange(len(rows)), counts)
+
+    return choose
+
+
+# -- pydoe: greedy, then exchange passes over the rows of a Jacobian.
+
+
+def pydoe_jacobian(rows: np.ndarray, criterion: str) -> Choose:
+    """Its `jacobian_optimal_design` with its defaults."""
+    from pydoe import jacobian_optimal_design
+
+    return lambda: jacobian_optimal_design(rows, SIZE, criterion=criterion)[0]
+
+
+# -- pydoe3: polynomial models in factors; the 21 columns are factors plus an intercept.
+
+
+def pydoe3_optimal(rows: np.ndarray, criterion: str, method: str) -> Choose:
+    """Its `optimal_design` of degree 1; its rows are identified by their values."""
+    from pyDOE3.doe_optimal import optimal_design
+
+    numbers = {row.tobytes(): number for number, row in enumerate(rows)}
+
+    def choose() -> list[int]:
+        design, _ = optimal_design(rows, SIZE, 1, criterion=criterion, method=method)
+        return [numbers[np.ascontiguousarray(row).tobytes()] for row in design]
+
+    return choose
+
+
+# -- all of them
+
+ROUNDED = "may repeat rows; rounds the weights, no exchange"
+REPEATED, INTERCEPT = "may repeat rows", "always adds an intercept"
+PEERS = {
+    "doekit": Peer(("doekit==0.9.1",), (
+        Task("A, D", "KL exchange", doekit_kl),
+        Task("A, E", "Fedorov exchange", doekit_fedorov),
+    )),
+    "doetools": Peer(("doetools==0.1.8",), (
+        Task("A, D", "Fedorov exchange, 50 starts", doetools_fedorov, "D only"),
+    )),
+    "figaroh": Peer(("figaroh==1.0.2", "picos==2.6.2", "cvxopt==1.3.3"), (
+        Task("A, D", "SOCP, 30 largest weights", figaroh_socp,
+             "chooses how many itself; no exchange after the weights"),
+        Task("A, D", "DETMAX", figaroh_detmax),
+    )),
+    "industrialstats": Peer(("industrialstats==0.3.0",), (
+        Task("A, D", "row exchange, 5 starts", industrialstats_exchange,
+             "may repeat rows; no E"),
+    )),
+    "numpy_exchange": Peer(("numpy==2.4.6",), (
+        Task("A, D", "exchange, 100 starts", lambda rows: _task(rows, 100), "D only"),
+    )),
+    "optdesign": Peer(("optdesign==1.0.0",), (
+        Task("A, D", "exchange, 1 start", lambda r: optdesign_exchange(r, 1), "D only"),
+        Task("A, D", "exchange, 100 starts", lambda r: optdesign_exchange(r, 100), "D only"),
+    )),
+    "pydex": Peer(("pydex==0.0.9", "cvxpy==1.9.3", "clarabel==0.11.1"), (
+        Task("A, D", "Clarabel, apportioned", lambda r: pydex_weights(r, "d"), ROUNDED),
+        Task("A, E", "Clarabel, apportioned", lambda r: pydex_weights(r, "e"), ROUNDED),
+    )),
+    "pydoe": Peer(("pydoe==1.6.0",), (
+        Task("A, D", "greedy, exchange", lambda r: pydoe_jacobian(r, "D"), REPEATED),
+        Task("A, E", "greedy, exchange", lambda r: pydoe_jacobian(r, "E"), REPEATED),
+    )),
+    "pydoe3": Peer(("pydoe3==1.6.2",), (
+        Task("A, D", "greedy (its default)",
+             lambda r: pydoe3_optimal(r, "D", "sequential"), INTERCEPT),
+        Task("A, D", "DETMAX", lambda r: pydoe3_optimal(r, "D", "detmax"), INTERCEPT),
+        Task("A, E", "DETMAX", lambda r: pydoe3_optimal(r, "E", "detmax"), INTERCEPT),
+    )),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Run the task that the command line names, and print its answer."""
+    name, number = sys.argv[1], int(sys.argv[2])
+    answer_stream = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    warnings.simplefilter("ignore")
+    random.seed(1)
+    np.random.seed(1)  # noqa: NPY002 - packages that draw from the global generator
+    peer = PEERS[name]
+    prepare = peer.tasks[number].prepare
+    by_file = len(sys.argv) > 3
+    arguments = (np.load(sys.argv[3]), int(sys.argv[4])) if by_file else (candidates(),)
+    choose = prepare(*arguments)
+    start = processor_seconds()
+    indices = choose()
+    seconds = processor_seconds() - start
+    package = re.split(r"[\[=<>]", peer.requires[0])[0]
+    answer = {
+        "indices": np.asarray(indices).tolist(),
+        "seconds": seconds,
+        "version": importlib.metadata.version(package),
+    }
+    json.dump(answer, answer_stream)
+    answer_stream.close()
+    os._exit(0)  # some packages leave threads behind
+
+
+if __name__ == "__main__":
+    main()
