@@ -254,6 +254,14 @@ def test_the_campaign_of_ranks_prints_its_table(
     assert summary["quantities"].to_list() == [13, len(expected)]
 
 
+def test_ranks_are_of_the_laws_that_a_fit_of_few_readings_has() -> None:
+    """Twelve readings beyond the unknowns: no course through the session."""
+    bench = module("machines").configuration("a3_30")
+    ranks = module("ranks").one_machine(bench, 0, 1, "laplace")
+    assert len(ranks) == 18 + 5
+    assert "course of the session" not in ranks
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a3_30", "delta"])
 def test_ranks_are_uniform(name: str) -> None:
