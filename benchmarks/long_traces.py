@@ -1,7 +1,7 @@
 """Time and memory of a diagnosis of long traces, with a gap and without one.
 
-    python benchmarks/long_traces.py                          # 720, 5000, 20000 readings
-    python benchmarks/long_traces.py --readings 5000 --law known
+    python -m benchmarks.long_traces                      # 720, 5000, 20000 readings
+    python -m benchmarks.long_traces --readings 5000 --law known
 
 Readings: the A3 head with a ball bar, two circles both ways (four runs), ten readings a
 second, all covariates. The bar's noise of 0.5 um has a share of 0.3 that is carried
@@ -31,14 +31,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from oed import dataset
-from oed.gap.data import problem as problem_of
+from benchmarks.harness.diagnosis import prepare
 from oed.gap.data.problem import GapProblem
 from oed.gap.procedure import diagnose
-from oed.model.effect import Effect
-from oed.noise import NoiseLaw
+from oed.noise.law import NoiseLaw
 from pkm_studies import stages, study
-from pkm_studies.resolve import gap_request, resolve
 
 RUNS, NOISE, CARRIED, REACH, LEVEL = 4, 0.5, 0.3, 8.0, 0.2
 STUDY = """\
@@ -133,25 +130,12 @@ def known_law(problem: GapProblem) -> NoiseLaw:
     return NoiseLaw(dataclasses.replace(problem.stated_law.law, **arrays))
 
 
-def prepare(folder: Path, readings: int, gap: bool) -> tuple[GapProblem, list[Effect]]:
-    """The residuals of readings, and the library of effects."""
-    csv = write_readings(folder, readings, gap)
-    stated = study.load(write_study(folder, readings, False, NOISE))
-    resolved = resolve(stated, readings=[])
-    measurement = resolved.measurement_with(resolved.setups)
-    request = gap_request(stated, resolved.machine)
-    assert request is not None  # `always` makes one
-    data = dataset.load(csv, measurement)
-    problem = problem_of.prepare(
-        measurement, data.series, data.y, data.covariates, gravity=request.gravity
-    )
-    return problem, list(request.effects)
-
-
 def diagnose_once(readings: int, gap: bool, law: str) -> tuple[float, str]:
     """Processor seconds of one diagnosis, and its answer in words."""
     with tempfile.TemporaryDirectory() as folder:
-        problem, effects = prepare(Path(folder), readings, gap)
+        csv = write_readings(Path(folder), readings, gap)
+        stated = write_study(Path(folder), readings, False, NOISE)
+        problem, effects = prepare(stated, csv)
     start = time.process_time()
     known = known_law(problem) if law == "known" else None
     result = diagnose(problem, effects, np.random.default_rng(1), law=known)
@@ -214,7 +198,8 @@ def main() -> None:
         for case in ("gap", "none"):
             arguments = ["--readings", str(readings), "--law", options.law]
             arguments += ["--study"] if options.study else []
-            command = [sys.executable, __file__, *arguments, "--row", case]
+            module = ["-m", "benchmarks.long_traces"]
+            command = [sys.executable, *module, *arguments, "--row", case]
             subprocess.run(command, check=True)
 
 
