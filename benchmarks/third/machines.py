@@ -3,7 +3,7 @@
 Geometry comes as departures `theta` from nominal, with the tolerances `sd` that the
 models of the toolkit state. The closures share no code with the toolkit.
 
-A machine has a name, as `benchmarks.second.adapter` calls it, `legs` drives, a platform
+A machine has a name, as `benchmarks.second.world` calls it, `legs` drives, a platform
 of `weight` N, and an instrument with noise `sigma`, m. `joints` gives joint values (n,
 legs) of commands (n, 3) and (n, 2); `tips` the tool points (n, 3) of joint values, of a
 base that has grown by `frame` (n,).
