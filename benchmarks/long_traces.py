@@ -34,7 +34,7 @@ import pandas as pd
 from benchmarks.harness.diagnosis import prepare
 from oed.gap.data.problem import GapProblem
 from oed.gap.procedure import diagnose
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from pkm_studies import stages, study
 
 RUNS, NOISE, CARRIED, REACH, LEVEL = 4, 0.5, 0.3, 8.0, 0.2

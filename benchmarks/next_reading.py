@@ -28,8 +28,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.harness import pages
-from oed.base.arrays import Array
-from oed.design import candidates
+from oed.base import Array
+from oed.design import Candidates
 from oed.measurement import Series, draw_readings
 from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser

@@ -24,8 +24,8 @@ import msgspec
 import numpy as np
 from scipy.optimize import least_squares
 
-from oed.base import units
-from oed.base.arrays import Array, Mask
+from oed import units
+from oed.base import Array, Mask
 from oed.dataset import Dataset
 from oed.estimation import identify
 from oed.measurement import Measurement, Series

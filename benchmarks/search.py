@@ -38,8 +38,7 @@ import hexapod
 import peer_runs
 import peers
 import study_candidates
-from oed.design import exchange
-from oed.design.blocks import as_blocks
+from oed import design
 from peers import processor_seconds
 
 #: values that differ by less are equally good

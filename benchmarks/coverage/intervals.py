@@ -26,11 +26,9 @@ from scipy import stats
 from benchmarks.coverage.machines import Bench, configuration
 from benchmarks.coverage.noise import draw as draw_noise
 from benchmarks.harness.statistics import half_width
+from oed import posterior
 from oed.accuracy.maps import driven_errors
-from oed.estimation.coordinates import coordinates_of_readings
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
-from oed.posterior import laplace
+from oed.estimation import Estimate, identify
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,9 +87,11 @@ def one_machine(
     estimate = identify(
         m, bench.series, y, stages=bench.stages, estimate_noise=estimate_noise
     )
-    z = laplace.draw_coordinates(estimate, rng, DRAWS)
+    z = posterior.draw_coordinates(estimate, rng, DRAWS)
     inside, nees = _combinations(bench, estimate, z, exact)
-    theta = laplace.draw_parameters(m, bench.series, y, estimate, z[:BAND_DRAWS], rng)
+    theta = posterior.draw_lost_directions(
+        m, bench.series, y, estimate, z[:BAND_DRAWS], rng
+    )
     return Outcome(inside, nees, _bands(bench, estimate, theta, truth))
 
 
@@ -112,8 +112,8 @@ def _combinations(
 
 def true_coordinates(bench: Bench, estimate: Estimate, exact: np.ndarray) -> np.ndarray:
     """Coordinates (r,) whose readings are the exact ones (N,)."""
-    return coordinates_of_readings(
-        bench.measurement, bench.series, estimate.coordinates, exact, estimate.z
+    return estimate.coordinates.of_readings(
+        bench.measurement, bench.series, exact, estimate.z
     )
 
 

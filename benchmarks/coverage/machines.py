@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.coverage.noise import Layout
 from oed.compensate import compensated_joints
-from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.estimation import IdentifiableCoordinates
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import mount
-from oed.noise.statement import NoiseStatement
+from oed.noise import NoiseStatement
 from pkm_models.instruments import ball_bar, calliper, height_probe, relative
 from pkm_models.machines import a3_head, linear_delta, planar_2dof
 from pkm_models.machines import hexapod as model
@@ -68,7 +68,7 @@ class Bench:
         """Identifiable combinations: those of the readings at nominal parameters."""
         m = self.measurement
         noise = m.noise(self.series)
-        return identifiable_coordinates(m, self.series, m.nominal, noise)
+        return IdentifiableCoordinates.of(m, self.series, m.nominal, noise)
 
     @functools.cached_property
     def layout(self) -> Layout:

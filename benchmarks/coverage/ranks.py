@@ -24,8 +24,8 @@ from scipy import stats
 
 from benchmarks.coverage.intervals import generator, true_coordinates
 from benchmarks.coverage.machines import Bench, configuration
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
+from oed import posterior
+from oed.estimation import Estimate, identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
 
@@ -84,7 +84,7 @@ def one_machine(
     m = bench.measurement
     structure = reading_structure(m, bench.series, m.nominal)
     # as the fit has it: with few readings beyond the unknowns no course is in the model
-    prior = noise_prior(structure, len(structure) - bench.coordinates.basis.shape[1])
+    prior = NoisePrior.of(structure, len(structure) - bench.coordinates.basis.shape[1])
     rng = generator(seed, "ranks", bench.name, number)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     law = rng.standard_normal(prior.dimensions)

@@ -20,8 +20,8 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
-from oed.result.gap import AnswerRecord, ClosureRecord
+from oed.noise import NoiseLaw
+from oed.result import AnswerRecord, ClosureRecord
 from pkm_studies import study as studies
 from pkm_studies.resolve import gap_request, resolve
 from pkm_studies.user_code import Consent

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness.diagnosis import Record, prepare
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of

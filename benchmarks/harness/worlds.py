@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,25 +24,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.real_machines import world
+from oed import posterior
 from oed.accuracy import ErrorMaps
-from oed.base.arrays import Array
-from oed.compensate.effects.absorbed import absorbing_shift
-from oed.compensate.effects.answer_fits import AnswerFits, with_constants
-from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
-from oed.compensate.effects.fit import (
+from oed.base import Array
+from oed.corrected import (
+    AnswerFits,
+    AnswerMixture,
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
+    with_constants,
 )
-from oed.compensate.effects.mixture import AnswerMixture, columns_of_forms
-from oed.estimation import identify
-from oed.estimation.discrepancy import LARGE, SMALL
-from oed.estimation.estimate import Estimate
+from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
+from oed.estimation import Discrepancy, Estimate, identify
 from oed.gap import procedure
 from oed.gap.data import problem as problems
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
-from oed.posterior import laplace
 
 #: draws of an estimate that are judged, and of an answer
 DRAWS, ANSWER_DRAWS = 200, 400
@@ -101,7 +99,9 @@ def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
         problem.series,
         bench.y,
         estimate_noise=True,
-        discrepancy=columns.of_sizes(np.concatenate([SMALL, LARGE])).discrepancy,
+        discrepancy=columns.of_sizes(
+            np.concatenate([Discrepancy.SMALL, Discrepancy.LARGE])
+        ).discrepancy,
         rng=rng,
     )
     record["seconds"] = time.process_time() - started
@@ -276,7 +276,7 @@ def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     record["seconds_mixture"] = time.process_time() - started
     record["verdict"], record["rest"] = diagnosis.verdict, mixture.rest
     record["answers"] = _named(mixture)
-    nothing = laplace.draw_approximation(
+    nothing = posterior.draw_approximation(
         bench.measurement, problem.series, bench.y, alone, rng, ANSWER_DRAWS
     )
     still = np.zeros((len(nothing.theta), *bench.shift.shape))
@@ -321,7 +321,7 @@ def _of_best(
     corrected: CorrectedEstimate,
     rng: np.random.Generator,
 ) -> Known:
-    drawn = laplace.draw_approximation(
+    drawn = posterior.draw_approximation(
         corrected.measurement,
         corrected.series,
         bench.y,
@@ -330,7 +330,7 @@ def _of_best(
         ANSWER_DRAWS,
     )
     count = corrected.parameters
-    columns = columns_of_forms(corrected.forms)
+    columns = corrected.columns
     shifts = _shifts(bench, problem, columns, drawn.theta[:, count:])
     return Known(drawn.theta[:, :count], shifts)
 

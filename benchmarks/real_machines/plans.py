@@ -32,15 +32,10 @@ import numpy as np
 from benchmarks.real_machines import world
 from benchmarks.real_machines.cases import judge
 from oed.accuracy import error_maps
-from oed.base.arrays import Array, Index
-from oed.compensate.effects.expected_columns import expected_columns
-from oed.compensate.effects.planned_effects import PlannedEffects
-from oed.design import candidates
-from oed.design.blocks import information
-from oed.design.exchange import choose
-from oed.design.forms.variance import Variance
-from oed.estimation import identify
-from oed.estimation.discrepancy import HEALTHY
+from oed.base import Array, Index
+from oed.design import CRITERIA, Candidates, choose
+from oed.effects import PlannedEffects, expected_columns
+from oed.estimation import Discrepancy, identify
 from oed.gap.data import problem as problems
 from oed.identifiability import prior_information
 from pkm_studies.resolve import effects_of_planned, pose_error_slopes
@@ -58,7 +53,7 @@ def attainable(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Rms error, um, by the sizes of the machine's effects and of those of the plan."""
     bench = world.draw(setting["machine"], 0, "healthy", seed)
     full = effects_of(bench, np.random.default_rng(seed))
-    effects = (None, full.of_size(HEALTHY), full)
+    effects = (None, full.of_size(Discrepancy.HEALTHY), full)
     machines = {n: problem(bench, e) for n, e in zip(SIZES, effects, strict=True)}
     plans = {
         name: one.plan(setting["readings"], np.random.default_rng(seed))
@@ -105,14 +100,15 @@ class Problem:
 
     def rms(self, chosen: Index) -> float:
         """Root mean square error of the tool point with chosen readings, um."""
-        total = self.prior + information(self.blocks[chosen])
+        rows = self.blocks[chosen].reshape(-1, self.blocks.shape[2])
+        total = self.prior + rows.T @ rows
         covariance = np.linalg.inv(total)
         variances = np.einsum("ri,ij,rj->r", self.factor, covariance, self.factor)
         return 1e6 * float(np.sqrt(variances.sum()))
 
     def plan(self, size: int, rng: np.random.Generator) -> Index:
         """The readings that serve this machine best."""
-        criterion = Variance(np.linalg.qr(self.factor, mode="r"))
+        criterion = CRITERIA.over("I", self.factor.shape[1], self.factor[None])
         choice = choose(
             self.blocks, size, rng, criterion, prior=self.prior, certify=False
         )
@@ -136,7 +132,7 @@ def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
     """The session's candidates on a machine with these effects, or without any."""
     measurement = bench.measurement
     maps = error_maps(measurement.kinematics, _workspace(bench), "best_fit")
-    pool = candidates.build(
+    pool = Candidates.build(
         measurement,
         bench.series,
         measurement.nominal,

@@ -22,7 +22,8 @@ import numpy as np
 import oed
 from benchmarks.harness.worlds import Case
 from benchmarks.second import world
-from oed.result import StudyResult, trust
+from oed import trust
+from oed.result import StudyResult
 from pkm_reports import sections
 from pkm_reports.blocks import Block, Items, Notice, Paragraph, Picture, Table
 from pkm_studies import stages

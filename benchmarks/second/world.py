@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks.harness.worlds import Case
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 HERE = Path(__file__).resolve().parent
 #: where the generator lies, beside the project's folder

@@ -31,8 +31,8 @@ from benchmarks.harness.judge import SIX, Scored
 from benchmarks.harness.statistics import share
 from benchmarks.second.world import GENERATOR, MACHINES, write_case
 from benchmarks.visits import later
-from oed.base import units
-from oed.base.arrays import Array
+from oed import units
+from oed.base import Array
 from oed.gap import procedure
 from oed.gap.before import repeats, second_visit
 from oed.gap.before.second_visit import SecondVisit

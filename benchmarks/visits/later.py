@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base import Array
 
 #: largest share by which a repeated draw may miss the first session's change
 ALIKE = 1e-3

@@ -14,7 +14,7 @@ from oed.accuracy import driven_errors, error_maps, predict
 from oed.estimation import identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
-from oed.posterior import laplace
+from oed.posterior import log_density as laplace
 from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]

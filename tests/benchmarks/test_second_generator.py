@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from benchmarks.harness.diagnosis import prepare
 from benchmarks.second import __main__ as command
 from benchmarks.second import texts, world
-from oed.noise.law import NoiseLaw
-from oed.noise.process import Laws
+from oed.noise import Laws, NoiseLaw
 from pkm_reports.blocks import Items, Paragraph, Picture, Table, TableColumn
 
 
