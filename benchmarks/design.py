@@ -51,7 +51,7 @@ import hexapod
 import peer_runs
 from design_table import Row, format_markdown, format_text, sort
 from oed.design import branch, condition, exchange, relaxation
-from oed.design.blocks import as_blocks, information
+from oed.design.blocks import block_array, information
 from peers import COLUMNS, PEERS, SIZE, candidates, processor_seconds, value
 
 RELAXED_D, EXACT_D, RELAXED_E = "A, D relaxed", "A, D", "A, E relaxed"
@@ -97,7 +97,7 @@ def choose_greedily(rows: np.ndarray) -> Row:
     """Greedy choice by D."""
     nothing_known = np.zeros((COLUMNS, COLUMNS))
     seconds, indices = time_median(
-        lambda: exchange.greedy_d(as_blocks(rows), SIZE, nothing_known)
+        lambda: exchange.greedy_d(block_array(rows), SIZE, nothing_known)
     )
     reached = value(EXACT_D, indices)[0]
     return Row(EXACT_D, "this project, greedy", reached, seconds, ours=True)
@@ -158,7 +158,7 @@ def _certified(efficiency: float) -> str:
 
 def solve(rows: np.ndarray, size: int, problem: str, solver: str, limit: float) -> Row:
     """The same relaxation by a general convex solver; it gives no certificate."""
-    blocks = as_blocks(rows)
+    blocks = block_array(rows)
     count = len(blocks)
     at_equal_weights = information(blocks, np.full(count, size / count))
     whitened = blocks @ np.linalg.inv(np.linalg.cholesky(at_equal_weights)).T

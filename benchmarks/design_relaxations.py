@@ -40,7 +40,7 @@ def _own_methods(
     blocks, size = study.blocks, study.size
     columns = blocks.shape[2]
     for name in SMOOTH:
-        criterion = CRITERIA.over(name, columns)
+        criterion = CRITERIA.build(name, columns)
         yield name, lambda c=criterion: relaxation.relax(blocks, size, criterion=c)
     yield "E", lambda: condition.e_optimal(blocks, size)
     yield "kappa", lambda: condition.relax(blocks, size)
@@ -48,7 +48,7 @@ def _own_methods(
 
 
 def _conic(study: StudyCandidates, name: str) -> Callable[[], Answer]:
-    criterion = CRITERIA.over(name, study.blocks.shape[2])
+    criterion = CRITERIA.build(name, study.blocks.shape[2])
     return lambda: conic.relax(study.blocks, study.size, criterion)
 
 

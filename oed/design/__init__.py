@@ -22,16 +22,14 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.design.candidate_file import open_candidates
-    from oed.design.candidates import Candidates
+    from oed.design.candidates import Candidates, Nuisances
     from oed.design.catalogue import CRITERIA
     from oed.design.design_problem import DesignProblem
     from oed.design.evaluator import PlanEvaluator
     from oed.design.exchange import Choice, choose
     from oed.design.forms import Criterion
     from oed.design.how_many import SizeCurve
-    from oed.design.large import choose_from_file
-    from oed.design.nuisances import Nuisances
+    from oed.design.large import choose_from_file, open_candidates
     from oed.design.objective import Objective, Tangent
     from oed.design.quotas import QuotaSet
     from oed.design.rules import Rules

@@ -18,13 +18,13 @@ from oed.base import Array, Index
 from oed.design.blocks import information
 
 #: gain in log det below which an exchange counts as none
-GAIN = 1e-9
+MIN_GAIN = 1e-9
 #: exchanges at the most, a place
-MOST = 100
+MAX_EXCHANGES = 100
 #: eigenvalues of 1 - D_ii are raised to at least this
-LEAST_SHARE = 1e-12
+EIGENVALUE_FLOOR = 1e-12
 #: numbers in the products of all pairs that are in memory at once
-PART = 2_000_000
+NUMBERS_AT_ONCE = 2_000_000
 
 
 def exchange_blocks(blocks: Array, chosen: Index, base: Array) -> Index:
@@ -35,13 +35,13 @@ def exchange_blocks(blocks: Array, chosen: Index, base: Array) -> Index:
     chosen = chosen.copy()
     m = base + information(blocks[chosen])
     value = float(np.linalg.slogdet(m)[1])
-    for _ in range(MOST * len(chosen)):
+    for _ in range(MAX_EXCHANGES * len(chosen)):
         place, block = _best_pair(blocks, chosen, m)
         changed = chosen.copy()
         changed[place] = block
         m = base + information(blocks[changed])
         after = float(np.linalg.slogdet(m)[1])
-        if not after > value + GAIN:
+        if not after > value + MIN_GAIN:
             break
         chosen, value = changed, after
     return chosen
@@ -55,7 +55,7 @@ def _best_pair(blocks: Array, chosen: Index, m: Array) -> tuple[int, int]:
     in_plan = np.zeros(len(blocks), dtype=bool)
     in_plan[chosen] = True
     best = 0, 0, -np.inf
-    step = max(1, PART // (len(chosen) * blocks.shape[1] ** 2))
+    step = max(1, NUMBERS_AT_ONCE // (len(chosen) * blocks.shape[1] ** 2))
     leaving = _Leaving.of(blocks[chosen], m)
     for begin in range(0, len(blocks), step):
         part = slice(begin, begin + step)
@@ -91,7 +91,7 @@ class _Leaving(NamedTuple):
         white = chosen @ half
         remaining = np.eye(chosen.shape[1]) - white @ np.swapaxes(white, 1, 2)
         shares, vectors = np.linalg.eigh(remaining)
-        shares = np.maximum(shares, LEAST_SHARE)
+        shares = np.maximum(shares, EIGENVALUE_FLOOR)
         roots = np.swapaxes(vectors, 1, 2) / np.sqrt(shares)[:, :, None]
         rows = (roots @ white).reshape(-1, len(m))
         return cls(half, rows, np.log(shares).sum(axis=1))

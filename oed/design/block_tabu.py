@@ -17,17 +17,19 @@ from oed.design.block_exchange import log_gains
 from oed.design.blocks import information
 
 #: plans that are searched at first
-PLANS = 16
+TABU_PLANS = 16
 #: steps for each that is asked for: blocks have more local optima than single rows
-REPEATS = 2
+STEP_FACTOR = 2
 #: most steps for which a block, or a place, rests
-RESTS = 3
+MAX_REST = 3
 #: places times candidates times numbers of a block's products, at the most
-LARGEST = 500_000
-#: taken off the gain where a block or a place rests, and gain of blocks in the plan
-RESTING, IN_PLAN = 1e6, -1e7
+MAX_PRODUCTS = 500_000
+#: taken off the gain in log det where a block or a place rests: more than any gain
+RESTING_PENALTY = 1e6
+#: gain of blocks that are in the plan: below that of resting ones
+IN_PLAN_GAIN = -1e7
 #: gain in log det below which a plan counts as no better
-GAIN = 1e-9
+MIN_GAIN = 1e-9
 
 
 def search_plans(
@@ -39,12 +41,12 @@ def search_plans(
     base    (n, n) positive definite prior information, a small ridge at the least
     steps   of all plans together, about
     """
-    plans = starts[:PLANS].copy()
+    plans = starts[:TABU_PLANS].copy()
     # the relaxation draws some starts too near to one another: others are drawn evenly
-    for k in range(PLANS // 2, len(plans)):
+    for k in range(TABU_PLANS // 2, len(plans)):
         plans[k] = rng.permutation(len(blocks))[: plans.shape[1]]
     trails = [_Trail.at(plan, len(blocks)) for plan in plans]
-    each = max(1, REPEATS * steps // (2 * len(trails)))
+    each = max(1, STEP_FACTOR * steps // (2 * len(trails)))
     while True:
         for trail in trails:
             for _ in range(each):
@@ -90,15 +92,15 @@ class _Trail:
         """Notes the plan where it is the best so far, and takes its best exchange."""
         m = base + information(blocks[self.plan])
         value = float(np.linalg.slogdet(m)[1])
-        if value > self.best_value + GAIN:
+        if value > self.best_value + MIN_GAIN:
             self.best, self.best_value = self.plan.copy(), value
         gains = log_gains(blocks, self.plan, m)
-        gains -= np.where(self.block_rests_until > self.taken, RESTING, 0.0)
-        resting = np.where(self.place_rests_until > self.taken, RESTING, 0.0)
+        gains -= np.where(self.block_rests_until > self.taken, RESTING_PENALTY, 0.0)
+        resting = np.where(self.place_rests_until > self.taken, RESTING_PENALTY, 0.0)
         gains -= resting[:, None]
-        gains[:, self.plan] = IN_PLAN
+        gains[:, self.plan] = IN_PLAN_GAIN
         place, block = divmod(int(gains.argmax()), len(blocks))
-        until = self.taken + 2 + (RESTS * rng.random(2)).astype(np.intp)
+        until = self.taken + 2 + (MAX_REST * rng.random(2)).astype(np.intp)
         self.block_rests_until[self.plan[place]] = until[0]
         self.place_rests_until[place] = until[1]
         self.plan[place] = block

@@ -9,15 +9,15 @@ import numpy as np
 from oed.base import Array, Mask
 
 #: rows beyond which a QR factorisation precedes the singular value decomposition
-MANY_ROWS = 20000
+QR_ROWS = 20000
 #: condition number of the rows from which an information matrix loses digits that a
 #: certificate needs
-ILL = 1e3
+ILL_CONDITION = 1e3
 #: share of the largest singular value, a row or column, up to which one is rounding
-RANK = float(np.finfo(float).eps)
+RANK_TOLERANCE = float(np.finfo(float).eps)
 
 
-def as_blocks(rows: Array) -> Array:
+def block_array(rows: Array) -> Array:
     """Candidates (C, n) or (C, k, n) as blocks (C, k, n).
 
     Raises ValueError for other shapes, and for numbers that are not finite.
@@ -57,20 +57,20 @@ class Spectrum(NamedTuple):
     def is_ill_conditioned(self, tolerance: float) -> bool:
         """Whether an information matrix of the visible directions would lose digits."""
         least = self.values[self.visible(tolerance)][-1]
-        return bool(least * ILL < self.values[0])
+        return bool(least * ILL_CONDITION < self.values[0])
 
     def weak(self, tolerance: float) -> int:
         """Number of directions that are not above the tolerance, and not rounding."""
-        rounding = RANK * max(self.directions.shape)
+        rounding = RANK_TOLERANCE * max(self.directions.shape)
         return int(np.sum(self.visible(rounding) & ~self.visible(tolerance)))
 
 
 def spectrum(blocks: Array, prior: Array | None) -> Spectrum:
     """Singular values and directions of all rows, and of a root of the prior."""
     rows = blocks.reshape(-1, blocks.shape[2])
-    if len(rows) > MANY_ROWS:
+    if len(rows) > QR_ROWS:
         # part by part, so that no copy of all rows is in memory
-        parts = np.array_split(rows, -(-len(rows) // MANY_ROWS))
+        parts = np.array_split(rows, -(-len(rows) // QR_ROWS))
         rows = np.vstack([np.linalg.qr(part, mode="r") for part in parts])
     if prior is not None:
         rows = np.vstack([rows, _root(prior)])
@@ -86,10 +86,10 @@ def project_on_estimable(
     The subspace holds the directions that the candidates or the prior determine. No
     plan out of the candidates determines more, and determinants keep their value.
     """
-    return in_orthonormal_basis(blocks, spectrum(blocks, prior), tolerance)
+    return project_orthonormal(blocks, spectrum(blocks, prior), tolerance)
 
 
-def in_orthonormal_basis(
+def project_orthonormal(
     blocks: Array, of_all: Spectrum, tolerance: float
 ) -> tuple[Array, Array]:
     """Blocks in the directions above the tolerance, and these (n, r)."""

@@ -20,10 +20,10 @@ from oed.design.forms import Criterion
 from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
-from oed.design.whitening import EXACT, Rounding, quotient_error
+from oed.design.whitening import NO_ROUNDING, Rounding, quotient_error
 
 #: duality gap from which a conic solver's answer counts as inexact, in log phi
-INEXACT = 1e-3
+INEXACT_GAP = 1e-3
 
 
 def bound(
@@ -31,7 +31,7 @@ def bound(
     criterion: Criterion,
     rules: Rules,
     prior: Array,
-    rounding: Rounding = EXACT,
+    rounding: Rounding = NO_ROUNDING,
 ) -> Relaxation:
     """Relaxation whose bound holds for all plans under the rules; a concave criterion.
 
@@ -66,7 +66,7 @@ def _bound_under_quotas(
 
     size, limits = float(quotas.size), quotas.linear_limits()
     best = conic.relax(blocks, size, criterion, prior, 1.0, limits)
-    if best.duality_gap <= INEXACT:
+    if best.duality_gap <= INEXACT_GAP:
         return best
     without = bound(blocks, criterion, dataclasses.replace(rules, quotas=None), prior)
     if without.bound >= best.bound:

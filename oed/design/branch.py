@@ -16,19 +16,18 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design import exchange, relaxation
-from oed.design.blocks import as_blocks, information, project_on_estimable
+from oed.design.blocks import block_array, information, project_on_estimable
 from oed.design.catalogue import CRITERIA
-from oed.design.certificate import ROUNDING
 from oed.design.exchange import Choice
 from oed.design.forms import Criterion
-from oed.design.objective import CriterionObjective
+from oed.design.objective import LOG_ROUNDING, CriterionObjective
 
 #: nodes visited, at the most
-NODES = 2000
+MAX_NODES = 2000
 #: two plans whose log phi differs by less than this are equally good
-EQUAL = 1e-9
+EQUAL_TOLERANCE = 1e-9
 #: duality gap of a node's relaxation, in log phi
-TOLERANCE = 1e-7
+NODE_TOLERANCE = 1e-7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +58,7 @@ def solve(
     rng: np.random.Generator,
     criterion: Criterion | str = "D",
     prior: Array | None = None,
-    nodes: int = NODES,
+    nodes: int = MAX_NODES,
     start: Index | None = None,
 ) -> BranchResult:
     """The best `size` candidates of rows (C, n) or blocks (C, k, n).
@@ -68,10 +67,10 @@ def solve(
     with the best plan and a valid bound. Raises ValueError for a criterion that is not
     smooth and concave, and as `exchange.choose`.
     """
-    blocks = as_blocks(rows)
+    blocks = block_array(rows)
     goal = criterion
     if isinstance(goal, str):
-        goal = CRITERIA.over(goal, blocks.shape[2])
+        goal = CRITERIA.build(goal, blocks.shape[2])
     if not (goal.smooth and goal.concave):
         raise ValueError(
             f"branch and bound needs a smooth, concave criterion, not {goal.name}"
@@ -100,14 +99,14 @@ def tighten(
     """
     size = len(choice.indices)
     result = solve(rows, size, rng, criterion, prior, nodes, choice.indices)
-    _, basis = project_on_estimable(as_blocks(rows), prior)
+    _, basis = project_on_estimable(block_array(rows), prior)
     goal = criterion.restrict(basis)
     better = dataclasses.replace(
         choice,
         indices=result.indices,
         value=goal.conventional_value(result.value, size),
     )
-    return better.with_bound(goal, result.value, result.bound, choice.duality_gap)
+    return better.add_bound(goal, result.value, result.bound, choice.duality_gap)
 
 
 @dataclasses.dataclass(eq=False)
@@ -124,11 +123,11 @@ class _Tree:
         root = _Node(np.zeros(0, dtype=np.intp), np.arange(len(self.blocks)))
         heap: list[tuple[float, int, _Node]] = [(-np.inf, next(ticket), root)]
         visited = 0
-        while heap and visited < most_nodes and -heap[0][0] > value + EQUAL:
+        while heap and visited < most_nodes and -heap[0][0] > value + EQUAL_TOLERANCE:
             _, _, node = heapq.heappop(heap)
             visited += 1
             bound, weights, open_candidates = self._bound(node, value)
-            if bound <= value + EQUAL:
+            if bound <= value + EQUAL_TOLERANCE:
                 continue
             plan = self._round(node, weights, open_candidates)
             plan_value = self.value(plan)
@@ -159,10 +158,10 @@ class _Tree:
             self.blocks[node.open],
             self.base + information(self.blocks[node.taken]),
         )
-        optimum = relaxation.solve(objective, float(missing), 1.0, TOLERANCE)
+        optimum = relaxation.solve(objective, float(missing), 1.0, NODE_TOLERANCE)
         active = np.flatnonzero(optimum.weights > 0)
         tangent = objective.tangent(active, optimum.weights[active])
-        caps, better = np.ones(len(node.open)), value + EQUAL - ROUNDING
+        caps, better = np.ones(len(node.open)), value + EQUAL_TOLERANCE - LOG_ROUNDING
         excluded = relaxation.eliminate(tangent, better, float(missing), caps)
         remaining = np.setdiff1d(np.arange(len(node.open)), excluded)
         if len(remaining) < missing:

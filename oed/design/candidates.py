@@ -3,7 +3,7 @@
 A candidate is one reading with all its channels, or a whole run (a circle) with the
 covariance of its readings. The readings of a run may share an error e, that of the
 reference they are relative to, or of a cup that each run seats anew
-(`oed.measurement.reading_noise`):
+(`oed.measurement`):
 
     y_i = h_i theta + sigma e_i + shared_i e        with e ~ N(0, 1).
 
@@ -28,11 +28,44 @@ from oed.base import Array, Index, Mask
 from oed.design.blocks import information
 from oed.design.catalogue import CRITERIA
 from oed.design.forms import Criterion
-from oed.design.nuisances import Nuisances, no_nuisances
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 from oed.identifiability import Scaling, column_scale
 from oed.measurement import Measurement, Series, reading_covariances, run_errors
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Nuisances:
+    """Changes of the N numbers that all candidate readings give, by unknown effects.
+
+    columns  (N, u) per unit of each of u unknowns of prior variance 1, SI
+    scatter  (N,) standard deviation of what else they change, reading by reading, SI
+    """
+
+    columns: Array
+    scatter: Array
+
+    @property
+    def count(self) -> int:
+        """Number u of unknowns."""
+        return int(self.columns.shape[1])
+
+    def take(self, rows: slice) -> Nuisances:
+        """Those of some numbers."""
+        return Nuisances(self.columns[rows], self.scatter[rows])
+
+    def after(self, first: int) -> Nuisances:
+        """Those from a number on."""
+        return self.take(slice(first, None))
+
+    def weight(self, sigma: Array) -> Array:
+        """Share (N,) that scatter leaves of each number's weight, by its noise (N,)."""
+        return np.asarray(sigma / np.hypot(sigma, self.scatter))
+
+
+def no_nuisances(numbers: int) -> Nuisances:
+    """Of readings that nothing but parameters and noise changes."""
+    return Nuisances(np.zeros((numbers, 0)), np.zeros(numbers))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -147,7 +180,7 @@ class Candidates:
         """Number u of nuisances."""
         return 0 if self.nuisances is None else self.nuisances.count
 
-    def with_prior(self, information: Array) -> Candidates:
+    def add_prior(self, information: Array) -> Candidates:
         """With information (n, n) on the parameters added to the prior information."""
         total = self.prior_information.copy()
         total[: self.columns, : self.columns] += information
@@ -163,16 +196,16 @@ class Candidates:
         no profiling.
         """
         if not self.shared_errors:
-            return CRITERIA.over(name, self.columns, ingredient)
+            return CRITERIA.build(name, self.columns, ingredient)
         columns = np.arange(self.columns)
         if ingredient is not None and CRITERIA[name].needs == "accuracy":
             columns = self._columns_of(ingredient)
-        criterion = CRITERIA.over(name, len(columns), ingredient)
+        criterion = CRITERIA.build(name, len(columns), ingredient)
         if criterion.spectral:
             raise ValueError(
                 f"{name} does not profile out {self._shared_words}: choose D, A, c, I or G"
             )
-        return criterion.among(columns, self.columns + self.shared_errors)
+        return criterion.profile_others(columns, self.columns + self.shared_errors)
 
     def _columns_of(self, gradients: Array) -> Index:
         """Columns of gradients (..., n), or (..., n + u) by the nuisances as well."""
@@ -216,7 +249,7 @@ class Candidates:
         position = None
         if apart is not None:
             position = self.command / np.where(apart > 0, apart, np.inf)
-        return Rules.of(
+        return Rules.build(
             size=size,
             seconds=None if budget is None else self.cost,
             budget=budget,

@@ -79,7 +79,7 @@ class NamedCriterion:
     index_meaning: str = ""
     symbol: str = ""
 
-    def over(self, columns: int, ingredient: Array | None = None) -> Criterion:
+    def build(self, columns: int, ingredient: Array | None = None) -> Criterion:
         """The criterion over some columns. Raises ValueError without its ingredient."""
         if self.form is None:
             raise ValueError(f"{self.name} is an index of readings, and judges no plan")
@@ -90,7 +90,7 @@ class NamedCriterion:
     @functools.cached_property
     def properties(self) -> Criterion:
         """The criterion over two columns: its properties are those over any number."""
-        return self.over(2, EXAMPLES.get(self.needs))
+        return self.build(2, EXAMPLES.get(self.needs))
 
     def phi_ratio(self, value: float, best: float, directions: float) -> float:
         """phi of a plan over phi of another, from their numbers; NaN for a best of 0."""
@@ -114,7 +114,7 @@ class Catalogue:
     """The criteria of all files in `oed.design.criteria`, by name."""
 
     @functools.cached_property
-    def by_name(self) -> dict[str, NamedCriterion]:
+    def entries(self) -> dict[str, NamedCriterion]:
         """The criteria in the order of their names."""
         from oed.design import criteria
 
@@ -125,24 +125,24 @@ class Catalogue:
         return {name: named[name] for name in sorted(named, key=str.casefold)}
 
     def __getitem__(self, name: str) -> NamedCriterion:
-        return self.by_name[name]
+        return self.entries[name]
 
     def get(self, name: str) -> NamedCriterion | None:
         """A criterion, or the compound one; None for a name of another version."""
-        return COMPOUND if name == COMPOUND.name else self.by_name.get(name)
+        return COMPOUND if name == COMPOUND.name else self.entries.get(name)
 
-    def over(
+    def build(
         self, name: str, columns: int, ingredient: Array | None = None
     ) -> Criterion:
         """A criterion over some columns, with its ingredient where it needs one.
 
         Raises ValueError for an unknown name, or where the ingredient is missing.
         """
-        if name not in self.of_plans:
+        if name not in self.plan_names:
             raise ValueError(
-                f"criterion {name!r} is none of {', '.join(self.of_plans)}"
+                f"criterion {name!r} is none of {', '.join(self.plan_names)}"
             )
-        return self[name].over(columns, ingredient)
+        return self[name].build(columns, ingredient)
 
     def compound(self, parts: Mapping[Criterion, float]) -> Criterion:
         """A mean of criteria by their shares, which need not sum to 1."""
@@ -152,29 +152,29 @@ class Catalogue:
     # -- names -------------------------------------------------------------------------
 
     @property
-    def of_plans(self) -> tuple[str, ...]:
+    def plan_names(self) -> tuple[str, ...]:
         """Names of the criteria that judge a plan."""
-        return tuple(n for n, item in self.by_name.items() if item.form is not None)
+        return tuple(n for n, item in self.entries.items() if item.form is not None)
 
     @property
     def smooth(self) -> tuple[str, ...]:
         """Names of the smooth ones: for branch and bound, files and many machines."""
-        return tuple(n for n in self.of_plans if self[n].properties.smooth)
+        return tuple(n for n in self.plan_names if self[n].properties.smooth)
 
     @property
     def polished(self) -> tuple[str, ...]:
         """Names of those that poses are polished by."""
-        return tuple(n for n in self.of_plans if self[n].properties.polished)
+        return tuple(n for n in self.plan_names if self[n].properties.polished)
 
     @property
     def weighed(self) -> tuple[str, ...]:
         """Names of those whose weights every solver gives."""
-        return tuple(n for n in self.of_plans if self[n].has_weights)
+        return tuple(n for n in self.plan_names if self[n].has_weights)
 
     @property
     def indices(self) -> tuple[str, ...]:
         """Names of the indices of readings."""
-        return tuple(n for n, item in self.by_name.items() if item.index is not None)
+        return tuple(n for n, item in self.entries.items() if item.index is not None)
 
     # -- indices of readings -----------------------------------------------------------
 

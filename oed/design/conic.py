@@ -4,31 +4,239 @@
 
 It serves plans with quotas (`oed.design.quotas`), and as an independent check of
 `oed.design.relaxation` and `oed.design.condition`, which are far quicker where they
-apply. The criteria enter as cones (`oed.design.conic_criterion`).
+apply.
 
 Only a plan and dual matrices are taken from the solver's answer. The plan is made
 feasible. A dual gives a line above the criterion (`oed.design.forms.protocol`),
-whose extreme over the weights (`oed.design.polytope`) holds whatever the solver
-reports.
+whose extreme over the weights holds whatever the solver reports.
+
+The criteria enter by their hypographs (Ben-Tal and Nemirovski 2001, Lectures on Modern
+Convex Optimization, chapter 4), with y for phi:
+
+    D        log det M
+    Ds       log det C,  M >= K C K^T
+    A, c, I  tr(F (y^2 M^-1) F^T) <= y
+    G        the same for each W_j
+    E        M >= y 1
+    phi_p    U_1 >= y^2 M^-1,  U_(k+1) >= U_k^2 / y,  |U_k| <= sqrt(n) y  for p = 2^k
+    p = 1/2  V^2 <= M,  q tr V^-1 <= n,  y = q^2
+
+For any prices p >= 0 of
+the limits L w <= l, g^T w <= p^T l + (g - L^T p)^T w. The right side is largest for candidates
+filled to their caps, which bounds what slopes g can carry. A linear solver gives good
+prices; the bound holds for any.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from typing import Any, Literal
 
 import cvxpy as cp
 import numpy as np
+from scipy import optimize, sparse
 
 from oed.base import Array
 from oed.design import relaxation
-from oed.design.blocks import as_blocks, information
-from oed.design.certificate import ROUNDING
-from oed.design.conic_criterion import ConicCriterion, dual_root
-from oed.design.forms import Compound, Criterion, ExtremeEigenvalues
+from oed.design.blocks import block_array, information
+from oed.design.forms import (
+    Compound,
+    Criterion,
+    Determinant,
+    ExtremeEigenvalues,
+    LargestVariance,
+    PowerMean,
+    Variance,
+)
 from oed.design.forms.protocol import Support, slopes
-from oed.design.polytope import Polytope
+from oed.design.objective import LOG_ROUNDING, knapsack_value
 from oed.design.relaxation import Relaxation
+
+#: least share of a place in the mean variance that bounds G
+MIN_SHARE = 1e-12
+
+
+class ConicCriterion:
+    """log phi of one criterion, up to a constant, as a cvxpy expression of T M T^T.
+
+    log          the expression to maximise
+    constraints  that define it
+    """
+
+    def __init__(
+        self, criterion: Criterion, m: Any, turn: Array, typical: Array
+    ) -> None:
+        """m is T M T^T for `turn` T (n, n); phi is in units of its `typical` value.
+
+        Raises ValueError for a criterion that has no conic form here.
+        """
+        self.criterion, self.turn = criterion, turn
+        unit = float(np.exp(criterion.value(typical)))
+        self.y = cp.Variable(nonneg=True)
+        self.log: Any = cp.log(self.y)
+        self.constraints: list[Any] = self._formulate(criterion, m, unit)
+
+    def _formulate(self, criterion: Criterion, m: Any, unit: float) -> list[Any]:
+        if isinstance(criterion, Determinant):
+            return self._determinant(criterion, m)
+        if isinstance(criterion, Variance):
+            return self._variances(criterion.factor[None], m, unit)
+        if isinstance(criterion, LargestVariance):
+            return self._variances(criterion.factors, m, unit)
+        if isinstance(criterion, ExtremeEigenvalues) and criterion.concave:
+            low = unit ** (1.0 / criterion.least)
+            return [m >> self.y * (low * self.turn @ self.turn.T)]
+        if isinstance(criterion, PowerMean) and _has_cone(criterion.p):
+            return self._power_mean(criterion.p, m, np.sqrt(unit) * self.turn)
+        raise ValueError(
+            f"{criterion.name} has no conic form here (phi_p: p = 1/2, 1, 2, 4, 8, ...)"
+        )
+
+    def _determinant(self, criterion: Determinant, m: Any) -> list[Any]:
+        if criterion.interest is None:
+            self.log = cp.log_det(m) / len(self.turn)
+            return []
+        k = np.linalg.qr(self.turn @ criterion.interest)[0]
+        c = cp.Variable((criterion.size, criterion.size), symmetric=True)
+        self.log = cp.log_det(c) / criterion.size
+        return [m >> k @ c @ k.T]
+
+    def _variances(self, factors: Array, m: Any, unit: float) -> list[Any]:
+        scaled = np.sqrt(unit) * self.turn
+        return [cp.matrix_frac(scaled @ f.T * self.y, m) <= self.y for f in factors]
+
+    def _power_mean(self, p: float, m: Any, turn: Array) -> list[Any]:
+        n, y = len(turn), self.y
+        if p == 1.0:
+            return [cp.matrix_frac(turn * y / np.sqrt(n), m) <= y]
+        u = cp.Variable((n, n), symmetric=True)
+        if p == 0.5:
+            self.log = 2.0 * cp.log(y)
+            root_below = _schur(np.eye(n), turn @ u, m)
+            return [root_below, cp.matrix_frac(np.eye(n) * y, u) <= n * y]
+        constraints = [_schur(u, turn * y, m)]
+        for _ in range(int(np.log2(p)) - 1):
+            u, last = cp.Variable((n, n), symmetric=True), u
+            constraints.append(_schur(u, last, y * np.eye(n)))
+        return [*constraints, cp.norm(u, "fro") <= np.sqrt(n) * y]
+
+    def support(self, m: Array) -> Support:
+        """A line above log phi (for E and O3, above log l_min) near M.
+
+        Where phi has kinks, the solver's dual selects the line.
+        """
+        duals = [c.dual_value for c in self.constraints]
+        known = bool(duals) and duals[0] is not None
+        if isinstance(self.criterion, ExtremeEigenvalues):
+            if known:
+                return Support(0.0, dual_root(self.turn.T @ duals[0] @ self.turn))
+            return Support(0.0, np.asarray(np.linalg.eigh(m)[1][:, :1]))
+        if isinstance(self.criterion, LargestVariance) and known:
+            shares = np.maximum(np.array(duals, dtype=float).reshape(-1), MIN_SHARE)
+            roots = np.sqrt(shares / shares.sum())[:, None, None]
+            mean = Variance((self.criterion.factors * roots).reshape(-1, len(m)))
+            return mean.support(m)
+        return self.criterion.support(m)
+
+
+def _has_cone(p: float) -> bool:
+    return p == 0.5 or float(np.log2(p)).is_integer()
+
+
+def _schur(corner: Any, side: Any, other: Any) -> Any:
+    """corner >= side^T other^-1 side, by Schur's complement."""
+    return cp.bmat([[corner, side.T], [side, other]]) >> 0
+
+
+def dual_root(dual: Array) -> Array:
+    """R (n, n) with R R^T the dual made symmetric, semidefinite and of trace 1."""
+    eigenvalues, eigenvectors = np.linalg.eigh(0.5 * (dual + dual.T))
+    eigenvalues = np.maximum(eigenvalues, 0.0)
+    return np.asarray(eigenvectors * np.sqrt(eigenvalues / eigenvalues.sum()))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Polytope:
+    """The feasible weights; limits are kept to 1e-7 of a weight.
+
+    size   N
+    caps   (C,)
+    rows   (L, C) of the limits rows w <= upper
+    upper  (L,)
+    """
+
+    size: float
+    caps: Array
+    rows: Array
+    upper: Array
+
+    def maximise(self, gains: Array) -> tuple[float, Array]:
+        """A bound of sum_i w_i gains_i, and weights (C,) that (nearly) attain it."""
+        if not len(self.upper):
+            weights = self._fill_to_caps(gains)
+            return knapsack_value(gains, self.size, self.caps), weights
+        scale = max(float(np.abs(gains).max()), 1e-300)
+        solution = self._solve_linear(-gains / scale, self.rows, self.upper)
+        marginals = np.asarray(solution.ineqlin.marginals, dtype=float)
+        prices = scale * np.maximum(-marginals, 0.0)
+        reduced = gains - prices @ self.rows
+        bound = float(prices @ self.upper)
+        bound += knapsack_value(reduced, self.size, self.caps)
+        return bound, np.asarray(solution.x)
+
+    def _fill_to_caps(self, gains: Array) -> Array:
+        """Weights that fill the candidates with the largest gains to their caps."""
+        order = np.argsort(-gains, kind="stable")
+        caps, weights = self.caps[order], np.zeros(len(gains))
+        weights[order] = np.clip(self.size - (np.cumsum(caps) - caps), 0.0, caps)
+        return weights
+
+    def nearest(self, weights: Array) -> Array:
+        """The feasible weights with the least sum of differences from `weights`.
+
+        Raises ValueError where no weights are feasible.
+        """
+        weights = np.clip(weights, 0.0, self.caps)
+        if not len(self.upper):
+            return self._rescale(weights)
+        # variables: the weights w, and the differences d >= |w - weights|
+        one = sparse.eye_array(len(weights))
+        rows = sparse.csr_array(self.rows)
+        matrix = sparse.block_array([[rows, None], [one, -one], [-one, -one]])
+        upper = np.concatenate([self.upper, weights, -weights])
+        cost = np.repeat([0.0, 1.0], len(weights))
+        solution = self._solve_linear(cost, matrix, upper)
+        return np.asarray(np.clip(solution.x[: len(weights)], 0.0, self.caps))
+
+    def _rescale(self, weights: Array) -> Array:
+        """Weights scaled down, or raised in proportion to the room below the caps."""
+        missing = self.size - weights.sum()
+        if missing <= 0.0:
+            return np.asarray(weights * (self.size / weights.sum()))
+        room = self.caps - weights
+        if missing > room.sum() * (1 + 1e-12):
+            raise ValueError(
+                f"caps of {self.caps.sum():g} in all cannot carry a weight of"
+                f" {self.size:g}"
+            )
+        return np.asarray(weights + room * min(missing / room.sum(), 1.0))
+
+    def _solve_linear(self, cost: Array, matrix: Any, upper: Array) -> Any:
+        """Minimises cost^T x; the first variables are weights, others positive."""
+        count, extra = len(self.caps), len(cost) - len(self.caps)
+        sum_row = np.repeat([1.0, 0.0], [count, extra])[None]
+        bounds = np.zeros((len(cost), 2))
+        bounds[:, 1] = np.append(self.caps, np.full(extra, np.inf))
+        solution = optimize.linprog(
+            cost, matrix, upper, sum_row, [self.size], bounds, method="highs"
+        )
+        if solution.status != 0:
+            raise ValueError(
+                f"no weights keep size, caps and limits: {solution.message}"
+            )
+        return solution
+
 
 Solver = Literal["CLARABEL", "SCS"]
 
@@ -39,8 +247,10 @@ class NoConicAnswerError(ValueError):
 
 #: duality gap of the relaxation whose information scales the problem
 SCALING_TOLERANCE = 1e-2
-#: relative accuracy of the least ratio of kappa, and steps towards it
-RATIO_TOLERANCE, RATIO_STEPS = 1e-10, 30
+#: relative accuracy of the least ratio of kappa
+RATIO_TOLERANCE = 1e-10
+#: number of Dinkelbach's steps towards it, which converge superlinearly
+MAX_RATIO_STEPS = 30
 
 
 def relax(
@@ -59,7 +269,7 @@ def relax(
     candidates and prior leave directions undetermined, or for a criterion that has no
     conic form here.
     """
-    blocks = as_blocks(rows)
+    blocks = block_array(rows)
     count, _, n = blocks.shape
     caps = np.minimum(np.broadcast_to(np.asarray(cap, dtype=float), (count,)), size)
     limit_rows, upper = limits or (np.zeros((0, count)), np.zeros(0))
@@ -156,7 +366,7 @@ def _relax_concave(
     carried = problem.feasible.maximise(line_slopes)[0] + problem.base_term(root)
     # the line is one of the least eigenvalue, of which E or O3 is a power
     power = criterion.least if isinstance(criterion, ExtremeEigenvalues) else 1.0
-    bound = float(power * (offset + np.log(carried)) + ROUNDING)
+    bound = float(power * (offset + np.log(carried)) + LOG_ROUNDING)
     value = criterion.value(m_at_weights)
     return Relaxation(weights, value, bound, power * line_slopes)
 
@@ -213,7 +423,7 @@ def _relax_condition(
     ratio = _least_ratio(problem.feasible, (base_low, low), (base_high, high), start)
     by_low = low / (base_low + low @ weights)
     by_high = high / (base_high + high @ weights)
-    bound = float(-criterion.least * np.log(max(ratio, 1e-300)) + ROUNDING)
+    bound = float(-criterion.least * np.log(max(ratio, 1e-300)) + LOG_ROUNDING)
     return Relaxation(weights, value, bound, criterion.least * (by_low - by_high))
 
 
@@ -229,7 +439,7 @@ def _least_ratio(
     products of Y and of Z with M0, and with each candidate.
     """
     (base_low, low_slopes), (base_high, high_slopes) = low, high
-    for k in range(RATIO_STEPS):
+    for k in range(MAX_RATIO_STEPS):
         excess, at = feasible.maximise(ratio * low_slopes - high_slopes)
         if ratio * base_low - base_high + excess <= RATIO_TOLERANCE * ratio:
             return ratio

@@ -13,7 +13,7 @@ import numpy as np
 from oed.base import Array, Index
 
 #: seed of the hash's multipliers
-SEED = 20260101
+PROJECTION_SEED = 20260101
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def find_copies(candidates: Array) -> Copies:
 
 def _hashes(rows: Array) -> Index:
     """One number (C,) a row, equal for equal rows."""
-    generator = np.random.default_rng(SEED)
+    generator = np.random.default_rng(PROJECTION_SEED)
     multipliers = generator.integers(1, 2**63, rows.shape[1], dtype=np.uint64)
     bits = np.ascontiguousarray(rows, dtype=float).view(np.uint64)
     return np.asarray(bits @ (2 * multipliers + 1))

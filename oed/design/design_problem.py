@@ -1,31 +1,262 @@
 """Searches the best plan by exchange, within promising combinations of set-ups.
 
-An exchange of single readings never opens a new set-up, whose first readings only tell
-where it stands. So combinations of set-ups are ranked by their relaxation first
-(`oed.design.setups`), and the exchange is made in each.
+A set-up brings unknowns of its own, so its first readings determine nothing: exchanges
+of single readings never open a new set-up. So combinations of set-ups are ranked first,
+each by the relaxation over all its readings, which no plan with these set-ups exceeds,
+and the exchange is made in the best ones. Set-ups are added while that helps, then
+exchanged one for another. Columns that no candidate of a combination touches are left
+out, so that each relaxation stays small.
+
+A plan may also take the readings of largest weight. The weights w_i, from 0 to 1 with
+the number of readings as their sum, are optimal for plans that may hold fractions of
+readings (Kiefer and Wolfowitz 1960). The plan's value against the relaxation's bound is
+its efficiency. A general conic solver gives the weights too (`oed.design.conic`), which
+checks the solver of this project by one that shares no code with it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design import bounds, branch, exchange, robust
-from oed.design.blocks import project_on_estimable
+from oed.design import bounds, branch, exchange, relaxation, robust
+from oed.design.blocks import block_array, information, project_on_estimable
+from oed.design.bounds import bound
 from oed.design.candidates import Candidates
-from oed.design.exchange import Choice
+from oed.design.exchange import Choice, Problem, pose
 from oed.design.forms import Criterion
 from oed.design.how_many import AccuracyGoal, SizeCurve
-from oed.design.plan_limits import SetupLimit
-from oed.design.rules import MAX_COMBINATIONS, Rules
-from oed.design.setups import rank_combinations
-from oed.design.weights import Solver, Weights, choose_by_weights
+from oed.design.relaxation import Relaxation
+from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules, SetupLimit
 from oed.result import RobustSummary
+
+#: duality gap in log phi at which combinations are compared
+RANKING_TOLERANCE = 1e-2
+#: candidates of a set-up that are looked at, about
+THINNED_SIZE = 60
+#: combinations that are returned, at the most
+BEST_COMBINATIONS = 3
+
+Combination = tuple[int, ...]
+
+
+def rank_combinations(
+    blocks: Array, criterion: Criterion, base: Array, rules: Rules, setups: SetupLimit
+) -> list[Combination]:
+    """Promising combinations of at most `setups.most` set-ups, the best first.
+
+    `setups` stands for the set-ups of the rules. All combinations are ranked where they
+    are few (`MAX_COMBINATIONS`). Mounted set-ups belong to each.
+    """
+    names = [int(name) for name in setups.mountable]
+    most = setups.most_of(len(names))
+    values = _CombinationValues(blocks, criterion, base, rules, setups)
+    if math.comb(len(names), most) <= MAX_COMBINATIONS:
+        combinations = itertools.combinations(names, most)
+        return sorted(combinations, key=values.of, reverse=True)[:BEST_COMBINATIONS]
+    best: Combination = ()
+    for _ in range(most):
+        grown = [tuple(sorted((*best, s))) for s in names if s not in best]
+        determined = [g for g in grown if np.isfinite(values.of(g))]
+        best = max(determined or grown, key=values.of)
+    best = _exchange_setups(best, names, values)
+    if not values.known:
+        return [best]
+    return sorted(values.known, key=values.of, reverse=True)[:BEST_COMBINATIONS]
+
+
+def _exchange_setups(
+    best: Combination, names: list[int], values: _CombinationValues
+) -> Combination:
+    """The combination after exchanges of one set-up, until none helps."""
+    improved = True
+    while improved:
+        improved = False
+        for removed in best:
+            remaining = [s for s in best if s != removed]
+            exchanged = [
+                tuple(sorted((*remaining, new))) for new in names if new not in best
+            ]
+            candidate = max(exchanged, key=values.of, default=best)
+            if values.of(candidate) > values.of(best) + RANKING_TOLERANCE:
+                best, improved = candidate, True
+                break
+    return best
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _CombinationValues:
+    """Relaxed values of combinations of set-ups; each is computed once."""
+
+    blocks: Array
+    criterion: Criterion
+    base: Array
+    rules: Rules
+    setups: SetupLimit
+    known: dict[Combination, float] = dataclasses.field(default_factory=dict)
+
+    def of(self, combination: Combination) -> float:
+        """log phi of the relaxation; -inf where a direction is undetermined."""
+        if combination not in self.known:
+            self.known[combination] = self._relaxed_value(combination)
+        return self.known[combination]
+
+    def _relaxed_value(self, combination: Combination) -> float:
+        chosen = thin(self.setups, combination)
+        blocks, base, criterion = drop_untouched_columns(
+            self.blocks[chosen], self.base, self.criterion
+        )
+        mounted = [*combination, *self.setups.mounted]
+        available = int(np.isin(self.setups.setup, mounted).sum())
+        thinning = len(chosen) / available
+        rules = self.rules.free_setups(self.setups).subset(chosen)
+        values = []
+        for problem in rules.relaxations(len(chosen)):
+            try:
+                value = _relax(blocks, base, criterion, problem, thinning)
+            except (ValueError, np.linalg.LinAlgError):
+                return -np.inf
+            values.append(value)
+        return min(values, default=-np.inf)
+
+
+def _relax(
+    blocks: Array,
+    base: Array,
+    criterion: Criterion,
+    problem: RelaxedRules,
+    thinning: float,
+) -> float:
+    """Value of one relaxation.
+
+    A candidate of a thinned set stands for its neighbours as well: its weight may be as
+    large as there are of them.
+    """
+    pool, total, cost = problem
+    if cost is None:
+        scaled = blocks[pool]
+        cap: Array | float = 1.0 / thinning
+    else:
+        scaled = blocks[pool] / np.sqrt(cost)[:, None, None]
+        cap = cost / thinning
+    optimum = relaxation.relax(scaled, total, base, cap, RANKING_TOLERANCE, criterion)
+    return optimum.value
+
+
+def thin(setups: SetupLimit, combination: Combination) -> Index:
+    """Candidates of a combination and of the mounted set-ups, each thinned evenly."""
+    thinned = []
+    for setup in (*combination, *setups.mounted):
+        members = np.flatnonzero(setups.setup == setup)
+        thinned.append(members[:: max(1, len(members) // THINNED_SIZE)])
+    return np.sort(np.concatenate(thinned)).astype(np.intp)
+
+
+def drop_untouched_columns(
+    blocks: Array, base: Array, criterion: Criterion
+) -> tuple[Array, Array, Criterion]:
+    """The same problem without columns that no block touches.
+
+    A column that the prior information couples to another one stays.
+    """
+    uncoupled = np.count_nonzero(base, axis=0) <= 1
+    untouched = ~blocks.any(axis=(0, 1)) & uncoupled
+    if not untouched.any():
+        return blocks, base, criterion
+    basis = np.eye(base.shape[0])[:, ~untouched]
+    return (
+        np.ascontiguousarray(blocks[:, :, ~untouched]),
+        base[np.ix_(~untouched, ~untouched)],
+        criterion.restrict(basis),
+    )
+
+
+#: the methods of this project, and the conic solvers that cvxpy calls
+Solver = Literal["built_in", "clarabel", "scs"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Weights:
+    """Optimal weights of candidates.
+
+    weights      (C,) from 0 to 1, with the number of readings as their sum
+    value        of the criterion at the weights, as in `Choice`
+    bound        of the criterion for all plans, likewise
+    duality_gap  how much better than the value the bound is, in log phi
+    choice       the readings of largest weight
+    """
+
+    weights: Array
+    value: float
+    bound: float
+    duality_gap: float
+    choice: Choice
+
+
+def choose_by_weights(
+    rows: Array,
+    size: int,
+    criterion: Criterion | str = "D",
+    prior: Array | None = None,
+    solver: Solver = "built_in",
+    tolerance: float = 1e-6,
+) -> Weights:
+    """Weights of whitened, scaled rows (C, n) or blocks (C, k, n), and a plan.
+
+    size       number of readings
+    prior      (n, n) prior information
+    tolerance  singular values above this share of the largest count as estimable
+
+    Raises ValueError where no `size` readings determine what the criterion needs, and
+    where those of largest weight do not: an exchange may find some.
+    """
+    columns = block_array(rows).shape[2]
+    rules = Rules(size=size)
+    problem = pose(rows, rules, criterion, prior, tolerance)
+    goal, blocks, base = problem.criterion, problem.blocks, problem.base
+    optimum = _optimum(problem, rules, size, solver)
+    heaviest = np.argsort(-optimum.weights, kind="stable")[:size]
+    value = goal.value(base + information(blocks[heaviest]))
+    if not np.isfinite(value):
+        raise ValueError(
+            f"the {size} readings of largest weight do not determine the"
+            f" {blocks.shape[2]} directions that the candidates determine"
+        )
+    choice = Choice(
+        indices=np.sort(heaviest),
+        criterion=goal.name,
+        value=goal.conventional_value(value, size),
+        directions=blocks.shape[2],
+        columns=columns,
+        weak=problem.weak,
+    )
+    at_weights = goal.value(base + information(blocks, optimum.weights))
+    return Weights(
+        weights=optimum.weights,
+        value=goal.conventional_value(at_weights, size),
+        bound=goal.conventional_value(optimum.bound, size),
+        duality_gap=optimum.bound - at_weights,
+        choice=choice.add_bound(goal, value, optimum.bound, optimum.duality_gap),
+    )
+
+
+def _optimum(problem: Problem, rules: Rules, size: int, solver: Solver) -> Relaxation:
+    """The relaxation's weights by a solver."""
+    blocks, goal, base = problem.blocks, problem.criterion, problem.base
+    if solver == "built_in":
+        return bound(blocks, goal, rules, base, rounding=problem.rounding)
+    from oed.design import conic  # cvxpy takes a second to import
+
+    name: conic.Solver = "CLARABEL" if solver == "clarabel" else "SCS"
+    return conic.relax(blocks, size, goal, base, solver=name)
+
 
 #: share of the search rounds that a plan for many machines takes, and the fewest of them:
 #: each round computes every scenario
@@ -106,7 +337,7 @@ class DesignProblem:
         """Raises ValueError where no plan can keep the rules, whatever the search."""
         c = self.candidates
         if not self.selects_setups:
-            rules = self.rules.without_most_setups
+            rules = self.rules.any_setups
             exchange.pose(c.blocks, rules, criterion, c.prior)
 
     def best_plan(self, criterion: Criterion, rng: np.random.Generator) -> Choice:
@@ -120,7 +351,7 @@ class DesignProblem:
                 criterion,
                 prior=c.prior,
                 rounds=self.rounds,
-                rules=self.rules.without_most_setups,
+                rules=self.rules.any_setups,
             )
         plans: list[Index] = []
         refusals: list[ValueError] = []
@@ -157,7 +388,7 @@ class DesignProblem:
             raise ValueError("weights need the number of readings")
         return choose_by_weights(c.blocks, self.rules.size, criterion, c.prior, solver)
 
-    def within(self, choice: Choice) -> tuple[Index, Array]:
+    def chosen_pool(self, choice: Choice) -> tuple[Index, Array]:
         """Candidates of a plan's set-ups, and a basis (n, r) of their columns.
 
         All candidates and columns, where the search did not have to choose set-ups.
@@ -184,14 +415,14 @@ class DesignProblem:
 
         Raises ValueError as `oed.design.robust.choose`.
         """
-        pool, basis = self.within(nominal)
+        pool, basis = self.chosen_pool(nominal)
         blocks = scenarios[:, pool] @ basis
         restricted = criterion.restrict(basis)
         prior = basis.T @ self.candidates.prior_information @ basis
         choice = robust.choose(
             blocks,
             restricted,
-            self.rules.subset(pool).without_most_setups,
+            self.rules.subset(pool).any_setups,
             rng,
             risk=risk,
             tail_share=tail_share,
@@ -232,7 +463,7 @@ class DesignProblem:
 
         Time and number of set-ups are no rules there.
         """
-        c, (pool, basis) = self.candidates, self.within(choice)
+        c, (pool, basis) = self.candidates, self.chosen_pool(choice)
         rules, setups = self.rules.subset(pool), None
         if rules.setups is not None:
             setups = dataclasses.replace(rules.setups, seconds=None, most=None)
@@ -271,7 +502,7 @@ class DesignProblem:
         mounted = np.union1d(setup_indices, self.mounted)
         pool = np.flatnonzero(np.isin(c.setup, mounted))
         basis = self.columns(mounted)
-        rules = self.rules.subset(pool).without_most_setups
+        rules = self.rules.subset(pool).any_setups
         choice = exchange.choose(
             c.blocks[pool] @ basis,
             None,
@@ -303,5 +534,5 @@ class DesignProblem:
             bound=criterion.conventional_value(bound.bound, len(chosen)),
             duality_gap=bound.duality_gap,
             efficiency=float(np.exp(min(log_phi - bound.bound, 0.0))),
-            proven=bound.bound - log_phi <= exchange.PROVEN,
+            proven=bound.bound - log_phi <= exchange.PROVEN_TOLERANCE,
         )

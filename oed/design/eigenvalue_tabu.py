@@ -30,24 +30,32 @@ from oed.base import Array, Index
 from oed.design.copies import Copies, find_copies
 from oed.design.tabu import better_half
 
-#: plans that are searched together, and that go on at the least
-PLANS, LEAST_PLANS = 16, 4
+#: number of plans that are searched together
+TABU_PLANS = 16
+#: number of plans that go on, at the least
+MIN_PLANS = 4
 #: plans times places times candidates, at the most
-LARGEST = 250_000
+MAX_PRODUCTS = 250_000
 #: steps for each that is asked for: E has more local optima than D
-REPEATS = 2
+STEP_FACTOR = 2
 #: powers of the stages
-POWERS = (1, 2, 4)
-#: most steps for which a row, and a place, rests
-ROW_RESTS, PLACE_RESTS = 2, 3
+STAGE_POWERS = (1, 2, 4)
+#: number of steps for which a row rests, at the most
+MAX_ROW_REST = 2
+#: number of steps for which a place rests, at the most
+MAX_PLACE_REST = 3
 #: eigenvalues are raised to at least this share of the largest
-FLOOR = 1e-9
+EIGENVALUE_FLOOR = 1e-9
 #: factor of det M below which an exchange counts as singular
-SINGULAR = 1e-5
-#: added to traces: nothing; where a row or a place rests; where no copy of a row is free
-NONE, RESTS, FULL = np.float32(0.0), np.float32(1e20), np.float32(np.inf)
+SINGULAR_FACTOR = 1e-5
+#: added to traces where a row or a place is free
+NO_PENALTY = np.float32(0.0)
+#: added to traces where a row or a place rests: more than any trace
+RESTING_PENALTY = np.float32(1e20)
+#: added to traces where no copy of a row is free
+NO_COPY_PENALTY = np.float32(np.inf)
 #: relative gain in the least eigenvalue below which a plan counts as no better
-GAIN = 1e-9
+MIN_GAIN = 1e-9
 
 Single = NDArray[np.float32]
 
@@ -58,16 +66,16 @@ def search_plans(
     """The plan (size,) of the largest least eigenvalue that the `starts` lead to.
 
     rows    (C, n)
-    starts  (plans, size); those beyond `PLANS` and `LARGEST` are left out
+    starts  (plans, size); those beyond `TABU_PLANS` and `MAX_PRODUCTS` are left out
     base    (n, n) prior information, positive semidefinite
     """
     copies = find_copies(rows)
     different = rows[copies.first]
-    most = LARGEST // (starts.shape[1] * len(different))
-    together = min(max(LEAST_PLANS, most), PLANS)
+    most = MAX_PRODUCTS // (starts.shape[1] * len(different))
+    together = min(max(MIN_PLANS, most), TABU_PLANS)
     plans = copies.label[starts[:together]]
     search = _EigenvalueSearch(different, base, copies, plans, rng)
-    return copies.different(search.run(REPEATS * steps))
+    return copies.different(search.run(STEP_FACTOR * steps))
 
 
 class _EigenvalueSearch:
@@ -99,11 +107,11 @@ class _EigenvalueSearch:
 
     def run(self, steps: int) -> Index:
         """The best plan (size,) of all stages."""
-        for stage, power in enumerate(POWERS):
+        for stage, power in enumerate(STAGE_POWERS):
             if stage:
                 self._halve()
-            begin = round(stage * steps / len(POWERS))
-            end = round((stage + 1) * steps / len(POWERS))
+            begin = round(stage * steps / len(STAGE_POWERS))
+            end = round((stage + 1) * steps / len(STAGE_POWERS))
             for step in range(begin, end):
                 self._exchange(power, step)
         self._eigensystems()
@@ -111,7 +119,7 @@ class _EigenvalueSearch:
 
     def _halve(self) -> None:
         """Goes on with the half that passed the better plans."""
-        better = better_half(self.best, self.best_values, LEAST_PLANS)
+        better = better_half(self.best, self.best_values, MIN_PLANS)
         self.plans, self.free = self.plans[better], self.free[better]
         self.best, self.best_values = self.best[better], self.best_values[better]
         self.row_rests_until = self.row_rests_until[better]
@@ -123,19 +131,23 @@ class _EigenvalueSearch:
         m = self.base + np.swapaxes(chosen, 1, 2) @ chosen
         eigenvalues, vectors = np.linalg.eigh(m)
         least = eigenvalues[:, 0]
-        better = least > self.best_values + GAIN * np.abs(least)
+        better = least > self.best_values + MIN_GAIN * np.abs(least)
         self.best_values[better] = least[better]
         self.best[better] = self.plans[better]
-        floor = FLOOR * eigenvalues[:, -1:]
+        floor = EIGENVALUE_FLOOR * eigenvalues[:, -1:]
         return np.maximum(eigenvalues, floor), vectors
 
     def _exchange(self, power: int, step: int) -> None:
         """Replaces one row in each plan; what changed rests."""
         batch = np.arange(len(self.plans))
         traces = self._traces_after_exchange(power)
-        traces += np.where(self.row_rests_until > step, RESTS, NONE)[:, None, :]
-        traces += np.where(self.free < 1, FULL, NONE)[:, None, :]
-        traces += np.where(self.place_rests_until > step, RESTS, NONE)[:, :, None]
+        traces += np.where(self.row_rests_until > step, RESTING_PENALTY, NO_PENALTY)[
+            :, None, :
+        ]
+        traces += np.where(self.free < 1, NO_COPY_PENALTY, NO_PENALTY)[:, None, :]
+        traces += np.where(self.place_rests_until > step, RESTING_PENALTY, NO_PENALTY)[
+            :, :, None
+        ]
         # a copy in place of its row changes nothing, and would use up the step
         places = np.arange(self.plans.shape[1])
         traces[batch[:, None], places, self.plans] = np.inf
@@ -147,8 +159,8 @@ class _EigenvalueSearch:
         self.free[batch, removed] += 1
         self.free[batch, row] -= 1
         share = self.rng.random((2, len(batch)))
-        row_steps = (share[0] * ROW_RESTS).astype(np.intp)
-        place_steps = (share[1] * PLACE_RESTS).astype(np.intp)
+        row_steps = (share[0] * MAX_ROW_REST).astype(np.intp)
+        place_steps = (share[1] * MAX_PLACE_REST).astype(np.intp)
         self.row_rests_until[batch, removed] = step + 2 + row_steps
         self.place_rests_until[batch, place] = step + 2 + place_steps
 
@@ -163,10 +175,10 @@ class _EigenvalueSearch:
         # the products of a plan that is nearly singular may exceed single precision
         with np.errstate(over="ignore", invalid="ignore"):
             q = _determinant_series(chosen, others, relative, power)
-            factor = np.maximum(q[0], np.float32(SINGULAR))
+            factor = np.maximum(q[0], np.float32(SINGULAR_FACTOR))
             scaled: list[Single] = [np.divide(term, factor) for term in q[1:]]
             traces: Single = before[:, None, None] - _last_power_sum(scaled)
-        unsound = (q[0] < SINGULAR) | np.isnan(traces)
+        unsound = (q[0] < SINGULAR_FACTOR) | np.isnan(traces)
         traces[unsound] = np.inf
         return traces
 

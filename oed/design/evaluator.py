@@ -146,11 +146,11 @@ class CriterionEvaluator:
         if not directions <= k * size < k * count:
             return None
         if k > 1 and self._by_determinant:
-            if size * count * k**2 > block_tabu.LARGEST:
+            if size * count * k**2 > block_tabu.MAX_PRODUCTS:
                 return None
             base = self._matrix(starts[0], None) - information(self.blocks[starts[0]])
             return block_tabu.search_plans(self.blocks, starts, base, steps, rng)
-        if size * count > tabu.LARGEST:
+        if size * count > tabu.MAX_PLACE_CANDIDATES:
             return None
         rows = self.blocks.reshape(-1, directions)
         if self._by_determinant:

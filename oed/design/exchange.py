@@ -1,16 +1,20 @@
 """Chooses candidates by exchange, for any criterion and rules, with a certificate.
 
-The relaxation (`oed.design.bounds`) comes first. It gives the bound, and its slopes and
+The relaxation (`oed.design.bounds`) comes first. It gives the bound, and its gradient and
 weights guide the search (`oed.design.search`). An exchange removes one candidate and
 adds the best one, by the criterion's exact value after adding. For D of single rows all
 pairs are known at once (`oed.design.row_exchange`). Criteria that are not smooth are reached
-along their continuation: E by exchanges that lower tr M^-p while p grows. Where there are few
-plans, all are looked at (`oed.design.enumeration`).
+along their continuation: E by exchanges that lower tr M^-p while p grows. Their exchanges end
+in local optima, and bounds by relaxation leave a share open: where there are few plans, all of
+them are looked at, which costs less, and proves the best one.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,24 +22,64 @@ import numpy as np
 from oed.base import Array, Index
 from oed.design.blocks import (
     Spectrum,
-    as_blocks,
-    in_orthonormal_basis,
+    block_array,
     information,
+    project_orthonormal,
     spectrum,
 )
 from oed.design.bounds import bound, condition_bound
-from oed.design.candidate_file import NumpyCandidates
 from oed.design.catalogue import CRITERIA
-from oed.design.enumeration import best_of_all
 from oed.design.evaluator import CriterionEvaluator
-from oed.design.forms import Criterion, Determinant, Variance
+from oed.design.forms import Criterion, Determinant, ExtremeEigenvalues, Variance
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
-from oed.design.whitening import EXACT, Rounding, WhiteCandidates, whiten
+from oed.design.whitening import NO_ROUNDING, Rounding, WhiteCandidates, whiten
+
+#: plans that are looked at, at most
+MAX_ENUMERATED_PLANS = 100_000
+#: numbers in the matrices that are in memory at once
+NUMBERS_AT_ONCE = 1_000_000
+#: plans whose log phi differs by less are equally good: the first one is taken
+EQUAL_TOLERANCE = 1e-10
+
+
+def best_of_all(
+    blocks: Array, criterion: Criterion, base: Array, rules: Rules
+) -> Index | None:
+    """The best plan for blocks (C, k, n) and prior information (n, n).
+
+    None where the criterion is another one, rules beyond a number of candidates hold, or
+    there are too many plans.
+    """
+    size = rules.sole_size
+    if size is None or not isinstance(criterion, ExtremeEigenvalues):
+        return None
+    if math.comb(len(blocks), size) > MAX_ENUMERATED_PLANS:
+        return None
+    products = blocks.transpose(0, 2, 1) @ blocks
+    best, chosen = -np.inf, None
+    for plans in _plans(len(blocks), size, max(NUMBERS_AT_ONCE // products[0].size, 1)):
+        matrices = np.broadcast_to(base, (len(plans), *base.shape)).copy()
+        for place in range(size):
+            matrices += products[plans[:, place]]
+        eigenvalues = np.asarray(np.linalg.eigvalsh(matrices), dtype=float)
+        values = criterion.eigenvalue_log_phi(eigenvalues)
+        if values.max() > best + EQUAL_TOLERANCE:
+            best = float(values.max())
+            chosen = plans[np.flatnonzero(values >= best - EQUAL_TOLERANCE)[0]]
+    return chosen
+
+
+def _plans(count: int, size: int, part: int) -> Iterator[Index]:
+    """All plans (m, size) of so many candidates, some at a time."""
+    plans = itertools.combinations(range(count), size)
+    while some := list(itertools.islice(plans, part)):
+        yield np.array(some, dtype=np.intp)
+
 
 #: a plan whose log phi is within this of the bound is proven optimal
-PROVEN = 1e-7
+PROVEN_TOLERANCE = 1e-7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +122,7 @@ class Choice:
     efficiency: float | None = None
     proven: bool = False
 
-    def with_bound(
+    def add_bound(
         self,
         criterion: Criterion,
         value: float,
@@ -94,7 +138,7 @@ class Choice:
             bound=criterion.conventional_value(upper, len(self.indices)),
             duality_gap=duality_gap,
             efficiency=float(np.exp(min(value - upper, 0.0))),
-            proven=upper - value <= PROVEN,
+            proven=upper - value <= PROVEN_TOLERANCE,
         )
 
 
@@ -140,7 +184,7 @@ def choose(
         mapped = _choose_mapped(rows, size, rng, criterion, prior, rounds, tolerance)
         if mapped is not None:
             return mapped
-    columns = as_blocks(rows).shape[2]
+    columns = block_array(rows).shape[2]
     rules = Rules(size=size) if rules is None else rules
     problem = pose(rows, rules, criterion, prior, tolerance)
     blocks, goal, base = problem.blocks, problem.criterion, problem.base
@@ -149,7 +193,7 @@ def choose(
     if best is not None:
         value = goal.value(base + information(blocks[best]))
         choice = _choice(problem, best, value, columns)
-        return choice.with_bound(goal, value, value, 0.0)
+        return choice.add_bound(goal, value, value, 0.0)
     guiding = _guiding_criterion(goal, directions, rules)
     guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
@@ -176,7 +220,7 @@ def choose(
         upper = _bound_of(blocks, goal, rules, base)
     if upper is None:
         return choice
-    return choice.with_bound(goal, value, upper.bound, upper.duality_gap)
+    return choice.add_bound(goal, value, upper.bound, upper.duality_gap)
 
 
 def _choose_mapped(
@@ -194,7 +238,7 @@ def _choose_mapped(
     if not large.serves(criterion):
         return None
     return large.choose_from_file(
-        NumpyCandidates(rows),
+        large.NumpyCandidates(rows),
         size,
         rng,
         criterion,
@@ -242,10 +286,10 @@ def pose(
     tolerance: float = 1e-6,
 ) -> Problem:
     """The problem of a choice. Raises ValueError where no plan can keep the rules."""
-    blocks = as_blocks(rows)
+    blocks = block_array(rows)
     goal = criterion
     if isinstance(goal, str):
-        goal = CRITERIA.over(goal, blocks.shape[2])
+        goal = CRITERIA.build(goal, blocks.shape[2])
     _check(blocks, rules)
     of_all = spectrum(blocks, prior)
     white = _estimable(blocks, goal, prior, tolerance, of_all)
@@ -270,11 +314,11 @@ def _estimable(
     """
     if goal.any_coordinates and of_all.is_ill_conditioned(tolerance):
         return whiten(blocks, prior, tolerance, of_all)
-    projected, basis = in_orthonormal_basis(blocks, of_all, tolerance)
+    projected, basis = project_orthonormal(blocks, of_all, tolerance)
     base = np.zeros((basis.shape[1],) * 2)
     if prior is not None:
         base = basis.T @ prior @ basis
-    return WhiteCandidates(projected, basis, base, EXACT)
+    return WhiteCandidates(projected, basis, base, NO_ROUNDING)
 
 
 def greedy_d(blocks: Array, size: int, base: Array) -> Index:

@@ -19,12 +19,14 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design import exchange, relaxation
-from oed.design.blocks import as_blocks
+from oed.design.blocks import block_array
 from oed.design.forms import LargestVariance, Variance
 from oed.design.rules import Rules
 
-#: duality gap of the bounds, and of the goal's feasibility, in log phi
-BOUND_TOLERANCE, GOAL_TOLERANCE = 1e-4, 1e-3
+#: duality gap of the bounds, in log phi: beyond the digits of a table
+BOUND_TOLERANCE = 1e-4
+#: duality gap of the goal's feasibility, in log phi: a thousandth of the readings
+GOAL_TOLERANCE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -121,7 +123,7 @@ class SizeCurve:
             rules=rules,
         )
         columns = self.prior.shape[0]
-        chosen_rows = as_blocks(self.blocks)[choice.indices].reshape(-1, columns)
+        chosen_rows = block_array(self.blocks)[choice.indices].reshape(-1, columns)
         accuracy = self.goal.accuracy(self.prior + chosen_rows.T @ chosen_rows)
         return CurvePoint(size, choice.indices, accuracy, self.bounds(size))
 

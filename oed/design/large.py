@@ -5,24 +5,32 @@
 3. Plan and relaxation are computed over these. The third pass has the slopes of all
    candidates at that relaxation, and at the plan.
 
-A line above the criterion bounds every plan, wherever it touches (`oed.design.certificate`): the
+A line above the criterion bounds every plan, wherever it touches (`oed.design.objective`): the
 bound holds for all candidates, however well the sample stood for them. Where candidates
 outside would raise the relaxation by more than the tolerance, they join,
 and the third pass is repeated.
+
+Candidates stay on disk: NumPy files and memory-mapped arrays, and Arrow files. Rows are
+read part by part as double precision. A part of a NumPy file is mapped alone, so that
+the parts that were read before need no memory.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
+import io
+import mmap
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from oed.base import Array, Index
 from oed.design import exchange
-from oed.design.blocks import RANK, Spectrum, information, spectrum
+from oed.design.blocks import RANK_TOLERANCE, Spectrum, information, spectrum
 from oed.design.bounds import bound
-from oed.design.candidate_file import CandidateFile
 from oed.design.catalogue import CRITERIA
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.exchange import Choice
@@ -33,13 +41,155 @@ from oed.design.rules import Rules
 from oed.design.search import improve
 from oed.design.whitening import Rounding, gamma
 
-#: candidates read at once; in the sample; that are steepest and go on
-PART, SAMPLE, STEEPEST = 100_000, 20_000, 20_000
-#: repeats of the third pass, and the gap in log phi between the relaxation and its bound
-#: that ends them
-REPEATS, TOLERANCE = 5, 1e-7
+
+class CandidateFile(Protocol):
+    """Whitened, scaled candidates on disk."""
+
+    def __len__(self) -> int:
+        """Number of candidates C."""
+        ...
+
+    def read(self, begin: int, end: int) -> Array:
+        """Blocks (end - begin, k, n) of consecutive candidates."""
+        ...
+
+    def take(self, chosen: Index) -> Array:
+        """Blocks (m, k, n) of the chosen candidates."""
+        ...
+
+
+class NumpyCandidates:
+    """Rows (C, n) or blocks (C, k, n) of a .npy file, or of any memory-mapped array."""
+
+    def __init__(self, source: Path | np.memmap[Any, Any]) -> None:
+        """Raises ValueError where it holds something else."""
+        mapped: Any = source
+        if isinstance(source, Path):
+            mapped = np.load(source, mmap_mode="r")
+        self._mapped: Any = mapped
+        floating = np.issubdtype(mapped.dtype, np.floating)
+        if mapped.ndim not in (2, 3) or not floating or not mapped.flags.c_contiguous:
+            raise ValueError(
+                "candidates must be rows (C, n) or blocks (C, k, n) of floating-point"
+                f" numbers in C order, not {mapped.dtype} of shape {mapped.shape}"
+            )
+
+    def __len__(self) -> int:
+        """Number of candidates C."""
+        return len(self._mapped)
+
+    def read(self, begin: int, end: int) -> Array:
+        """Blocks (end - begin, k, n) of consecutive candidates."""
+        whole = self._mapped
+        if not self._is_whole:
+            return _as_double(whole[begin:end])
+        shape = (end - begin, *whole.shape[1:])
+        offset = whole.offset + begin * self._row_bytes
+        return _as_double(np.memmap(whole.filename, whole.dtype, "r", offset, shape))
+
+    def take(self, chosen: Index) -> Array:
+        """Blocks (m, k, n) of the chosen candidates.
+
+        They are read one by one: a mapping would have whole pages around each in memory.
+        """
+        whole = self._mapped
+        if not self._is_whole:
+            return _as_double(whole[chosen])
+        with Path(whole.filename).open("rb", buffering=0) as file:
+            rows = [self._row(file, int(number)) for number in chosen]
+        numbers = np.frombuffer(b"".join(rows), whole.dtype)
+        return _as_double(numbers.reshape(-1, *whole.shape[1:]))
+
+    def _row(self, file: io.FileIO, number: int) -> bytes:
+        """Bytes of one candidate."""
+        file.seek(self._mapped.offset + number * self._row_bytes)
+        return file.read(self._row_bytes)
+
+    @property
+    def _row_bytes(self) -> int:
+        return int(self._mapped.itemsize * np.prod(self._mapped.shape[1:]))
+
+    @property
+    def _is_whole(self) -> bool:
+        """Whether the array is that of its file; a slice has the offset of the whole."""
+        base = getattr(self._mapped, "base", None)
+        return isinstance(base, mmap.mmap) and self._mapped.filename is not None
+
+
+class ArrowCandidates:
+    """Rows (C, n) of an Arrow IPC file: one column a parameter, one row a candidate."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises ValueError without pyarrow, and where a column is no number."""
+        try:
+            arrow = importlib.import_module("pyarrow")
+        except ImportError:
+            raise ValueError(
+                "Arrow files need pyarrow: pip install pkm-oed[parquet], or write a .npy"
+                " file"
+            ) from None
+        source = arrow.memory_map(str(path))
+        self._table = (
+            importlib.import_module("pyarrow.ipc").open_file(source).read_all()
+        )
+        for field in self._table.schema:
+            if not arrow.types.is_floating(field.type):
+                raise ValueError(
+                    f"column {field.name} holds {field.type}, not floating-point numbers"
+                )
+
+    def __len__(self) -> int:
+        """Number of candidates C."""
+        return int(self._table.num_rows)
+
+    def read(self, begin: int, end: int) -> Array:
+        """Blocks (end - begin, 1, n) of consecutive candidates."""
+        return self._blocks(self._table.slice(begin, end - begin))
+
+    def take(self, chosen: Index) -> Array:
+        """Blocks (m, 1, n) of the chosen candidates."""
+        return self._blocks(self._table.take(chosen))
+
+    @staticmethod
+    def _blocks(part: Any) -> Array:
+        columns = [column.to_numpy() for column in part.columns]
+        return _as_double(np.column_stack(columns))
+
+
+def open_candidates(path: Path | str) -> CandidateFile:
+    """The candidates of a .npy file or of an Arrow IPC file (.arrow, .feather).
+
+    Raises ValueError for another suffix or content, OSError where it cannot be read.
+    """
+    path = Path(path)
+    try:
+        if path.suffix == ".npy":
+            return NumpyCandidates(path)
+        if path.suffix in (".arrow", ".feather"):
+            return ArrowCandidates(path)
+        raise ValueError("candidates are read from .npy, .arrow and .feather files")
+    except (EOFError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _as_double(rows: Any) -> Array:
+    """Rows or blocks as blocks (m, k, n) of their own memory."""
+    blocks = rows[:, None, :] if rows.ndim == 2 else rows
+    return np.array(blocks, dtype=float, order="C")
+
+
+#: number of candidates that are read at once: 17 MB of 21 columns
+CANDIDATES_AT_ONCE = 100_000
+#: number of candidates in the sample
+SAMPLE_SIZE = 20_000
+#: number of steepest candidates that go on
+STEEPEST_SIZE = 20_000
+#: number of repeats of the third pass, at the most
+MAX_REPEATS = 5
+#: gap in log phi between the relaxation and its bound that ends the repeats
+GAP_TOLERANCE = 1e-7
 #: a slope is rounded in its pass and in the bound: the allowance, in roundings of one
-SLOPES = 3.0
+ROUNDED_GRADIENTS = 3.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -92,7 +242,7 @@ def choose_from_file(
     that is not smooth and concave.
     """
     everything = len(candidates)
-    if everything <= STEEPEST:
+    if everything <= STEEPEST_SIZE:
         blocks = candidates.read(0, everything)
         return exchange.choose(
             blocks,
@@ -106,7 +256,7 @@ def choose_from_file(
     survey = _survey(candidates, prior)
     columns = len(survey.column_sizes)
     goal = (
-        CRITERIA.over(criterion, columns) if isinstance(criterion, str) else criterion
+        CRITERIA.build(criterion, columns) if isinstance(criterion, str) else criterion
     )
     if not serves(goal):
         raise ValueError(
@@ -124,12 +274,12 @@ def choose_from_file(
         columns=columns,
         weak=survey.of_all.weak(tolerance),
     )
-    return choice.with_bound(space.criterion, value, upper, gap)
+    return choice.add_bound(space.criterion, value, upper, gap)
 
 
 def serves(criterion: Criterion | str) -> bool:
     """Whether a choice by the criterion can go through a file in passes."""
-    goal = CRITERIA.over(criterion, 1) if isinstance(criterion, str) else criterion
+    goal = CRITERIA.build(criterion, 1) if isinstance(criterion, str) else criterion
     return goal.smooth and goal.concave
 
 
@@ -142,7 +292,7 @@ def _search(
     rounds: int,
 ) -> tuple[Choice, float, float]:
     """The choice, still with the bound of a part; the bound of all, and its gap."""
-    stride = max(1, len(candidates) // SAMPLE)
+    stride = max(1, len(candidates) // SAMPLE_SIZE)
     even = np.arange(0, len(candidates), stride)
     sample = np.union1d(even, survey.largest)
     root = _relaxed_root(space.turn(candidates.take(sample)), size, space)
@@ -155,7 +305,7 @@ def _search(
     )
     plan = working[choice.indices]
     upper = np.inf
-    for _ in range(REPEATS):
+    for _ in range(MAX_REPEATS):
         relaxed = bound(blocks, space.criterion, Rules(size=size), space.base)
         m = space.base + information(blocks, relaxed.weights)
         chosen = np.searchsorted(working, plan)
@@ -170,7 +320,7 @@ def _search(
         upper = min(upper, bound_by(tangent, float(size), 1.0))
         chosen = np.searchsorted(working, plan)
         plan = working[_improved(blocks, chosen, size, space)]
-        if upper - tangent.value < TOLERANCE:
+        if upper - tangent.value < GAP_TOLERANCE:
             break
     choice = dataclasses.replace(choice, indices=np.sort(plan))
     return choice, upper, upper - tangent.value
@@ -194,7 +344,7 @@ def _tangent(blocks: Array, weights: Array, space: _Coordinates) -> Tangent:
     objective = CriterionObjective(space.criterion, blocks, space.base, space.rounding)
     active = np.flatnonzero(weights > 0)
     tangent = objective.tangent(active, weights[active])
-    return dataclasses.replace(tangent, rounding=SLOPES * tangent.rounding)
+    return dataclasses.replace(tangent, rounding=ROUNDED_GRADIENTS * tangent.rounding)
 
 
 # -- passes ----------------------------------------------------------------------------
@@ -232,7 +382,7 @@ def _coordinates(
     """Those of `choose`: the columns, orthonormal directions, or white ones for D."""
     of_all, n = survey.of_all, len(survey.column_sizes)
     white = goal.any_coordinates and of_all.is_ill_conditioned(tolerance)
-    least = max(tolerance, RANK * n) if white else tolerance
+    least = max(tolerance, RANK_TOLERANCE * n) if white else tolerance
     visible = of_all.visible(least)
     basis: Array = of_all.directions[:, visible]
     if white:
@@ -269,17 +419,20 @@ def _steepest(
 def _merge(best: tuple[Index, Array], begin: int, slopes: Array) -> tuple[Index, Array]:
     """The steepest of those before and of a part that begins at a candidate."""
     indices, before = best
-    floor = before.min() if len(before) == STEEPEST else -np.inf
+    floor = before.min() if len(before) == STEEPEST_SIZE else -np.inf
     steep = np.flatnonzero(slopes > floor)
     indices = np.concatenate([indices, begin + steep])
     values = np.concatenate([before, slopes[steep]])
-    if len(values) <= STEEPEST:
+    if len(values) <= STEEPEST_SIZE:
         return indices, values
-    places = np.argpartition(-values, STEEPEST - 1)[:STEEPEST]
+    places = np.argpartition(-values, STEEPEST_SIZE - 1)[:STEEPEST_SIZE]
     return indices[places], values[places]
 
 
 def _read(candidates: CandidateFile) -> Iterator[tuple[int, Array]]:
     """Blocks (m, k, n) of all candidates, part by part, with the first one's number."""
-    for begin in range(0, len(candidates), PART):
-        yield begin, candidates.read(begin, min(begin + PART, len(candidates)))
+    for begin in range(0, len(candidates), CANDIDATES_AT_ONCE):
+        yield (
+            begin,
+            candidates.read(begin, min(begin + CANDIDATES_AT_ONCE, len(candidates))),
+        )

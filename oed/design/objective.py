@@ -10,6 +10,18 @@ bring rounding into the bound. A block's product has an error of at most
     d_i = gamma |X_i| |R| + e_i |R|            (Frobenius norms; e_i: of the block itself)
 
 and its slope |X_i R|^2 one of at most 2 |X_i R| d_i + d_i^2.
+
+Such bounds hold at any dual point, whatever a solver reports: log det is concave. So
+for every positive definite M and every plan w' with information M' = M0 + sum_i w'_i
+A_i,
+
+    log det M' <= log det M + tr(M^-1 M0) + sum_i w'_i tr(M^-1 A_i) - n,
+
+and the sum is at most the knapsack value of the slopes tr(M^-1 A_i). M need not belong
+to a feasible or a converged plan: the bound only gets looser. Homogeneous criteria have
+tighter lines through the origin (`oed.design.forms.protocol`). What rounding can
+change is added on the safe side: of the gradients, of their sum,
+and of the line's logarithms.
 """
 
 from __future__ import annotations
@@ -23,10 +35,37 @@ import numpy as np
 from oed.base import Array, Index
 from oed.design.blocks import information
 from oed.design.forms.protocol import Criterion, slopes
-from oed.design.whitening import EXACT, Rounding, gamma
+from oed.design.whitening import NO_ROUNDING, Rounding, gamma
+
+#: allowance for the rounding of a line's logarithms, in log phi
+LOG_ROUNDING = 1e-12
+
+
+def knapsack_value(slopes: Array, size: float, cap: Array | float) -> float:
+    """max sum_i w_i slopes_i over 0 <= w_i <= cap_i, sum_i w_i = size.
+
+    The fractional knapsack: the best candidates are filled to their caps. slopes (C,);
+    cap (C,), or one number for all.
+    """
+    if np.ndim(cap):
+        caps = np.asarray(cap, dtype=float)
+        order = np.argsort(-slopes, kind="stable")
+        before = np.concatenate([[0.0], np.cumsum(caps[order])[:-1]])
+        return float(slopes[order] @ np.clip(size - before, 0.0, caps[order]))
+    cap = float(cap)
+    if not np.isfinite(cap) or cap >= size:
+        return float(size * slopes.max())
+    full = int(size // cap)
+    first = len(slopes) - min(full + 1, len(slopes))
+    best = np.partition(slopes, first)[::-1]
+    best = np.sort(best[: full + 1])[::-1]
+    remainder = size - cap * full
+    partial = remainder * best[full] if remainder > 0 else 0.0
+    return float(cap * best[:full].sum() + partial)
+
 
 #: ridge, by the mean eigenvalue, that keeps an undetermined direction finite
-RIDGE = 1e-9
+RIDGE_SHARE = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +149,7 @@ class CriterionObjective:
     criterion: Criterion
     blocks: Array
     base: Array
-    rounding: Rounding = EXACT
+    rounding: Rounding = NO_ROUNDING
 
     @property
     def count(self) -> int:
@@ -179,14 +218,14 @@ class CriterionObjective:
 
     def regularised(self, weights: Array) -> CriterionObjective:
         """The objective with a ridge, small beside the information at the weights."""
-        return self.with_ridge(RIDGE * self.mean_eigenvalue(weights))
+        return self.add_ridge(RIDGE_SHARE * self.mean_eigenvalue(weights))
 
     def mean_eigenvalue(self, weights: Array) -> float:
         """Mean eigenvalue of M at weights on all candidates."""
         trace = float(np.einsum("ckn,ckn,c->", self.blocks, self.blocks, weights))
         return float((trace + np.trace(self.base)) / self.directions)
 
-    def with_ridge(self, ridge: float) -> CriterionObjective:
+    def add_ridge(self, ridge: float) -> CriterionObjective:
         """The objective with ridge * 1 added to M0."""
         base = self.base + ridge * np.eye(len(self.base))
         return dataclasses.replace(self, base=base)

@@ -4,7 +4,7 @@
 
 Every plan of N candidates is feasible (cap 1: no repeats; cap inf: repeats allowed), so
 the optimum bounds it. The method is an active set of candidates: Newton steps, with the
-criterion's own curvature, in the face of the free weights (`oed.design.newton`).
+criterion's own curvature, in the face of the free weights.
 Candidates whose slope exceeds the multiplier join, and weights that reach a bound
 leave. Where Newton steps end, the equivalence theorem (Kiefer and Wolfowitz 1960;
 Pukelsheim 2006, chapter 7) is checked over all candidates. A budget instead of a number
@@ -13,6 +13,11 @@ is the same problem in v_i = cost_i w_i (`oed.design.rules`).
 Candidates that no optimal plan can hold are eliminated for good. A plan w' with weight
 on i has a value of at most the line's bound with that weight forced. Where even this
 bound is below a value already reached, i cannot be in an optimal plan.
+
+A weight at a bound that wants to leave it is free. A Newton step is bent at the bounds, so
+that many weights can reach them at once, with more damping where the step is too long.
+Where no such step raises the value, it goes straight to the first bound, or shifts
+weight from the least wanted candidate to the most wanted one.
 """
 
 from __future__ import annotations
@@ -22,28 +27,224 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import as_blocks, information
-from oed.design.certificate import ROUNDING, knapsack_value
+from oed.design.blocks import block_array, information
 from oed.design.forms import Criterion, Determinant
 from oed.design.forms.determinant import log_det_of_gram
-from oed.design.newton import newton_steps, scale_to_size
-from oed.design.objective import CriterionObjective, Objective, Tangent
-from oed.design.whitening import EXACT, Rounding, gamma, is_ill_conditioned, whiten
+from oed.design.objective import (
+    LOG_ROUNDING,
+    CriterionObjective,
+    Objective,
+    Tangent,
+    knapsack_value,
+)
+from oed.design.whitening import (
+    NO_ROUNDING,
+    Rounding,
+    gamma,
+    is_ill_conditioned,
+    whiten,
+)
+
+#: Newton steps in a call, at the most
+MAX_NEWTON_STEPS = 8
+#: damping of a step, as a share of the mean curvature: more where the step does not
+#: raise the value
+DAMPING_FACTORS = (1e-10, 1e-6, 1e-3, 1e-1, 1e1)
+#: a weight within this share of a bound is put on the bound
+BOUND_TOLERANCE = 1e-13
+#: number of halvings of a straight step
+MAX_HALVINGS = 20
+#: least share of a straight step that is tried: 2^-20
+MIN_STEP_SHARE = 1e-6
+
+
+def newton_steps(
+    objective: Objective, active: Index, weights: Array, caps: Array
+) -> Array:
+    """Weights (A,) after Newton steps; each step raises the value."""
+    for _ in range(MAX_NEWTON_STEPS):
+        # a weight within rounding of a bound would stop every step at once
+        capped = np.where(weights > caps * (1.0 - BOUND_TOLERANCE), caps, weights)
+        weights = np.where(weights < BOUND_TOLERANCE * caps, 0.0, capped)
+        improved = _one_step(objective, active, weights, caps)
+        if improved is None:
+            break
+        weights = improved
+    return weights
+
+
+def scale_to_size(weights: Array, size: float, caps: Array) -> Array:
+    """Weights scaled to the sum `size`; what exceeds a cap goes to the others."""
+    weights = np.maximum(weights, 1e-12)
+    for _ in range(100):
+        full = weights >= caps
+        missing = size - caps[full].sum()
+        if missing < 0.0:  # those at their caps are too many already
+            within = np.minimum(weights, caps)
+            scaled: Array = within * (size / within.sum())
+            return scaled
+        others = weights[~full].sum()
+        factor = missing / others if others > 0 else 1.0
+        weights = np.where(full, caps, weights * factor)
+        if not (weights > caps * (1 + 1e-15)).any():
+            break
+    return np.minimum(weights, caps)
+
+
+def _one_step(
+    objective: Objective, active: Index, weights: Array, caps: Array
+) -> Array | None:
+    """Weights after one step that raises the value; None where no step does."""
+    slopes, curvature = objective.slopes_and_curvature(active, weights)
+    value = objective.value(active, weights)
+    longest: tuple[Array, Index] | None = None
+    for damping in DAMPING_FACTORS:
+        step, free = _newton_direction(slopes, curvature, weights, caps, damping)
+        if not free.size:
+            break
+        longest = longest or (step, free)
+        total = float(weights[free].sum())
+        bent = weights.copy()
+        bent[free] = project_to_sum(weights[free] + step, total, caps[free])
+        if objective.value(active, bent) > value:
+            return bent
+    # last: it releases one weight at a time, and wide blocks have hundreds to release
+    if longest is not None:
+        straight = _straight_step(objective, active, weights, *longest, caps)
+        if straight is not None:
+            return straight
+    step, free = _pair_direction(slopes, curvature, weights, caps)
+    if not free.size:
+        return None
+    return _straight_step(objective, active, weights, step, free, caps)
+
+
+def _newton_direction(
+    slopes: Array, curvature: Array, weights: Array, caps: Array, damping: float
+) -> tuple[Array, Index]:
+    """Newton step over the free weights that preserves their sum, and these weights."""
+    free = _free_weights(slopes, weights, caps)
+    while free.size > 1:
+        hessian = curvature[np.ix_(free, free)]
+        # more free weights than distinct information: the ridge picks the shortest of
+        # the equal steps
+        ridge = damping * np.trace(hessian) / len(free) + 1e-300
+        hessian[np.diag_indices_from(hessian)] += ridge
+        right = np.column_stack([slopes[free], np.ones(len(free))])
+        by_slopes, by_ones = np.linalg.solve(hessian, right).T
+        step = by_slopes - by_slopes.sum() / by_ones.sum() * by_ones
+        below = (weights[free] <= 0) & (step < 0)
+        above = (weights[free] >= caps[free]) & (step > 0)
+        outward = below | above
+        if not outward.any():
+            return step, free
+        free = free[~outward]
+    return np.zeros(0), free[:0]
+
+
+def _free_weights(slopes: Array, weights: Array, caps: Array) -> Index:
+    """Weights inside their bounds, and those that want to leave a bound."""
+    inside = (weights > 0) & (weights < caps)
+    if inside.any():
+        inner_weights = np.where(inside, weights, 0.0)
+        multiplier = float(np.average(slopes, weights=inner_weights))
+    else:
+        multiplier = float(slopes.mean())
+    leaves_zero = (weights <= 0) & (slopes > multiplier)
+    leaves_cap = (weights >= caps) & (slopes < multiplier)
+    return np.flatnonzero(inside | leaves_zero | leaves_cap)
+
+
+def _pair_direction(
+    slopes: Array, curvature: Array, weights: Array, caps: Array
+) -> tuple[Array, Index]:
+    """Newton step from the least wanted weight to the most wanted one."""
+    giver = int(np.argmin(np.where(weights > 0, slopes, np.inf)))
+    taker = int(np.argmax(np.where(weights < caps, slopes, -np.inf)))
+    gain = slopes[taker] - slopes[giver]
+    if not gain > 1e-12 * abs(slopes[taker]):
+        return np.zeros(0), np.zeros(0, dtype=np.intp)
+    pair = np.array([taker, giver])
+    direction = np.array([1.0, -1.0])
+    bend = float(direction @ curvature[np.ix_(pair, pair)] @ direction)
+    room = min(float(caps[taker] - weights[taker]), float(weights[giver]))
+    step = min(gain / max(bend, 1e-300), room)
+    return np.array([step, -step]), pair
+
+
+def _straight_step(
+    objective: Objective,
+    active: Index,
+    weights: Array,
+    step: Array,
+    free: Index,
+    caps: Array,
+) -> Array | None:
+    """Weights after the longest feasible share of a step that raises the value."""
+    start, value = weights[free], objective.value(active, weights)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_cap = np.where(step > 0, (caps[free] - start) / step, np.inf)
+        room = np.where(step < 0, start / -step, to_cap)
+    share = min(1.0, float(room.min()))
+    if share < MIN_STEP_SHARE:
+        return None
+    for _ in range(MAX_HALVINGS):
+        trial = weights.copy()
+        trial[free] = np.clip(start + share * step, 0.0, caps[free])
+        if objective.value(active, trial) > value:
+            return trial
+        share *= 0.5
+    return None
+
+
+def project_to_sum(wanted: Array, total: float, caps: Array) -> Array:
+    """The nearest weights within 0 and the caps that have the sum `total`."""
+    shift = _shift_to_sum(wanted, total, caps)
+    projected = np.minimum(np.maximum(wanted - shift, 0.0), caps)
+    inside = (projected > 0) & (projected < caps)
+    if inside.any():
+        projected[inside] += (total - projected.sum()) / inside.sum()
+    return np.minimum(np.maximum(projected, 0.0), caps)
+
+
+def _shift_to_sum(wanted: Array, total: float, caps: Array) -> float:
+    """The number to subtract from all weights, so that within 0 and the caps they have
+    the sum `total`.
+
+    The sum is piecewise linear in the shift: it bends where a weight leaves its cap, and
+    where one reaches 0.
+    """
+    bends = np.concatenate([wanted - caps, wanted])
+    order = np.argsort(bends)
+    bends = bends[order]
+    inside = np.cumsum(np.where(order < len(wanted), 1.0, -1.0))
+    drops = inside[:-1] * np.diff(bends)
+    sums = caps.sum() - np.append(0.0, np.cumsum(drops))
+    last = max(int(np.count_nonzero(sums > total)) - 1, 0)
+    excess = sums[last] - total
+    return float(bends[last] + excess / max(inside[last], 1.0))
+
 
 #: rounds of adding candidates
-ROUNDS = 200
+MAX_ROUNDS = 200
 #: round after which Newton steps are given up if the bound is worse than at the start
 NEWTON_PATIENCE = 4
-#: change in log phi below which a round counts as none; such rounds that end the method
-STAGNATION, STAGNANT_ROUNDS = 1e-11, 3
-#: candidates in the first active set, at the least and a direction
-START, START_PER_DIRECTION = 60, 6
+#: change in log phi below which a round counts as none: the rounding of its sums
+STAGNATION_GAIN = 1e-11
+#: number of such rounds that end the method: one alone may only exchange candidates
+MAX_STAGNANT_ROUNDS = 3
+#: number of candidates in the first active set, at the least
+START_SIZE = 60
+#: the same for each direction: an optimal design mostly needs about two
+START_PER_DIRECTION = 6
 #: multiplicative steps before Newton steps
-MULTIPLICATIVE_START = 16
-#: multiplicative steps where Newton steps fail, and the duality gap that is then enough
-MULTIPLICATIVE_ONLY, MULTIPLICATIVE_GAP = 300, 1e-2
+START_STEPS = 16
+#: number of multiplicative steps where Newton steps fail
+MAX_MULTIPLICATIVE_STEPS = 300
+#: duality gap in log phi that is then enough: these steps converge slowly
+MULTIPLICATIVE_GAP = 1e-2
 #: candidates beyond which the start is sought in a sample of them
-SAMPLE = 20000
+SAMPLE_SIZE = 20000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +275,7 @@ def relax(
     cap: Array | float = 1.0,
     tolerance: float = 1e-8,
     criterion: Criterion | None = None,
-    rounding: Rounding = EXACT,
+    rounding: Rounding = NO_ROUNDING,
 ) -> Relaxation:
     """Optimal weights of candidates for a concave criterion.
 
@@ -89,7 +290,7 @@ def relax(
     Raises ValueError where the caps cannot carry `size`, or where candidates and prior
     leave directions undetermined.
     """
-    blocks = as_blocks(rows)
+    blocks = block_array(rows)
     n = blocks.shape[2]
     base = np.zeros((n, n)) if prior is None else prior
     goal = Determinant(n) if criterion is None else criterion
@@ -132,7 +333,7 @@ def _relax_determinant(
         if white.basis.shape[1] == n:
             blocks, base = white.blocks, white.prior
             shift = -log_det_of_gram(white.basis) / n
-            rounding = rounding.in_basis(white.basis).plus(white.rounding)
+            rounding = rounding.rounding_of_basis(white.basis).plus(white.rounding)
     objective = CriterionObjective(Determinant(n), blocks, base, rounding)
     optimum = solve(objective, size, cap, tolerance)
     return dataclasses.replace(
@@ -159,7 +360,7 @@ def solve(
         active = np.flatnonzero(start > 0)
         weights = scale_to_size(start[active], size, caps[active])
     first_bound, best_value, last_bound, stagnant = bound, -np.inf, np.inf, 0
-    for k in range(ROUNDS):
+    for k in range(MAX_ROUNDS):
         weights = newton_steps(objective, active, weights, caps[active])
         tangent = objective.tangent(active, weights)
         bound_here = bound_by(tangent, size, common_cap)
@@ -170,10 +371,10 @@ def solve(
             return _multiplicative_steps(objective, size, caps, tolerance)
         # a smoothed maximum has a gap of its own: stop where neither value nor bound
         # moves
-        value_stalls = tangent.value - best_value < STAGNATION
-        bound_stalls = last_bound - bound < STAGNATION
+        value_stalls = tangent.value - best_value < STAGNATION_GAIN
+        bound_stalls = last_bound - bound < STAGNATION_GAIN
         stagnant = stagnant + 1 if value_stalls and bound_stalls else 0
-        if stagnant == STAGNANT_ROUNDS:
+        if stagnant == MAX_STAGNANT_ROUNDS:
             break
         best_value, last_bound = max(best_value, tangent.value), bound
         active, weights = _update_active_set(
@@ -187,7 +388,7 @@ def solve(
 def bound_by(tangent: Tangent, size: float, cap: Array | float) -> float:
     """The bound of all plans that a line gives, rounded up."""
     carried = knapsack_value(tangent.slopes, size, cap) + size * tangent.rounding
-    return tangent.bound(carried * (1.0 + gamma(len(tangent.slopes)))) + ROUNDING
+    return tangent.bound(carried * (1.0 + gamma(len(tangent.slopes)))) + LOG_ROUNDING
 
 
 def check_caps(caps: Array, size: float, cap: Array | float) -> None:
@@ -214,7 +415,7 @@ def _multiplicative_steps(
     tangent = objective.tangent(everything, weights)
     bound = bound_by(tangent, size, caps)
     best_weights, best_tangent = weights, tangent
-    for _ in range(1, MULTIPLICATIVE_ONLY):
+    for _ in range(1, MAX_MULTIPLICATIVE_STEPS):
         if bound - best_tangent.value < max(tolerance, MULTIPLICATIVE_GAP):
             break
         weights = scale_to_size(weights * np.sqrt(tangent.slopes), size, caps)
@@ -242,7 +443,7 @@ def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index
     else:
         heights = np.maximum(tangent.base_term + (best - loss), 1e-300)
         bounds = tangent.offset + np.log(heights)
-    return np.flatnonzero(bounds + ROUNDING < value)
+    return np.flatnonzero(bounds + LOG_ROUNDING < value)
 
 
 # -- the active set --------------------------------------------------------------------
@@ -257,12 +458,12 @@ def _begin(
     bound is finite only where the steps run over all candidates.
     """
     count = objective.count
-    sample = np.arange(0, count, max(1, count // SAMPLE))
+    sample = np.arange(0, count, max(1, count // SAMPLE_SIZE))
     weights = np.full(len(sample), size / len(sample))
     part = objective.subset(sample)
     part = part.regularised(weights)
     everything, bound = np.arange(len(sample)), np.inf
-    for _ in range(MULTIPLICATIVE_START):
+    for _ in range(START_STEPS):
         tangent = part.tangent(everything, weights)
         if len(sample) == count:
             bound = min(bound, bound_by(tangent, size, caps))
@@ -273,7 +474,7 @@ def _begin(
     # an optimal design needs no more than n (n + 1) / 2 points, and mostly about 2 n
     by_directions = START_PER_DIRECTION * objective.directions
     by_size = int(np.ceil(2 * size / caps.mean()))
-    places = max(START, by_directions, by_size)
+    places = max(START_SIZE, by_directions, by_size)
     best = np.argsort(-weights, kind="stable")[:places]
     while caps[sample[best]].sum() < size:
         places *= 2

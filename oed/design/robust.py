@@ -24,11 +24,11 @@ from typing import Literal
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import as_blocks
+from oed.design.blocks import block_array
 from oed.design.catalogue import CRITERIA
 from oed.design.evaluator import CriterionEvaluator, PlanEvaluator
 from oed.design.forms import Criterion
-from oed.design.objective import RIDGE, CriterionObjective, Tangent
+from oed.design.objective import RIDGE_SHARE, CriterionObjective, Tangent
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 from oed.result import RobustSummary
@@ -36,7 +36,7 @@ from oed.result import RobustSummary
 #: sharpness of the smoothed minimum over scenarios, from level to level
 SHARPNESS = (4.0, 16.0, 64.0, 256.0, 1024.0)
 #: duality gap of the relaxation, in log phi
-TOLERANCE = 1e-4
+GAP_TOLERANCE = 1e-4
 
 __all__ = ["Risk", "RobustChoice", "aggregate", "choose"]
 Risk = Literal["mean", "cvar", "worst"]
@@ -83,7 +83,7 @@ def choose(
         )
     n = scenarios.shape[3]
     base = np.zeros((n, n)) if prior is None else prior
-    blocks = [as_blocks(scenario) for scenario in scenarios]
+    blocks = [block_array(scenario) for scenario in scenarios]
     objectives = tuple(CriterionObjective(criterion, b, base) for b in blocks)
     evaluators = tuple(CriterionEvaluator(b, criterion, base) for b in blocks)
     robust = _ScenarioEvaluator(evaluators, risk, tail_share)
@@ -96,7 +96,7 @@ def choose(
         return RiskObjective(parts, risk, tail_share, sharpness)
 
     levels = SHARPNESS[:1] if risk == "mean" else SHARPNESS
-    optimum = rules.relax(len(blocks[0]), objective, levels, lambda _: TOLERANCE)
+    optimum = rules.relax(len(blocks[0]), objective, levels, lambda _: GAP_TOLERANCE)
     guide = optimum.weights, optimum.slopes
     ridge = nominal.ridge()
     nominal_start = select_greedily(nominal, rules, ridge)
@@ -285,6 +285,6 @@ class RiskObjective:
 
     def regularised(self, weights: Array) -> RiskObjective:
         """The objective with the first scenario's ridge in each scenario."""
-        ridge = RIDGE * self.scenarios[0].mean_eigenvalue(weights)
-        scenarios = tuple(s.with_ridge(ridge) for s in self.scenarios)
+        ridge = RIDGE_SHARE * self.scenarios[0].mean_eigenvalue(weights)
+        scenarios = tuple(s.add_ridge(ridge) for s in self.scenarios)
         return dataclasses.replace(self, scenarios=scenarios)

@@ -26,16 +26,16 @@ from oed.design.forms.protocol import parts, quadratic_forms
 from oed.linear_algebra import symmetric_inverse
 
 #: gain in log t below which an exchange counts as none
-GAIN = 1e-10
+MIN_LOG_GAIN = 1e-10
 #: share 1 - d_jj of a row's own information below which the row is taken out exactly:
 #: the formula would lose digits
-LEAST_SHARE = 1e-4
+MIN_OWN_SHARE = 1e-4
 #: places whose exchanges are computed together
-PLACES = 12
+PLACES_AT_ONCE = 12
 #: relative gain of det M below which an exchange counts as none
-FACTOR_GAIN = 1e-9
+MIN_FACTOR_GAIN = 1e-9
 #: exchanges after which the inverse is computed anew: rank-one updates lose digits
-REFRESH = 50
+REFRESH_EXCHANGES = 50
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,11 +87,11 @@ class RowExchange:
         changed = False
         design, place = _Design(self, chosen), 0
         while place < len(chosen):
-            places = np.arange(place, min(place + PLACES, len(chosen)))
+            places = np.arange(place, min(place + PLACES_AT_ONCE, len(chosen)))
             variances = design.variances_after_exchange(places)
             best = np.argmin(variances, axis=1)
             lowest = variances[np.arange(len(places)), best]
-            helps = lowest < design.variance * np.exp(-GAIN)
+            helps = lowest < design.variance * np.exp(-MIN_LOG_GAIN)
             place = int(places[-1]) + 1
             if helps.any():
                 first = int(np.argmax(helps))
@@ -121,7 +121,7 @@ class _Design:
         """
         replaced = self._chosen[places]
         share = 1.0 - self._leverage[replaced]
-        safe = np.maximum(share, LEAST_SHARE)
+        safe = np.maximum(share, MIN_OWN_SHARE)
         cross = self._sides[replaced] @ self._problem.rows.T
         scaled = cross / safe[:, None]
         lost = self._reduction[replaced]
@@ -130,7 +130,7 @@ class _Design:
         leverage = self._leverage + cross * scaled
         without = self.variance + lost / safe
         variances = without[:, None] - reduction / (1.0 + leverage)
-        for k in np.flatnonzero(share < LEAST_SHARE):
+        for k in np.flatnonzero(share < MIN_OWN_SHARE):
             variances[k] = self._variances_exactly(places[k])
         variances[:, self._chosen] = np.inf
         return np.asarray(variances)
@@ -160,12 +160,12 @@ def exchange_rows(rows: Array, chosen: Index, base: Array) -> Index:
     inverse = _general_inverse(rows[chosen].T @ rows[chosen] + base)
     for count in range(100 * len(chosen)):
         i, j, factor = _best_pair(rows, chosen, inverse)
-        if factor <= 1.0 + FACTOR_GAIN:
+        if factor <= 1.0 + MIN_FACTOR_GAIN:
             break
         added = _update(inverse, rows[j], 1.0)
         inverse = _update(added, rows[chosen[i]], -1.0)
         chosen[i] = j
-        if count % REFRESH == REFRESH - 1:
+        if count % REFRESH_EXCHANGES == REFRESH_EXCHANGES - 1:
             inverse = _general_inverse(rows[chosen].T @ rows[chosen] + base)
     return chosen
 

@@ -21,21 +21,31 @@ from oed.design.evaluator import PlanEvaluator
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 
-#: candidates in the pool: at the least, a chosen one, and in each class of the quotas
-POOL, POOL_PER_READING, POOL_PER_CLASS = 200, 8, 50
-#: candidates a place in the pool, at the most; relative difference of two copies' slopes
-MOST_COPIES, COPY = 4, 1e-9
+#: number of candidates in the pool, at the least
+POOL_SIZE = 200
+#: the same for each reading of a plan
+POOL_PER_READING = 8
+#: the same for each class of the quotas
+POOL_PER_CLASS = 50
+#: number of copies of a candidate that the pool may hold for each place
+MAX_COPIES = 4
+#: relative difference of gradients below which two candidates count as copies: rounding
+COPY_TOLERANCE = 1e-9
 #: gain in log phi below which an exchange counts as none
-GAIN = 1e-10
+MIN_GAIN = 1e-10
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
 #: other for ever
-SWEEPS = 50
+MAX_SWEEPS = 50
 #: steps of the evaluator's own search that stand for one round
 STEPS_PER_ROUND = 12
-#: most readings that one restart replaces; chance that it replaces a whole set-up
-REPLACED, REPLACE_SETUP = 6, 0.3
-#: weight from which a relaxed candidate counts as chosen, and from which it may be
-HEAVY, LIGHT = 1e-6, 1e-9
+#: number of readings that one restart replaces, at the most: more would be a new plan
+MAX_REPLACED = 6
+#: probability that a restart replaces a whole set-up instead
+SETUP_PROBABILITY = 0.3
+#: weight from which a relaxed candidate counts as chosen
+CHOSEN_WEIGHT = 1e-6
+#: weight from which a relaxed candidate may be chosen: below is rounding
+POSSIBLE_WEIGHT = 1e-9
 
 
 def search(
@@ -97,7 +107,7 @@ def improve(
     rules: Rules,
     chosen: Index,
     level: int,
-    sweeps: int = SWEEPS,
+    sweeps: int = MAX_SWEEPS,
 ) -> Index:
     """A plan after exchange sweeps at one level, until no exchange helps."""
     return _Exchange(evaluator, rules).sweep_until_stable(chosen, level, sweeps)
@@ -108,11 +118,11 @@ def _promising(weights: Array, slopes: Array, rules: Rules) -> Index:
     slopes_per_cost = slopes
     if rules.time is not None:
         slopes_per_cost = slopes / np.maximum(rules.time.cost, 1e-300)
-    size = rules.size or int((weights > HEAVY).sum())
-    places = max(POOL, POOL_PER_READING * size)
+    size = rules.size or int((weights > CHOSEN_WEIGHT).sum())
+    places = max(POOL_SIZE, POOL_PER_READING * size)
     steepest = _steepest(slopes_per_cost, places)
     heaviest = np.argsort(-weights, kind="stable")[:places]
-    heaviest = heaviest[weights[heaviest] > LIGHT]
+    heaviest = heaviest[weights[heaviest] > POSSIBLE_WEIGHT]
     promising = np.union1d(steepest, heaviest)
     if rules.quotas is not None:
         promising = np.union1d(promising, _steepest_by_class(slopes, rules.quotas))
@@ -121,9 +131,9 @@ def _promising(weights: Array, slopes: Array, rules: Rules) -> Index:
 
 def _steepest(slopes: Array, places: int) -> Index:
     """The steepest candidates; copies of one candidate take one place."""
-    order = np.argsort(-slopes, kind="stable")[: MOST_COPIES * places]
+    order = np.argsort(-slopes, kind="stable")[: MAX_COPIES * places]
     ordered = slopes[order]
-    falls = ordered[:-1] - ordered[1:] > COPY * np.abs(ordered[:-1])
+    falls = ordered[:-1] - ordered[1:] > COPY_TOLERANCE * np.abs(ordered[:-1])
     place = np.concatenate([[0], np.cumsum(falls)])
     return order[place < places]
 
@@ -157,7 +167,7 @@ class _Exchange:
         return chosen
 
     def sweep_until_stable(
-        self, chosen: Index, level: int, sweeps: int = SWEEPS
+        self, chosen: Index, level: int, sweeps: int = MAX_SWEEPS
     ) -> Index:
         """Exchanges until none helps, at one level."""
         if self.rules.sole_size is not None:
@@ -184,7 +194,7 @@ class _Exchange:
             values = self.evaluator.values_after_adding(remaining, level)
             values = np.where(allowed, values, -np.inf)
             best = int(np.argmax(values))
-            if values[best] > current + GAIN and best != chosen[place]:
+            if values[best] > current + MIN_GAIN and best != chosen[place]:
                 chosen[place], current, changed = best, float(values[best]), True
         if self.rules.sole_size is not None:
             return chosen, changed
@@ -253,7 +263,7 @@ class _Restarts:
         evaluator = self.exchange.evaluator
         if self.rules.sole_size is None or rounds < 1:
             return None
-        drawn = [self._draw(weights) for _ in range(len(starts), tabu.PLANS)]
+        drawn = [self._draw(weights) for _ in range(len(starts), tabu.TABU_PLANS)]
         plans = np.array([*starts, *drawn])
         steps = STEPS_PER_ROUND * rounds
         best = evaluator.search_plans(plans, steps, self.rng)
@@ -270,7 +280,7 @@ class _Restarts:
 
     def _change(self, chosen: Index) -> Index:
         """The plan with up to six candidates, or one set-up, replaced at random."""
-        most = min(REPLACED, len(chosen))
+        most = min(MAX_REPLACED, len(chosen))
         number = int(self.rng.integers(min(2, most), most + 1))
         places = self.rng.choice(len(chosen), size=number, replace=False)
         setups = self.rules.setups
@@ -289,7 +299,7 @@ class _Restarts:
         """Whether a change replaces a whole set-up, by chance."""
         if self.rules.sole_size is not None:
             return False
-        return bool(self.rng.random() < REPLACE_SETUP)
+        return bool(self.rng.random() < SETUP_PROBABILITY)
 
     def _fill_in_order(self, chosen: Index, order: Index, weights: Array) -> Index:
         """A plan filled with candidates in the given order while the rules allow.

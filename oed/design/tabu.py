@@ -23,30 +23,32 @@ from oed.base import Array, Index
 from oed.design.copies import find_copies
 
 #: plans that are searched together
-PLANS = 30
+TABU_PLANS = 30
 #: places times candidates beyond which one plan's products are too many
-LARGEST = 250_000
+MAX_PLACE_CANDIDATES = 250_000
 #: most steps for which a row, or a place, rests, in turn for the plans: short rests
 #: climb fast, long ones leave wide basins
 TENURES = (2, 3, 3, 4, 8)
 #: steps after which all products are computed anew
-REFRESH = 60
+REFRESH_STEPS = 60
 #: shares of the steps after which the better half of the plans goes on alone: a plan in
 #: a good basin shows early
-HALVING = (1 / 6, 1 / 3)
+HALVING_SHARES = (1 / 6, 1 / 3)
 #: plans that go on at the least: those with short rests alone may go in circles
-LEAST_PLANS = 8
+MIN_PLANS = 8
 #: prior information added in whitened units: random plans can be singular
-RIDGE = 1e-6
+WHITE_RIDGE = 1e-6
 #: gain in log det below which a step counts as none, in single precision
-GAIN = 1e-5
+MIN_GAIN = 1e-5
 #: factor of det M below which, or above whose inverse, updates are not sound: a plan is
 #: or was nearly singular, and all is computed anew
-UNSOUND = 1e-3
+UNSOUND_FACTOR = 1e-3
 #: least share of a row that is its own
-LEAST = 1e-6
-#: added to the factor where a row or a place rests, and where no copy of a row is free
-RESTS, HELD = -1e6, -4e6
+MIN_OWN_SHARE = 1e-6
+#: added to the factor of det M where a row or a place rests: more than any factor
+RESTING_PENALTY = -1e6
+#: added where no copy of a row is free: less than a row and a place that rest
+NO_COPY_PENALTY = -4e6
 
 Single = NDArray[np.float32]
 
@@ -129,7 +131,7 @@ class _TabuSearch:
         rng: np.random.Generator,
     ) -> None:
         self.white, self.rng = white, rng
-        self.base = base + RIDGE * np.eye(len(base))
+        self.base = base + WHITE_RIDGE * np.eye(len(base))
         self.rows = white.astype(np.float32)
         self.columns = np.ascontiguousarray(self.rows.T)
         self.has_copies = bool(number.max() > 1)
@@ -161,24 +163,26 @@ class _TabuSearch:
 
     def run(self, steps: int) -> Index:
         """The best plan (B, size) that each plan passed."""
-        halving = {round(share * steps) for share in HALVING}
+        halving = {round(share * steps) for share in HALVING_SHARES}
         for step in range(steps):
             if step in halving:
                 self._halve()
             place, row, factor = self._best_exchange(step)
             self._exchange(place, row, step)
-            self.values = self.values + np.log(np.maximum(factor, UNSOUND))
-            sound = factor.min() > UNSOUND and factor.max() < 1.0 / UNSOUND
-            if step % REFRESH == REFRESH - 1 or not sound:
+            self.values = self.values + np.log(np.maximum(factor, UNSOUND_FACTOR))
+            sound = (
+                factor.min() > UNSOUND_FACTOR and factor.max() < 1.0 / UNSOUND_FACTOR
+            )
+            if step % REFRESH_STEPS == REFRESH_STEPS - 1 or not sound:
                 self._refresh()
-            better = np.flatnonzero(self.values > self.best_values + GAIN)
+            better = np.flatnonzero(self.values > self.best_values + MIN_GAIN)
             self.best_values[better] = self.values[better]
             self.best[better] = self.plans[better]
         return self.best
 
     def _halve(self) -> None:
         """Goes on with the half that passed the better plans."""
-        better = better_half(self.best, self.best_values, LEAST_PLANS)
+        better = better_half(self.best, self.best_values, MIN_PLANS)
         self.batch = np.arange(len(better))
         self.plans, self.values = self.plans[better], self.values[better]
         self.best, self.best_values = self.best[better], self.best_values[better]
@@ -200,16 +204,16 @@ class _TabuSearch:
         chosen_leverage = self.leverage[self.batch[:, None], self.plans]
         self.place_terms[:, :, 0] = 1.0 - chosen_leverage
         self.row_terms[:, 0] = 1.0 + self.leverage
-        self.row_terms[:, 1] = np.where(resting, RESTS, 0.0)
-        self.row_terms[:, 1][self.free < 1] = HELD
+        self.row_terms[:, 1] = np.where(resting, RESTING_PENALTY, 0.0)
+        self.row_terms[:, 1][self.free < 1] = NO_COPY_PENALTY
         place_rests = self.place_rests_until > step
-        self.place_terms[:, :, 2] = np.where(place_rests, RESTS, 0.0)
+        self.place_terms[:, :, 2] = np.where(place_rests, RESTING_PENALTY, 0.0)
         np.multiply(self.products, self.products, out=self.factors)
         self.factors += np.matmul(self.place_terms, self.row_terms)
         if self.has_copies:
             # a copy in place of its row changes nothing, and would use up the step
             places = np.arange(self.plans.shape[1])
-            self.factors[self.batch[:, None], places, self.plans] = HELD
+            self.factors[self.batch[:, None], places, self.plans] = NO_COPY_PENALTY
         flat = self.factors.reshape(len(self.plans), -1)
         best = flat.argmax(axis=1)
         place, row = np.divmod(best, self.products.shape[2])
@@ -239,7 +243,7 @@ class _TabuSearch:
         side_out = side_before[:, :, 0] - share[:, None] * side_in
         with_out = before - share[:, None] * with_in
         remaining = 1.0 - with_out[batch, removed]
-        scale_out = 1.0 / np.maximum(remaining, np.float32(LEAST))
+        scale_out = 1.0 / np.maximum(remaining, np.float32(MIN_OWN_SHARE))
         scales = np.stack([-scale_in, scale_out], axis=1)
         sides = np.stack([side_in, side_out], axis=1)
         scaled_sides = sides * scales[:, :, None]

@@ -21,12 +21,12 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base import Array
-from oed.design.blocks import ILL, RANK, Spectrum, spectrum
+from oed.design.blocks import ILL_CONDITION, RANK_TOLERANCE, Spectrum, spectrum
 
 #: unit roundoff
-UNIT = float(np.finfo(float).eps) / 2
+UNIT_ROUNDOFF = float(np.finfo(float).eps) / 2
 #: rows whose products are bounded at a time
-CHUNK = 65536
+CANDIDATES_AT_ONCE = 65536
 
 
 class Rounding(NamedTuple):
@@ -39,7 +39,7 @@ class Rounding(NamedTuple):
     rows: float = 0.0
     prior: float = 0.0
 
-    def in_basis(self, basis: Array) -> Rounding:
+    def rounding_of_basis(self, basis: Array) -> Rounding:
         """The errors of blocks and prior in coordinates of a basis (n, r)."""
         size = float(np.linalg.norm(basis, 2))
         return Rounding(self.rows * size, self.prior * size**2)
@@ -50,7 +50,7 @@ class Rounding(NamedTuple):
 
 
 #: data without error
-EXACT = Rounding()
+NO_ROUNDING = Rounding()
 
 
 class WhiteCandidates(NamedTuple):
@@ -70,7 +70,7 @@ class WhiteCandidates(NamedTuple):
 
 def gamma(terms: int) -> float:
     """Relative error of a sum of products with so many terms, at most."""
-    return terms * UNIT / (1.0 - terms * UNIT)
+    return terms * UNIT_ROUNDOFF / (1.0 - terms * UNIT_ROUNDOFF)
 
 
 def whiten(
@@ -85,7 +85,7 @@ def whiten(
     `of_all` is the spectrum of blocks and prior, where it is known.
     """
     values, directions = spectrum(blocks, prior) if of_all is None else of_all
-    visible = values > max(tolerance, RANK * len(directions)) * values[0]
+    visible = values > max(tolerance, RANK_TOLERANCE * len(directions)) * values[0]
     basis = directions[:, visible] / values[visible]
     r = basis.shape[1]
     if prior is None:
@@ -102,8 +102,8 @@ def whiten(
 def _largest_error(blocks: Array, basis: Array) -> float:
     """Largest error of a block times the basis, in the Frobenius norm."""
     sizes, largest = np.abs(basis), 0.0
-    for start in range(0, len(blocks), CHUNK):
-        products = np.abs(blocks[start : start + CHUNK]) @ sizes
+    for start in range(0, len(blocks), CANDIDATES_AT_ONCE):
+        products = np.abs(blocks[start : start + CANDIDATES_AT_ONCE]) @ sizes
         squares = np.einsum("ckn,ckn->c", products, products)
         largest = max(largest, float(np.sqrt(squares.max())))
     return gamma(blocks.shape[2] + 1) * largest
@@ -116,6 +116,6 @@ def quotient_error(blocks: Array) -> float:
 
 
 def is_ill_conditioned(matrix: Array) -> bool:
-    """Whether an information matrix (n, n) is that of rows worse than `ILL`."""
+    """Whether an information matrix (n, n) is that of rows worse than `ILL_CONDITION`."""
     eigenvalues = np.linalg.eigvalsh(matrix)
-    return bool(eigenvalues[0] * ILL**2 < eigenvalues[-1])
+    return bool(eigenvalues[0] * ILL_CONDITION**2 < eigenvalues[-1])

@@ -315,7 +315,7 @@ def design_nodes(
     readings, errors = _linear(model, kernel, candidates, sigma)
     blocks = readings / sigma[:, None]
     factors = errors.swapaxes(0, 1) / np.sqrt(len(errors))
-    belief = Belief.of(np.eye(blocks.shape[2]), factors)
+    belief = Belief.build(np.eye(blocks.shape[2]), factors)
     chosen: list[int] = []
     while len(chosen) < most and belief.open_components(target):
         chosen.append(belief.best_candidate(blocks, target))

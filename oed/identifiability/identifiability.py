@@ -24,7 +24,7 @@ from oed.model.machine import Machine, PointGroup
 #: of the A3 head (4e-8), which 0.5 um noise would leave at metres.
 RANK_TOLERANCE = 1e-6
 #: coefficients below this share of a row's largest are rounding
-ROUNDING = 1e-7
+ZERO_TOLERANCE = 1e-7
 #: shares of a column that must be independent of the pivots, tried in turn
 PIVOT_THRESHOLDS = (1e-2, 1e-4, 1e-6, 1e-9)
 #: largest deviation (of a unit vector) of a null direction from a rigid motion
@@ -117,7 +117,7 @@ def echelon(space: Array) -> Array:
     pivots = _pivots(space)
     rows = np.linalg.solve(space[:, pivots], space)
     largest = np.abs(rows).max(axis=1, keepdims=True)
-    basis: Array = np.where(np.abs(rows) < ROUNDING * largest, 0.0, rows)
+    basis: Array = np.where(np.abs(rows) < ZERO_TOLERANCE * largest, 0.0, rows)
     basis[:, pivots] = np.eye(
         len(rows)
     )  # nearly dependent pivots leave rounding errors

@@ -18,9 +18,11 @@ from oed.identifiability.assessment import Assessment, Readings, recoveries
 from oed.result import IdentifiabilityFinding
 
 #: posterior over prior standard deviation above which a parameter counts as weak
-WEAK = 0.7
-#: parameters that the sentence on a lost direction names, and their least share
-MAX_TERMS, LEAST_SHARE = 8, 0.05
+WEAK_SHRINKAGE = 0.7
+#: number of parameters that the sentence on a lost direction names
+MAX_TERMS = 8
+#: their least share of the largest one
+MIN_SHARE = 0.05
 
 
 def explain(
@@ -75,7 +77,7 @@ def _ratio(pivot_unit: str, unit: str) -> str:
 
 def _determined(assessment: Assessment) -> IdentifiabilityFinding:
     by_itself = _determined_by_itself(assessment)
-    strong = np.flatnonzero(by_itself & (assessment.shrinkage <= WEAK))
+    strong = np.flatnonzero(by_itself & (assessment.shrinkage <= WEAK_SHRINKAGE))
     if not strong.size:
         return IdentifiabilityFinding(
             "weak", "The readings determine no parameter by itself."
@@ -89,7 +91,7 @@ def _determined(assessment: Assessment) -> IdentifiabilityFinding:
 
 def _weakly_determined(assessment: Assessment) -> IdentifiabilityFinding | None:
     by_itself = _determined_by_itself(assessment)
-    weak = np.flatnonzero(by_itself & (assessment.shrinkage > WEAK))
+    weak = np.flatnonzero(by_itself & (assessment.shrinkage > WEAK_SHRINKAGE))
     if not weak.size:
         return None
     return IdentifiabilityFinding(
@@ -127,7 +129,7 @@ def _weak_common_errors(assessment: Assessment) -> IdentifiabilityFinding | None
         common = np.zeros(len(assessment.names))
         common[members] = 1.0 / np.sqrt(len(members))
         share = float(np.sqrt(common @ assessment.covariance @ common))
-        if share > WEAK:
+        if share > WEAK_SHRINKAGE:
             names = ", ".join(assessment.names[k] for k in members)
             phrases.append(
                 f"the common {kind} ({names}) keeps {text.percent(share)} of its"
@@ -206,7 +208,7 @@ def _direction(assessment: Assessment, row: Array) -> str:
     size = np.round(np.abs(row) / np.abs(row).max(), 9)
     change = np.array(moves) / moves[np.argmax(size)]
     by_size = np.argsort(-size, kind="stable")
-    order = [k for k in by_size if size[k] > LEAST_SHARE]
+    order = [k for k in by_size if size[k] > MIN_SHARE]
     phrases = [
         f"{assessment.names[k]} by {change[k]:+.3g}{_suffix(shown[k])}"
         for k in order[:MAX_TERMS]

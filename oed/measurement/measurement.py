@@ -178,7 +178,7 @@ class Measurement(ParameterVector):
 
         return readings
 
-    def of_taken(self, taken: Sequence[TakenReadings]) -> Measurement:
+    def taken_measurement(self, taken: Sequence[TakenReadings]) -> Measurement:
         """The measurement of series that have some readings of others."""
         return self
 

@@ -252,9 +252,9 @@ class _RunErrors:
 
 
 #: most terms; they leave a twentieth of the variance
-TERMS = 4
+MAX_COURSE_TERMS = 4
 #: readings of a channel for each term
-READINGS_A_TERM = 5
+READINGS_PER_TERM = 5
 
 
 def course_terms(group: Index, progress: Array) -> Array:
@@ -263,10 +263,10 @@ def course_terms(group: Index, progress: Array) -> Array:
     group     (N,) numbers of the groups
     progress  (N,) of the session at each reading, 0 to 1
     """
-    frequency = (np.arange(TERMS) + 0.5) * np.pi
+    frequency = (np.arange(MAX_COURSE_TERMS) + 0.5) * np.pi
     terms = np.sqrt(2.0) * np.sin(progress[:, None] * frequency) / frequency
     columns = [np.zeros((len(group), 0))]
     for number, count in enumerate(np.bincount(group)):
-        few = min(TERMS, count // READINGS_A_TERM)
+        few = min(MAX_COURSE_TERMS, count // READINGS_PER_TERM)
         columns.append(terms[:, :few] * (group == number)[:, None])
     return np.hstack(columns)

@@ -17,7 +17,7 @@ from oed.measurement.noise_structure import common_statement, reading_structure
 from oed.noise import Laws
 
 #: draws of a machine at most, until it keeps to the bounds of its parameters
-MOST_DRAWS = 1000
+MAX_DRAWS = 1000
 
 
 def draw_parameters(
@@ -53,7 +53,7 @@ def _redraw_outside(
 
     Raises ValueError where hardly any keep to the bounds.
     """
-    for _ in range(MOST_DRAWS):
+    for _ in range(MAX_DRAWS):
         outside = np.flatnonzero(~measurement.in_bounds(theta))
         if not outside.size:
             return theta

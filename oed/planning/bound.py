@@ -1,7 +1,7 @@
 """Lower bound of the goal over all plans within the budget: a certificate for a plan.
 
 Each combination T of options has an upper bound of log phi, phi = 1 / value^2. One
-supporting line bounds all combinations at once (`combination_bound`). The combination
+supporting line bounds all combinations at once. The combination
 with the highest bound is then solved as a relaxation, which gives a new line, tight
 there. This goes on until no combination can be better than the loss allows.
 
@@ -10,11 +10,9 @@ whatever is mounted first. Their share bounds the goal from below (`bound_uncapt
 Other losses of readings, and the linearisation residual, only make plans worse and are
 left out.
 
-Upper bound of the criterion for every combination of measurements, by duality.
-
-A plan that mounts the options T and reads candidates i of them, at most N_s of option
-s, leaves at most the information L = L0 + sum_(s in T) S_s about the machine, with the
-set-ups' parameters profiled out:
+The bound of a combination comes by duality. A plan that mounts the options T and reads
+candidates i of them, at most N_s of option s, leaves at most the information L = L0 +
+sum_(s in T) S_s about the machine, with the set-ups' parameters profiled out:
 
     S_s = min over G of  sum_(i in s) w_i (x_i - z_i G)^T (x_i - z_i G) + G^T G.
 
@@ -48,11 +46,13 @@ LOG_ROUNDING = 1e-12
 #: prices of time to try, as shares of the highest gain a candidate has for its time
 PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
 #: gap in log phi of a combination's relaxation
-TOLERANCE = 3e-3
-#: relaxations in which the prices of readings settle, and the excess that is accepted
-SETTLING, EXCESS = 6, 0.02
+RELAXATION_TOLERANCE = 3e-3
+#: number of relaxations in which the prices of readings settle
+MAX_PRICE_STEPS = 6
+#: share by which the numbers of readings may then exceed their limits
+LIMIT_EXCESS = 0.02
 #: weight of the candidates of options that are not in a relaxation
-OUTSIDE = 0.5
+OUTSIDE_SHARE = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -116,15 +116,15 @@ class CombinationBound:
         setup_columns = rows.shape[2] - len(self.information)
         criterion = self.goal.criterion(setup_columns).relaxed
         price = mean
-        for _ in range(SETTLING):
+        for _ in range(MAX_PRICE_STEPS):
             extra = price - mean
             cost = seconds + extra[part_of]
             total = min(time + float(extra @ limit), float(cost.sum()))
             scaled = rows / np.sqrt(cost)[:, None, None]
-            relaxed = criterion.relax(scaled, total, base, cost, TOLERANCE)
+            relaxed = criterion.relax(scaled, total, base, cost, RELAXATION_TOLERANCE)
             weights = np.asarray(relaxed.weights / cost)
             used = np.bincount(part_of, weights)
-            if (used <= limit * (1.0 + EXCESS)).all():
+            if (used <= limit * (1.0 + LIMIT_EXCESS)).all():
                 break
             price = np.maximum(mean, price * used / limit)
         return weights
@@ -133,7 +133,7 @@ class CombinationBound:
         """Bound (T,) of log phi of every combination, by the line at some weights."""
         profiles = []
         for s, part in enumerate(self.parts):
-            outside = np.full(len(part.cost), OUTSIDE)
+            outside = np.full(len(part.cost), OUTSIDE_SHARE)
             profiles.append(part.profile(weights.get(s, outside)))
         added = sum(
             self.parts[s].information(w, profiles[s]) for s, w in weights.items()
@@ -256,19 +256,19 @@ class OptionBound:
 
 
 #: largest number of combinations that are bounded
-COMBINATIONS = 200_000
+MAX_COMBINATIONS = 200_000
 #: combinations that are reported as promising
-PROMISING = 4
+PROMISING_COMBINATIONS = 4
 #: gain of a line in log phi below which a relaxation has reached its own tolerance
-STUCK = 1e-9
+STUCK_GAIN = 1e-9
 #: machines drawn
-MACHINES = 4000
+MACHINES_DRAWN = 4000
 #: standard errors by which the estimate is lowered
-SAFETY = 4.0
+SAFETY_FACTOR = 4.0
 #: combinations which are treated at once
-CHUNK = 1000
+COMBINATIONS_AT_ONCE = 1000
 #: smallest value, so that its logarithm exists
-TINY = 1e-300
+SMALLEST_NUMBER = 1e-300
 
 
 @dataclasses.dataclass(frozen=True)
@@ -326,7 +326,7 @@ def bound_goal(
         weights = goal_bound.relax(members)
         relaxed[best] = {int(s): float(w.sum()) for s, w in weights.items()}
         line = goal_bound.bound_all(combinations, weights)
-        is_stuck = line[best] >= upper[best] - STUCK
+        is_stuck = line[best] >= upper[best] - STUCK_GAIN
         upper = np.minimum(upper, line)
         computed += 1
         if is_stuck:
@@ -335,14 +335,14 @@ def bound_goal(
     least_better = _log_phi(_reducible(value, rest))
     better = [k for k in relaxed if upper[k] > least_better]
     ranked = sorted(better, key=lambda k: -upper[k])
-    promising = tuple(relaxed[k] for k in ranked[:PROMISING])
+    promising = tuple(relaxed[k] for k in ranked[:PROMISING_COMBINATIONS])
     total = math.sqrt(math.exp(-highest) + rest)
     return GoalBound(total, computed, promising)
 
 
 def _reducible(value: float, rest: float) -> float:
     """The part of a goal value that readings reduce."""
-    return math.sqrt(max(value**2 - rest, TINY))
+    return math.sqrt(max(value**2 - rest, SMALLEST_NUMBER))
 
 
 def _log_phi(value: float) -> float:
@@ -354,7 +354,7 @@ def _combinations(mounting: Array, budget: float, stages: int) -> Index:
     count = len(mounting)
     stages = min(stages, count)
     total = sum(math.comb(count, size) for size in range(1, stages + 1))
-    if total > COMBINATIONS:
+    if total > MAX_COMBINATIONS:
         raise ValueError(
             f"{total} combinations of {stages} of {count} measurements are too many to"
             " bound"
@@ -387,20 +387,22 @@ def bound_uncaptured(
     information  (n, n) about the machine before
     """
     root = precision_root(information)
-    errors = rng.standard_normal((MACHINES, len(information))) @ root.T
+    errors = rng.standard_normal((MACHINES_DRAWN, len(information))) @ root.T
     uncaptured = _uncaptured(options, errors, rng)
     squared = [np.sum((errors @ factor.T) ** 2, axis=1) for factor in goal.factors]
     squares = np.stack(squared, axis=1)
     least = np.zeros(len(combinations))
     everything = np.arange(len(combinations))
-    for part in np.array_split(everything, max(len(combinations) // CHUNK, 1)):
+    for part in np.array_split(
+        everything, max(len(combinations) // COMBINATIONS_AT_ONCE, 1)
+    ):
         excluded = uncaptured[combinations[part]].all(axis=1).astype(float)
-        mean = excluded @ squares / MACHINES
-        variance = np.maximum(excluded @ squares**2 / MACHINES - mean**2, 0.0)
-        standard_error = np.sqrt(variance / MACHINES)
-        lowered = np.maximum(mean - SAFETY * standard_error, 0.0)
+        mean = excluded @ squares / MACHINES_DRAWN
+        variance = np.maximum(excluded @ squares**2 / MACHINES_DRAWN - mean**2, 0.0)
+        standard_error = np.sqrt(variance / MACHINES_DRAWN)
+        lowered = np.maximum(mean - SAFETY_FACTOR * standard_error, 0.0)
         least[part] = goal.combine(np.sqrt(lowered))
-    return np.maximum(least, TINY)
+    return np.maximum(least, SMALLEST_NUMBER)
 
 
 def _uncaptured(

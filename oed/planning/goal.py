@@ -72,7 +72,7 @@ class Goal:
         if self.has_targets:
             factors, name = self.factors, "G"
         zeros = np.zeros((*factors.shape[:2], setup_columns))
-        return CRITERIA.over(name, columns, np.concatenate([factors, zeros], axis=2))
+        return CRITERIA.build(name, columns, np.concatenate([factors, zeros], axis=2))
 
     @cached_property
     def _mean_factor(self) -> Array:

@@ -76,7 +76,7 @@ class Knowledge:
 Prior = Array | Knowledge
 
 
-def as_knowledge(prior: Prior) -> Knowledge:
+def make_knowledge(prior: Prior) -> Knowledge:
     """A covariance (n, n) or a mixture of covariances (P, n, n) as Knowledge."""
     if isinstance(prior, Knowledge):
         return prior

@@ -1,4 +1,8 @@
-"""The planning problem: options, goal, budget, and how a plan grows by a stage."""
+"""The planning problem: options, goal, budget, and how a plan grows by a stage.
+
+A stage's readings are selected by greedy choice and exchange. Each candidate's
+information is weighted with the probability that it is captured.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,61 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array, Index
+from oed.design import Criterion, Rules
 from oed.linear_algebra import symmetric_inverse
 from oed.planning import travel
 from oed.planning.goal import Goal
-from oed.planning.knowledge import Prior, as_knowledge
+from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
-from oed.planning.prediction import DRAWS, PlanStage, predict_stage
-from oed.planning.selection import select_readings
+from oed.planning.prediction import MACHINE_DRAWS, PlanStage, predict_stage
 from oed.planning.stage_plan import StageMemory, StagePlan
 from oed.planning.streams import PlanStreams
+
+#: capture probability below which a candidate is not worth a look
+MIN_PROBABILITY = 1e-3
+
+
+def select_readings(
+    option: Option,
+    count: int,
+    prior_information: Array,
+    criterion: Criterion,
+    probability: Array,
+    sweeps: int = 1,
+    seconds: float = np.inf,
+) -> Index:
+    """Select `count` candidates; fewer where `seconds` do not pay for them.
+
+    prior_information  (n, n) about the machine's parameters
+    probability        (C,) that each candidate is captured
+    sweeps             exchange sweeps; 0: greedy choice alone
+    """
+    base = np.eye(option.unknowns)
+    n = len(prior_information)
+    base[:n, :n] = prior_information
+    pool = np.flatnonzero(probability > MIN_PROBABILITY)
+    if len(pool) < count:
+        pool = np.argsort(-probability, kind="stable")[:count]
+    weights = np.sqrt(probability[pool])[:, None, None]
+    blocks = option.candidates.blocks[pool] * weights
+    time = option.candidate_seconds[pool]
+    rules, starts = Rules.build(size=count), []
+    if np.ptp(time) > 0.0:  # of equal readings the number limits the time
+        rules = Rules.build(size=count, seconds=time, budget=seconds)
+        starts.append(_shortest(time, count, seconds))
+    best = rules.quick_plan(blocks, criterion, base, starts, sweeps)
+    if not len(best):
+        order = np.argsort(option.candidate_seconds, kind="stable")
+        return np.sort(order[:count])
+    return np.sort(pool[best])
+
+
+def _shortest(time: Array, count: int, seconds: float) -> Index:
+    """The shortest candidates, at most `count`, within `seconds`."""
+    order = np.argsort(time, kind="stable")[:count]
+    in_time = np.cumsum(time[order]) <= seconds
+    return np.asarray(order[in_time], dtype=np.intp)
+
 
 #: machines drawn to judge a finished plan
 VERIFICATION_DRAWS = 1000
@@ -75,7 +125,7 @@ class PlanProblem:
         chosen = select_readings(
             option,
             count,
-            symmetric_inverse(as_knowledge(prior).mean_square_error),
+            symmetric_inverse(make_knowledge(prior).mean_square_error),
             self.goal.criterion(self.setup_columns(option)),
             probability,
             sweeps=0,
@@ -99,7 +149,7 @@ class PlanProblem:
         probability  (C,) that each candidate of the option is captured after the plan
         verifies     whether this judges a finished plan, by more machines and others
         """
-        draws, stream = DRAWS, self.streams.refinement
+        draws, stream = MACHINE_DRAWS, self.streams.refinement
         if verifies:
             draws, stream = VERIFICATION_DRAWS, self.streams.verification
         stage = self.memory.recall(plan, option, chosen, draws)

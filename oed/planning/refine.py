@@ -12,29 +12,28 @@ import numpy as np
 
 from oed.base import Array
 from oed.linear_algebra import symmetric_inverse
-from oed.planning.knowledge import Prior, as_knowledge
+from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
 from oed.planning.prediction import PlanStage
-from oed.planning.problem import PlanProblem
-from oed.planning.selection import select_readings
+from oed.planning.problem import PlanProblem, select_readings
 from oed.planning.stage_plan import StagePlan, is_better
 
 #: times that time is moved, at most
-ROUNDS = 8
+MAX_ROUNDS = 8
 #: exchange sweeps when the readings of a stage are selected
-SWEEPS = 3
+EXCHANGE_SWEEPS = 3
 #: rounding of sums of times
-ROUNDING = 1e-9
+TIME_TOLERANCE = 1e-9
 #: an option, and how many of its candidates are read
 Step = tuple[Option, int]
 #: share of a stage's readings that is given up when time is moved to another stage
-SHARE = 0.25
+REPLACED_SHARE = 0.25
 
 
 def move_time(problem: PlanProblem, plan: StagePlan) -> StagePlan:
     """Spend the time that remains and move time between stages, while that helps."""
     best = evaluate(problem, steps_of(plan))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         better = _first_improvement(problem, best)
         if better is None:
             break
@@ -64,7 +63,7 @@ def evaluate(
     for k, (option, count) in enumerate(steps):
         prior = plan.posterior(problem.start)
         later = _stages_of(reference, steps[k + 1 :])
-        information = symmetric_inverse(as_knowledge(prior).mean_square_error)
+        information = symmetric_inverse(make_knowledge(prior).mean_square_error)
         information = information + sum(
             (stage.information for stage in later), np.zeros_like(information)
         )
@@ -75,7 +74,7 @@ def evaluate(
             information,
             problem.goal.criterion(problem.setup_columns(option)),
             probability,
-            SWEEPS,
+            EXCHANGE_SWEEPS,
             _reading_time(problem.budget - plan.seconds, steps[k:], later),
         )
         stage = problem.predict(plan, option, chosen, probability)
@@ -170,7 +169,7 @@ def plan_from_counts(
 
 def _shortened(steps: list[Step], budget: float) -> list[Step] | None:
     """The steps with readings left out until the budget (s) pays for the others."""
-    while least_seconds(steps) > budget * (1 + ROUNDING):
+    while least_seconds(steps) > budget * (1 + TIME_TOLERANCE):
         spare = [count - option.counts[0] for option, count in steps]
         if max(spare) <= 0:
             return None
@@ -255,7 +254,7 @@ def replaced(steps: Sequence[Step], k: int, count: int) -> list[Step]:
 def _lowered(steps: list[Step], k: int) -> list[Step]:
     """The steps with fewer readings in step k; unchanged where it has the fewest."""
     option, count = steps[k]
-    fewer = max(option.counts[0], int(count * (1 - SHARE)))
+    fewer = max(option.counts[0], int(count * (1 - REPLACED_SHARE)))
     return replaced(steps, k, min(fewer, count))
 
 

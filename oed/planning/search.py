@@ -1,14 +1,12 @@
 """Search for the best sequence of stages within a time budget.
 
-1. A beam search grows plans stage by stage, with a first look at each (`beam`). A rough
+1. A beam search grows plans stage by stage, with a first look at each. A rough
    stage comes first where it lets the next instrument follow, and not elsewhere.
 2. The best sequences are refined with the exact model (`refine`), and verified.
 3. A bound over all plans (`bound`) certifies the best one, and names combinations of
    measurements which could still be better: these are refined as well.
 
 All plans on the way form the Pareto front of accuracy against time.
-
-Beam search over sequences of stages, with a first look at each.
 
 After each partial plan in the beam, every option is tried as the next stage, with
 several numbers of readings. The most accurate plans go on, and the most accurate for
@@ -34,7 +32,7 @@ from oed.planning.stage_plan import StageMemory, StagePlan, best_plan, pareto_fr
 from oed.planning.streams import PlanStreams
 
 #: number of partial plans in the beam, where none is asked for
-BEAM = 6
+BEAM_SIZE = 6
 
 Evaluated = dict[tuple[tuple[str, int], ...], StagePlan]
 
@@ -100,9 +98,9 @@ def _children(problem: PlanProblem, parent: StagePlan) -> list[StagePlan]:
 
 
 #: sequences which are refined
-REFINED = 6
+REFINED_SEQUENCES = 6
 #: value at a first look up to which a refined plan can reach its targets
-NEAR_TARGET = 1.1
+NEAR_TARGET_VALUE = 1.1
 #: share of the progress that the beam search takes
 BEAM_SHARE = 0.8
 
@@ -164,7 +162,9 @@ def search_plan(
     problem = PlanProblem(
         tuple(options), goal, budget, stages, start, streams, memory or StageMemory()
     )
-    partial = beam_search(problem, beam or BEAM, _scaled(progress, 0.0, BEAM_SHARE))
+    partial = beam_search(
+        problem, beam or BEAM_SIZE, _scaled(progress, 0.0, BEAM_SHARE)
+    )
     if not partial:
         raise ValueError(_too_short(problem))
     refined = _refine(problem, partial, _scaled(progress, BEAM_SHARE, 1.0))
@@ -235,10 +235,10 @@ def _refine(
     """The best combinations of options, refined and verified."""
     by_value = sorted(partial, key=lambda plan: plan.value)
     refined = []
-    for k, plan in enumerate(_by_combination(by_value)[:REFINED]):
+    for k, plan in enumerate(_by_combination(by_value)[:REFINED_SEQUENCES]):
         refined.append(refine.move_time(problem, plan))
         if progress is not None:
-            progress((k + 1) / REFINED)
+            progress((k + 1) / REFINED_SEQUENCES)
     return [refine.verify(problem, plan) for plan in refined]
 
 
@@ -253,10 +253,13 @@ def _plans_on_target(
     that seems to reach the targets.
     """
     by_time = sorted(partial, key=lambda plan: plan.seconds)
-    near = [plan for plan in by_time if plan.value <= NEAR_TARGET]
+    near = [plan for plan in by_time if plan.value <= NEAR_TARGET_VALUE]
     shortest = _by_combination(near)
     on_target = [plan for plan in refined if plan.value <= 1.0]
-    trimmed = [refine.trim(problem, plan) for plan in [*shortest[:REFINED], *on_target]]
+    trimmed = [
+        refine.trim(problem, plan)
+        for plan in [*shortest[:REFINED_SEQUENCES], *on_target]
+    ]
     verified = [refine.verify(problem, plan) for plan in trimmed]
     return [plan for plan in [*refined, *verified] if plan.value <= 1.0]
 

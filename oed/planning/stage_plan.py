@@ -1,10 +1,9 @@
 """Plans as sequences of stages: their value, their comparison, their Pareto front.
 
-Stages that a search has predicted: equal ones are computed once.
-
-Refined and verified plans draw the same machines for a stage at each use. A stage after
-the same stages, with the same readings, is therefore the same. Plans on trial differ in
-one or two stages, and searches with fewer measurements meet earlier plans again.
+Stages that a search has predicted are computed once. Refined and verified plans draw
+the same machines for a stage at each use. A stage after the same stages, with the same
+readings, is therefore the same. Plans on trial differ in one or two stages, and
+searches with fewer measurements meet earlier plans again.
 """
 
 from __future__ import annotations
@@ -61,11 +60,11 @@ def _key(plan: StagePlan, option: Option, chosen: Index, draws: int) -> Key:
 
 
 #: relative gain below which a change counts as none
-GAIN = 1e-3
+MIN_RELATIVE_GAIN = 1e-3
 #: relative difference of values that drawn machines do not resolve
-RESOLUTION = 3e-3
+VALUE_RESOLUTION = 3e-3
 #: ratio of linearisation residuals below which a plan counts as more linear
-MORE_LINEAR = 0.9
+MORE_LINEAR_SHARE = 0.9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -112,17 +111,17 @@ def is_better(plan: StagePlan, other: StagePlan) -> bool:
 
     The second condition puts rough measurements before fine ones.
     """
-    as_accurate = abs(plan.value - other.value) < RESOLUTION * other.value
+    as_accurate = abs(plan.value - other.value) < VALUE_RESOLUTION * other.value
     bends = plan.nonlinearity, other.nonlinearity
-    if as_accurate and min(bends) < MORE_LINEAR * max(bends):
+    if as_accurate and min(bends) < MORE_LINEAR_SHARE * max(bends):
         return plan.nonlinearity < other.nonlinearity
-    return plan.value < other.value * (1 - GAIN)
+    return plan.value < other.value * (1 - MIN_RELATIVE_GAIN)
 
 
 def best_plan(plans: Sequence[StagePlan]) -> StagePlan:
     """The most accurate plan; among those as accurate, the most linear one."""
     least = min(plan.value for plan in plans)
-    as_accurate = [p for p in plans if p.value <= least * (1 + RESOLUTION)]
+    as_accurate = [p for p in plans if p.value <= least * (1 + VALUE_RESOLUTION)]
     return min(as_accurate, key=lambda plan: plan.nonlinearity)
 
 

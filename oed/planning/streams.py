@@ -37,7 +37,7 @@ class PlanStreams:
     verification: Callable[[int], np.random.Generator]
 
     @classmethod
-    def of(cls, seed: int | Sequence[int]) -> PlanStreams:
+    def seeded(cls, seed: int | Sequence[int]) -> PlanStreams:
         """The streams of one search; the seed is for the first look at partial plans.
 
         The others do not follow it. All searches of a study (other budgets, other stages,

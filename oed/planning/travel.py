@@ -15,13 +15,13 @@ import numpy as np
 from scipy.special import erf
 
 from oed.base import Array, Index, Mask
-from oed.planning.knowledge import Knowledge, Prior, as_knowledge
+from oed.planning.knowledge import Knowledge, Prior, make_knowledge
 from oed.planning.option import Option
 
 #: machines drawn to estimate how often a whole run is captured
 RUN_DRAWS = 1000
 #: smallest variance to divide by
-TINY = 1e-300
+SMALLEST_VARIANCE = 1e-300
 
 
 def capture_probability(
@@ -35,7 +35,7 @@ def capture_probability(
     if not option.limits_travel:
         return np.ones(len(option.candidates))
     first, count = option.candidates.members.T
-    knowledge = as_knowledge(prior)
+    knowledge = make_knowledge(prior)
     if (count == 1).all():
         return np.asarray(_reading_probability(option, knowledge)[first])
     drawn = knowledge.repeat(max(RUN_DRAWS // knowledge.machines, 1))
@@ -53,7 +53,7 @@ def capture_probability_bound(option: Option, prior: Prior) -> Array:
     """
     if not option.limits_travel:
         return np.ones(len(option.candidates))
-    probability = _reading_probability(option, as_knowledge(prior))
+    probability = _reading_probability(option, make_knowledge(prior))
     members = option.candidates.members
     least = [probability[first : first + count].min() for first, count in members]
     return np.array(least)
@@ -82,7 +82,7 @@ def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
     machine_slopes = slopes[:, :n]
     setup_variance = np.sum(slopes[:, n:] ** 2, axis=1)
     if knowledge.errors is not None:
-        scale = np.sqrt(np.maximum(2.0 * setup_variance, TINY))
+        scale = np.sqrt(np.maximum(2.0 * setup_variance, SMALLEST_VARIANCE))
         deviation = knowledge.errors @ machine_slopes.T
         below = erf((option.travel - deviation) / scale)
         above = erf((option.travel + deviation) / scale)
@@ -94,6 +94,6 @@ def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
         machine_slopes,
         optimize=True,
     )
-    variance = np.maximum(setup_variance + machine_variance, TINY)
+    variance = np.maximum(setup_variance + machine_variance, SMALLEST_VARIANCE)
     ratio = option.travel / np.sqrt(variance) / np.sqrt(2.0)
     return np.asarray(erf(ratio)[knowledge.covariance_of].mean(axis=0))

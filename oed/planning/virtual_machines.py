@@ -12,20 +12,15 @@ the true and the believed machine,
 
 compared with the covariance S' that the plan predicts after the stage.
 
-Readings of virtual machines in a plan's stages; those out of travel are lost.
-
-Fast maximum a posteriori fits after a stage, for virtual machines by the hundred.
-
-They minimise what `oed.estimation.identification` minimises, |W (y - f(theta))|^2 + |z|^2, W
+The fits after a stage are maximum a posteriori, for machines by the hundred. They
+minimise what `oed.estimation` minimises, |W (y - f(theta))|^2 + |z|^2, W
 whitening the noise, over all free parameters at once,
 
     theta = nominal + T R z,
 
 T the tolerances, R R^T the prior covariance in units of them. Steps start from
 what was believed before the stage, mostly near the end. Where a fit
-fails with the tolerances as prior, `oed.estimation.identification` says what is wrong.
-
-Pose errors of virtual machines over a workspace, exact and predicted.
+fails with the tolerances as prior, `oed.estimation` says what is wrong.
 """
 
 from __future__ import annotations
@@ -184,7 +179,7 @@ def _stage_name(number: int, setup: str) -> str:
 
 #: distance to the minimum, in posterior standard deviations, of the last step: its square
 #: is a small share of any interval
-NEAR = 3e-3
+NEAR_STEP = 3e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -237,7 +232,7 @@ def refit_machines(
 
 def _refits(problem: _CapturedReadings, z: Array) -> list[Refit | None]:
     """Fits of all machines from z (m, k); None where one does not converge."""
-    minima = minimise(problem, z, precision=NEAR)
+    minima = minimise(problem, z, precision=NEAR_STEP)
     theta = problem.theta(np.arange(len(z)), minima.z)
     return [
         Refit(theta[k], _covariance(problem.basis, minima.slopes[k]))
@@ -356,7 +351,7 @@ class _CapturedReadings:
 #: standard deviations to either side of a 95 % interval
 HALF_WIDTH = 1.959964
 #: share of a component's widest interval below which an interval is left out
-STILL = 1e-6
+STILL_STEP = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -445,7 +440,7 @@ class WorkspaceErrors:
         for k, errors in enumerate(self.errors(controller, believed, truth)):
             half = HALF_WIDTH * np.sqrt(self.variance(covariance[k]))
             # what hardly moves, as the home pose itself, has errors of rounding alone
-            moved = half > STILL * half.max(axis=0)
+            moved = half > STILL_STEP * half.max(axis=0)
             deviation = np.abs(truth[k] - believed[k])[free]
             parameter_half = HALF_WIDTH * np.sqrt(np.diag(covariance[k]))[free]
             within = (np.abs(errors) <= half)[moved]
@@ -507,7 +502,7 @@ class WorkspaceErrors:
 
 
 #: machines whose poses are computed together
-TOGETHER = 50
+MACHINES_AT_ONCE = 50
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -581,7 +576,7 @@ def propagate(
     propagation = _Propagation(prepare_stages(stages), workspace, compensated, start)
     realised: list[list[MachineErrors]] = []
     while len(realised) < machines:
-        count = min(TOGETHER, machines - len(realised))
+        count = min(MACHINES_AT_ONCE, machines - len(realised))
         realised += propagation.carry_out(count, rng)
         if progress is not None:
             progress(len(realised) / machines)

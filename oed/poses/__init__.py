@@ -12,7 +12,7 @@ cup_position     where the bar of a set-up is held
 order_mounting   set-ups in the order of least re-mounting
 order_readings   readings of one set-up in an order of short joint travel
 polish_readings  readings moved to the next local optimum of a criterion
-within_travel    probability that a reading stays within the travel of its instrument
+travel_probability    probability that a reading stays within the travel of its instrument
 """
 
 from typing import TYPE_CHECKING
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         Surroundings,
         check_readings,
         cup_position,
-        within_travel,
+        travel_probability,
     )
     from oed.poses.next_reading import Belief
     from oed.poses.order import (

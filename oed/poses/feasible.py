@@ -10,14 +10,10 @@ first order, and stays within the travel with probability
 
     P = Phi((held + travel - y) / s) - Phi((held - travel - y) / s),        s^2 = h Sigma h^T.
 
-Distance of machine and bar to obstacles, at poses.
-
-Everything is a capsule (`oed.poses.feasible`); a sphere is one of no length. The
+For clearance everything is a capsule, all points within a radius of a segment; a sphere is one of no length. The
 machine's skeleton moves with capsules along its lines, and the bar reaches from its cup
 to the tool point. Clearance is the least distance between the segments less both radii,
 negative in collision.
-
-Distances between segments, and capsules: all points within a radius of a segment.
 
 The distance of two segments, |a + s u - b - t v| over 0 <= s, t <= 1, is a convex
 quadratic. Its least value is at the free minimum where that is inside, or on an edge,
@@ -46,7 +42,7 @@ from oed.model.expressions import symbols
 
 Point3 = tuple[float, float, float]
 #: sine^2 of the angle between two segments below which they count as parallel
-PARALLEL = 1e-12
+PARALLEL_TOLERANCE = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -86,7 +82,7 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     uw, vw = (u * w).sum(-1), (v * w).sum(-1)
     determinant = uu * vv - uv**2
     # parallel segments are nearest at an end point too
-    skew = determinant > PARALLEL * uu * vv
+    skew = determinant > PARALLEL_TOLERANCE * uu * vv
     divisor = np.where(skew, determinant, 1.0)
     s = (uv * vw - vv * uw) / divisor
     t = (uu * vw - uv * uw) / divisor
@@ -276,7 +272,7 @@ class Clearance:
 
 
 #: share of a joint's limits that rounding may exceed
-SLACK = 1e-9
+JOINT_SLACK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -391,7 +387,7 @@ def check_readings(
     return Feasibility(allowed, refused, details)
 
 
-def within_travel(
+def travel_probability(
     measurement: Measurement,
     series: Series,
     covariance: Array,
@@ -439,7 +435,7 @@ def _outside_joints(
     for column, joint in enumerate(measurement.machine.joints):
         lower, upper = limits.joints.get(joint.name, (joint.lower, joint.upper))
         sizes = [abs(end) for end in (lower, upper) if np.isfinite(end)]
-        slack = SLACK * max([1.0, *sizes])
+        slack = JOINT_SLACK * max([1.0, *sizes])
         q = series.q[:, column]
         outside: Mask = np.asarray((q < lower - slack) | (q > upper + slack))
         refused = np.asarray(outside[series.index].any(axis=1))

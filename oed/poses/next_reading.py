@@ -26,9 +26,9 @@ import numpy as np
 from oed.base import Array
 
 #: weight of the sum of log variances beside what is lacking to the limits
-BEYOND = 1e-2
+BEYOND_LIMITS_WEIGHT = 1e-2
 #: exchanges of every reading, at the most
-SWEEPS = 2
+MAX_SWEEPS = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Belief:
     weights: Array
 
     @classmethod
-    def of(cls, covariance: Array, factors: Array) -> Belief:
+    def build(cls, covariance: Array, factors: Array) -> Belief:
         """With the weights of each component's combinations `factors` (K, r, n)."""
         return cls(covariance, factors.swapaxes(1, 2) @ factors)
 
@@ -76,7 +76,7 @@ class Belief:
         fall = np.column_stack(falls).reshape(count, rows, -1).sum(axis=1)
         return np.asarray(self.variances - fall)
 
-    def after_all(self, blocks: Array, indices: Sequence[int]) -> Belief:
+    def update_all(self, blocks: Array, indices: Sequence[int]) -> Belief:
         """The belief after several candidates, in one update."""
         if not len(indices):
             return self
@@ -113,7 +113,7 @@ class Belief:
         for _ in range(count):
             chosen.append(known.best_candidate(blocks, limits))
             known = known.after(blocks[chosen[-1]])
-        for _ in range(SWEEPS):
+        for _ in range(MAX_SWEEPS):
             before = list(chosen)
             for place in range(count):
                 _exchange(self, blocks, chosen, place, limits)
@@ -164,7 +164,7 @@ def _scores(variances: Array, limits: Array | None) -> Array:
         return np.asarray(total)
     wanted = np.isfinite(limits)
     lack = np.maximum(logs[:, wanted] - 2.0 * np.log(limits[wanted]), 0.0)
-    return np.asarray(lack.sum(axis=1) + BEYOND * total)
+    return np.asarray(lack.sum(axis=1) + BEYOND_LIMITS_WEIGHT * total)
 
 
 def _exchange(
@@ -172,7 +172,7 @@ def _exchange(
 ) -> Belief:
     """Replace a chosen candidate by the best one given all others; what is then known."""
     others = [*chosen[:place], *chosen[place + 1 :]]
-    known = belief.after_all(blocks, others)
+    known = belief.update_all(blocks, others)
     chosen[place] = known.best_candidate(blocks, limits)
     return known.after(blocks[chosen[place]])
 
@@ -181,8 +181,8 @@ def _exchange_until_reached(
     belief: Belief, blocks: Array, chosen: list[int], limits: Array
 ) -> bool:
     """Exchange until all limits are reached; False where the sweeps do not suffice."""
-    known = belief.after_all(blocks, chosen)
-    for _ in range(SWEEPS):
+    known = belief.update_all(blocks, chosen)
+    for _ in range(MAX_SWEEPS):
         for place in range(len(chosen)):
             if not known.open_components(limits):
                 return True
@@ -195,7 +195,7 @@ def _without_least(
 ) -> list[int]:
     """The chosen candidates without the one that is missed least."""
     rests = [[*chosen[:k], *chosen[k + 1 :]] for k in range(len(chosen))]
-    variances = [belief.after_all(blocks, rest).variances for rest in rests]
+    variances = [belief.update_all(blocks, rest).variances for rest in rests]
     return rests[int(np.argmin(_scores(np.array(variances), limits)))]
 
 

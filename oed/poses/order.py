@@ -12,13 +12,9 @@ so again after random double bridges (Martin, Otto and Felten 1991, Complex Syst
 299-326), half of them turned, that leave the path not much longer. Prefix sums in both
 directions give the lengths of reversals, so lengths need not be symmetric.
 
-Readings of a thermal reference between the readings of a path.
-
-Of all places that respect the longest time between two reference readings, those with
-the least travel are taken, by dynamic programming along the path (Prins 2004, Comput.
-Oper. Res. 31, 1985-2002, section 3).
-
-Times of moves between poses, and of changes from one set-up to another.
+Readings of a thermal reference go in between. Of all places that respect the longest
+time between two reference readings, those with the least travel are taken, by dynamic
+programming along the path (Prins 2004, Comput. Oper. Res. 31, 1985-2002, section 3).
 """
 
 from __future__ import annotations
@@ -36,7 +32,7 @@ from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 
 #: relative tolerance of the longest time
-TOLERANCE = 1e-12
+TIME_TOLERANCE = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -114,7 +110,7 @@ class _TimedPath:
     def stretches(self, every: float) -> list[tuple[int, int]]:
         """Places (first, last + 1) between two reference readings, of least travel."""
         edges = self._run_edges()
-        longest = every * (1.0 + TOLERANCE)
+        longest = every * (1.0 + TIME_TOLERANCE)
         least = np.full(len(edges), np.inf)
         least[0] = 0.0
         origin = np.zeros(len(edges), dtype=np.intp)
@@ -259,13 +255,13 @@ MAX_MOVES = 20_000
 #: run of thermal reference readings
 REFERENCE_RUN = "reference"
 #: most runs that are ordered exactly: 2^12 subsets
-EXACT = 12
+MAX_EXACT_RUNS = 12
 #: neighbouring runs that are shifted together, at the most
-SHIFTED = 3
+MAX_SHIFTED = 3
 #: share of the largest length below which a gain counts as none
-GAIN = 1e-9
+MIN_GAIN = 1e-9
 #: a path longer by this share is still a start for the next change
-WORSE = 0.01
+WORSE_SHARE = 0.01
 #: change of length, and the path after it
 PathChange = tuple[float, Callable[[], Index]]
 
@@ -316,7 +312,7 @@ def order_poses(
         return Route(nothing, nothing, np.zeros(0), 0.0, True)
     lengths = np.asarray(distance, dtype=float)
     states = RunStates.of(lengths, start, members, reversible)
-    exact = len(members) <= EXACT
+    exact = len(members) <= MAX_EXACT_RUNS
     tour = shortest_path(states) if exact else search_path(states, rng, kicks)
     length = states.length(tour)
     if not np.isfinite(length):
@@ -461,11 +457,11 @@ def search_path(states: RunStates, rng: np.random.Generator, kicks: int) -> Inde
     penalty = (count + 1) * largest + 1.0
     cost = np.where(np.isfinite(states.cost), states.cost, penalty)
     priced = dataclasses.replace(states, cost=cost)
-    tolerance = GAIN * max(largest, 1e-300)
+    tolerance = MIN_GAIN * max(largest, 1e-300)
     current = best = _improve(_nearest_neighbours(priced), priced, tolerance)
     for _ in range(kicks):
         changed = _improve(_double_bridge(current, states, rng), priced, tolerance)
-        if priced.length(changed) < priced.length(current) * (1.0 + WORSE):
+        if priced.length(changed) < priced.length(current) * (1.0 + WORSE_SHARE):
             current = changed
         if priced.length(current) < priced.length(best) - tolerance:
             best = current
@@ -505,7 +501,7 @@ def _improve(tour: Index, states: RunStates, tolerance: float) -> Index:
     while True:
         closed = np.concatenate([[0], tour, [0]])
         changes = [_best_reversal(closed, states)]
-        for size in range(1, min(SHIFTED, len(tour) - 1) + 1):
+        for size in range(1, min(MAX_SHIFTED, len(tour) - 1) + 1):
             changes.append(_best_shift(closed, states, size))
         delta, changed = min(changes, key=lambda change: change[0])
         if delta > -tolerance:

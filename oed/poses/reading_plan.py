@@ -1,18 +1,17 @@
 """A plan of readings that can be moved to other commands, restored to hold, and checked.
 
-All numbers come from `oed.measurement.measurement`. Nothing here depends on the programme that
+All numbers come from the measurement. Nothing here depends on the programme that
 found a plan (`oed.poses.polish`): what it reports is computed anew.
 
-Identification rows of one reading as a CasADi expression, for polishing.
-
-The settings and the tool of the set-up are symbols. A reading
-y = g(x_1, x_2, q_1, q_2, p, s; k, tool) sees one pose or two, each with
-phi(x, q, p) = 0. With lambda_j from settled_x^T lambda_j = g_xj^T (`oed.mechanism.kinematics`
-defines what a redundant machine settles to) its row is
+For polishing, the rows of a reading are a CasADi expression. The settings and the tool
+of the set-up are symbols. A reading y = g(x_1, x_2, q_1, q_2, p, s; k, tool) sees one
+pose or two, each with phi(x, q, p) = 0. With lambda_j from settled_x^T lambda_j =
+g_xj^T (`oed.mechanism.kinematics` defines what a redundant machine settles to) its row
+is
 
     dy/d(p, s) = [ g_p - sum_j lambda_j^T settled_p,  g_s ],
 
-at nominal parameters. Whitening follows `oed.measurement.measurement`: by sigma of each channel, or
+at nominal parameters. Whitening follows `oed.measurement`: by sigma of each channel, or
 by the instrument's own error sources.
 """
 
@@ -32,9 +31,9 @@ from oed.model.expressions import machine_frame, symbols
 from oed.model.instrument import Frame, Setup
 from oed.model.machine import Machine
 
-TOOL = ("tool_x", "tool_y", "tool_z")
+TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
 #: options of every CasADi function: common subexpressions are evaluated once
-OPTIONS = {"cse": True}
+CASADI_OPTIONS = {"cse": True}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,8 +83,8 @@ def symbolic_pose(machine: Machine) -> SymbolicPose:
     if phi_x.shape[0] == phi_x.shape[1]:
         determinant = ca.det(phi_x @ ca.diag(ca.DM(levers)))
     return SymbolicPose(
-        ca.Function("residual", [x, q, c, tool], [residual], OPTIONS),
-        ca.Function("determinant", [x, q], [determinant], OPTIONS),
+        ca.Function("residual", [x, q, c, tool], [residual], CASADI_OPTIONS),
+        ca.Function("determinant", [x, q], [determinant], CASADI_OPTIONS),
     )
 
 
@@ -136,8 +135,8 @@ def symbolic_reading(
     inputs = [*pose_symbols, settings, tool]
     projected = (rows @ ca.DM(np.asarray(basis))).T
     return SymbolicReading(
-        ca.Function("rows", inputs, [projected], OPTIONS),
-        ca.Function("value", inputs, [y], OPTIONS),
+        ca.Function("rows", inputs, [projected], CASADI_OPTIONS),
+        ca.Function("value", inputs, [y], CASADI_OPTIONS),
     )
 
 
@@ -182,12 +181,16 @@ def _whiten(rows: Any, setup: Setup, sources: Any | None) -> Any:
     return ca.solve(ca.chol(root @ root.T).T, rows)
 
 
-#: by how much a held reading (m, rad) and a joint may miss in the end
-HOLD_TOLERANCE, JOINT_TOLERANCE = 1e-9, 1e-9
-#: Newton steps that restore the hold, and step of their differences (m, rad)
-RESTORE_STEPS, DIFFERENCE = 6, 1e-6
+#: by how much a held reading may miss in the end, m or rad: a thousandth of what is read
+HOLD_TOLERANCE = 1e-9
+#: by how much a joint may leave its range in the end, m or rad
+JOINT_TOLERANCE = 1e-9
+#: number of Newton steps that restore the hold
+MAX_RESTORE_STEPS = 6
+#: step of their central differences, m or rad: near the cube root of the rounding
+DIFFERENCE_STEP = 1e-6
 #: a command nearer than this to the edge of the workspace is not moved
-EDGE = 1e-8
+EDGE_TOLERANCE = 1e-8
 
 #: set-up -> variable -> range, SI
 Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
@@ -217,10 +220,10 @@ def tool_shift(measurement: Measurement) -> Array:
 
 def settings_and_tool(setup: Setup) -> dict[str, float]:
     """Settings and tool of a set-up by name, SI."""
-    return {**setup.settings, **dict(zip(TOOL, setup.tool, strict=True))}
+    return {**setup.settings, **dict(zip(TOOL_NAMES, setup.tool, strict=True))}
 
 
-def at_commands(plan: ReadingPlan, commands: Sequence[Array]) -> ReadingPlan:
+def move_to_commands(plan: ReadingPlan, commands: Sequence[Array]) -> ReadingPlan:
     """The readings at other commands (m, n_dof), teach poses unchanged.
 
     Raises AssemblyError for commands out of reach.
@@ -279,11 +282,11 @@ def restore_hold(plan: ReadingPlan, travel: float | None) -> ReadingPlan:
 
     The commands stay within the workspace.
     """
-    for _ in range(RESTORE_STEPS):
+    for _ in range(MAX_RESTORE_STEPS):
         if largest_hold_error(plan, travel) <= HOLD_TOLERANCE / 10:
             break
         commands = [_newton_step(plan, series, travel) for series in plan.series]
-        plan = at_commands(plan, commands)
+        plan = move_to_commands(plan, commands)
     return plan
 
 
@@ -297,8 +300,8 @@ def _newton_step(plan: ReadingPlan, series: Series, travel: float | None) -> Arr
     rows = series.index[:, 0]
     first = np.unique(rows, return_index=True)[1]
     slope = _command_slopes(plan, series)
-    at_lower = command[rows] <= np.array(lower) + EDGE
-    at_upper = command[rows] >= np.array(upper) - EDGE
+    at_lower = command[rows] <= np.array(lower) + EDGE_TOLERANCE
+    at_upper = command[rows] >= np.array(upper) - EDGE_TOLERANCE
     slope[at_lower | at_upper] = 0.0
     square = np.maximum(np.sum(slope**2, axis=1, keepdims=True), 1e-12)
     moved = command.copy()
@@ -313,12 +316,12 @@ def _command_slopes(plan: ReadingPlan, series: Series) -> Array:
     slope = np.zeros((len(series), command.shape[1]))
     for j in range(command.shape[1]):
         ends = []
-        for step in (DIFFERENCE, -DIFFERENCE):
+        for step in (DIFFERENCE_STEP, -DIFFERENCE_STEP):
             moved = command.copy()
             moved[rows, j] += step
-            moved_series = at_commands(single, [moved]).series[0]
+            moved_series = move_to_commands(single, [moved]).series[0]
             ends.append(_first_channel(plan.measurement, moved_series))
-        slope[:, j] = (ends[0] - ends[1]) / (2 * DIFFERENCE)
+        slope[:, j] = (ends[0] - ends[1]) / (2 * DIFFERENCE_STEP)
     return slope
 
 

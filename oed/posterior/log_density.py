@@ -155,7 +155,7 @@ class LogDensity:
         setups = self.measurement.setups
         channels = [len(setups[s.setup].sigma) for s in self._series]
         taken, columns = take_values(self._series, channels, rows)
-        measurement = self.measurement.of_taken(taken)
+        measurement = self.measurement.taken_measurement(taken)
         parts = [some.part for some in taken]
         readings = measurement.readings_near(parts, self._theta)
         return lambda theta: readings(theta)[:, columns]

@@ -34,16 +34,13 @@ class CombinationVariance(Variance):
         return restricted
 
 
-def over(columns: int, ingredient: Array | None) -> CombinationVariance:
-    """-c^T M^-1 c."""
-    return CombinationVariance(np.atleast_2d(np.asarray(ingredient)))
-
-
 criterion = NamedCriterion(
     name="c",
     about="-c' M^-1 c: variance of one combination",
     source="Pukelsheim (2006), Optimal Design of Experiments",
     meaning="variance of one combination of parameters, with a minus sign",
-    form=over,
+    form=lambda _, ingredient: CombinationVariance(
+        np.atleast_2d(np.asarray(ingredient))
+    ),
     needs="combination",
 )

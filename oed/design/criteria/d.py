@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.determinant import Determinant
-
-
-def over(columns: int, ingredient: Array | None) -> Determinant:
-    """log det M."""
-    return Determinant(columns)
-
 
 criterion = NamedCriterion(
     name="D",
     about="log det M: volume of the confidence ellipsoid",
     source="Pukelsheim (2006), Optimal Design of Experiments",
     meaning="log det of the information: the volume of all uncertainty together",
-    form=over,
+    form=lambda columns, _: Determinant(columns),
     has_weights=True,
     label="log det",
     is_log_det=True,

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
-
-
-def over(columns: int, ingredient: Array | None) -> ExtremeEigenvalues:
-    """Least eigenvalue of M."""
-    return ExtremeEigenvalues()
-
 
 criterion = NamedCriterion(
     name="E",
     about="least eigenvalue of M: the worst-known direction",
     source="Pukelsheim (2006), Optimal Design of Experiments",
     meaning="smallest eigenvalue of the information: the worst-determined direction",
-    form=over,
+    form=lambda columns, ingredient: ExtremeEigenvalues(),
     has_weights=True,
     power=1,
 )

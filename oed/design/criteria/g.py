@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.variance import LargestVariance
-
-
-def over(columns: int, ingredient: Array | None) -> LargestVariance:
-    """-max_j trace(W_j M^-1), W_j = J_j^T J_j at the poses."""
-    return LargestVariance(np.asarray(ingredient))
-
 
 criterion = NamedCriterion(
     name="G",
     about="-max trace W_j M^-1: largest predicted pose variance",
     source="Pukelsheim (2006), Optimal Design of Experiments",
     meaning="largest variance of the pose over the workspace, with a minus sign",
-    form=over,
+    form=lambda _, ingredient: LargestVariance(np.asarray(ingredient)),
     needs="accuracy",
 )

@@ -9,7 +9,7 @@ from oed.design.catalogue import NamedCriterion
 from oed.design.forms.variance import Variance
 
 
-def over(columns: int, ingredient: Array | None) -> Variance:
+def build(columns: int, ingredient: Array | None) -> Variance:
     """-trace(W M^-1), W = F^T F the mean of J^T J over the poses.
 
     Only F^T F counts: its triangle is as good.
@@ -26,6 +26,6 @@ criterion = NamedCriterion(
     about="-trace W M^-1: mean predicted pose variance over the workspace",
     source="Pukelsheim (2006), Optimal Design of Experiments",
     meaning="mean variance of the pose over the workspace, with a minus sign",
-    form=over,
+    form=build,
     needs="accuracy",
 )

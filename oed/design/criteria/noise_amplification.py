@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from oed.design.catalogue import NamedCriterion
-from oed.design.criteria.o1 import of_singular_values
+from oed.design.criteria import o1
 
 criterion = NamedCriterion(
     name="noise_amplification",
     about="O1 with m counting poses",
     source="Chang, Li and Li (2011), Chin. J. Mech. Eng., Eq. (17)",
-    index=of_singular_values,
+    index=o1.criterion.index,
     index_of_poses=True,
     index_meaning=(
         "the noise amplification index of Eq. (17) of Chang, Li and Li (2011), the"

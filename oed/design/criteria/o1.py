@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 
-from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.determinant import Determinant
 
@@ -23,16 +22,6 @@ class GeometricMean(Determinant):
         return float(np.exp(log_det / self.size / 2.0) / np.sqrt(readings))
 
 
-def over(columns: int, ingredient: Array | None) -> GeometricMean:
-    """Geometric mean of all singular values."""
-    return GeometricMean(columns)
-
-
-def of_singular_values(singular_values: Array, readings: int) -> float:
-    """(sigma_1 ... sigma_L)^(1/L) / sqrt(m)."""
-    return float(np.exp(np.log(singular_values).mean()) / np.sqrt(readings))
-
-
 criterion = NamedCriterion(
     name="O1",
     about="geometric mean of the singular values over sqrt(m)",
@@ -40,9 +29,9 @@ criterion = NamedCriterion(
     meaning=(
         "geometric mean of the singular values over the root of the number of readings"
     ),
-    form=over,
+    form=lambda columns, _: GeometricMean(columns),
     power=2,
-    index=of_singular_values,
+    index=lambda s, readings: float(np.exp(np.log(s).mean()) / np.sqrt(readings)),
     index_of_each_plan=True,
     index_meaning=(
         "the observability index O1 of Borm and Menq (1991), the geometric mean of the"

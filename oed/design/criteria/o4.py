@@ -24,17 +24,7 @@ class SquareOverLargest(ExtremeEigenvalues):
         """Under the envelope of lines that bound the least eigenvalue."""
         from oed.design import condition  # it takes forms of criteria
 
-        return condition.o4(blocks, size, prior, cap).in_log_phi(1.0)
-
-
-def over(columns: int, ingredient: Array | None) -> SquareOverLargest:
-    """l_min / sqrt(l_max)."""
-    return SquareOverLargest()
-
-
-def of_singular_values(singular_values: Array, readings: int) -> float:
-    """sigma_min^2 / sigma_max."""
-    return float(singular_values.min() ** 2 / singular_values.max())
+        return condition.o4(blocks, size, prior, cap).log_phi_relaxation(1.0)
 
 
 criterion = NamedCriterion(
@@ -42,9 +32,9 @@ criterion = NamedCriterion(
     about="least singular value squared over the largest",
     source="Sun and Hollerbach (2008), Observability index selection, ICRA",
     meaning="smallest singular value squared over the largest",
-    form=over,
+    form=lambda columns, ingredient: SquareOverLargest(),
     power=1,
-    index=of_singular_values,
+    index=lambda s, readings: float(s.min() ** 2 / s.max()),
     index_of_each_plan=True,
     index_meaning=(
         "the noise amplification index O4 of Nahvi and Hollerbach (1996), the smallest"

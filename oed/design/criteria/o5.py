@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 
-from oed.base import Array
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.eigenvalues import PowerMean
 
@@ -23,24 +22,14 @@ class HarmonicSum(PowerMean):
         return float(np.exp(value / 2.0)) / self.directions
 
 
-def over(columns: int, ingredient: Array | None) -> HarmonicSum:
-    """Harmonic sum of all singular values."""
-    return HarmonicSum(directions=columns)
-
-
-def of_singular_values(singular_values: Array, readings: int) -> float:
-    """1 / sum(1 / sigma_i)."""
-    return float(1.0 / np.sum(1.0 / singular_values))
-
-
 criterion = NamedCriterion(
     name="O5",
     about="harmonic sum of the singular values",
     source="Joubair and Bonev (2013), Mech. Mach. Theory 70",
     meaning="reciprocal of the sum of the reciprocal singular values",
-    form=over,
+    form=lambda columns, _: HarmonicSum(directions=columns),
     power=2,
-    index=of_singular_values,
+    index=lambda s, readings: float(1.0 / np.sum(1.0 / s)),
     index_of_each_plan=True,
     index_meaning=(
         "the observability index O5 of Sun and Hollerbach (2008), the reciprocal of the"

@@ -137,7 +137,7 @@ class Determinant(Criterion):
         interest = estimable_part(self.interest, basis)
         return dataclasses.replace(self, directions=directions, interest=interest)
 
-    def among(self, columns: Index, total: int) -> Criterion:
+    def profile_others(self, columns: Index, total: int) -> Criterion:
         """Ds: the other columns are no directions of interest."""
         interest = np.zeros((total, self.size))
         interest[columns] = (

@@ -82,9 +82,9 @@ class PowerMean(Criterion):
         if not is_positive_definite(m):
             return -np.inf
         eigenvalues = np.asarray(np.linalg.eigvalsh(m), dtype=float)
-        return float(self.of_eigenvalues(eigenvalues[None])[0])
+        return float(self.eigenvalue_log_phi(eigenvalues[None])[0])
 
-    def of_eigenvalues(self, eigenvalues: Array) -> Array:
+    def eigenvalue_log_phi(self, eigenvalues: Array) -> Array:
         """log phi (C,) from ascending eigenvalues (C, n)."""
         least = np.maximum(eigenvalues[:, :1], 1e-300)
         powers = (np.maximum(eigenvalues, 1e-300) / least) ** -self.p
@@ -97,7 +97,7 @@ class PowerMean(Criterion):
         eigenvalues = np.maximum(eigenvalues, 1e-300)
         powers = (eigenvalues[0] / eigenvalues) ** self.p
         root = eigenvectors * np.sqrt(powers / powers.sum() / eigenvalues)
-        return Support(float(self.of_eigenvalues(eigenvalues[None])[0]), root)
+        return Support(float(self.eigenvalue_log_phi(eigenvalues[None])[0]), root)
 
     def curvature(self, m: Array, blocks: Array) -> Array:
         """Divided differences of l^(-p-1), in the eigenbasis of M."""
@@ -128,7 +128,7 @@ class PowerMean(Criterion):
         eigenvalues, eigenvectors = np.linalg.eigh(m)
         if not float(self.p).is_integer() or blocks.shape[1] > 1:
             rank = rank_by_variance(eigenvalues, eigenvectors, blocks)
-            return evaluate_shortlist(self.of_eigenvalues, m, blocks, rank)
+            return evaluate_shortlist(self.eigenvalue_log_phi, m, blocks, rank)
         floored = np.maximum(eigenvalues, 1e-12 * eigenvalues[-1])
         least = floored[0]
         traces = trace_after_adding(floored, eigenvectors, blocks[:, 0], int(self.p))
@@ -142,7 +142,7 @@ class PowerMean(Criterion):
         digits_lost = self.p * (float(values.max()) - np.log(least)) / np.log(10.0)
         if digits_lost < MAX_LOST_DIGITS:
             return np.asarray(values)
-        return evaluate_shortlist(self.of_eigenvalues, m, blocks, values)
+        return evaluate_shortlist(self.eigenvalue_log_phi, m, blocks, values)
 
     def conventional_value(self, value: float, readings: int) -> float:
         """phi."""
@@ -224,11 +224,11 @@ def rank_by_spread(
 
 
 def evaluate_shortlist(
-    of_eigenvalues: Callable[[Array], Array], m: Array, blocks: Array, *ranks: Array
+    eigenvalue_log_phi: Callable[[Array], Array], m: Array, blocks: Array, *ranks: Array
 ) -> Array:
     """A function of the eigenvalues of M + X_i^T X_i (C,); -inf off the shortlist.
 
-    The shortlist holds the first candidates by each of the ranks (C,). of_eigenvalues
+    The shortlist holds the first candidates by each of the ranks (C,). eigenvalue_log_phi
     maps ascending eigenvalues (C, n) to values (C,).
     """
     places = max(SHORTLIST_SIZE // len(ranks), 1)
@@ -238,7 +238,7 @@ def evaluate_shortlist(
     sums = m + np.einsum("ckn,ckm->cnm", added, added)
     values = np.full(len(blocks), -np.inf)
     eigenvalues = np.asarray(np.linalg.eigvalsh(sums), dtype=float)
-    values[shortlist] = of_eigenvalues(eigenvalues)
+    values[shortlist] = eigenvalue_log_phi(eigenvalues)
     return values
 
 
@@ -273,9 +273,9 @@ class ExtremeEigenvalues(Criterion):
     def value(self, m: Array) -> float:
         """a log l_min - b log l_max."""
         eigenvalues = np.asarray(np.linalg.eigvalsh(m), dtype=float)
-        return float(self.of_eigenvalues(eigenvalues[None])[0])
+        return float(self.eigenvalue_log_phi(eigenvalues[None])[0])
 
-    def of_eigenvalues(self, eigenvalues: Array) -> Array:
+    def eigenvalue_log_phi(self, eigenvalues: Array) -> Array:
         """log phi (C,) from ascending eigenvalues (C, n)."""
         smallest, top = eigenvalues[:, 0], eigenvalues[:, -1]
         regular = smallest > SINGULAR_TOLERANCE * top
@@ -306,7 +306,7 @@ class ExtremeEigenvalues(Criterion):
             ranks.append(
                 rank_by_spread(eigenvalues, eigenvectors, blocks, self.largest)
             )
-        return evaluate_shortlist(self.of_eigenvalues, m, blocks, *ranks)
+        return evaluate_shortlist(self.eigenvalue_log_phi, m, blocks, *ranks)
 
     def conventional_value(self, value: float, readings: int) -> float:
         """phi."""
@@ -339,8 +339,8 @@ class ExtremeEigenvalues(Criterion):
 
         if self.concave:
             least = condition.e_optimal(blocks, size, prior, cap)
-            return least.in_log_phi(self.least)
+            return least.log_phi_relaxation(self.least)
         if self.least != self.largest:
             raise ValueError(f"{self.name} has no relaxation: see oed.design.condition")
         ratio = condition.relax(blocks, size, prior, cap)
-        return ratio.in_log_phi(-2.0 * self.least)
+        return ratio.log_phi_relaxation(-2.0 * self.least)

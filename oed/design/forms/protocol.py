@@ -12,7 +12,7 @@ carry all design methods:
       log phi(M') <= v + log <R R^T, M'>      for every M' >= 0,
 
   so a bound over all plans is one sum over the candidates' slopes |X_i R|^2
-  (`oed.design.certificate`).
+  (`oed.design.objective`).
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Criterion(abc.ABC):
     def restrict(self, basis: Array) -> Criterion:
         """The same criterion of B^T M B, for an orthonormal basis B (n, r)."""
 
-    def among(self, columns: Index, total: int) -> Criterion:
+    def profile_others(self, columns: Index, total: int) -> Criterion:
         """The same criterion of some of `total` columns, the others profiled out.
 
         Raises ValueError where it has no profiling.
@@ -142,7 +142,7 @@ class Criterion(abc.ABC):
         """Criteria that approach this one, the smoothest first and itself last."""
         return (self,)
 
-    def over_estimable(self, rows: Array) -> tuple[Criterion, Array]:
+    def restrict_to_rows(self, rows: Array) -> tuple[Criterion, Array]:
         """The criterion over the directions (n, r) that rows (N, n) determine, and these."""
         from oed.design.blocks import project_on_estimable
 

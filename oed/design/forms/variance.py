@@ -103,7 +103,7 @@ class Variance(Criterion):
         """The variances of the part of each row in the basis."""
         return dataclasses.replace(self, factor=self.factor @ basis)
 
-    def among(self, columns: Index, total: int) -> Criterion:
+    def profile_others(self, columns: Index, total: int) -> Criterion:
         """The same variances, of some of the columns."""
         return dataclasses.replace(self, factor=_spread(self.factor, columns, total))
 
@@ -233,7 +233,7 @@ class LargestVariance(Criterion):
         """The variances of what lies in the basis."""
         return dataclasses.replace(self, factors=self.factors @ basis)
 
-    def among(self, columns: Index, total: int) -> Criterion:
+    def profile_others(self, columns: Index, total: int) -> Criterion:
         """The same variances, of some of the columns."""
         return dataclasses.replace(self, factors=_spread(self.factors, columns, total))
 

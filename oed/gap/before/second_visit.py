@@ -109,17 +109,17 @@ def propose(
     if pool is None:
         return None
     cost = np.array([len(run.command) for run in possible], dtype=float)
-    rules = Rules.of(seconds=cost, budget=budget)
+    rules = Rules.build(seconds=cost, budget=budget)
     plan = choose.choose(pool, rules, rng, share=VOLUME, rounds=ROUNDS)
     runs = tuple(possible[k] for k in plan.runs)
     series, covariates = lay_out(taken.measurement, runs)
     columns = [np.hstack([both.slopes, form.columns]) for form in forms]
-    of_taken = law.factor(both.structure, first)
+    taken_readings = law.factor(both.structure, first)
     to_come = law.factor(both.structure, np.concatenate([rows[k] for k in plan.runs]))
     after = expected_probability(
         forms,
-        [of_taken.whiten(values) for values in columns],
-        of_taken.whiten(both.residual[:, None])[:, 0],
+        [taken_readings.whiten(values) for values in columns],
+        taken_readings.whiten(both.residual[:, None])[:, 0],
         [to_come.whiten(values) for values in columns],
         rng,
     )

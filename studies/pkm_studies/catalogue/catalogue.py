@@ -71,7 +71,7 @@ def listing(kind: str) -> list[CatalogueEntry]:
     if kind == "criteria":  # the kernel's own: no package adds to them
         return [
             CatalogueEntry(c.name, c.about, c.source, f"oed.design.criteria:{c.name}")
-            for c in CRITERIA.by_name.values()
+            for c in CRITERIA.entries.values()
         ]
     return [
         CatalogueEntry(name, item.about, item.source, where)

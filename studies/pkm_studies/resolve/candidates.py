@@ -19,7 +19,7 @@ from oed.poses import (
     Surroundings,
     check_readings,
     cup_position,
-    within_travel,
+    travel_probability,
 )
 from pkm_studies import quantities
 from pkm_studies.base import Location
@@ -84,7 +84,7 @@ def _likely(
         return np.ones(len(series), dtype=bool)
     covariance = measurement.prior_covariance
     travel = _metres(table.travel_mm)
-    chance = within_travel(measurement, series, covariance, travel)
+    chance = travel_probability(measurement, series, covariance, travel)
     return chance >= (table.travel_chance or 0.0)
 
 

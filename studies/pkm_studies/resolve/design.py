@@ -113,10 +113,10 @@ def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
 def _check_criteria(study: Study, table: DesignTable, location: Location) -> None:
     for name in table.compound:
         field_location = location.key("compound").key(name)
-        lookup.known_name(name, CRITERIA.of_plans, field_location, "criterion")
+        lookup.known_name(name, CRITERIA.plan_names, field_location, "criterion")
     for i, name in enumerate(table.compare):
         field_location = location.key("compare").item(i)
-        lookup.known_name(name, CRITERIA.of_plans, field_location, "criterion")
+        lookup.known_name(name, CRITERIA.plan_names, field_location, "criterion")
     if table.compound and table.criterion != "D":
         raise location.key("compound").error(
             "a criterion is given as well", "keep criterion or compound"

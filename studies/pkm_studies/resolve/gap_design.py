@@ -290,7 +290,7 @@ def _rules(
     if timed:
         # runs at stated times must not overlap, whatever their set-up: mounting has to
         # fit into the gaps between them
-        return Rules.of(
+        return Rules.build(
             size=table.runs,
             seconds=cost,
             budget=budget,
@@ -299,7 +299,7 @@ def _rules(
         )
     setups = list(dict.fromkeys(run.setup for run in runs))
     owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
-    return Rules.of(
+    return Rules.build(
         size=table.runs,
         seconds=cost,
         budget=budget,

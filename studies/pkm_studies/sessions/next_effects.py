@@ -151,7 +151,7 @@ def outlook_with_effects(
         "tolerance",
         nuisances=effects.readings,
     )
-    pool = pool.with_prior(prior_information(measurement))
+    pool = pool.add_prior(prior_information(measurement))
     count = sum(map(len, taken))
     total, information_so_far = (
         pool.prior_information,
@@ -162,5 +162,5 @@ def outlook_with_effects(
     before, now = (
         np.asarray(np.linalg.inv(i), dtype=float) for i in (total, information_so_far)
     )
-    beliefs = Belief.of(before, by_component), Belief.of(now, by_component)
+    beliefs = Belief.build(before, by_component), Belief.build(now, by_component)
     return Outlook(pool, count, *beliefs, effects.others, holds_effects=True)

@@ -181,7 +181,7 @@ class Adviser:
             )
         if self.plan:
             blocks = outlook.blocks
-            planned = outlook.before.after_all(blocks, self.plan)
+            planned = outlook.before.update_all(blocks, self.plan)
             self.limits = outlook.accuracy(planned) * (1.0 + ROUNDING)
         count = sum(map(len, series))
         return self._advice(measurement, outlook, theta, count, skipped)
@@ -201,7 +201,7 @@ class Adviser:
     ) -> Array:
         """Rms (K,) that candidates of a pool reach, without any other reading."""
         prior = self.prior(measurement, pool)
-        after = prior.after_all(pool.blocks, indices)
+        after = prior.update_all(pool.blocks, indices)
         return np.sqrt(after.variances)
 
     def prior(self, measurement: Measurement, pool: Candidates) -> Belief:
@@ -248,7 +248,7 @@ class Adviser:
         slopes[:, :, :count] = self.maps.raw.swapaxes(0, 1) / np.sqrt(poses)
         factors = np.zeros((components, poses, columns))
         factors[:, :, : len(scale)] = slopes[:, :, free] * scale
-        return Belief.of(covariance, factors)
+        return Belief.build(covariance, factors)
 
     def _advice(
         self,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     CriterionName = str
     IndexName = str
 else:  # as the catalogue lists them
-    CriterionName = Literal[CRITERIA.of_plans]
+    CriterionName = Literal[CRITERIA.plan_names]
     IndexName = Literal[CRITERIA.indices]
 #: readings chosen where neither a number nor a budget is given
 READINGS = 30

@@ -50,7 +50,7 @@ def test_slopes_are_differences_of_readings(rng: np.random.Generator) -> None:
 def test_some_readings_have_their_rows(rng: np.random.Generator) -> None:
     rows, point = np.array([0, 2]), theta(rng)
     part = SERIES.take(rows)
-    some = BOTH.of_taken([TakenReadings(SERIES, part, rows)])
+    some = BOTH.taken_measurement([TakenReadings(SERIES, part, rows)])
     channels = N // len(SERIES)
     values = (rows[:, None] * channels + np.arange(channels)).ravel()
     every = BOTH.readings([SERIES], point)

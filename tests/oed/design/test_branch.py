@@ -13,7 +13,7 @@ from oed.design import CRITERIA, branch, choose
 def best_subset(
     rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | None
 ) -> float:
-    goal = CRITERIA.over(criterion, rows.shape[1])
+    goal = CRITERIA.build(criterion, rows.shape[1])
     base = np.zeros((rows.shape[1],) * 2) if prior is None else prior
     return max(
         goal.value(rows[list(s)].T @ rows[list(s)] + base)
@@ -70,7 +70,7 @@ def test_a_choice_takes_over_the_bound_of_the_tree(rank: int) -> None:
     rng = np.random.default_rng(7)
     rows = rng.standard_normal((14, rank)) @ rng.standard_normal((rank, 4))
     choice = choose(rows, 5, rng)
-    bounded = branch.tighten(choice, rows, rng, CRITERIA.over("D", 4), None, 2000)
+    bounded = branch.tighten(choice, rows, rng, CRITERIA.build("D", 4), None, 2000)
     assert bounded.proven
     assert bounded.efficiency == pytest.approx(1.0, abs=1e-7)
     assert bounded.value >= choice.value - 1e-9
@@ -78,5 +78,5 @@ def test_a_choice_takes_over_the_bound_of_the_tree(rank: int) -> None:
     assert bounded.bound < choice.bound
     s = np.linalg.svd(rows[bounded.indices], compute_uv=False)[:rank]
     assert bounded.value == pytest.approx(2 * np.log(s).sum())
-    one_node = branch.tighten(choice, rows, rng, CRITERIA.over("D", 4), None, 1)
+    one_node = branch.tighten(choice, rows, rng, CRITERIA.build("D", 4), None, 1)
     assert bounded.bound <= one_node.bound <= choice.bound + 1e-6

@@ -48,7 +48,7 @@ def test_a_whole_run_has_the_information_of_its_readings() -> None:
 def test_prior_information_is_added_on_the_parameters() -> None:
     candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     n = candidates.columns
-    twice = candidates.with_prior(np.eye(n)).with_prior(2.0 * np.eye(n))
+    twice = candidates.add_prior(np.eye(n)).add_prior(2.0 * np.eye(n))
     assert twice.prior == pytest.approx(3.0 * np.eye(n))
     assert candidates.prior is None
     assert isinstance(candidates.criterion("D"), Determinant)

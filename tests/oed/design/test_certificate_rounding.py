@@ -130,7 +130,7 @@ def test_lines_lie_above_other_criteria_by_their_height(name: str) -> None:
     factor = rng.standard_normal((1 if name == "c" else 3, 5))
     interest = np.linalg.qr(factor.T)[0]
     ingredients = {"Ds": interest, "c": factor, "I": factor[None]}
-    goal = CRITERIA.over(name, 5, ingredients.get(name))
+    goal = CRITERIA.build(name, 5, ingredients.get(name))
     for kappa in (1e2, 1e5):
         rows = rng.standard_normal((12, 5)) * np.logspace(0.0, -np.log10(kappa), 5)
         line = goal.support(rows.T @ rows)

@@ -12,6 +12,7 @@ import pytest
 
 from oed.design import Criterion, conic, relaxation
 from oed.design.blocks import information
+from oed.design.conic import Polytope
 from oed.design.forms import (
     Compound,
     Determinant,
@@ -20,7 +21,6 @@ from oed.design.forms import (
     PowerMean,
     Variance,
 )
-from oed.design.polytope import Polytope
 
 
 def criteria(n: int, rng: np.random.Generator) -> list[Criterion]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from oed.design import Criterion
-from oed.design.conic_criterion import ConicCriterion, dual_root
+from oed.design.conic import ConicCriterion, dual_root
 from oed.design.forms import PowerMean
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues

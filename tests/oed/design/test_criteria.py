@@ -13,7 +13,7 @@ def of_information(
     name: str, m: np.ndarray, ingredient: np.ndarray | None = None
 ) -> float:
     """The number that users know, of an information matrix."""
-    criterion = CRITERIA.over(name, len(m), ingredient)
+    criterion = CRITERIA.build(name, len(m), ingredient)
     return criterion.conventional_value(criterion.value(m), 1)
 
 
@@ -146,7 +146,7 @@ def test_a_singular_design_is_worth_nothing(m: np.ndarray) -> None:
 
 def test_the_catalogue_lists_what_is_computed() -> None:
     alphabetic = {"D", "Ds", "A", "c", "I", "G", "E"}
-    assert set(CRITERIA.by_name) == alphabetic | {
+    assert set(CRITERIA.entries) == alphabetic | {
         "kappa",
         "O1",
         "O2",
@@ -155,10 +155,10 @@ def test_the_catalogue_lists_what_is_computed() -> None:
         "O5",
         "noise_amplification",
     }
-    assert all(c.source and c.about for c in CRITERIA.by_name.values())
-    assert all(c.meaning for c in CRITERIA.by_name.values() if c.form is not None)
+    assert all(c.source and c.about for c in CRITERIA.entries.values())
+    assert all(c.meaning for c in CRITERIA.entries.values() if c.form is not None)
     assert all(
-        c.index_meaning for c in CRITERIA.by_name.values() if c.index is not None
+        c.index_meaning for c in CRITERIA.entries.values() if c.index is not None
     )
 
 
@@ -169,7 +169,7 @@ def test_an_index_is_the_criterion_of_the_information(
     """Of the singular values, and of the matrix that they belong to."""
     h = rng.standard_normal((9, 4))
     of_values = CRITERIA.index(name, np.linalg.svd(h, compute_uv=False), 9)
-    criterion = CRITERIA.over(name, 4)
+    criterion = CRITERIA.build(name, 4)
     of_matrix = criterion.conventional_value(criterion.value(h.T @ h), 9)
     assert of_values == pytest.approx(of_matrix, rel=1e-9)
 
@@ -178,16 +178,16 @@ def test_properties_by_the_books() -> None:
     """Pukelsheim (2006), chapter 6: which are smooth; kappa, O2, O4 are not concave."""
     assert CRITERIA.smooth == ("A", "c", "D", "Ds", "I", "O1", "O5")
     assert CRITERIA.polished == ("A", "c", "D", "Ds", "E", "I", "O1", "O3")
-    concave = {n for n in CRITERIA.of_plans if CRITERIA[n].properties.concave}
-    assert set(CRITERIA.of_plans) - concave == {"kappa", "O2", "O4"}
-    spectral = {n for n in CRITERIA.of_plans if CRITERIA[n].properties.spectral}
+    concave = {n for n in CRITERIA.plan_names if CRITERIA[n].properties.concave}
+    assert set(CRITERIA.plan_names) - concave == {"kappa", "O2", "O4"}
+    spectral = {n for n in CRITERIA.plan_names if CRITERIA[n].properties.spectral}
     assert spectral == {"E", "kappa", "O2", "O3", "O4", "O5"}
 
 
 @pytest.mark.parametrize("name", ["D", "A", "E", "kappa", "O1", "O2", "O3", "O4", "O5"])
 def test_phi_follows_from_the_number(name: str, rng: np.random.Generator) -> None:
     """phi of one matrix over phi of another, from log phi and from the numbers."""
-    criterion = CRITERIA.over(name, 4)
+    criterion = CRITERIA.build(name, 4)
     first, second = (h.T @ h for h in rng.standard_normal((2, 9, 4)))
     log_phi = [criterion.value(m) for m in (first, second)]
     numbers = [criterion.conventional_value(value, 9) for value in log_phi]

@@ -147,16 +147,16 @@ def test_conventional_values(rng: np.random.Generator) -> None:
         "O5": 1.0 / np.sum(1.0 / s),
     }
     for name, number in expected.items():
-        criterion = CRITERIA.over(name, N)
+        criterion = CRITERIA.build(name, N)
         assert criterion.conventional_value(criterion.value(m), 7) == pytest.approx(
             number, rel=1e-9
         )
     worst = max(float(np.trace(f @ inverse @ f.T)) for f in FACTORS)
-    assert CRITERIA.over("G", N, FACTORS).conventional_value(
-        CRITERIA.over("G", N, FACTORS).value(m), 7
+    assert CRITERIA.build("G", N, FACTORS).conventional_value(
+        CRITERIA.build("G", N, FACTORS).value(m), 7
     ) == pytest.approx(-worst)
     covariance = INTEREST.T @ inverse @ INTEREST
-    ds = CRITERIA.over("Ds", N, INTEREST)
+    ds = CRITERIA.build("Ds", N, INTEREST)
     assert ds.conventional_value(ds.value(m), 7) == pytest.approx(
         -np.linalg.slogdet(covariance)[1]
     )
@@ -166,25 +166,27 @@ def test_profiling_out_is_the_schur_complement(rng: np.random.Generator) -> None
     """Ds of the first three columns is log det of M_aa - M_ab M_bb^-1 M_ba."""
     m = matrix(rng)
     schur = m[:3, :3] - m[:3, 3:] @ np.linalg.solve(m[3:, 3:], m[3:, :3])
-    ds = CRITERIA.over("Ds", N, np.eye(N)[:, :3])
+    ds = CRITERIA.build("Ds", N, np.eye(N)[:, :3])
     assert 3 * ds.value(m) == pytest.approx(np.linalg.slogdet(schur)[1])
 
 
 def test_what_no_reading_determines_is_refused() -> None:
     basis = np.eye(N)[:, :3]
-    assert CRITERIA.over("Ds", N, np.eye(N)[:, 2:4]).restrict(basis).interest.shape == (
+    assert CRITERIA.build("Ds", N, np.eye(N)[:, 2:4]).restrict(
+        basis
+    ).interest.shape == (
         3,
         1,
     )
     with pytest.raises(
         ValueError, match="no reading determines the directions of interest"
     ):
-        CRITERIA.over("Ds", N, np.eye(N)[:, 4:]).restrict(basis)
+        CRITERIA.build("Ds", N, np.eye(N)[:, 4:]).restrict(basis)
     with pytest.raises(ValueError, match="no reading determines the combination"):
-        CRITERIA.over("c", N, np.ones((1, N))).restrict(basis)
+        CRITERIA.build("c", N, np.ones((1, N))).restrict(basis)
     with pytest.raises(ValueError, match="needs a workspace"):
-        CRITERIA.over("I", N)
+        CRITERIA.build("I", N)
     with pytest.raises(ValueError, match="is none of"):
-        CRITERIA.over("Z", N)
+        CRITERIA.build("Z", N)
     with pytest.raises(ValueError, match="summing to 1"):
         Compound((Determinant(N),), (0.5,))

@@ -41,7 +41,7 @@ def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
         measurement.nominal,
         "tolerance",
         nuisances=Nuisances(sigma * g, sigma * scatter),
-    ).with_prior(np.eye(h.shape[1]))
+    ).add_prior(np.eye(h.shape[1]))
     assert pool.nuisance_columns == 3
     choice = choose(
         pool.blocks,

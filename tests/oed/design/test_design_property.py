@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from oed.design import Choice, Rules, choose
-from oed.design.plan_limits import SetupLimit, TimeBudget
+from oed.design.rules import SetupLimit, TimeBudget
 
 CRITERIA = ("D", "A", "O5", "D", "A", "O5", "D", "E")
 

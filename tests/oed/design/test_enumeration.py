@@ -6,36 +6,35 @@ import numpy as np
 import pytest
 
 from oed.design import Rules, choose
-from oed.design.enumeration import best_of_all
-from oed.design.exchange import pose
+from oed.design.exchange import best_of_all, pose
 
 
 def values(
     blocks: np.ndarray, size: int, prior: np.ndarray, criterion: str
 ) -> list[float]:
     """Least eigenvalue, or minus the condition number of H, of each plan."""
-    of_plans = []
+    plan_names = []
     for chosen in combinations(range(len(blocks)), size):
         rows = np.vstack([blocks[k] for k in chosen])
         if criterion == "E":
             least = np.linalg.eigvalsh(rows.T @ rows + prior)[0]
-            of_plans.append(float(least))
+            plan_names.append(float(least))
         else:
             root = np.linalg.cholesky(prior + 1e-300 * np.eye(len(prior))).T
-            of_plans.append(-float(np.linalg.cond(np.vstack([rows, root]))))
-    return of_plans
+            plan_names.append(-float(np.linalg.cond(np.vstack([rows, root]))))
+    return plan_names
 
 
 @pytest.mark.parametrize("criterion", ["E", "kappa"])
-@pytest.mark.parametrize(("k", "with_prior"), [(1, False), (2, True)])
+@pytest.mark.parametrize(("k", "add_prior"), [(1, False), (2, True)])
 def test_the_best_of_all_plans_is_chosen_and_proven(
-    criterion: str, k: int, with_prior: bool
+    criterion: str, k: int, add_prior: bool
 ) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         blocks = rng.standard_normal((10, k, 3))
-        prior = 0.3 * np.eye(3) if with_prior else np.zeros((3, 3))
-        given = prior if with_prior else None
+        prior = 0.3 * np.eye(3) if add_prior else np.zeros((3, 3))
+        given = prior if add_prior else None
         choice = choose(blocks, 4, rng, criterion, prior=given)
         best = max(values(blocks, 4, prior, criterion))
         assert choice.value == pytest.approx(abs(best), rel=1e-9)

@@ -5,9 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design.eigenvalue_path import follow
-from oed.design.interior import InteriorPath, InteriorProblem, build_problem
-from oed.design.interior_step import StepSystem
+from oed.design.condition import follow
+from oed.design.interior import InteriorPath, InteriorProblem, StepSystem, build_problem
 
 COUNT, SIZE, N = 8, 4, 3
 

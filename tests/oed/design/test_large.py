@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from oed.design import choose, choose_from_file, large, open_candidates
-from oed.design.candidate_file import NumpyCandidates
+from oed.design.large import NumpyCandidates
 
 SMALL = {"PART": 700, "SAMPLE": 400, "STEEPEST": 500}
 

@@ -5,8 +5,8 @@ import pytest
 from scipy import optimize
 
 from oed.design.forms.determinant import Determinant
-from oed.design.newton import newton_steps, project_to_sum, scale_to_size
 from oed.design.objective import CriterionObjective
+from oed.design.relaxation import newton_steps, project_to_sum, scale_to_size
 
 
 def test_weights_scaled_to_a_size_keep_their_ratios_within_caps() -> None:

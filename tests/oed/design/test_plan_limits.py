@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed.design import Rules
-from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
+from oed.design.rules import DistanceLimit, SetupLimit, TimeBudget
 
 COUNT, SETUPS = 12, 4
 MOUNTING = (30.0, 10.0, 50.0, 20.0)
@@ -73,7 +73,7 @@ def test_only_a_size_alone_is_the_sole_rule() -> None:
     free = SetupLimit(setups.setup)
     assert Rules(size=5, setups=free).sole_size == 5
     assert Rules(size=5, setups=setups).sole_size is None
-    assert Rules(size=5, setups=setups).without_most_setups.sole_size == 5
+    assert Rules(size=5, setups=setups).any_setups.sole_size == 5
     assert Rules(size=5, time=budget).sole_size is None
     assert Rules(size=5, distance=distance).sole_size is None
 

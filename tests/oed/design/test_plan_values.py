@@ -7,13 +7,13 @@ import pytest
 
 from oed.design import Criterion, Rules
 from oed.design.bounds import bound, condition_bound
+from oed.design.design_problem import drop_untouched_columns, rank_combinations, thin
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.variance import Variance
-from oed.design.plan_limits import SetupLimit, TimeBudget
+from oed.design.rules import SetupLimit, TimeBudget
 from oed.design.search import improve, search, select_greedily
-from oed.design.setups import drop_untouched_columns, rank_combinations, thin
 
 COUNT, SIZE, N = 9, 4, 3
 CRITERIA: dict[str, Criterion] = {

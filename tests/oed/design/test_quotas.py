@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from oed.design import CRITERIA, QuotaSet, Rules, choose, conic
-from oed.design.plan_limits import DistanceLimit, TimeBudget
 from oed.design.quotas import Quota, equal_numbers
+from oed.design.rules import DistanceLimit, TimeBudget
 
 COUNT, DIRECTIONS = 11, 3
 
@@ -75,7 +75,7 @@ def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     while not plans_that_keep(quotas):
         quotas = random_quotas(rng, 5)
     choice = choose(rows, None, rng, criterion, rules=Rules(size=5, quotas=quotas))
-    goal = CRITERIA.over(criterion, DIRECTIONS)
+    goal = CRITERIA.build(criterion, DIRECTIONS)
     values = {
         plan: goal.value(rows[list(plan)].T @ rows[list(plan)])
         for plan in plans_that_keep(quotas)

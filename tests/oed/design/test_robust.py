@@ -9,7 +9,7 @@ import pytest
 
 from oed.design import Rules, robust
 from oed.design.forms import Determinant, ExtremeEigenvalues, Variance
-from oed.design.plan_limits import TimeBudget
+from oed.design.rules import TimeBudget
 
 
 def scenarios(

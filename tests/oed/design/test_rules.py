@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed.design import Rules
-from oed.design.plan_limits import SetupLimit, TimeBudget
+from oed.design.rules import SetupLimit, TimeBudget
 
 SETUP = np.array([0, 0, 1, 2, 2, 2, 3])
 

@@ -11,9 +11,9 @@ INTEREST = np.array([[1.0, 0.2, 0.0, 0.0], [0.0, 0.0, 1.0, 3.0]]).T
 FACTOR = np.diag(np.sqrt([1.0, 2.0, 0.0, 0.5]))
 FORMS: dict[str, Criterion] = {
     "D": Determinant(4),
-    "A": CRITERIA.over("A", 4),
+    "A": CRITERIA.build("A", 4),
     "I": Variance(FACTOR),
-    "Ds": CRITERIA.over("Ds", 4, INTEREST),
+    "Ds": CRITERIA.build("Ds", 4, INTEREST),
     "power 1": PowerMean(1.0),
     "power 5": PowerMean(5.0),
 }
@@ -59,6 +59,6 @@ def test_expression_and_value_differ_by_a_constant(
 
 def test_the_least_eigenvalue_is_polished_by_a_power_mean() -> None:
     for name in ("E", "O3"):
-        assert isinstance(CRITERIA.over(name, 4).polished, PowerMean)
+        assert isinstance(CRITERIA.build(name, 4).polished, PowerMean)
     for name in ("kappa", "O2", "O4", "O5"):
-        assert CRITERIA.over(name, 4).polished is None
+        assert CRITERIA.build(name, 4).polished is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed.design import CRITERIA
-from oed.design.weights import choose_by_weights
+from oed.design.design_problem import choose_by_weights
 
 
 @pytest.mark.parametrize("criterion", CRITERIA.weighed)

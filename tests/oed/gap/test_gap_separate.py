@@ -218,7 +218,7 @@ def test_budget_pays_runs_and_mounting():
     candidates = laid_out()[0]
     tool = np.array([0 if r.setup == "cup" else 1 for r in candidates])
     cost = np.array([r.seconds for r in candidates])
-    rules = Rules.of(
+    rules = Rules.build(
         seconds=cost,
         budget=1900.0,
         setup=tool,

@@ -104,7 +104,7 @@ def test_the_bound_holds_over_all_plans() -> None:
     rest = np.full(len(maps.names), 1e-12)
     goal = workspace_goal(measurement, maps, {}, ToolErrors(tool, rest))
     budget = 60.0 + 6 * 10.0
-    found = search_plan([option], goal, budget, PlanStreams.of([1]), stages=1)
+    found = search_plan([option], goal, budget, PlanStreams.seeded([1]), stages=1)
     assert found.best.value >= found.bound.value * (1.0 - 1e-9)
     for _ in range(200):
         chosen = rng.choice(12, size=6, replace=False)

@@ -372,7 +372,7 @@ def test_machines_together_are_as_machines_one_by_one(
     stage = stage_after(one_bar, np.arange(0, 48, 2), prior, rng)
     realised = []
     for together in (1, 5):
-        monkeypatch.setattr(virtual_machines, "TOGETHER", together)
+        monkeypatch.setattr(virtual_machines, "MACHINES_AT_ONCE", together)
         rng = np.random.default_rng(6)
         realised.append(propagate([stage], WORKSPACE[::12], 5, rng).stages[0])
     one_by_one, at_once = realised

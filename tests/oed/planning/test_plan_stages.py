@@ -9,7 +9,7 @@ import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
 from oed.design.forms.protocol import pairwise_traces
-from oed.design.row_exchange import LEAST_SHARE, RowExchange
+from oed.design.row_exchange import MIN_OWN_SHARE, RowExchange
 from oed.linear_algebra import symmetric_root
 from oed.planning import Goal, Option
 from oed.planning.prediction import profile
@@ -58,7 +58,7 @@ def test_no_exchange_of_one_row_improves_the_design(rng: np.random.Generator) ->
         rows = problem.rows[chosen]
         inverse = np.linalg.inv(problem.base + rows.T @ rows)
         share = 1.0 - np.einsum("in,nm,im->i", rows, inverse, rows)
-        exact += int((share < LEAST_SHARE).sum())
+        exact += int((share < MIN_OWN_SHARE).sum())
     # rows that are taken out by an inverse of their own are among them
     assert exact > 0
 

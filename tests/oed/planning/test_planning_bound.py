@@ -10,7 +10,7 @@ from oed.planning import Goal, Option
 from oed.planning import bound as bound_module
 from oed.planning import prediction as stage_module
 from oed.planning.bound import GoalBound, bound_goal
-from oed.planning.knowledge import Prior, as_knowledge
+from oed.planning.knowledge import Prior, make_knowledge
 
 
 def bound_of(
@@ -93,13 +93,13 @@ def test_readings_lost_to_the_setup_itself_stay_within_the_bound(
             chosen = rng.permutation(len(option.candidates))[: option.counts[-1]]
             stage = catalogues.stage_after(option, chosen, prior, rng, exact=False)
             prior = stage.posterior
-        value = goal.value(as_knowledge(prior).mean_square_error)
+        value = goal.value(make_knowledge(prior).mean_square_error)
         assert bound_of(short, goal, 1e5, value).value <= value
 
 
 def test_too_many_combinations_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     options, goal = catalogues.catalogue(np.random.default_rng(0))
-    monkeypatch.setattr(bound_module, "COMBINATIONS", 3)
+    monkeypatch.setattr(bound_module, "MAX_COMBINATIONS", 3)
     with pytest.raises(
         ValueError, match="7 combinations of 3 of 3 measurements are too many"
     ):

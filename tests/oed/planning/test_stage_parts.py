@@ -12,12 +12,15 @@ from kernel import plan_catalogues as catalogues
 from kernel.plan_catalogues import linear_option
 from oed.planning import Goal, Option, PlanStreams, StageMemory, search_plan
 from oed.planning.bound import CombinationBound
-from oed.planning.knowledge import as_knowledge
-from oed.planning.linearisation import estimate_residual, reading_counts
-from oed.planning.prediction import draw_machines, profile
-from oed.planning.problem import PlanProblem
+from oed.planning.knowledge import make_knowledge
+from oed.planning.prediction import (
+    draw_machines,
+    estimate_residual,
+    profile,
+    reading_counts,
+)
+from oed.planning.problem import PlanProblem, select_readings
 from oed.planning.search import beam_search
-from oed.planning.selection import select_readings
 
 N, ROWS = 3, 5
 
@@ -134,7 +137,7 @@ def test_machines_without_travel_give_all_readings(rng: np.random.Generator) -> 
     """Their covariance after a stage is the joint inverse."""
     (option, *_), chosen = catalogue()[0], np.array([1, 2, 4])
     machines = draw_machines(
-        option, chosen, as_knowledge(np.eye(N)), np.ones(3), 50, rng
+        option, chosen, make_knowledge(np.eye(N)), np.ones(3), 50, rng
     )
     assert machines.patterns.tolist() == [[1.0, 1.0, 1.0]]
     assert machines.knowledge.errors is None
@@ -158,7 +161,7 @@ def test_drawn_machines_lose_what_is_beyond_the_travel(
     machines = draw_machines(
         option,
         np.arange(2),
-        as_knowledge(np.eye(N)),
+        make_knowledge(np.eye(N)),
         np.array([0.38, 1.0]),
         8000,
         rng,

@@ -13,7 +13,7 @@ from kernel.bar_series import CUP, LENGTH, bar, places, planar_series, tips
 from kernel.cases import CASES
 from oed.measurement import Measurement
 from oed.model import mount
-from oed.poses import DirectionCone, ReadingLimits, check_readings, within_travel
+from oed.poses import DirectionCone, ReadingLimits, check_readings, travel_probability
 
 
 def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> None:
@@ -110,7 +110,7 @@ def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
     point = np.concatenate([np.zeros((*pose.shape[:2], 1)), pose], axis=-1)
     length = np.linalg.norm(point - CUP - theta[:, None, 7:], axis=-1)
     counted = (np.abs(length - LENGTH) <= travel).mean(axis=0)
-    probability = within_travel(m, m.series("bar", command), root @ root.T, travel)
+    probability = travel_probability(m, m.series("bar", command), root @ root.T, travel)
     assert counted.min() < 0.4 < 0.8 < counted.max()
     assert np.abs(probability - counted).max() < 4 * np.sqrt(0.25 / draws) + 0.002
     assert np.abs(probability - counted).mean() < 0.004
@@ -120,12 +120,12 @@ def test_a_known_machine_stays_within_the_travel_or_not(
     rng: np.random.Generator,
 ) -> None:
     m, _, series = planar_series(rng)
-    sure = within_travel(m, series, np.zeros((10, 10)), 0.2)
+    sure = travel_probability(m, series, np.zeros((10, 10)), 0.2)
     assert (sure == check_readings(m, series, ReadingLimits(travel=0.2)).allowed).all()
-    wide = within_travel(m, series, np.diag(m.tolerance**2), 1e9)
+    wide = travel_probability(m, series, np.diag(m.tolerance**2), 1e9)
     assert (wide == 1.0).all()
     with pytest.raises(ValueError, match="must be 10 x 10"):
-        within_travel(m, series, np.eye(7), 0.2)
+        travel_probability(m, series, np.eye(7), 0.2)
 
 
 def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
@@ -136,7 +136,7 @@ def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
     first = m.readings([series], m.nominal).reshape(-1, 2)[:, 0]
     feasibility = check_readings(m, series, ReadingLimits(travel=0.5, held=0.0))
     assert feasibility.details["travel"] == pytest.approx(np.abs(first))
-    chance = within_travel(m, series, np.zeros((len(m.names),) * 2), 0.5, held=0.0)
+    chance = travel_probability(m, series, np.zeros((len(m.names),) * 2), 0.5, held=0.0)
     assert (chance == feasibility.allowed).all()
 
 

@@ -11,7 +11,7 @@ from oed.poses import Belief, next_reading
 @pytest.fixture
 def belief(rng: np.random.Generator) -> Belief:
     root = rng.standard_normal((6, 4))
-    return Belief.of(np.linalg.inv(root.T @ root), rng.standard_normal((2, 3, 4)))
+    return Belief.build(np.linalg.inv(root.T @ root), rng.standard_normal((2, 3, 4)))
 
 
 def exact(belief: Belief, rows: np.ndarray) -> np.ndarray:
@@ -29,7 +29,7 @@ def test_variances_are_those_of_the_summed_information(
     for block, variances in zip(blocks, after, strict=True):
         assert variances == pytest.approx(exact(belief, block))
         assert belief.after(block).variances == pytest.approx(variances)
-    several = belief.after_all(blocks, [0, 3])
+    several = belief.update_all(blocks, [0, 3])
     assert several.variances == pytest.approx(exact(belief, np.vstack(blocks[[0, 3]])))
     scores = [np.log(exact(belief, block)).sum() for block in blocks]
     assert belief.best_candidate(blocks) == int(np.argmin(scores))
@@ -52,7 +52,7 @@ def test_no_single_exchange_betters_the_remaining_readings(
     belief: Belief, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocks = rng.standard_normal((9, 1, 4))
-    monkeypatch.setattr(next_reading, "SWEEPS", 20)  # until nothing changes
+    monkeypatch.setattr(next_reading, "MAX_SWEEPS", 20)  # until nothing changes
 
     def value(plan: list[int]) -> float:
         return float(np.log(exact(belief, blocks[plan][:, 0])).sum())

@@ -37,7 +37,7 @@ def test_small_paths_are_the_shortest_of_all(
     """3 to 6 poses, half of the moves forbidden; the search finds what is exact, or
     nearly, and says which it is.
     """
-    monkeypatch.setattr(order, "EXACT", 12 if exact else 2)
+    monkeypatch.setattr(order, "MAX_EXACT_RUNS", 12 if exact else 2)
     excess, impossible = [], 0
     for seed in range(24):
         n = 3 + seed % 4
@@ -97,7 +97,7 @@ def test_search_comes_near_the_exact_path_where_both_can_be_had(
     for seed in range(6):
         distance = plane(seed, 11) if symmetric else problem(seed, 11)[0]
         exact = order.order_poses(distance, np.random.default_rng(0))
-        monkeypatch.setattr(order, "EXACT", 2)
+        monkeypatch.setattr(order, "MAX_EXACT_RUNS", 2)
         route = order.order_poses(distance, np.random.default_rng(0))
         monkeypatch.undo()
         assert exact.exact
@@ -181,7 +181,7 @@ def test_lengths_that_make_no_sense_are_refused(rng: np.random.Generator) -> Non
 def test_runs_stay_together_in_the_best_order(
     monkeypatch: pytest.MonkeyPatch, reversible: bool, exact: bool
 ) -> None:
-    monkeypatch.setattr(order, "EXACT", 12 if exact else 2)
+    monkeypatch.setattr(order, "MAX_EXACT_RUNS", 12 if exact else 2)
     runs = [[3, 0, 5], [1], [2, 7], [6, 4], [8]]
     excess = []
     for seed in range(5):

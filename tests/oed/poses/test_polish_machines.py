@@ -210,9 +210,9 @@ def test_a_search_cut_short_is_never_worse() -> None:
     "criterion",
     [
         Determinant(13),
-        pytest.param(CRITERIA.over("A", 13), marks=pytest.mark.slow),
+        pytest.param(CRITERIA.build("A", 13), marks=pytest.mark.slow),
         pytest.param(PowerMean(4.0), marks=pytest.mark.slow),
-        CRITERIA.over("Ds", 13, np.eye(13)[:, :7]),
+        CRITERIA.build("Ds", 13, np.eye(13)[:, :7]),
     ],
     ids=["D", "A", "power", "Ds"],
 )

@@ -14,13 +14,13 @@ from kernel import a3_plans
 from oed.measurement import Measurement
 from oed.model import mount
 from oed.poses import polish_readings
-from oed.poses.polish_program import IPOPT, PolishProgram
+from oed.poses.polish import IPOPT_OPTIONS, PolishProgram
 from oed.poses.reading_plan import (
     ReadingPlan,
-    at_commands,
     find_fault,
     home_determinant,
     largest_hold_error,
+    move_to_commands,
     restore_hold,
     symbolic_pose,
     symbolic_reading,
@@ -83,7 +83,7 @@ def test_rows_of_a_reading_are_differences_of_the_oracles_poses() -> None:
 
 
 def test_readings_at_other_commands_have_the_oracles_joints() -> None:
-    plan = at_commands(ReadingPlan(PLANAR, (READ,)), [COMMAND + 0.05])
+    plan = move_to_commands(ReadingPlan(PLANAR, (READ,)), [COMMAND + 0.05])
     (series,) = plan.series
     assert series.q == pytest.approx(planar_geometry.inverse(COMMAND + 0.05), abs=1e-9)
     assert not plan.has_teach_pose(series)
@@ -106,7 +106,7 @@ def test_a_moved_bar_comes_back_to_its_length() -> None:
     assert start.has_teach_pose(CIRCLES)
     command = CIRCLES.command.copy()
     command[:-1, 2] += 1e-3
-    moved = at_commands(start, [command])
+    moved = move_to_commands(start, [command])
     (series,) = moved.series
     assert series.command[-1] == pytest.approx(CIRCLES.command[-1])
     off = length_errors(moved).max()
@@ -176,6 +176,6 @@ def test_a_file_of_the_current_folder_does_not_steer_the_solver(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ipopt.opt").write_text("max_iter 0\n", encoding="utf-8")
     x = ca.SX.sym("x")
-    options = {"ipopt": {**IPOPT, "max_iter": 50}, "print_time": False}
+    options = {"ipopt": {**IPOPT_OPTIONS, "max_iter": 50}, "print_time": False}
     solver = ca.nlpsol("s", "ipopt", {"x": x, "f": (x - 1.0) ** 2}, options)
     assert float(solver(x0=0.0)["x"]) == pytest.approx(1.0)

@@ -35,7 +35,7 @@ def factors() -> np.ndarray:
 @pytest.fixture
 def belief(factors: np.ndarray) -> Belief:
     root = np.random.default_rng(5).standard_normal((6, 6))
-    return Belief.of(root @ root.T + np.eye(6), factors)
+    return Belief.build(root @ root.T + np.eye(6), factors)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_planning_together_is_no_worse_than_one_by_one(
     for _ in range(4):
         greedy = greedy.after(blocks[greedy.best_candidate(blocks)])
     plan = belief.best_remaining(blocks, 4)
-    together = belief.after_all(blocks, plan)
+    together = belief.update_all(blocks, plan)
     assert score(together) <= score(greedy) + 1e-12
     alone = [score(belief.after(blocks[k])) for k in plan]
     assert alone[0] == min(alone)
@@ -107,7 +107,7 @@ def test_the_fewest_readings_reach_the_goal(belief: Belief, blocks: np.ndarray) 
     rng = np.random.default_rng(8)
     blocks = blocks[:9]
     some = [int(k) for k in rng.choice(9, size=3, replace=False)]
-    reached = belief.after_all(blocks, some)
+    reached = belief.update_all(blocks, some)
     limits = np.sqrt(reached.variances) * (1.0 + 1e-9)
     answer = belief.fewest_remaining(blocks, 9, limits)
     assert answer is not None
@@ -125,7 +125,7 @@ def _reaching(
 ) -> bool:
     """Whether any set of so many candidates reaches all limits."""
     sets = itertools.combinations_with_replacement(range(len(blocks)), count)
-    after = (belief.after_all(blocks, chosen) for chosen in sets)
+    after = (belief.update_all(blocks, chosen) for chosen in sets)
     return any(not known.open_components(limits) for known in after)
 
 

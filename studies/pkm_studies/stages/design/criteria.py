@@ -78,7 +78,7 @@ class StudyCriteria:
                 {self.parameters_criterion(n, measurement): shares[n] for n in shares}
             )
         count = int(measurement.free.sum())
-        return CRITERIA.over(name, count, self.ingredient(name, measurement))
+        return CRITERIA.build(name, count, self.ingredient(name, measurement))
 
     def ingredient(
         self,
@@ -156,7 +156,9 @@ class StudyCriteria:
         m = self.information(measurement, series)
         criterion = self.parameters_criterion(name, measurement)
         if not self.table.prior:
-            criterion, basis = criterion.over_estimable(self._rows(measurement, series))
+            criterion, basis = criterion.restrict_to_rows(
+                self._rows(measurement, series)
+            )
             m = basis.T @ m @ basis
         log_phi = criterion.value(m)
         return log_phi, criterion.conventional_value(log_phi, sum(map(len, series)))

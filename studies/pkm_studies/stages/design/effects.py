@@ -176,7 +176,7 @@ def _accuracy(
     c, maps = problem.candidates, study_criteria.needed_maps
     measurement = c.measurement
     if not study_criteria.table.prior:
-        c = c.with_prior(prior_information(measurement))
+        c = c.add_prior(prior_information(measurement))
     total = c.information(chosen)
     covariance = np.linalg.inv(total)
     slopes = pose_error_slopes(c, maps.raw, effects)

@@ -343,7 +343,7 @@ def _problem(
             str(error), "give each run a table of its own"
         ) from error
     if table.prior or request.retained:
-        pool = pool.with_prior(_prior_information(study_criteria, measurement))
+        pool = pool.add_prior(_prior_information(study_criteria, measurement))
     mounted = {s.setup for s in request.retained}
     rules = pool.rules(
         size=table.size,

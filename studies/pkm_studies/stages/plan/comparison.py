@@ -69,7 +69,7 @@ def predict_readings(
     task: PlanTask, readings: Sequence[tuple[Option, Index]]
 ) -> StagePlan:
     """Some candidates of each measurement, one measurement after the other."""
-    streams = PlanStreams.of(task.seed)
+    streams = PlanStreams.seeded(task.seed)
     return predict_plan(readings, task.goal, task.start, streams, task.stage_generator)
 
 

@@ -82,7 +82,7 @@ class PlanTask:
             self.request.options if options is None else options,
             self.goal,
             self.budget if budget is None else budget,
-            PlanStreams.of(self.seed),
+            PlanStreams.seeded(self.seed),
             covariance=self.start,
             stages=self.table.stages if stages is None else stages,
             beam=beam,

@@ -163,9 +163,9 @@ def _criteria(main: str, rng: np.random.Generator) -> dict[str, Criterion]:
         "combination": rng.normal(size=(1, 4)),
         "accuracy": rng.normal(size=(5, 2, 4)),
     }
-    names = [main, *[name for name in CRITERIA.of_plans if name != main]]
+    names = [main, *[name for name in CRITERIA.plan_names if name != main]]
     needs = {name: ingredients.get(CRITERIA[name].needs) for name in names}
-    return {name: CRITERIA.over(name, 4, needs[name]) for name in names}
+    return {name: CRITERIA.build(name, 4, needs[name]) for name in names}
 
 
 def _comparison(
