@@ -125,7 +125,7 @@ def carried_along(count: int, rng: np.random.Generator) -> np.ndarray:
 
 def known_law(problem: GapProblem) -> NoiseLaw:
     """The law that the readings were drawn with."""
-    parts = {"carried": CARRIED, "reach": REACH, "level": LEVEL / NOISE}
+    parts = {"correlated": CARRIED, "reach": REACH, "level": LEVEL / NOISE}
     arrays = {name: np.array([size]) for name, size in parts.items()}
     return NoiseLaw(dataclasses.replace(problem.stated_law.law, **arrays))
 

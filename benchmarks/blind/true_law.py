@@ -42,7 +42,7 @@ class TrueLaw(NoiseLaw):
             starts=starts,
             decay=nothing,
             single=single,
-            carried=nothing,
+            correlated=nothing,
             shared=shared,
             scale=np.ones(len(order)),
         )

@@ -105,7 +105,7 @@ def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
     axes: list[tuple[float, ...]] = [(0.0,)] * prior.dimensions
     for name, values in (
         (NoisePrior.RUN, LEVELS),
-        (NoisePrior.CARRIED, SHARES),
+        (NoisePrior.CORRELATED, SHARES),
         (NoisePrior.REACH, REACHES),
     ):
         if name in prior.names:

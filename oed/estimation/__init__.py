@@ -6,6 +6,7 @@ IdentifiableCoordinates  directions that some reading determines, and the others
 IdentificationError      the readings cannot be fitted
 Minima                   least sums of squares of many machines
 RunPrediction            all runs, each predicted from the others
+add_warnings             adds the sentences for the user to an estimate
 contradicted_parameters  held parameters that readings contradict
 fit_machines             parameters of many machines with the same readings
 identify                 the parameters of one machine
@@ -13,7 +14,6 @@ minimise                 least squares of many machines at once
 noise_numbers            the numbers of an estimated noise law
 predict_runs             predicts each run from the others
 tolerance_factor         a common factor on all tolerances, by its evidence
-with_warnings            an estimate with its sentences for the user
 """
 
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from oed.estimation.contradictions import contradicted_parameters, tolerance_factor
     from oed.estimation.coordinates import IdentifiableCoordinates
     from oed.estimation.discrepancy import Discrepancy
-    from oed.estimation.estimate import Estimate, with_warnings
+    from oed.estimation.estimate import Estimate, add_warnings
     from oed.estimation.fit_stages import IdentificationError
     from oed.estimation.fitter import Minima, minimise
     from oed.estimation.identification import fit_machines, identify

@@ -76,9 +76,9 @@ def contradicted_parameters(
     measurement: Measurement, series: Sequence[Series], y: Array, estimate: Estimate
 ) -> list[HeldParameter]:
     """Held parameters that readings y (N,), SI, contradict, the surest first."""
-    whole = _with_held_unknowns(measurement)
-    known = dict(zip(measurement.names, estimate.theta, strict=True))
-    theta = np.array([known.get(p.name, p.nominal) for p in whole.parameters])
+    whole = _free_unknowns(measurement)
+    fitted_theta = dict(zip(measurement.names, estimate.theta, strict=True))
+    theta = np.array([fitted_theta.get(p.name, p.nominal) for p in whole.parameters])
     fitted = np.where(estimate.prior_sd > 0.0, estimate.sd, np.inf)
     sd_of = dict(zip(measurement.names, fitted, strict=True))
     sd = np.array([sd_of.get(name, np.inf) for name in whole.names])
@@ -111,7 +111,7 @@ def contradicted_parameters(
     return contradicted
 
 
-def _with_held_unknowns(measurement: Measurement) -> Measurement:
+def _free_unknowns(measurement: Measurement) -> Measurement:
     """The measurement with what its instruments hold among the parameters."""
     setups = []
     if not any(setup.instrument.held for setup in measurement.setups.values()):
@@ -187,7 +187,8 @@ def _record(
 ) -> HeldParameter:
     """A test with what all parameters (n,) change by, of sd (n,), in display units."""
     unit_of = {p.name: units.display(p.unit) for p in whole.parameters}
-    unit, held = unit_of[names[0]], float(np.mean(theta[np.isin(whole.names, names)]))
+    unit = unit_of[names[0]]
+    value = float(np.mean(theta[np.isin(whole.names, names)]))
     scaled = np.abs(change) / sd
     largest = [
         whole.names[k] for k in np.argsort(-scaled)[:MAX_NAMED] if scaled[k] > 0.0
@@ -202,8 +203,8 @@ def _record(
     shift = np.vstack(shifts)
     return HeldParameter(
         parameters=list(names),
-        held=units.number(held, unit),
-        estimate=units.number(held + test.change, unit),
+        held=units.number(value, unit),
+        estimate=units.number(value + test.change, unit),
         sd=units.number(test.sd, unit),
         unit=unit,
         p_value=test.p_value,

@@ -77,9 +77,9 @@ class IdentifiableCoordinates:
         directions = determined @ vectors.T
         return cls(
             origin=np.where(scale > 0, measurement.nominal, theta),
-            basis=_at_rows(free, unit[:, None] * (root @ directions), len(scale)),
-            null_basis=_at_rows(free, unit[:, None] * (root @ lost), len(scale)),
-            dual=_at_rows(
+            basis=_padded(free, unit[:, None] * (root @ directions), len(scale)),
+            null_basis=_padded(free, unit[:, None] * (root @ lost), len(scale)),
+            dual=_padded(
                 free, np.linalg.solve(root, directions) / unit[:, None], len(scale)
             ).T,
         )
@@ -92,7 +92,7 @@ class IdentifiableCoordinates:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
         return self.origin + z @ self.basis.T
 
-    def of_readings(
+    def match_readings(
         self,
         measurement: Measurement,
         series: Sequence[Series],
@@ -145,7 +145,7 @@ def _split_directions(null_space: Array) -> tuple[Array, Array]:
     return canonical_rows(lost).T, canonical_rows(determined).T
 
 
-def _at_rows(rows: Index, values: Array, count: int) -> Array:
+def _padded(rows: Index, values: Array, count: int) -> Array:
     """A matrix (count, k) with values (len(rows), k) at rows, and 0 elsewhere."""
     matrix = np.zeros((count, values.shape[1]))
     matrix[rows] = values

@@ -86,7 +86,9 @@ def stage_with_effects(
     )
     theta = fit.closing(exact.theta, means.mean(axis=0))
     offsets = means - means.mean(axis=0)
-    within = sum(w * one.within() for w, one in zip(weights, fits, strict=True))
+    within = sum(
+        w * one.parameter_covariance() for w, one in zip(weights, fits, strict=True)
+    )
     covariance = within + offsets.T @ offsets / len(offsets)
     first = dataclasses.replace(exact, theta=theta)
     wide = dataclasses.replace(structure, effects=alternation.widened(sizes))
@@ -151,7 +153,7 @@ class _Settled:
             to_theta(self.means[rows]),
         )
 
-    def within(self) -> Array:
+    def parameter_covariance(self) -> Array:
         """Covariance (n, n) of the parameters given the effects, SI."""
         spread = self.linear.coordinates.basis @ self.root
         return np.asarray(spread @ spread.T)
@@ -175,14 +177,12 @@ class _Alternation:
 
     def linearise(self, theta: Array) -> _LinearReadings:
         """Readings about parameters (n,), or nearer to those without effects."""
-        fit, structure = self.fit, self.structure
+        fit = self.fit
         theta = fit.closing(self.exact.theta, theta)
         coordinates = fit.coordinates(theta, self.exact.noise, self.exact.prior_sd)
-        jacobian = fit.measurement.jacobian(fit.series, theta)
-        slopes = structure.standardise(jacobian @ coordinates.basis)
-        z = coordinates.from_theta(theta)
-        residual = structure.standardise(fit.residuals(theta)) + slopes @ z
-        return _LinearReadings(coordinates, residual, slopes)
+        residual, slopes = fit.linearise(self.structure, coordinates, theta)
+        about_nominal = residual + slopes @ coordinates.from_theta(theta)
+        return _LinearReadings(coordinates, about_nominal, slopes)
 
     def run(self, theta: Array, mode: Array | None) -> _Settled:
         """From parameters (n,) and coordinates (d,) of a law; None: the stated one."""

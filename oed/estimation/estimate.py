@@ -164,7 +164,7 @@ class Estimate:
         return np.asarray(np.divide(sd, self.prior_sd, out=ratio, where=free))
 
 
-def with_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
+def add_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
     """The estimate with sentences that a user must read; none where the fit is sound."""
     sentences = []
     unchanged = _wide_parameters(measurement, estimate, Estimate.AT_PRIOR, np.inf)
@@ -207,7 +207,7 @@ def contradicted_law(estimate: Estimate) -> list[str]:
     )
     if not check.is_noise:
         reason = (
-            f"neighbouring readings share an error of {check.carried:.1f} times the stated"
+            f"neighbouring readings share an error of {check.correlated:.1f} times the stated"
             " noise, which is more than a stated noise can be wrong by"
         )
     return [

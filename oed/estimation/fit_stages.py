@@ -13,10 +13,10 @@ from oed.estimation.coordinates import (
     ReadingsProblem,
 )
 from oed.estimation.estimate import Estimate, FitStage
-from oed.estimation.fitter import TRIALS, minimise
+from oed.estimation.fitter import MAX_TRIALS, minimise
 from oed.identifiability import posterior_covariance
 from oed.measurement import Measurement, Series
-from oed.noise import Noise
+from oed.noise import Noise, ReadingStructure
 
 
 class IdentificationError(RuntimeError):
@@ -67,11 +67,22 @@ class ReadingsFit:
         """y - f(theta) (N,), SI."""
         return self.y - self.measurement.readings(self.series, theta)
 
+    def linearise(
+        self,
+        structure: ReadingStructure,
+        coordinates: IdentifiableCoordinates,
+        theta: Array,
+    ) -> tuple[Array, Array]:
+        """Standardised residuals (N,) at theta (n,), and slopes (N, r) over z."""
+        jacobian = self.measurement.jacobian(self.series, theta)
+        slopes = structure.standardise(jacobian @ coordinates.basis)
+        return structure.standardise(self.residuals(theta)), slopes
+
     def closing(self, start: Array, end: Array) -> Array:
         """Parameters (n,) from the start towards the end: there, or after half the way
         or less, the first at which all poses close.
         """
-        for halvings in range(TRIALS):
+        for halvings in range(MAX_TRIALS):
             theta = np.asarray(start + (end - start) / 2.0**halvings)
             if np.isfinite(self.measurement.try_readings(self.series, theta)).all():
                 return theta

@@ -6,14 +6,14 @@ Minimised is, for each of m machines,
 
 W whitening the noise, z the unknowns in units of their prior (w = 1), or of a nearly
 flat one. A step is a full Gauss-Newton step, or one damped until it does not raise the
-sum and is not too long (Levenberg 1944, Marquardt 1963): far from nominal lie minima that
-no machine has. The step d promises to lower the sum by
+sum and is not too long (Levenberg 1944, Marquardt 1963): far from nominal lie spurious
+minima. The step d promises to lower the sum by
 d^T (A^T A + w^2) d, A the slopes: the squared distance to the minimum in posterior
 standard deviations. A machine has converged when this distance is below `PRECISION`,
 or below what rounding of the readings leaves; it takes that last step too. Where
 residuals are large and the readings curved, Gauss-Newton steps overshoot by nearly their
 length. From the first near the minimum that does, the damping is that with which the last
-step would have ended where the slope along it is 0.
+step would have ended where the gradient along it is 0.
 """
 
 from __future__ import annotations
@@ -26,26 +26,32 @@ import numpy as np
 from oed.base import Array, Index, Mask
 from oed.mechanism.kinematics import AssemblyError
 
-#: distance to the minimum, in posterior standard deviations, of the last step
+#: distance to the minimum, posterior standard deviations, below which a step is the last
 PRECISION = 1e-7
-#: steps at most
-STEPS = 60
-#: factors on the damping after a step that raises the sum, and after one that does not
-GROWTH, DECAY = 10.0, 0.01
-#: slope along a step at its end, over minus that at its start, from which it overshoots;
-#: distance to the minimum, in posterior standard deviations, from which that counts
-OVERSHOT, NEAR = 0.25, 3.0
-#: length of the first step, in tolerances and for each unknown, and factor on it after
-#: a step as long as that
-LONGEST, LONGER = 3.0, 4.0
-#: steps tried from a point at most, each more damped
-TRIALS = 16
-#: relative rounding error of readings, and of sums of squares
-READINGS_ROUNDED, SUM_ROUNDED = 1e-15, 1e-12
+#: steps of each machine
+MAX_STEPS = 60
+#: steps tried from a point, each more damped
+MAX_TRIALS = 16
+#: factor on the damping after a step that raises the sum
+DAMPING_GROWTH = 10.0
+#: factor on the damping after a step that does not
+DAMPING_DECAY = 0.01
+#: gradient along a step at its end, over minus that at its start, from which it overshoots
+OVERSHOOT = 0.25
+#: distance to the minimum, posterior standard deviations, within which that counts
+OVERSHOOT_DISTANCE = 3.0
+#: longest first step, tolerances for each unknown: spurious minima lie farther away
+FIRST_LENGTH = 3.0
+#: factor on the longest step after a step as long as that
+LENGTH_GROWTH = 4.0
+#: relative rounding error of readings
+READINGS_TOLERANCE = 1e-15
+#: relative rounding error of sums of squares
+SUM_TOLERANCE = 1e-12
 #: weight below which a prior is nearly flat
-NEARLY_FLAT = 1e-3
+FLAT_PRIOR = 1e-3
 #: curvature over the largest below which a direction takes no step
-FLAT = 1e-14
+FLAT_CURVATURE = 1e-14
 
 
 class LeastSquares(Protocol):
@@ -89,7 +95,7 @@ def minimise(
     *,
     weight: Array | float = 1.0,
     precision: float = PRECISION,
-    steps: int = STEPS,
+    steps: int = MAX_STEPS,
 ) -> Minima:
     """Minima from z `start` (m, k).
 
@@ -123,12 +129,12 @@ class _Steps:
         self._converged = np.zeros(count, dtype=bool)
         self._evaluations = np.ones(count, dtype=np.intp)
         self._damping = np.zeros(count)
-        # of the last steps: the steps, slope at their start, curvature of the model
+        # of the last steps: the steps, gradient at their start, curvature of the model
         self._last, self._descent = np.zeros_like(self._z), np.zeros(count)
         self._curvature = np.zeros(count)
         self._overshot = np.zeros(count, dtype=bool)
-        self._longest = np.full(count, LONGEST * np.sqrt(max(start.shape[1], 1)))
-        self._rounding = READINGS_ROUNDED * problem.magnitude
+        self._longest = np.full(count, FIRST_LENGTH * np.sqrt(max(start.shape[1], 1)))
+        self._rounding = READINGS_TOLERANCE * problem.magnitude
         self._precision = np.linalg.norm(self._rounding, axis=1)
         self.cost = self._costs(self._z, self._residual)
 
@@ -158,20 +164,22 @@ class _Steps:
         return self._descend(machines[~near], system, np.flatnonzero(~near))
 
     def _adapt_damping(self, machines: Index, system: _StepSystem) -> None:
-        """Damping for the next steps, by the slope at the end of the last ones.
+        """Damping for the next steps, by the gradient at the end of the last ones.
 
-        With the curvature c of the model and h of the sum along a step, the slope at its
+        With the curvature c of the model and h of the sum along a step, the gradient at its
         end is 1 - h / (c + damping) of that at its start: the damping h - c is best.
         """
         along = (system.pull * self._last[machines]).sum(axis=1)
         start = self._descent[machines]
         ratio = np.divide(along, start, out=np.zeros_like(start), where=start > 0.0)
-        self._overshot[machines] |= (ratio < -OVERSHOT) & (start < NEAR**2)
+        self._overshot[machines] |= (ratio < -OVERSHOOT) & (
+            start < OVERSHOOT_DISTANCE**2
+        )
         damping = self._damping[machines]
         best = damping * (1.0 - ratio) - ratio * self._curvature[machines]
         best = np.maximum(best, 0.0)
         self._damping[machines] = np.where(
-            self._overshot[machines], best, DECAY * damping
+            self._overshot[machines], best, DAMPING_DECAY * damping
         )
 
     def _linearise(self, machines: Index) -> Index:
@@ -201,13 +209,13 @@ class _Steps:
         Returns the machines that have one.
         """
         waiting = np.arange(len(machines))
-        for _ in range(TRIALS):
+        for _ in range(MAX_TRIALS):
             if not waiting.size:
                 break
             trying = machines[waiting]
             step, limited = self._limited_step(trying, system, rows[waiting])
             lower = self._move(trying, step)
-            self._longest[trying[lower & limited]] *= LONGER
+            self._longest[trying[lower & limited]] *= LENGTH_GROWTH
             self._remember(trying[lower], step[lower], system, rows[waiting[lower]])
             waiting = waiting[~lower]
             least = system.least_damping()[rows[waiting]]
@@ -227,9 +235,9 @@ class _Steps:
     ) -> tuple[Array, Mask]:
         """Steps (s, k), damped until none is too long, and which were damped for that."""
         limited = np.zeros(len(machines), dtype=bool)
-        for _ in range(TRIALS):
+        for _ in range(MAX_TRIALS):
             step = system.step(rows, self._damping[machines])
-            far = np.linalg.norm(step[:, self._weight >= NEARLY_FLAT], axis=1)
+            far = np.linalg.norm(step[:, self._weight >= FLAT_PRIOR], axis=1)
             long = far > self._longest[machines]
             if not long.any():
                 break
@@ -238,7 +246,7 @@ class _Steps:
         return step, limited
 
     def _raise_damping(self, machines: Index, least: Array) -> None:
-        raised = np.maximum(self._damping[machines] * GROWTH, least)
+        raised = np.maximum(self._damping[machines] * DAMPING_GROWTH, least)
         self._damping[machines] = raised
 
     def _move(self, machines: Index, step: Array) -> Mask:
@@ -265,7 +273,7 @@ class _Steps:
         """Changes (s,) of the sums that rounding alone may cause."""
         of_readings = np.abs(self._residual[machines]) * self._rounding[machines]
         return np.asarray(
-            2.0 * of_readings.sum(axis=1) + SUM_ROUNDED * self.cost[machines]
+            2.0 * of_readings.sum(axis=1) + SUM_TOLERANCE * self.cost[machines]
         )
 
 
@@ -276,7 +284,7 @@ class _StepSystem:
     Lengths are in units of the prior. For an unknown whose prior is nearly flat, they are
     in units of what the readings determine.
 
-    pull        (s, k) minus half the slope of the sum over z
+    pull        (s, k) minus half the gradient of the sum over z
     curvature   (s, k) of the directions, ascending
     directions  (s, k, k) columns
     descent     (s, k) of the pull along the directions
@@ -294,7 +302,7 @@ class _StepSystem:
         descent = (transposed @ residual[:, :, None])[:, :, 0] - weight**2 * z
         normal = transposed @ slopes + np.diag(weight**2)
         of_readings = np.sqrt(np.einsum("skk->sk", normal))
-        size = np.where(weight < NEARLY_FLAT, of_readings, weight)
+        size = np.where(weight < FLAT_PRIOR, of_readings, weight)
         scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
         scaled = normal * scale[:, :, None] * scale[:, None, :]
         curvature, vectors = np.linalg.eigh(scaled)
@@ -308,7 +316,7 @@ class _StepSystem:
 
     def least_damping(self) -> Array:
         """The damping (s,) that halves a step along the flattest direction."""
-        return np.maximum(self.curvature[:, 0], FLAT)
+        return np.maximum(self.curvature[:, 0], FLAT_CURVATURE)
 
     def mean_curvature(self, rows: Index, damping: Array) -> Array:
         """Curvature (s,) along the steps of some rows."""
@@ -326,7 +334,7 @@ class _StepSystem:
     def _moves(self, rows: Index | Mask | slice, damping: Array) -> Array:
         """Moves (s, k) along the directions; none along flat ones."""
         curvature, descent = self.curvature[rows], self.descent[rows]
-        flat = curvature <= FLAT * curvature[:, -1:]
+        flat = curvature <= FLAT_CURVATURE * curvature[:, -1:]
         moves = np.zeros_like(descent)
         damped = curvature + damping[:, None]
         return np.divide(descent, damped, out=moves, where=~flat)

@@ -21,7 +21,7 @@ from oed.base import Array
 from oed.estimation.coordinates import ReadingsProblem
 from oed.estimation.discrepancy import Discrepancy
 from oed.estimation.effects_stage import stage_with_effects
-from oed.estimation.estimate import Estimate, with_warnings
+from oed.estimation.estimate import Estimate, add_warnings
 from oed.estimation.fit_stages import (
     IdentificationError,
     ReadingsFit,
@@ -124,7 +124,7 @@ def identify(
         residuals_before=residuals_before,
         stages=(*done, *estimate.stages),
     )
-    return with_warnings(measurement, estimate)
+    return add_warnings(measurement, estimate)
 
 
 #: distance to the minimum, in posterior standard deviations, at which a stage before the

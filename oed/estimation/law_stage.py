@@ -66,6 +66,7 @@ class SettledLaw:
     coordinates  of the fit
     robust       the fit, with readings far off replaced
     iterations   of the last fit
+    has_settled  whether the law changed by less than `LAW_TOLERANCE` in the last round
     """
 
     model: ResidualModel
@@ -76,6 +77,7 @@ class SettledLaw:
     coordinates: IdentifiableCoordinates
     robust: ReadingsFit
     iterations: int
+    has_settled: bool
 
 
 def integrated_stage(
@@ -112,7 +114,7 @@ def integrated_stage(
         return dataclasses.replace(estimate, law_check=check)
     if NoisePrior.COURSE in with_course.names and _scatters_as_stated(settled.law):
         return integrate_settled(fit, first, settled)
-    return _by_stated_weights(robust, fit, stated, first, check)
+    return _stated_weights(robust, fit, stated, first, check)
 
 
 def _scatters_as_stated(law: Laws) -> bool:
@@ -121,7 +123,7 @@ def _scatters_as_stated(law: Laws) -> bool:
     return bool(scatter.max() <= KNOWN_TO)
 
 
-def _by_stated_weights(
+def _stated_weights(
     robust: ReadingsFit,
     fit: ReadingsFit,
     stated: Noise,
@@ -195,29 +197,35 @@ def settle_law(
     if near is not None:
         law = prior.laws(near[None])
         noise = law.noise(structure)
-    robust = fit
-    mode = near
+    robust, mode, has_settled = fit, near, False
     for _ in range(MAX_ROUNDS):
         coordinates = fit.coordinates(theta, stated, first.prior_sd)
         z, iterations = robust.solve(noise, coordinates, theta)
         theta = coordinates.to_theta(z)
-        jacobian = fit.measurement.jacobian(fit.series, theta)
-        slopes = structure.standardise(jacobian @ coordinates.basis)
-        residual = structure.standardise(fit.residuals(theta))
+        residual, slopes = fit.linearise(structure, coordinates, theta)
         about_nominal = residual + slopes @ z
         clean = robust_residuals(structure, law, about_nominal, slopes)
         replaced = clean - slopes @ z
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
         model = ResidualModel(structure, replaced, slopes, z)
-        before, probable = mode, model.most_probable(prior, mode)
-        mode = probable
+        before = mode
+        mode = probable = model.most_probable(prior, mode)
         law = prior.laws(probable[None])
         noise = law.noise(structure)
         if before is not None and np.abs(probable - before).max() < LAW_TOLERANCE:
+            has_settled = True
             break
     return SettledLaw(
-        model, law, prior, probable, noise, coordinates, robust, iterations
+        model=model,
+        law=law,
+        prior=prior,
+        mode=probable,
+        noise=noise,
+        coordinates=coordinates,
+        robust=robust,
+        iterations=iterations,
+        has_settled=has_settled,
     )
 
 
@@ -258,19 +266,19 @@ class LawCheck:
     ratio        of the sum of squares between them to what the law lets expect
     probability  of a larger one if what the law describes is noise
     widening     w: sd of an estimate by stated weights under the law, over the stated one
-    carried      standard deviation of what readings have in common with their neighbours,
+    correlated   standard deviation of what readings have in common with their neighbours,
                  over the stated noise; 0 where that is an assumption
     """
 
     ratio: float
     probability: float
     widening: float
-    carried: float = 0.0
+    correlated: float = 0.0
 
     @property
     def is_noise(self) -> bool:
         """Whether neighbouring readings have no more in common than noise can."""
-        return self.carried <= MAX_CORRELATED
+        return self.correlated <= MAX_CORRELATED
 
     @property
     def is_contradicted(self) -> bool:
@@ -299,24 +307,24 @@ def check_law(
     difference = by_variances @ (weighted.T @ residual) - by_law @ gram[:, 0]
     expected = information @ (by_variances @ between @ by_variances - by_law)
     total = float(difference @ information @ difference)
-    ratio, probability = _of_sum(total, expected)
+    ratio, probability = _satterthwaite(total, expected)
     stated = Laws.stated(structure).factor(structure)
     widening = _widening(slopes, stated, errors)
-    return LawCheck(ratio, probability, widening, _carried(structure, law))
+    return LawCheck(ratio, probability, widening, _correlated(structure, law))
 
 
-def _carried(structure: ReadingStructure, law: Laws) -> float:
+def _correlated(structure: ReadingStructure, law: Laws) -> float:
     """What the first law carries along, of the group in which it is largest."""
     if structure.statement.is_assumed:
         return 0.0
-    return float(law.scale[0].max() * np.sqrt(law.carried[0]))
+    return float(law.scale[0].max() * np.sqrt(law.correlated[0]))
 
 
 def _uncorrelated(law: Laws) -> Laws:
-    """A law of the same variances, with nothing carried along and no level of runs."""
+    """A law of the same variances, white and without levels of runs."""
     none = np.zeros(len(law))
     scale = law.scale * np.sqrt(1.0 + law.level**2)[:, None]
-    return dataclasses.replace(law, scale=scale, carried=none, level=none)
+    return dataclasses.replace(law, scale=scale, correlated=none, level=none)
 
 
 def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:
@@ -331,7 +339,7 @@ def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:
     return float(np.sqrt(np.mean(variances)))
 
 
-def _of_sum(total: float, expected: Array) -> tuple[float, float]:
+def _satterthwaite(total: float, expected: Array) -> tuple[float, float]:
     """Ratio to its mean, and probability of more, of a weighted sum of squares.
 
     Its first two moments are those of a scaled chi-square (Satterthwaite 1946).

@@ -2,7 +2,7 @@
 
 A number departs from the stated noise where a difference that matters has the
 probability `P_DEPARTURE`: single readings that scatter by a fifth more or less, an error of a
-run or of a seat that is half the stated noise, a quarter of the variance carried along.
+run or of a seat that is half the stated noise, a quarter of the variance correlated.
 """
 
 from __future__ import annotations
@@ -62,12 +62,18 @@ def noise_numbers(
                 weights, "seat", setup.name, stated.unit, seat, expected, far
             )
     records += seated.values()
-    if prior.CARRIED in prior.names:
+    if prior.CORRELATED in prior.names:
         statement = structure.statement
-        far = laws.carried - statement.carried_share > CORRELATED_SHARE
+        far = laws.correlated - statement.correlated_share > CORRELATED_SHARE
         records.append(
             _record(
-                weights, "carried", "", "1", laws.carried, statement.carried_share, far
+                weights,
+                "carried",
+                "",
+                "1",
+                laws.correlated,
+                statement.correlated_share,
+                far,
             )
         )
         never = np.zeros(len(laws), dtype=bool)
@@ -113,11 +119,11 @@ def _channel_numbers(
     is_larger = weights @ scatter > 1.0
     far = (scatter > SCATTER) if is_larger else (scatter < 1.0 / SCATTER)
     yield _record(weights, "reading", name, unit, sigma * scatter, sigma, far)
-    level, known = _run_errors(stated, scale, laws)
+    level, stated_level = _run_errors(stated, scale, laws)
     has_level = stated.shared > 0.0 if stated.is_level else prior.RUN in prior.names
     if has_level:
-        whole = sigma * np.hypot(level, known)
-        excess = known - stated.shared if stated.is_level else level
+        whole = sigma * np.hypot(level, stated_level)
+        excess = stated_level - stated.shared if stated.is_level else level
         expected = sigma * stated.shared
         far = excess > SHARED_SIZE
         yield _record(weights, "run", name, unit, whole, expected, far)
@@ -130,7 +136,7 @@ def _channel_numbers(
 def _scatter_within_run(laws: Laws, longest: int) -> Array:
     """Scatter (L,) about the mean of the longest run, over that of a single reading.
 
-    What is carried farther than a run is none of its scatter, and no residual shows it.
+    What is correlated beyond a run is none of its scatter, and no residual shows it.
     With decay d, the mean correlation of two of n readings is
     2 d (n (1 - d) - (1 - d^n)) / (n (n - 1) (1 - d)^2).
     """
@@ -138,7 +144,7 @@ def _scatter_within_run(laws: Laws, longest: int) -> Array:
     whole = -np.expm1(-longest / laws.reach)
     pairs = max(longest * (longest - 1), 1)
     related = 2.0 * (1.0 - fresh) * (longest * fresh - whole) / (pairs * fresh**2)
-    return np.asarray(np.sqrt(1.0 - laws.carried * related))
+    return np.asarray(np.sqrt(1.0 - laws.correlated * related))
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

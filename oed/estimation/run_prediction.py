@@ -26,7 +26,7 @@ from oed.measurement import Measurement, Series
 from oed.result import LeftOutRun
 
 #: probability below which a run is surprising, over the number of runs
-SURPRISE = 1e-3
+P_SURPRISE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +49,7 @@ class RunPrediction:
     @property
     def surprising(self) -> tuple[LeftOutRun, ...]:
         """Runs that the others contradict, the worst first."""
-        limit = SURPRISE / len(self.runs)
+        limit = P_SURPRISE / len(self.runs)
         far = [one for one in self.runs if one.p_high < limit]
         return tuple(sorted(far, key=lambda one: one.p_high))
 
@@ -65,7 +65,7 @@ def predict_runs(
     origin = np.where(estimate.prior_sd > 0.0, measurement.nominal, estimate.theta)
     residual = _residuals(measurement, series, estimate)
     about_nominal = residual + jacobian @ (estimate.theta - origin)
-    noise, common = estimate.noise.of_runs()
+    noise, common = estimate.noise.split_common()
     white = noise.whiten(about_nominal)
     freed = estimate.prior_sd > 0.0
     in_prior_units = estimate.widening * measurement.in_prior_units(jacobian, freed)
@@ -114,9 +114,9 @@ def _runs(
     start = 0
     for s in series:
         channels = len(measurement.setups[s.setup].instrument.channels)
-        places = start + np.arange(len(s) * channels).reshape(len(s), channels)
+        numbers = start + np.arange(len(s) * channels).reshape(len(s), channels)
         for run in dict.fromkeys(s.run):
-            rows = places[np.flatnonzero(s.run == run)].ravel()
+            rows = numbers[np.flatnonzero(s.run == run)].ravel()
             labels.setdefault((s.setup, str(run)), []).append(rows)
         start += len(s) * channels
     return list(labels), [np.concatenate(rows) for rows in labels.values()]

@@ -92,17 +92,17 @@ def fleet_prior(machines: Sequence[MachineInformation]) -> FleetPrior:
     variance = np.full(b.shape[1], np.mean(SPREADS**2))
     for _ in range(N_SWEEPS):
         for k in range(len(variance)):
-            variance[k] = _over_grid(A, b, variance, k).weights @ SPREADS**2
+            variance[k] = _grid(A, b, variance, k).weights @ SPREADS**2
     _, middle, about = _further_machine(A, b, variance)
     mean, covariance = middle.copy(), about.copy()
     for k in range(len(variance)):
-        grid = _over_grid(A, b, variance, k)
+        grid = _grid(A, b, variance, k)
         average = grid.weights @ grid.means
         change = grid.means - average
         mean += average - middle
         covariance += np.tensordot(grid.weights, grid.covariances, axes=1) - about
         covariance += (change * grid.weights[:, None]).T @ change
-    return FleetPrior(mean, _at_least(covariance, MIN_VARIANCE))
+    return FleetPrior(mean, _raised(covariance, MIN_VARIANCE))
 
 
 class _Grid(NamedTuple):
@@ -113,7 +113,7 @@ class _Grid(NamedTuple):
     covariances: Array
 
 
-def _over_grid(A: Array, b: Array, variance: Array, k: int) -> _Grid:
+def _grid(A: Array, b: Array, variance: Array, k: int) -> _Grid:
     """Spread k over the grid, the others at their variance."""
     changed = variance.copy()
     machines = []
@@ -126,7 +126,7 @@ def _over_grid(A: Array, b: Array, variance: Array, k: int) -> _Grid:
     return _Grid(weights / weights.sum(), means, np.array([m[2] for m in machines]))
 
 
-def _at_least(matrix: Array, least: float) -> Array:
+def _raised(matrix: Array, least: float) -> Array:
     """The symmetric matrix with eigenvalues raised to a least one."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)

@@ -39,7 +39,7 @@ from oed.linear_algebra import covariance_root
 #: standard deviation of ten tolerances
 MIN_INFORMATION = 1e-2
 #: share of a combination's sd below which a parameter does not belong to it
-MIN_SD_SHARE = 0.01
+MIN_SHARE = 0.01
 #: largest eigenvalue of a posterior covariance over the prior's: what no reading
 #: determines has 1, up to rounding
 MAX_INFORMED = 1.0 - 1e-9
@@ -56,7 +56,7 @@ class CombinationChange:
     """Change of a combination of parameters that both sessions determine.
 
     coefficients  by parameter, the pivot first with 1, then those that contribute most
-                  to sd; what contributes less than MIN_SD_SHARE is left out
+                  to sd; what contributes less than MIN_SHARE is left out
     change, sd    second session less the first, and its standard deviation
     p_value       of no change, two-sided, for this combination alone
     """
@@ -161,12 +161,14 @@ def estimate_change(
     """The change over sessions at times `elapsed` (k,), per unit of time."""
     parts = [likelihood(s, nominal, tolerance) for s in sessions]
     span = _determined_span([root for root, _ in parts])
-    rows = [_within(root, t, span) for root, t in parts]
+    rows = [_reduced(root, t, span) for root, t in parts]
     level = np.vstack([root for root, _ in rows])
     slope = np.vstack([s * root for s, (root, _) in zip(elapsed, rows, strict=True)])
     estimates = np.concatenate([t for _, t in rows])
     basis = np.linalg.qr(level)[0] if level.size else level
-    slope, estimates = (_without(basis, _without(basis, v)) for v in (slope, estimates))
+    slope, estimates = (
+        _projected_out(basis, _projected_out(basis, v)) for v in (slope, estimates)
+    )
     vectors, singular, right = np.linalg.svd(slope, full_matrices=False)
     determined = singular**2 > MIN_INFORMATION
     white = vectors[:, determined].T @ estimates
@@ -202,7 +204,7 @@ def _determined_span(roots: Sequence[Array]) -> Array:
     return right[singular >= 1.0].T
 
 
-def _within(root: Array, estimate: Array, span: Array) -> tuple[Array, Array]:
+def _reduced(root: Array, estimate: Array, span: Array) -> tuple[Array, Array]:
     """Root (k, q) and estimates (k,) within a span (n, q), without what says nothing."""
     vectors, singular, right = np.linalg.svd(root @ span, full_matrices=False)
     informed = singular**2 > MIN_INFORMATION
@@ -210,7 +212,7 @@ def _within(root: Array, estimate: Array, span: Array) -> tuple[Array, Array]:
     return reduced, vectors[:, informed].T @ estimate
 
 
-def _without(basis: Array, values: Array) -> Array:
+def _projected_out(basis: Array, values: Array) -> Array:
     """Values (m,) or (m, q) without their part in an orthonormal basis (m, k)."""
     return values - basis @ (basis.T @ values)
 
@@ -232,7 +234,7 @@ def combinations(
         unit = tolerance[pivot]
         share = np.abs(row) * np.linalg.norm(inverse, axis=1) / sd
         ranked = np.argsort(-share, kind="stable")
-        others = [k for k in ranked if share[k] >= MIN_SD_SHARE and k != pivot]
+        others = [k for k in ranked if share[k] >= MIN_SHARE and k != pivot]
         coefficients = {names[pivot]: 1.0}
         for k in others:
             coefficients[names[k]] = float(row[k] * unit / tolerance[k])

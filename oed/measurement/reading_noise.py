@@ -41,7 +41,7 @@ def stated_noise(several: Sequence[tuple[SetupReadings, Series]]) -> Noise:
 def _is_independent(readings: SetupReadings, series: Series) -> bool:
     """Whether no two readings of a series have an error in common."""
     setup = readings.setup
-    alone = setup.instrument.sources is None and not setup.statement.carried_share
+    alone = setup.instrument.sources is None and not setup.statement.correlated_share
     return alone and not run_errors(readings, series).size
 
 
@@ -55,7 +55,7 @@ def _variances(readings: SetupReadings, series: Series) -> Array:
 def _errors(readings: SetupReadings, series: Series) -> Errors:
     """What the covariance of the readings of a series consists of, run by run."""
     setup = readings.setup
-    channels, share = len(setup.sigma), setup.statement.carried_share
+    channels, share = len(setup.sigma), setup.statement.correlated_share
     run = np.repeat(np.unique(series.run, return_inverse=True)[1], channels)
     channel = np.tile(np.arange(channels), len(series))
     order = np.lexsort((channel, run))
@@ -68,7 +68,7 @@ def _errors(readings: SetupReadings, series: Series) -> Errors:
         starts=np.flatnonzero(np.diff(run[order], prepend=-1)),
         decay=decay if share else np.zeros(len(order)),
         single=np.full(len(order), 1.0 - share),
-        carried=np.full(len(order), share),
+        correlated=np.full(len(order), share),
         shared=shared[order],
         scale=np.ones(len(order)),
         unmix=sparse.csr_array(unmix[order][:, order]),

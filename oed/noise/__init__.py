@@ -12,7 +12,7 @@ NoiseStatement    what a data sheet or a test states beyond the scatter of readi
 ReadingStructure  readings in chains of runs
 SharedError       kinds of errors that a run shares
 SharedFactor      root of I + U U^T, for errors U that readings share
-reach_phrase      how far an error is carried along a run, in words
+reach_phrase      how far an error is correlated along a run, in words
 """
 
 from typing import TYPE_CHECKING

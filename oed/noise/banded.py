@@ -1,9 +1,9 @@
 """Roots of errors along chains and of errors that segments share, in linear time.
 
-A chain has the error single_i + carried_i, with `single` independent and `carried` an
+A chain has the error white_i + correlated_i, the first independent, the second an
 Ornstein-Uhlenbeck process:
 
-    carried_i = d_i carried_(i-1) + sqrt(1 - d_i^2) a white_i,
+    correlated_i = d_i correlated_(i-1) + sqrt(1 - d_i^2) a e_i,
 
 d_i its decay from the reading before (0 for the first). Chains stand one after the other.
 With D the differences x_i - d_i x_(i-1), T = D C D^T relates neighbours alone, so that
@@ -32,8 +32,8 @@ from scipy.linalg import lapack
 
 from oed.base import Array, Index
 
-#: rows of a block
-ROWS = 32
+#: rows of a block that are whitened by one product
+BLOCK_ROWS = 32
 
 
 class ChainFactor:
@@ -42,8 +42,8 @@ class ChainFactor:
     def __init__(self, decay: Array, single: Array, fresh: Array) -> None:
         """Factor the covariance.
 
-        decay   (N,) what stays of what is carried in the reading before; 0 for the first
-        single  (N,) variances of what is not carried
+        decay   (N,) correlation with the error of the reading before; 0 for the first
+        single  (N,) variances of the white part
         fresh   (N,) variances of what joins it: a^2 (1 - d^2)
 
         Raises LinAlgError where the covariance is not positive definite.
@@ -78,30 +78,36 @@ class ChainFactor:
             return np.asarray(values / self._root)
         white = np.empty(values.shape)
         # values of a block, then the value before it as it was and whitened
-        stack = np.zeros((ROWS + 2, values.shape[1]))
+        stack = np.zeros((BLOCK_ROWS + 2, values.shape[1]))
         for number, matrix in enumerate(self._blocks):
-            first = number * ROWS
-            count = min(ROWS, len(values) - first)
+            first = number * BLOCK_ROWS
+            count = min(BLOCK_ROWS, len(values) - first)
             stack[:count] = values[first : first + count]
             if first:
-                stack[ROWS], stack[ROWS + 1] = values[first - 1], white[first - 1]
+                stack[BLOCK_ROWS], stack[BLOCK_ROWS + 1] = (
+                    values[first - 1],
+                    white[first - 1],
+                )
             np.matmul(matrix[:count], stack, out=white[first : first + count])
         return white
 
     @functools.cached_property
     def _blocks(self) -> Array:
-        """Matrices (B, ROWS, ROWS + 2) that whiten blocks of rows."""
+        """Matrices (B, BLOCK_ROWS, BLOCK_ROWS + 2) that whiten blocks of rows."""
         size = len(self._variance)
-        count = -(-size // ROWS)
-        decay, slope = np.zeros((2, count, ROWS))
-        root = np.ones((count, ROWS))
+        count = -(-size // BLOCK_ROWS)
+        decay, slope = np.zeros((2, count, BLOCK_ROWS))
+        root = np.ones((count, BLOCK_ROWS))
         decay.flat[1:size], root.flat[:size] = self._decay, self._root[:, 0]
         slope.flat[1:size] = self._slope * self._root[:-1, 0]
-        every, later = np.arange(ROWS), np.arange(1, ROWS)
-        right = np.zeros((count, ROWS, ROWS + 2))
+        every, later = np.arange(BLOCK_ROWS), np.arange(1, BLOCK_ROWS)
+        right = np.zeros((count, BLOCK_ROWS, BLOCK_ROWS + 2))
         right[:, every, every] = 1.0
         right[:, later, later - 1] = -decay[:, 1:]
-        right[:, 0, ROWS], right[:, 0, ROWS + 1] = -decay[:, 0], -slope[:, 0]
+        right[:, 0, BLOCK_ROWS], right[:, 0, BLOCK_ROWS + 1] = (
+            -decay[:, 0],
+            -slope[:, 0],
+        )
         right[:, 0] /= root[:, :1]
         for i in later:
             right[:, i] -= slope[:, i, None] * right[:, i - 1]
@@ -127,7 +133,7 @@ class ChainFactor:
         Z_ii = 1 / V_i + L_(i+1)i^2 Z_(i+1)(i+1) and Z_(i+1)i = -L_(i+1)i Z_(i+1)(i+1).
         """
         backward = np.append(0.0, self._slope[::-1] ** 2)
-        inverse = along_chains(backward, 1.0 / self._variance[::-1])[::-1].copy()
+        inverse = chain_errors(backward, 1.0 / self._variance[::-1])[::-1].copy()
         later = self._decay * inverse[1:]
         inverse[:-1] += (self._decay + 2.0 * self._slope) * later
         return np.asarray(inverse)
@@ -142,12 +148,12 @@ def _solved(below: Array, values: Array, trans: str) -> Array:
     return np.asarray(solved)
 
 
-def along_chains(decay: Array, fresh: Array) -> Array:
+def chain_errors(decay: Array, fresh: Array) -> Array:
     """Errors e_k = d_k e_k-1 + fresh_k (N,), of decays (N,): 0 for the first of a chain."""
     return _solved(-decay[1:], fresh[:, None].copy(), "N")[:, 0]
 
 
-def sums_along_chains(decay: Array, values: Array) -> Array:
+def chain_sums(decay: Array, values: Array) -> Array:
     """D^-T Y (N, m), for Y (N, m): what each fresh error adds to sums of the errors."""
     return _solved(-decay[1:], values, "T")
 
@@ -167,8 +173,8 @@ class SharedFactor:
             u = remaining[:, k]
             if not u.any():
                 continue
-            known = 1.0 + sign * _sums_before(u[:, None] ** 2, starts)[:, 0]
-            step = (u, known, known + sign * u**2)
+            before = 1.0 + sign * _sums_before(u[:, None] ** 2, starts)[:, 0]
+            step = (u, before, before + sign * u**2)
             remaining = self._apply(step, remaining)
             self._steps.append(step)
 
@@ -180,19 +186,19 @@ class SharedFactor:
 
     def unwhiten(self, values: Array) -> Array:
         """W^-1 Y (N, m), for Y (N, m)."""
-        for u, known, total in reversed(self._steps):
-            share = self._sign * u / np.sqrt(known * total)
+        for u, before, total in reversed(self._steps):
+            share = self._sign * u / np.sqrt(before * total)
             drawn = _sums_before(share[:, None] * values, self._starts)
-            alone = np.sqrt(total / known)[:, None] * values
+            alone = np.sqrt(total / before)[:, None] * values
             values = alone + u[:, None] * drawn
         return values
 
     def _apply(self, step: tuple[Array, Array, Array], values: Array) -> Array:
-        u, known, total = step
+        u, before, total = step
         changed = _sums_before(u[:, None] * values, self._starts)
-        changed *= (-self._sign * u / known)[:, None]
+        changed *= (-self._sign * u / before)[:, None]
         changed += values
-        changed *= np.sqrt(known / total)[:, None]
+        changed *= np.sqrt(before / total)[:, None]
         return changed
 
 
@@ -203,12 +209,12 @@ class SharedProducts:
         """Prepare columns U (N, K); `starts` (S,) of the segments."""
         self._columns, self._starts = columns, starts
         #: (S, K, K) products U^T U of each segment
-        self.inner = self.of_segments(columns)
+        self.inner = self._products(columns)
         unit = np.eye(columns.shape[1])
         #: log determinant of the covariance
         self.log_det = float(np.linalg.slogdet(unit + self.inner)[1].sum())
 
-    def of_segments(self, values: Array) -> Array:
+    def _products(self, values: Array) -> Array:
         """U^T Y (S, K, m) of each segment, for Y (N, m)."""
         return np.array([u.T @ y for u, y in self._pairs(values)])
 

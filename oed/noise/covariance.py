@@ -63,7 +63,7 @@ class Noise:
         """The same noise times a factor."""
         return self if factor == 1.0 else Noise(self.sigma * factor)
 
-    def of_runs(self) -> tuple[Noise, Array]:
+    def split_common(self) -> tuple[Noise, Array]:
         """Noise that is independent between runs, and what all readings share beside it.
 
         The latter as columns (N, k), SI, per standard deviation of each.

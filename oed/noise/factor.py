@@ -5,8 +5,8 @@ independent of the others. Within a segment
 
     C = P S (D^-1 T D^-T + U U^T) S P^T,
 
-P relates the channels of a reading, S scales readings, the banded part holds single and
-carried errors and U what the segment shares (`oed.noise.banded`).
+P relates the channels of a reading, S scales readings, the banded part holds white and
+correlated errors and U what the segment shares (`oed.noise.banded`).
 
 Innovations of held-out readings given the others are linear as well. With O the inverse
 covariance of all readings and O_hh that of the held-out ones among them, L^-1 (O v)_h
@@ -34,8 +34,8 @@ from oed.noise.banded import (
     ChainFactor,
     SharedFactor,
     SharedProducts,
-    along_chains,
-    sums_along_chains,
+    chain_errors,
+    chain_sums,
 )
 
 #: share of a precision below which it is rounding
@@ -48,10 +48,10 @@ class Errors:
 
     order    (k,) numbers of the readings
     starts   (S,) first reading of each segment
-    decay    (k,) correlation with what is carried in the reading before; 0 for the first
+    decay    (k,) correlation with that part of the reading before; 0 for the first
              of a chain
-    single   (k,) variances of what is not carried
-    carried  (k,) variances of what is carried along, alike within a chain
+    single   (k,) variances of the white part
+    correlated  (k,) variances of the correlated part, alike within a chain
     shared   (k, K) errors that a segment shares
     scale    (k,)
     unmix    (k, k) sparse P^-1, lower triangular; None: 1
@@ -61,7 +61,7 @@ class Errors:
     starts: Index
     decay: Array
     single: Array
-    carried: Array
+    correlated: Array
     shared: Array
     scale: Array
     unmix: sparse.csr_array | None = None
@@ -78,19 +78,19 @@ class Errors:
         values = scored / self.scale[:, None]
         if self.unmix is not None:
             values = self.unmix.T @ values
-        return _in_place(self.order, values)
+        return _unordered(self.order, values)
 
     @property
     def fresh(self) -> Array:
-        """Variances (k,) of what joins what is carried along."""
-        return self.carried * (1.0 - self.decay**2)
+        """Variances (k,) of what joins the correlated part."""
+        return self.correlated * (1.0 - self.decay**2)
 
     def covariance_of(self, values: Array) -> Array:
         """Y^T C Y (m, m), for Y (N, m): of sums of the errors. P is 1."""
         ordered = values[self.order] * self.scale[:, None]
         covariance = ordered.T @ (ordered * self.single[:, None])
-        carried = sums_along_chains(self.decay, ordered)
-        covariance += carried.T @ (carried * self.fresh[:, None])
+        correlated = chain_sums(self.decay, ordered)
+        covariance += correlated.T @ (correlated * self.fresh[:, None])
         ends = [*self.starts[1:], len(ordered)]
         for start, end in zip(self.starts, ends, strict=True):
             segment = ordered[start:end].T @ self.shared[start:end]
@@ -155,7 +155,7 @@ class LinearFactor:
             diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
         shared = errors.unstandardise(self.scored_root())
         explained: Array = (shared**2).sum(axis=1)
-        return _in_place(errors.order, diagonal) - explained
+        return _unordered(errors.order, diagonal) - explained
 
     def scaled(self, factor: float) -> LinearFactor:
         """The root of errors times a factor."""
@@ -233,7 +233,7 @@ def joined(parts: Sequence[Errors]) -> Errors:
     first = np.cumsum([0, *counts[:-1]])
     widest = max(part.shared.shape[1] for part in parts)
 
-    def together(name: str) -> Array:
+    def stacked(name: str) -> Array:
         return np.concatenate([getattr(part, name) for part in parts])
 
     def numbers(name: str) -> Index:
@@ -251,16 +251,16 @@ def joined(parts: Sequence[Errors]) -> Errors:
     return Errors(
         order=numbers("order"),
         starts=numbers("starts"),
-        decay=together("decay"),
-        single=together("single"),
-        carried=together("carried"),
+        decay=stacked("decay"),
+        single=stacked("single"),
+        correlated=stacked("correlated"),
         shared=np.concatenate(shared),
-        scale=together("scale"),
+        scale=stacked("scale"),
         unmix=sparse.csr_array(sparse.block_diag(unmix)),
     )
 
 
-def _in_place(order: Index, ordered: Array) -> Array:
+def _unordered(order: Index, ordered: Array) -> Array:
     """Values (N, ...) of all readings, which stand in an order."""
     values = np.empty_like(ordered)
     values[order] = ordered
@@ -295,7 +295,7 @@ class Innovations:
 class Chains:
     """What chains carry, given all readings: a Markov chain forward along each.
 
-    K_jj = psi_j^2 K_bb + q_j for the reading b before j, of carried errors over the
+    K_jj = psi_j^2 K_bb + q_j for the reading b before j, of correlated errors over the
     variances of single readings.
     """
 
@@ -303,7 +303,7 @@ class Chains:
         """Condition on all readings; no single error may be exact."""
         self._precision = 1.0 / errors.single
         self._chain = np.cumsum(errors.decay == 0.0)
-        self._has_correlation = bool(errors.carried.any())
+        self._has_correlation = bool(errors.correlated.any())
         if self._has_correlation:
             self._condition(errors.decay, errors.fresh)
 
@@ -318,7 +318,7 @@ class Chains:
         step = np.concatenate([[0.0], -neighbour * variance[1:]])
         # steps multiply along a chain: sums of logarithms
         self._log_steps = np.cumsum(np.log(np.where(step > 0.0, step, 1.0)))
-        self._marginal = along_chains(step**2, variance)
+        self._marginal = chain_errors(step**2, variance)
 
     def precision_of(self, rows: Index) -> ChainFactor:
         """Factor of E^-1 - E^-1 K E^-1 for rows (h,) of the readings in order."""

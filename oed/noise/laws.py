@@ -2,19 +2,19 @@
 
 In units of the stated noise, a chain of readings (one channel of a run) has the error
 
-    e_k = s [ sqrt(1 - f) white_k + sqrt(f) carried_k + a level + c . seat + shared
+    e_k = s [ sqrt(1 - f) white_k + sqrt(f) correlated_k + a level + c . seat + shared
               + d . course ]
 
-with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck process
-with correlation exp(-|k - l| / reach), s the channel's own scale, seat the unknowns of the
-set-up that the run seats anew, with slopes c, and shared the errors that instrument and
-study state. The course of the session goes through all runs
+with white_k and level independent standard normal, correlated_k an Ornstein-Uhlenbeck
+process with correlation exp(-|k - l| / reach), s the channel's own scale, seat the
+unknowns of the set-up that the run seats anew, with slopes c, and shared the errors that
+instrument and study state. The course of the session goes through all runs
 (`oed.measurement.noise_structure`).
 
-White and carried errors have a banded root; what a run shares is a matrix of a few columns,
-taken out by the Woodbury identity (`oed.noise.banded`). Both are linear in the number of
-readings. A session's course and effects that the model lacks are columns V that all
-readings share: the covariance is C + V V^T.
+White and correlated errors have a banded root; what a run shares is a matrix of a few
+columns, taken out by the Woodbury identity (`oed.noise.banded`). Both are linear in the
+number of readings. A session's course and effects that the model lacks are columns V that
+all readings share: the covariance is C + V V^T.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from scipy import sparse
 
 from oed.base import Array, Index
-from oed.noise.banded import ChainFactor, along_chains, taken_out
+from oed.noise.banded import ChainFactor, chain_errors, taken_out
 from oed.noise.covariance import FactoredNoise, Noise
 from oed.noise.factor import Errors, LinearFactor, WideFactor
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -36,7 +36,7 @@ from oed.noise.structure import ReadingStructure
 #: least and largest size of an outlier that is drawn, over the noise of single readings
 OUTLIER_SIZES = (5.0, 50.0)
 #: numbers in the largest array of one batch of laws: 8 MB
-BATCH_NUMBERS = 1_000_000
+BATCH_SIZE = 1_000_000
 #: size of a part of a law, over the stated noise, from which it is described
 DESCRIBED_SIZE = 0.2
 
@@ -46,8 +46,8 @@ class Laws:
     """L noise laws, in units of the stated noise.
 
     scale    (L, G) of each group of readings
-    carried  (L,) share f of the variance of single readings that is carried along
-    reach    (L,) of what is carried along, in readings
+    correlated  (L,) share f of the variance of single readings that is correlated
+    reach    (L,) of that correlation along a run, in readings
     level    (L,) standard deviation of a run's level
     seat     (L,) standard deviation of a renewed unknown
     stated_level, stated_seat  (L,) factors on those that are stated; ones by default
@@ -55,7 +55,7 @@ class Laws:
     """
 
     scale: Array
-    carried: Array
+    correlated: Array
     reach: Array
     level: Array
     seat: Array
@@ -71,13 +71,13 @@ class Laws:
                 object.__setattr__(self, name, np.ones(len(self)))
 
     def __len__(self) -> int:
-        return len(self.carried)
+        return len(self.correlated)
 
     @property
     def sizes(self) -> Array:
         """Sizes (L, 5) of the errors that a run shares, by their kinds."""
-        known = np.ones(len(self))
-        kinds = (self.level, known, self.seat, self.stated_level, self.stated_seat)
+        ones = np.ones(len(self))
+        kinds = (self.level, ones, self.seat, self.stated_level, self.stated_seat)
         return np.stack(kinds, axis=1)
 
     def take(self, rows: Array | slice | list[int]) -> Laws:
@@ -93,7 +93,7 @@ class Laws:
         zero, statement = np.zeros(count), structure.statement
         return cls(
             scale=np.full((count, len(structure.names)), scale),
-            carried=zero + statement.carried_share,
+            correlated=zero + statement.correlated_share,
             reach=zero + statement.reach_median,
             level=zero,
             seat=zero,
@@ -111,7 +111,7 @@ class Laws:
         (common,) = common_columns(structure, law)
         if common.size:
             sd = np.sqrt(sd**2 + (common**2).sum(axis=1))
-        alone = LinearFactor(_in_reading_units(structure, law.errors(structure)))
+        alone = LinearFactor(_reading_errors(structure, law.errors(structure)))
         factor: LinearFactor | WideFactor = alone
         if structure.has_effects:
             factor = alone.widened(structure.restore(structure.effects.T).T)
@@ -138,7 +138,7 @@ class Laws:
         ordered, position = chain[order], structure.position[order]
         first = np.diff(ordered, prepend=-1) > 0
         steps = np.diff(position, prepend=0.0)
-        carried = np.full(len(order), self.carried[0])
+        correlated = np.full(len(order), self.correlated[0])
         decay = np.exp(-np.where(first, np.inf, steps) / self.reach[0])
         new_run = np.diff(structure.run[ordered], prepend=-1) > 0
         starts = np.flatnonzero(new_run)
@@ -150,15 +150,15 @@ class Laws:
         return Errors(
             order=order,
             starts=starts,
-            decay=decay if carried.any() else np.zeros(len(order)),
-            single=1.0 - carried,
-            carried=carried,
+            decay=decay if correlated.any() else np.zeros(len(order)),
+            single=1.0 - correlated,
+            correlated=correlated,
             shared=shared,
             scale=self.scale[0, structure.group][order],
         )
 
 
-def _in_reading_units(structure: ReadingStructure, errors: Errors) -> Errors:
+def _reading_errors(structure: ReadingStructure, errors: Errors) -> Errors:
     """Errors over the stated noise as errors of the readings, SI, channels coupled."""
     order = errors.order
     if structure.decouple is None:
@@ -201,12 +201,12 @@ class LawNoise(FactoredNoise):
     structure: ReadingStructure
     law: Laws
 
-    def of_runs(self) -> tuple[Noise, Array]:
+    def split_common(self) -> tuple[Noise, Array]:
         """As in `Noise`: effects and the course apart."""
         structure, law = self.structure, self.law
         (columns,) = common_columns(structure, law)
         if not columns.size:
-            return super().of_runs()
+            return super().split_common()
         alone = dataclasses.replace(law, course=np.zeros(len(law)))
         bare = dataclasses.replace(structure, effects=np.zeros((0, 0)))
         return alone.noise(bare), structure.restore(columns.T).T
@@ -236,7 +236,7 @@ class NoiseLaw:
 
     def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:
         """What the covariance of the readings, or of `rows`, consists of."""
-        errors = _in_reading_units(structure, self.law.errors(structure, rows))
+        errors = _reading_errors(structure, self.law.errors(structure, rows))
         return dataclasses.replace(errors, scale=self.level * errors.scale)
 
     def factor(
@@ -254,7 +254,10 @@ class NoiseLaw:
             f"single readings scatter by {self.level:.2g} times the stated noise"
         ]
         run, seat = (float(sizes[0]) for sizes in (self.law.level, self.law.seat))
-        carried, reach = float(np.sqrt(self.law.carried[0])), float(self.law.reach[0])
+        correlated, reach = (
+            float(np.sqrt(self.law.correlated[0])),
+            float(self.law.reach[0]),
+        )
         if run > DESCRIBED_SIZE:
             sentences.append(
                 f"a run repeats to {self.level * run:.2g} times the stated noise"
@@ -264,9 +267,9 @@ class NoiseLaw:
                 "what a run seats anew, such as a cup on its magnet, repeats to"
                 f" {self.level * seat:.2g} times the stated noise"
             )
-        if carried > DESCRIBED_SIZE:
+        if correlated > DESCRIBED_SIZE:
             sentences.append(
-                f"an error of {self.level * carried:.2g} times the stated noise is"
+                f"an error of {self.level * correlated:.2g} times the stated noise is"
                 f" carried along {reach_phrase(reach, longest)}"
             )
         if np.isfinite(self.student_dof):
@@ -282,7 +285,7 @@ class NoiseLaw:
 
 
 def reach_phrase(reach: float, longest: float) -> str:
-    """How far an error is carried along a run, as far as its readings can show it.
+    """How far an error is correlated along a run, as far as its readings can show it.
 
     reach, longest  in readings; of the error, and of the longest run
     """
@@ -296,8 +299,8 @@ def reach_phrase(reach: float, longest: float) -> str:
 class Whitening:
     """Readings of a structure under L laws.
 
-    White and carried error have the banded root of `oed.noise.banded`, which a share and a
-    reach of what is carried along make: laws that differ in no more than scales and sizes
+    White and correlated error have the banded root of `oed.noise.banded`, which a share and a
+    reach of the correlated part make: laws that differ in no more than scales and sizes
     have it in common, and these are factors on its products. Values are (m, P, C, T), for
     P pairs of share and reach, chain by chain. Where a chain has no reading they are 0, of
     variance 1.
@@ -334,7 +337,7 @@ class Whitening:
     def _products_of_noise(self, values: Array) -> tuple[Array, Array]:
         """The same without what all readings share, of whose columns there are products."""
         laws, structure = self.laws, self.structure
-        pairs = np.stack([laws.carried, laws.reach], axis=1)
+        pairs = np.stack([laws.correlated, laws.reach], axis=1)
         number = np.arange(len(laws))
         if values.ndim == 2:
             values = values[None]
@@ -347,7 +350,7 @@ class Whitening:
             whole += factor[:, :, None] * grams[number, group] * factor[:, None]
         across = across[number] * factors[:, structure.group_of_chain, None]
         amounts = laws.sizes[:, structure.kinds]
-        shared = taken_out(inner[number], self._by_run(across), amounts)
+        shared = taken_out(inner[number], self._run_sums(across), amounts)
         counts = np.bincount(structure.group, minlength=laws.scale.shape[1])
         log_determinant = log_variances[number] + 2.0 * np.log(laws.scale) @ counts
         return whole - shared[0], log_determinant + shared[1]
@@ -378,18 +381,20 @@ class Whitening:
         wide = [structure.effects] if structure.has_effects else []
         wide += [structure.course] if self._has_course else []
         parts = [np.broadcast_to(w, (len(values), *w.shape)) for w in wide]
-        grid = self._on_chains(np.concatenate([values, *parts], axis=2))
-        shared = self._on_chains(structure.columns[None])
+        grid = self._chain_grid(np.concatenate([values, *parts], axis=2))
+        shared = self._chain_grid(structure.columns[None])
         size = grid[:, 0].size + shared.size
-        step = max(1, BATCH_NUMBERS // size)
+        step = max(1, BATCH_SIZE // size)
         blocks = []
         for k in range(0, len(pairs), step):
             some = pairs[k : k + step]
             part = grid if len(values) == 1 else grid[:, k : k + step]
-            blocks.append(self._of_pairs(some, part, shared))
+            blocks.append(self._pair_products(some, part, shared))
         return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
 
-    def _of_pairs(self, pairs: Array, grid: Array, shared: Array) -> tuple[Array, ...]:
+    def _pair_products(
+        self, pairs: Array, grid: Array, shared: Array
+    ) -> tuple[Array, ...]:
         """The same of some pairs, for values (m, 1 or P, C, T) and columns (K, 1, C, T)."""
         shape, count = (len(pairs), *self.structure.shape), len(grid)
         both = np.concatenate(
@@ -408,25 +413,25 @@ class Whitening:
         diagonal = np.einsum("pgmm->pgm", grams)
         diagonal *= 1.0 + np.sqrt(math.prod(shape[1:])) * np.finfo(float).eps
         across = both[count:].transpose(1, 2, 0, 3) @ both.transpose(1, 2, 3, 0)
-        inner = self._by_run(across[..., count:])
+        inner = self._run_sums(across[..., count:])
         return grams, across[..., :count], inner, log_variances
 
     def _factor(self, pairs: Array) -> ChainFactor:
-        """White and carried errors (P C T,)."""
-        carried, reach = pairs.T[:, :, None, None]
+        """White and correlated errors (P C T,)."""
+        correlated, reach = pairs.T[:, :, None, None]
         decay = np.exp(-self.structure.steps / reach)
-        single = np.broadcast_to(1.0 - carried, decay.shape)
-        fresh = carried * (1.0 - decay**2)
+        single = np.broadcast_to(1.0 - correlated, decay.shape)
+        fresh = correlated * (1.0 - decay**2)
         return ChainFactor(decay.ravel(), single.ravel(), fresh.ravel())
 
-    def _on_chains(self, values: Array) -> Array:
+    def _chain_grid(self, values: Array) -> Array:
         """Values (L or 1, N, m) by chains (m, L or 1, C, T)."""
         reading, absent = self.structure.reading_of_slot
         grid = np.take(values.transpose(2, 0, 1), reading, axis=2)
         grid[:, :, absent] = 0.0
         return grid
 
-    def _by_run(self, of_chains: Array) -> Array:
+    def _run_sums(self, of_chains: Array) -> Array:
         """Sums (L, R, ...) over each run of what its chains (L, C, ...) have."""
         first = self.structure.first_chains
         return np.asarray(np.add.reduceat(of_chains, first, axis=1))
@@ -446,12 +451,12 @@ class Whitening:
         """
         count, (chains, length) = len(self.laws), self.structure.shape
         white = rng.standard_normal((2, count, chains, length))
-        carried = self._carried_along(white[0])
-        share = self.laws.carried[:, None, None]
-        alone = _with_tails(white[1], tails, rng)
+        correlated = self._correlated_errors(white[0])
+        share = self.laws.correlated[:, None, None]
+        alone = _heavy_tailed(white[1], tails, rng)
         if estimated and tails.student_dof is not None:
             alone *= _student_over_pseudo(tails.student_dof)
-        single = np.sqrt(1.0 - share) * alone + np.sqrt(share) * carried
+        single = np.sqrt(1.0 - share) * alone + np.sqrt(share) * correlated
         runs = int(self.structure.run[-1]) + 1
         amounts = rng.standard_normal((count, runs, len(self.structure.kinds)))
         amounts *= self.laws.sizes[:, None, self.structure.kinds]
@@ -467,11 +472,11 @@ class Whitening:
             )
         return np.asarray(errors)
 
-    def _carried_along(self, white: Array) -> Array:
-        """Errors (L, C, T) of unit size that are carried along, of white ones."""
+    def _correlated_errors(self, white: Array) -> Array:
+        """Errors (L, C, T) of unit size that are correlated along a run, of white ones."""
         decay = np.exp(-self.structure.steps / self.laws.reach[:, None, None])
         fresh = np.sqrt(1.0 - decay**2) * white
-        return along_chains(decay.ravel(), fresh.ravel()).reshape(white.shape)
+        return chain_errors(decay.ravel(), fresh.ravel()).reshape(white.shape)
 
 
 def _rows(values: Array) -> Array:
@@ -488,7 +493,7 @@ def _student_over_pseudo(dof: float) -> float:
     return float(np.sqrt(dof / (dof - 2.0) * (dof + 1.0) / (dof + 3.0)))
 
 
-def _with_tails(
+def _heavy_tailed(
     errors: Array, tails: NoiseStatement, rng: np.random.Generator
 ) -> Array:
     """Independent normal errors of unit variance with the tails that are stated.

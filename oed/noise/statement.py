@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-#: reach of an error that is carried along a run, in readings, where none is stated
+#: reach of correlated noise, in readings, where none is stated
 REACH_MEDIAN = 8.0
 
 
@@ -18,9 +18,9 @@ class NoiseStatement:
     levels         names of the channels whose `Channel.shared` is all that the level of
                    a run moves by
     seating        standard deviation of each unknown that a run seats anew, SI
-    carried        share (0 to 1) of the variance of single readings that is carried along
-                   a run
-    reach          of what is carried along, in readings
+    correlated     share (0 to 1) of the variance of single readings that is correlated
+                   along a run
+    reach          of that correlation, in readings
     student_dof    degrees of freedom of single readings' Student t
     outlier_share  share (0 to 1) of the readings that are far off; 0: none is
     has_course     whether readings may share a course through the session
@@ -29,7 +29,7 @@ class NoiseStatement:
 
     levels: frozenset[str] = frozenset()
     seating: float | None = None
-    carried: float | None = None
+    correlated: float | None = None
     reach: float | None = None
     student_dof: float | None = None
     outlier_share: float | None = None
@@ -37,9 +37,9 @@ class NoiseStatement:
     has_course: bool = True
 
     @property
-    def carried_share(self) -> float:
-        """The stated share that is carried along, 0 where none is stated."""
-        return self.carried or 0.0
+    def correlated_share(self) -> float:
+        """The stated share that is correlated, 0 where none is stated."""
+        return self.correlated or 0.0
 
     @property
     def reach_median(self) -> float:

@@ -49,7 +49,7 @@ class ReadingStructure:
                independent and of unit noise; None where division by `unit` does it
     columns    (N, K) errors that a run shares, in units of the stated noise
     kinds      (K,) of these errors, as numbers of `SharedError`
-    statement  of the parts that all readings have: what is carried along, tails
+    statement  of the parts that all readings have: correlated noise, tails
     course     (N, c) modes of what each group's readings share through the session, of
                unit standard deviation at its end (`oed.measurement.noise_structure`)
     effects    (N, k) changes per standard deviation of independent normal coefficients
@@ -159,7 +159,7 @@ class ReadingStructure:
         run = self.run[self.chain]
         return tuple(np.flatnonzero(run == number) for number in np.unique(run))
 
-    def over(self, sigma: Array) -> ReadingStructure:
+    def rescaled(self, sigma: Array) -> ReadingStructure:
         """The structure of readings that are divided by noises sigma (N,), SI."""
         decouple = self.decouple
         if decouple is not None:

@@ -176,9 +176,9 @@ def _signed(vectors: Array) -> Array:
     return vectors * np.sign(vectors[largest, range(vectors.shape[1])])
 
 
-#: degrees of freedom of the Student t. Tails of 5 waste nearly all draws of ten
+#: degrees of freedom of the Student t of proposals. Tails of 5 waste nearly all draws of ten
 #: coordinates, as six channels have: 17 of 320 were left, and intervals a third too wide
-DEGREES = 20.0
+STUDENT_DOF = 20.0
 #: distances from the mode at which widths are read off, standard deviations by curvature
 TAIL_DISTANCES = (1.0, 2.0, 3.5)
 #: least and largest width, over that by the curvature
@@ -213,7 +213,7 @@ class SplitStudent:
         below = 0.5 * level / share
         above = 1.0 - 0.5 * (1.0 - level) / (1.0 - share)
         normal = special.ndtri(np.where(level < share, below, above))
-        student = normal / np.sqrt(chi2 / DEGREES)
+        student = normal / np.sqrt(chi2 / STUDENT_DOF)
         width = np.where(student < 0.0, self.behind, self.ahead)
         return np.asarray(self.mode + (width * student) @ self.root.T)
 
@@ -245,14 +245,14 @@ class KernelMixture:
         ends = np.cumsum(self.weights)
         number = np.searchsorted(ends, uniform[:, -2] * ends[-1])
         normal = special.ndtri(uniform[:, :-2])
-        student = normal / np.sqrt(_chi2(uniform[:, -1:]) / DEGREES)
+        student = normal / np.sqrt(_chi2(uniform[:, -1:]) / STUDENT_DOF)
         return np.asarray(self.centres[number] + student @ self.root.T)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """`count` random points or fewer (m, d): those that are not too far."""
         number = rng.choice(len(self.weights), size=count, p=self.weights)
         normal = rng.standard_normal((count, self.centres.shape[1]))
-        student = normal / np.sqrt(rng.chisquare(DEGREES, (count, 1)) / DEGREES)
+        student = normal / np.sqrt(rng.chisquare(STUDENT_DOF, (count, 1)) / STUDENT_DOF)
         points = self.centres[number] + student @ self.root.T
         return np.asarray(points[np.abs(points).max(axis=1) < MAX_COORDINATE])
 
@@ -308,14 +308,14 @@ def kernels_at(
 def _log_student(student: Array) -> Array:
     """Log density (L,) of a Student t of unit scale at points (L, d)."""
     d = student.shape[1]
-    power = 0.5 * (DEGREES + d)
-    size = special.gammaln(power) - special.gammaln(0.5 * DEGREES)
-    size -= 0.5 * d * np.log(np.pi * DEGREES)
-    return np.asarray(size - power * np.log1p((student**2).sum(axis=1) / DEGREES))
+    power = 0.5 * (STUDENT_DOF + d)
+    size = special.gammaln(power) - special.gammaln(0.5 * STUDENT_DOF)
+    size -= 0.5 * d * np.log(np.pi * STUDENT_DOF)
+    return np.asarray(size - power * np.log1p((student**2).sum(axis=1) / STUDENT_DOF))
 
 
 def _chi2(uniform: Array) -> Array:
-    return np.asarray(special.chdtri(DEGREES, 1.0 - uniform))
+    return np.asarray(special.chdtri(STUDENT_DOF, 1.0 - uniform))
 
 
 @functools.cache
@@ -331,16 +331,16 @@ def _sobol(count: int, dimensions: int) -> Array:
 
 
 #: laws drawn in a round
-DRAWS = 320
+N_DRAWS = 320
 #: equally weighted laws that a first round is worth, below which there is a second
 MIN_EFFECTIVE_DRAWS = 100.0
 #: largest coordinate of the mode, prior sd: readings without noise have theirs at the
 #: end, and draws must fit beyond it
 MAX_MODE = MAX_COORDINATE - 1.0
 #: numbers in the largest array of one batch of laws: 8 MB
-BATCH_NUMBERS = 1_000_000
+BATCH_SIZE = 1_000_000
 #: rounds in which kernels are placed anew at laws drawn from them
-PLACEMENTS = 2
+N_PLACEMENTS = 2
 #: laws drawn in each of these rounds
 PLACEMENT_LAWS = 640
 #: factor on the width of kernels: tails that a proposal lacks give large weights
@@ -368,7 +368,7 @@ class ResidualModel:
         shared = structure.effects.shape[1] + structure.course.shape[1]
         columns = 1 + self.slopes.shape[1] + shared
         of_chains = len(structure.run) * len(structure.kinds)
-        step = max(1, BATCH_NUMBERS // (columns * max(columns, of_chains)))
+        step = max(1, BATCH_SIZE // (columns * max(columns, of_chains)))
         parts = [
             self._solve(laws.take(slice(k, k + step)))
             for k in range(0, len(laws), step)
@@ -401,12 +401,12 @@ class ResidualModel:
 
         root = root_about(cost, mode)
         first = split_student(cost, mode, root)
-        draws, solutions, target = self._solve_at(prior, first.points(DRAWS))
+        draws, solutions, target = self._solve_at(prior, first.points(N_DRAWS))
         log_weights = target - first.log_density(draws)
         weights = special.softmax(log_weights)
         if 1.0 / (weights @ weights) < MIN_EFFECTIVE_DRAWS:
             second = kernels_at(draws, log_weights)
-            further, more, more_target = self._solve_at(prior, second.points(DRAWS))
+            further, more, more_target = self._solve_at(prior, second.points(N_DRAWS))
             draws = np.vstack([draws, further])
             solutions = concatenate_solutions([solutions, more])
             target = np.concatenate([target, more_target])
@@ -542,7 +542,7 @@ class NoisePosterior:
         """
         with np.errstate(divide="ignore"):
             kernels = kernels_at(self.draws, np.log(self.weights))
-        for _ in range(PLACEMENTS):
+        for _ in range(N_PLACEMENTS):
             laws = kernels.draw(rng, PLACEMENT_LAWS)
             log_target = -model.cost(self.prior, laws)
             log_weights = log_target - kernels.log_density(laws)

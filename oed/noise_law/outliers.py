@@ -145,11 +145,13 @@ class Outliers:
                      stated noise
     density          of the errors
     log_odds         log likelihood of these over that of the residuals as normal ones
+    has_converged    whether the last iteration changed no residual by a tolerance
     """
 
     pseudo_residual: Array
     density: ErrorDensity
     log_odds: float
+    has_converged: bool
 
     def with_outliers(self, law: NoiseLaw) -> NoiseLaw:
         """The law of `residual`, with how many of the readings are far off."""
@@ -212,6 +214,7 @@ def detect_outliers(
         pseudo_residual=clean,
         density=shape,
         log_odds=float(odds.sum()) - np.log(len(densities)),
+        has_converged=bool(np.abs(step).max() < STEP_TOLERANCE),
     )
 
 

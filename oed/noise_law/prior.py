@@ -3,7 +3,7 @@
 The stated noise is the anchor: single readings scatter by it within a factor exp(0.4), or
 within a factor of ten where it is an assumption.
 A data sheet tells of repeatability within a run. Few state what a run shares and what is
-carried along; where nothing is stated, their priors are wide and reach down to nothing.
+correlated along it; where nothing is stated, their priors are wide and reach down to nothing.
 A stated amount is the middle of a narrow prior, and 0 takes the part out of the model.
 """
 
@@ -77,11 +77,11 @@ class NoisePrior:
     is_common  whether all groups have one scale, and weights near the stated ones: with
                several groups, each has a factor of its own as of a stated noise
 
-    Constants are the names of coordinates other than scales: of the error that is carried
+    Constants are the names of coordinates other than scales: of the error that is correlated
     along a run, of what a run shares, of the session's course.
     """
 
-    CARRIED: ClassVar = "share carried along"
+    CORRELATED: ClassVar = "share carried along"
     REACH: ClassVar = "reach"
     RUN: ClassVar = "level of a run"
     SEAT: ClassVar = "seating"
@@ -104,7 +104,7 @@ class NoisePrior:
                  assumed ones. Where a course's terms leave few in all, it is not in the
                  model
 
-        All groups have one share carried along. With one each, a leg whose scale is wrong took
+        All groups have one correlated share. With one each, a leg whose scale is wrong took
         the weight of a channel: errors at other poses were 1.3 times those of one share.
         """
         statement = structure.statement
@@ -114,7 +114,7 @@ class NoisePrior:
         scales = structure.names
         if is_common:
             scales = ("all readings", *(scales if groups > 1 else ()))
-        carried = () if statement.carried == 0.0 else (cls.CARRIED, cls.REACH)
+        correlated = () if statement.correlated == 0.0 else (cls.CORRELATED, cls.REACH)
         of_kind = {
             SharedError.LEVEL: cls.RUN,
             SharedError.RENEWED: cls.SEAT,
@@ -127,7 +127,12 @@ class NoisePrior:
         terms = structure.course.shape[1]
         has_course = terms and freedom - terms >= LEAST_FREEDOM
         course = (cls.COURSE,) if has_course else ()
-        names = (*(f"noise of {name}" for name in scales), *carried, *shared, *course)
+        names = (
+            *(f"noise of {name}" for name in scales),
+            *correlated,
+            *shared,
+            *course,
+        )
         return cls(names, groups, statement=statement, is_common=is_common)
 
     @property
@@ -161,8 +166,8 @@ class NoisePrior:
 
         return Laws(
             scale=self._scale(u),
-            carried=self._share(of_name[self.CARRIED])
-            if self.CARRIED in of_name
+            correlated=self._share(of_name[self.CORRELATED])
+            if self.CORRELATED in of_name
             else nothing,
             reach=self._reach(of_name.get(self.REACH, nothing)),
             level=size(self.RUN),
@@ -192,7 +197,7 @@ class NoisePrior:
         correlated, nothing is, or anything between. A prior about a middle value made the
         intervals too narrow where all is. Otherwise its logit is normal.
         """
-        stated = self.statement.carried
+        stated = self.statement.correlated
         if stated is None and self.is_sparse:
             middle = special.logit(SPARSE_SHARE)
             return np.asarray(special.expit(middle + SPARSE_SHARE_SD * u))
@@ -204,20 +209,20 @@ class NoisePrior:
         return np.asarray(np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE))
 
     def _reach(self, u: Array) -> Array:
-        """Reach (L,) of what is carried along, in readings."""
+        """Reach (L,) of the correlation, in readings."""
         sd = REACH_SD if self.statement.reach is None else STATED_REACH_SD
         return self.statement.reach_median * np.exp(sd * u)
 
     def starts(self) -> Array:
         """Coordinates (s, d) from which the most probable law is sought.
 
-        The middle of the prior, an error that is carried far, and one that is carried
+        The middle of the prior, an error that is correlated far, and one that is so
         over a few readings alone: each may be a mode of its own.
         """
-        if self.CARRIED not in self.names:
+        if self.CORRELATED not in self.names:
             return np.zeros((1, self.dimensions))
         starts = np.zeros((3, self.dimensions))
-        columns = [self.names.index(self.CARRIED), self.names.index(self.REACH)]
+        columns = [self.names.index(self.CORRELATED), self.names.index(self.REACH)]
         starts[1, columns] = 1.5, 0.5
         starts[2, columns] = 2.5, -1.5
         return starts

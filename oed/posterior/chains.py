@@ -230,7 +230,7 @@ class Ensembles:
         ]
         return np.concatenate(parts)
 
-    def by_ensemble(self, values: Array) -> Array:
+    def group_by_ensemble(self, values: Array) -> Array:
         """Values (walkers, steps, k) as (ensembles, steps times walkers, k).
 
         Each ensemble has as many walkers as the smallest one. A single ensemble's
@@ -303,7 +303,7 @@ def _has_converged(
     moving = target.coordinates.to_theta(chain[..., : target.r])[..., target.moving]
     if np.min(_ess(moving)) <= ess:
         return False
-    return bool(np.max(_rhat(ensembles.by_ensemble(moving))) < MIXED_RHAT)
+    return bool(np.max(_rhat(ensembles.group_by_ensemble(moving))) < MIXED_RHAT)
 
 
 def _ess(chain: Array) -> Array:
@@ -343,7 +343,10 @@ def collect(
     thinned = chain[:, ::every]
     theta = target.draw_theta(rng, thinned[..., :r])
     ess, rhat = _diagnostics(target, ensembles, chain, theta)
-    draws, points = ensembles.by_ensemble(theta), ensembles.by_ensemble(thinned)
+    draws, points = (
+        ensembles.group_by_ensemble(theta),
+        ensembles.group_by_ensemble(thinned),
+    )
     inside = target.measurement.in_bounds(draws)
     draws, points = _accepted(draws, inside), _accepted(points, inside)
     if not draws.size:
@@ -391,5 +394,5 @@ def _diagnostics(
     for members, values in ((moving, sampled), (only_null, theta)):
         if members.size:
             ess[members] = _ess(values[..., members])
-            rhat[members] = _rhat(ensembles.by_ensemble(values[..., members]))
+            rhat[members] = _rhat(ensembles.group_by_ensemble(values[..., members]))
     return ess, rhat

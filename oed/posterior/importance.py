@@ -33,9 +33,9 @@ from oed.result import PosteriorSection
 
 #: k beyond which more proposals are not worth a try
 MAX_K = 1.0
-#: draws, over the wanted effective sample size: more where some are repeated
+#: draws, over the goal effective sample size: more where some are repeated
 SPARES = (1.2, 2.0, 3.0)
-#: proposals at most, over the wanted effective sample size
+#: proposals at most, over the goal effective sample size
 MAX_PROPOSALS_PER_ESS = 30.0
 #: proposals at first at least: the tail of fewer has no shape
 MIN_PROPOSALS = 1000
@@ -271,17 +271,17 @@ def sample_independent(
     Raises KeyboardInterrupt, OutOfBoundsError.
     """
     proposal = proposal_of(target, rng)
-    wanted = reachable = min(ess, max_draws / SPARES[0])
+    goal = reachable = min(ess, max_draws / SPARES[0])
     while True:
         proposals, k, chosen = draw_weighted(
-            target, proposal, rng, wanted, max_draws, progress
+            target, proposal, rng, goal, max_draws, progress
         )
         if chosen is None:
             return None, proposals, k
         drawn = collect(target, proposals, k, chosen, rng)
         share = drawn.draws.shape[1] / len(chosen)
         least = float(np.nanmin(drawn.ess, initial=len(chosen)))
-        if least >= reachable or wanted > reachable or len(chosen) >= max_draws:
+        if least >= reachable or goal > reachable or len(chosen) >= max_draws:
             return drawn, proposals, k
         # bounds left out some
-        wanted = SPARES[0] * wanted / share
+        goal = SPARES[0] * goal / share

@@ -33,8 +33,8 @@ from oed.result import PredictiveCheckRecord
 # larger one is near 0 or 1 where readings contradict the posterior (Gelman, Meng and Stern
 # 1996, Statistica Sinica 6, 733-807, realised discrepancies).
 
-#: draws that are compared
-DRAWS = 400
+#: draws that a predictive check compares: a probability is known to 0.025
+CHECKED_DRAWS = 400
 
 
 def predictive_checks(
@@ -48,7 +48,7 @@ def predictive_checks(
     """Checks of readings y (N,), SI, by the names of `DISCREPANCIES`."""
     structure = reading_structure(measurement, series, estimate.theta)
     theta = posterior.pooled
-    chosen = rng.choice(len(theta), min(DRAWS, len(theta)), replace=False)
+    chosen = rng.choice(len(theta), min(CHECKED_DRAWS, len(theta)), replace=False)
     predicted = measurement.readings_near(series, estimate.theta)(theta[chosen])
     residuals = structure.standardise((y - predicted).T).T
     laws = Laws.stated(structure, len(chosen), estimate.scatter)

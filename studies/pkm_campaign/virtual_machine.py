@@ -100,7 +100,7 @@ def _interval_figures(state: Fitted, truth: Array) -> tuple[float, float, int]:
     estimate = state.estimate
     coordinates = estimate.coordinates
     exact = measurement.readings(series, truth)
-    true = coordinates.of_readings(measurement, series, exact, estimate.z)
+    true = coordinates.match_readings(measurement, series, exact, estimate.z)
     error = estimate.z - true
     covariance = coordinates.dual @ estimate.covariance @ coordinates.dual.T
     rank = len(error)

@@ -65,7 +65,7 @@ def test_the_true_law_has_the_labels_sizes() -> None:
     one = np.ones(1)
     stated = Laws(
         scale=np.ones((1, 1)),
-        carried=0.0 * one,
+        correlated=0.0 * one,
         reach=one,
         level=0.0 * one,
         seat=0.0 * one,
@@ -73,7 +73,7 @@ def test_the_true_law_has_the_labels_sizes() -> None:
     problem = SimpleNamespace(stated_law=NoiseLaw(stated))
     label = {"repeat_over_sigma": 0.8, "rho": 0.9, "ar_over_sigma": 0.5}
     law = world.true_law(problem, label).law
-    scale, carried = law.scale[0, 0], law.carried[0]
+    scale, carried = law.scale[0, 0], law.correlated[0]
     assert scale * math.sqrt(1.0 - carried) == pytest.approx(1.0)
     assert scale * math.sqrt(carried) == pytest.approx(0.5)
     assert scale * law.level[0] == pytest.approx(0.8)

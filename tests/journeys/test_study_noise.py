@@ -28,7 +28,7 @@ def test_amounts_reach_the_set_up_in_si() -> None:
     assert statement.seating == pytest.approx(0.3e-6)
     assert statement.levels == {"length"}
     assert setup.instrument.channels[0].shared == 0.0
-    assert (statement.carried, statement.reach) == (0.2, 5.0)
+    assert (statement.correlated, statement.reach) == (0.2, 5.0)
     assert (statement.student_dof, statement.outlier_share) == (None, 0.01)
 
 

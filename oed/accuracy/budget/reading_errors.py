@@ -58,11 +58,11 @@ class ReadingErrors:
         amounts = np.ones(whole.shared.shape[1])
         for name, columns in self.shared.items():
             amounts[columns] = factors.get(name, 1.0)
-        carried = factors.get(CARRIED, 1.0) ** 2 * whole.carried
+        carried = factors.get(CARRIED, 1.0) ** 2 * whole.correlated
         changed = dataclasses.replace(
             whole,
             single=variance / whole.scale**2,
-            carried=carried,
+            correlated=carried,
             decay=whole.decay if carried.any() else np.zeros(len(whole.decay)),
             shared=(whole.shared * amounts)[:, amounts > 0.0],
         )
@@ -90,7 +90,7 @@ def errors_of_readings(
     """
     names, whole = np.asarray(instruments), laws.errors(structure)
     scale = laws.scale[0, structure.group]
-    single = (1.0 - laws.carried[0]) * scale**2
+    single = (1.0 - laws.correlated[0]) * scale**2
     stated = np.minimum(single, 1.0)
     variances = {
         instrument_source(name): np.where(names == name, stated, 0.0)
@@ -131,7 +131,7 @@ def _names(structure: ReadingStructure, errors: ReadingErrors) -> tuple[str, ...
         has = np.zeros(len(structure), dtype=bool)
         has[errors.whole.order] = errors.whole.shared[:, columns].any(axis=1)
         by_reading[name] = has
-    if errors.whole.carried.any():
+    if errors.whole.correlated.any():
         by_reading[CARRIED] = np.ones(len(structure), dtype=bool)
     names: dict[str, None] = {}
     for number in np.unique(run):

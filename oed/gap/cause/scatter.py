@@ -268,7 +268,7 @@ def shape(problem: GapProblem, law: NoiseLaw) -> str:
     best = max(gains, key=lambda name: gains[name], default="")
     if best and gains[best] > np.log(CLEAR * len(gains)):
         return best
-    return "along the run" if law.law.carried[0] > MOSTLY else "white"
+    return "along the run" if law.law.correlated[0] > MOSTLY else "white"
 
 
 def _weights(problem: GapProblem) -> dict[str, Array]:

@@ -195,7 +195,7 @@ def assemble(
         residual=residual / sigma,
         slopes=measurement.in_prior_units(jacobian)[:, free] / sigma[:, None],
         names=tuple(measurement.names[k] for k in free),
-        structure=_structure(measurement, series, theta, rows).over(sigma),
+        structure=_structure(measurement, series, theta, rows).rescaled(sigma),
         rows=rows,
     )
 

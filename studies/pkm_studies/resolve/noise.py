@@ -74,7 +74,7 @@ def _law(study: Study, location: Location) -> NoiseStatement:
     # what nobody measured anchors nothing: no part of it is split into further parts
     nothing = 0.0 if table.assumed else None
     return NoiseStatement(
-        carried=nothing if table.carried is None else table.carried,
+        correlated=nothing if table.carried is None else table.carried,
         reach=table.reach_readings,
         student_dof=table.student_dof,
         outlier_share=table.outlier_share,

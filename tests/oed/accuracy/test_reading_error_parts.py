@@ -29,7 +29,7 @@ def covariance(
     structure: ReadingStructure, laws: Laws, factors: dict[str, float]
 ) -> np.ndarray:
     """The sum of the module's docstring, matrix by matrix, of one instrument."""
-    share, scale = laws.carried[0], laws.scale[0, structure.group]
+    share, scale = laws.correlated[0], laws.scale[0, structure.group]
     same_chain = structure.chain[:, None] == structure.chain
     distance = np.abs(structure.position[:, None] - structure.position)
     single = (1.0 - share) * scale**2
@@ -66,5 +66,5 @@ def test_errors_with_factors_are_those_of_dense_matrices(
     assert errors.weigh(y, factors) == pytest.approx(exact, rel=1e-8, abs=1e-8)
     assert white.T @ white == pytest.approx(y.T @ exact, rel=1e-9)
     name = reading_errors.instrument_source("bar")
-    stated = np.minimum((1.0 - laws.carried[0]) * laws.scale[0, 0] ** 2, 1.0)
+    stated = np.minimum((1.0 - laws.correlated[0]) * laws.scale[0, 0] ** 2, 1.0)
     assert errors.between(name, y) == pytest.approx(stated * y.T @ y)

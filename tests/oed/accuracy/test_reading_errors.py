@@ -67,7 +67,7 @@ def test_an_error_is_taken_out_by_a_factor_of_nothing(
     errors = errors_of_readings(structure, LAWS, ["bar"] * 6 + ["cup"] * 6)
     values = rng.standard_normal((N, 2))
     single = np.diag((1.0 - 0.4) * LAWS.scale[0, structure.group] ** 2)
-    no_share = dataclasses.replace(LAWS, carried=np.zeros(1))
+    no_share = dataclasses.replace(LAWS, correlated=np.zeros(1))
     without = {
         SEAT: with_errors(structure, dataclasses.replace(LAWS, seat=np.zeros(1))),
         LEVELS: with_errors(structure, dataclasses.replace(LAWS, level=np.zeros(1))),

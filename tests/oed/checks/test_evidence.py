@@ -25,7 +25,7 @@ from oed.noise_law import log_prior_of_scale, scale_over_stated
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 ONE = Laws(
     scale=np.array([[1.3]]),
-    carried=np.array([0.4]),
+    correlated=np.array([0.4]),
     reach=np.array([3.0]),
     level=np.array([0.7]),
     seat=np.array([0.5]),

@@ -8,7 +8,7 @@ import pytest
 from scipy import optimize
 
 from oed.estimation import Minima, minimise
-from oed.estimation.fitter import READINGS_ROUNDED, _Steps
+from oed.estimation.fitter import READINGS_TOLERANCE, _Steps
 from oed.mechanism import AssemblyError
 
 
@@ -150,7 +150,7 @@ def test_rounding_that_is_allowed_is_that_of_each_machines_own_readings() -> Non
     """
     residual = np.array([[3.0, -4.0, 0.0], [10.0, 0.0, 20.0]])
     rounding = np.array([[1e-3, 1e-4, 1.0], [1e-2, 7.0, 1e-5]])
-    problem = Rounded(residual, rounding / READINGS_ROUNDED)
+    problem = Rounded(residual, rounding / READINGS_TOLERANCE)
     steps = _Steps(problem, np.zeros((2, 1)), np.ones(1))
     by_hand = np.array([2.0 * (3e-3 + 4e-4), 2.0 * (1e-1 + 2e-4)])
     every = steps._rounding_of_sums(np.arange(2))

@@ -43,7 +43,9 @@ def test_the_ratio_and_the_widening_are_those_of_dense_matrices(
     residual = 3.0 * rng.standard_normal(len(structure))
     c = dense_covariance(structure, law)
     none = np.zeros(1)
-    d = dense_covariance(structure, dataclasses.replace(law, carried=none, level=none))
+    d = dense_covariance(
+        structure, dataclasses.replace(law, correlated=none, level=none)
+    )
     d *= 1.0 + law.level**2
     by_d = np.linalg.solve(np.eye(6) + slopes.T @ np.linalg.inv(d) @ slopes, slopes.T)
     by_c = np.linalg.solve(np.eye(6) + slopes.T @ np.linalg.inv(c) @ slopes, slopes.T)
@@ -85,7 +87,7 @@ def test_noise_of_single_readings_leaves_nothing_to_test(
     structure: ReadingStructure, law: Laws
 ) -> None:
     none = np.zeros(1)
-    alone = dataclasses.replace(law, carried=none, level=none, seat=none)
+    alone = dataclasses.replace(law, correlated=none, level=none, seat=none)
     slopes = np.random.default_rng(4).standard_normal((len(structure), 6))
     check = check_law(structure, alone, slopes[:, 0], slopes)
     assert not check.is_contradicted

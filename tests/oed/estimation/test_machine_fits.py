@@ -78,7 +78,7 @@ def test_batches_of_any_size_agree(
     m, series = bar
     y = oracle_sessions(m, series, 3)
     together = fit_machines(m, [series], y)
-    monkeypatch.setattr(identification, "ENTRIES", 1)
+    monkeypatch.setattr(identification, "BATCH_ENTRIES", 1)
     one_by_one = fit_machines(m, [series], y)
     scale = np.where(m.free, m.tolerance, 1.0)
     np.testing.assert_allclose(one_by_one / scale, together / scale, rtol=0, atol=1e-6)

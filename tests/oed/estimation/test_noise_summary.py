@@ -33,7 +33,7 @@ WHITE = -7.0
 def scatter_within_run(laws: Laws, k: int) -> float:
     """Expected standard deviation about the mean of the longest run, of unit scale."""
     lag = np.abs(np.subtract.outer(np.arange(LONGEST), np.arange(LONGEST)))
-    share = laws.carried[k]
+    share = laws.correlated[k]
     whole = (1.0 - share) * np.eye(LONGEST) + share * np.exp(-lag / laws.reach[k])
     return float(np.sqrt(np.trace(whole - whole.mean(axis=0)) / (LONGEST - 1)))
 
@@ -63,7 +63,7 @@ def test_means_and_deviations_are_the_draws(rng: np.random.Generator) -> None:
     run = numbers["run"]
     assert run.value == pytest.approx(sigma * WEIGHTS @ (laws.scale[:, 0] * laws.level))
     carried = numbers["carried"]
-    assert carried.value == pytest.approx(WEIGHTS @ laws.carried)
+    assert carried.value == pytest.approx(WEIGHTS @ laws.correlated)
     reach = np.minimum(laws.reach, LONGEST)
     assert numbers["reach"].value == pytest.approx(WEIGHTS @ reach)
 

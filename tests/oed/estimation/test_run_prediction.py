@@ -32,7 +32,7 @@ def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise: bool) 
     h = m.jacobian(series, estimate.theta)
     whole = np.linalg.inv(estimate.noise.whiten(np.eye(len(y))))
     spread = whole @ whole.T + (h * m.tolerance**2) @ h.T
-    noise = np.linalg.inv(estimate.noise.of_runs()[0].whiten(np.eye(len(y))))
+    noise = np.linalg.inv(estimate.noise.split_common()[0].whiten(np.eye(len(y))))
     noise = noise @ noise.T
     taken = y if estimate.robust_readings is None else estimate.robust_readings
     linear = m.readings(series, estimate.theta) - h @ (estimate.theta - m.nominal)

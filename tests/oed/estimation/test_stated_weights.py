@@ -8,6 +8,7 @@ from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.estimation import identify, law_stage
+from oed.estimation.fit_stages import ReadingsFit, last_stage
 from oed.measurement import draw_parameters, draw_readings
 from oed.posterior import LogDensity
 
@@ -74,3 +75,13 @@ def test_noise_as_stated_has_its_law():
     assert estimate.law_check is not None
     assert not estimate.law_check.is_contradicted
     assert estimate.noise_posterior is not None
+
+
+def test_a_law_that_does_not_settle_says_so(monkeypatch):
+    fit = ReadingsFit(MEASUREMENT, SERIES, readings_with_wave(0.0), 100)
+    stated, nominal = MEASUREMENT.noise(SERIES), MEASUREMENT.nominal
+    first = last_stage(fit, stated, nominal, fit.residuals(nominal), ("*",))
+    structure, prior = law_stage.structure_and_prior(fit, first)
+    assert law_stage.settle_law(fit, stated, first, structure, prior).has_settled
+    monkeypatch.setattr(law_stage, "MAX_ROUNDS", 1)
+    assert not law_stage.settle_law(fit, stated, first, structure, prior).has_settled

@@ -57,7 +57,7 @@ def test_the_most_probable_law_is_near_the_true_one(
     readings = _readings(problem, true, 8)
     mode = laws.posterior(readings, np.zeros((len(problem), 0))).mode.law
     assert mode.scale[0, 0] == pytest.approx(1.0, abs=0.1)
-    single, wandering = np.sqrt([1.0 - mode.carried[0], mode.carried[0]])
+    single, wandering = np.sqrt([1.0 - mode.correlated[0], mode.correlated[0]])
     # the reference reading of RM 5 is shared already: repeat comes on top
     assert mode.level[0] / single == pytest.approx(repeat, abs=0.5 + 0.4 * repeat)
     assert wandering / single == pytest.approx(wander, abs=0.5 + 0.3 * wander)

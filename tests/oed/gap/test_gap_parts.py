@@ -69,7 +69,7 @@ def test_evidence_of_many_laws_is_that_of_each(rng: np.random.Generator) -> None
     columns = np.hstack([problem.slopes, rng.standard_normal((len(problem), 2))])
     laws = Laws(
         scale=np.ones((3, 1)),
-        carried=np.array([0.0, 0.0, 0.36]),
+        correlated=np.array([0.0, 0.0, 0.36]),
         reach=np.array([4.0, 4.0, 7.0]),
         level=np.array([0.0, 1.5, 0.5]),
         seat=np.zeros(3),

@@ -123,5 +123,5 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
         ]
     )
     mode = posteriors[0].mode.law
-    assert np.sqrt(mode.carried[0]) + mode.seat[0] > 0.5
+    assert np.sqrt(mode.correlated[0]) + mode.seat[0] > 0.5
     assert ranked[0].unknown == back

@@ -75,7 +75,7 @@ def test_noise_carried_along_falls_with_the_distance(
     circle: tuple[Measurement, Series],
 ) -> None:
     _, series = circle
-    setup = sharing(stating(carried=0.4, reach=2.0), 0, 0.6)
+    setup = sharing(stating(correlated=0.4, reach=2.0), 0, 0.6)
     m = Measurement(a3_head.machine, [setup])
     noise = stated_noise([(m.of(series), series)])
     apart = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))

@@ -23,7 +23,7 @@ def errors(rng: np.random.Generator) -> Errors:
         starts=np.array(STARTS),
         decay=decay,
         single=rng.uniform(0.2, 1.0, N),
-        carried=CARRIED,
+        correlated=CARRIED,
         shared=rng.standard_normal((N, 2)),
         scale=rng.uniform(0.5, 2.0, N),
     )

@@ -20,7 +20,7 @@ from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.laws import linear_model, log_evidences
 from oed.noise import Laws, NoiseLaw, NoiseStatement, ReadingStructure, SharedError
-from oed.noise.banded import ROWS, ChainFactor, SharedFactor
+from oed.noise.banded import BLOCK_ROWS, ChainFactor, SharedFactor
 
 
 def chains(size: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -36,7 +36,7 @@ def carried(decay: Array, fresh: Array) -> Array:
     return np.asarray(inverse @ np.diag(fresh) @ inverse.T)
 
 
-@pytest.mark.parametrize("size", [1, 2, 5, ROWS, 98, 99])
+@pytest.mark.parametrize("size", [1, 2, 5, BLOCK_ROWS, 98, 99])
 def test_a_root_of_chains_is_choleskys(size: int, rng: np.random.Generator) -> None:
     decay, fresh = chains(size, rng)
     single = rng.uniform(0.1, 1.0, size)
@@ -82,7 +82,7 @@ def with_stated_errors(problem: GapProblem, share: float) -> GapProblem:
         decouple=sparse.csr_array(whole),
         columns=np.hstack([structure.columns, rng.uniform(0.1, 0.5, (size, 2))]),
         kinds=np.append(structure.kinds, [SharedError.KNOWN, SharedError.KNOWN]),
-        statement=NoiseStatement(carried=share, reach=3.0),
+        statement=NoiseStatement(correlated=share, reach=3.0),
     )
     return dataclasses.replace(problem, structure=structure)
 
@@ -156,7 +156,7 @@ def test_laws_that_differ_in_what_runs_share_have_their_evidence(
         )
         laws = Laws(
             scale=np.array([[1.0, 1.5], [1.0, 3.0], [1.0, 1.0]])[:, :groups],
-            carried=np.array([0.3, 0.3, 0.0]),
+            correlated=np.array([0.3, 0.3, 0.0]),
             reach=np.full(3, 4.0),
             level=np.array([0.5, 2.0, 0.0]),
             seat=np.array([0.0, 0.7, 0.0]),

@@ -30,17 +30,16 @@ from oed.measurement import (
     reading_structure,
 )
 from oed.noise import NOTHING_STATED, Laws, Noise, NoiseLaw, NoiseStatement
-from oed.noise_law import KNOWN_TO, NoisePrior, StudentT, detect_outliers
-from oed.noise_law.outliers import fisher_information
+from oed.noise_law import KNOWN_TO, NoisePrior, detect_outliers
 
 SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
-STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)
+STATED = NoiseStatement(seating=SEATING, correlated=SHARE, reach=REACH)
 #: independent errors of unit size
 ONES = Noise(np.ones(60))
 NOTHING_ELSE = NoiseStatement(
     levels=frozenset({"length"}),
     seating=0.0,
-    carried=0.0,
+    correlated=0.0,
     outlier_share=0.0,
     has_course=False,
 )
@@ -196,21 +195,21 @@ def law_coordinates(statement: NoiseStatement, run: float = 0.0) -> NoisePrior:
 def test_what_is_stated_narrows_the_prior_and_nought_takes_it_out() -> None:
     wide = law_coordinates(NOTHING_STATED)
     assert wide.names == (
-        "noise of cup.length", NoisePrior.CARRIED, NoisePrior.REACH, NoisePrior.RUN, NoisePrior.SEAT,
+        "noise of cup.length", NoisePrior.CORRELATED, NoisePrior.REACH, NoisePrior.RUN, NoisePrior.SEAT,
         NoisePrior.COURSE,
     )  # fmt: skip
     assert law_coordinates(NOTHING_ELSE).names == ("noise of cup.length",)
     levels = frozenset({"length"})
     stated = law_coordinates(dataclasses.replace(STATED, levels=levels), RUN)
     assert stated.names[1:] == (
-        NoisePrior.CARRIED, NoisePrior.REACH, NoisePrior.STATED_RUN, NoisePrior.STATED_SEATING,
+        NoisePrior.CORRELATED, NoisePrior.REACH, NoisePrior.STATED_RUN, NoisePrior.STATED_SEATING,
         NoisePrior.COURSE,
     )  # fmt: skip
     rng = np.random.default_rng(1)
     drawn = stated.laws(rng.standard_normal((20_000, stated.dimensions)))
     before = wide.laws(rng.standard_normal((20_000, wide.dimensions)))
-    assert np.median(drawn.carried) == pytest.approx(SHARE, abs=0.01)
-    assert drawn.carried.std() < 0.6 * before.carried.std()
+    assert np.median(drawn.correlated) == pytest.approx(SHARE, abs=0.01)
+    assert drawn.correlated.std() < 0.6 * before.correlated.std()
     assert np.median(drawn.reach) == pytest.approx(REACH, rel=0.02)
     assert np.log(drawn.reach).std() < 0.5 * np.log(before.reach).std()
     for factor in (drawn.stated_level, drawn.stated_seat):
@@ -239,7 +238,7 @@ def test_a_cup_that_is_stated_to_stay_gives_narrower_intervals() -> None:
 def test_set_ups_state_one_law() -> None:
     m = a3_plans.measurement(tools=(0.0, 0.1))
     first, second = m.setups.values()
-    other = dataclasses.replace(second, statement=NoiseStatement(carried=0.2))
+    other = dataclasses.replace(second, statement=NoiseStatement(correlated=0.2))
     m = m.with_setups([first, other])
     series = [a3_plans.circles(m, 4, name) for name in m.setups]
     with pytest.raises(ValueError, match="same carried share"):
@@ -258,8 +257,7 @@ def test_stated_tails_are_drawn(dof: float) -> None:
     whitening = Laws.stated(structure, 2000).whitening(structure)
     e = whitening.draw(rng, structure.statement, estimated=True).ravel()
     # in units of the pseudo-values' scatter, whose square is 1 / I
-    information = fisher_information(StudentT(dof))
-    unit = np.sqrt(information)
+    unit = np.sqrt((dof + 1.0) / (dof + 3.0))
     assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
     m = stating(NoiseStatement(outlier_share=0.1))
     e = draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
@@ -280,6 +278,7 @@ def test_stated_tails_go_before_those_that_are_tried() -> None:
     student = detect_outliers(residual, ONES, statement=NoiseStatement(student_dof=3.0))
     assert student is not None
     assert student.density.dof == 3.0
+    assert student.has_converged
     light = detect_outliers(residual[:17], Noise(np.ones(17)))
     assert light is None
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate, stats
 
 from oed.noise_law.marginal import (
-    DEGREES,
+    STUDENT_DOF,
     KernelMixture,
     SplitStudent,
     kernels_at,
@@ -18,7 +18,7 @@ MODE, ROOT = np.array([1.0, -2.0]), np.array([[2.0, 0.0], [0.5, 0.3]])
 def test_a_split_student_of_equal_widths_is_scipys(rng: np.random.Generator) -> None:
     split = SplitStudent(MODE, ROOT, np.full(2, 1.5), np.full(2, 1.5))
     points = MODE + rng.standard_normal((20, 2))
-    exact = stats.multivariate_t(MODE, 2.25 * ROOT @ ROOT.T, df=DEGREES)
+    exact = stats.multivariate_t(MODE, 2.25 * ROOT @ ROOT.T, df=STUDENT_DOF)
     assert split.log_density(points) == pytest.approx(exact.logpdf(points))
 
 
@@ -33,7 +33,7 @@ def test_a_split_student_has_the_mass_of_its_widths_on_either_side() -> None:
     assert (below, above) == pytest.approx((0.25, 0.75))
     points = split.points(4095)[:, 0]
     assert np.mean(points < 0.0) == pytest.approx(0.25, abs=2e-3)
-    ahead = stats.t(DEGREES).ppf(0.75) * 3.0
+    ahead = stats.t(STUDENT_DOF).ppf(0.75) * 3.0
     assert np.median(points[points > 0.0]) == pytest.approx(ahead, rel=1e-2)
 
 
@@ -53,7 +53,7 @@ def test_kernels_are_a_mixture_of_scipys(rng: np.random.Generator) -> None:
     mixture = KernelMixture(centres, weights, ROOT)
     points = rng.standard_normal((15, 2))
     exact = sum(
-        w * stats.multivariate_t(c, ROOT @ ROOT.T, df=DEGREES).pdf(points)
+        w * stats.multivariate_t(c, ROOT @ ROOT.T, df=STUDENT_DOF).pdf(points)
         for c, w in zip(centres, weights, strict=True)
     )
     assert mixture.log_density(points) == pytest.approx(np.log(exact))

@@ -64,7 +64,7 @@ def test_values_are_ordered_by_ensemble() -> None:
     members = ensembles()
     number = np.arange(25.0)[:, None, None]
     values = np.tile(number, (1, 3, 1)) + 0.1 * np.arange(3)[None, :, None]
-    ordered = members.by_ensemble(values)
+    ordered = members.group_by_ensemble(values)
     assert ordered.shape == (3, 24, 1)
     for first, of_ensemble in zip((0, 8, 17), ordered[:, :, 0], strict=True):
         expected = [first + w + 0.1 * step for step in range(3) for w in range(8)]

@@ -12,11 +12,11 @@ from oed.checks.judgement import goodness_of_delivered
 from oed.estimation import (
     Estimate,
     IdentificationError,
+    add_warnings,
     contradicted_parameters,
     identify,
     predict_runs,
     tolerance_factor,
-    with_warnings,
 )
 from oed.measurement import mode_jumps
 from oed.result import GoodnessSection
@@ -65,7 +65,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         measurement, readings.series, readings.y, estimate, state.doubtful_values
     )
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
-    estimate = with_warnings(measurement, estimate)
+    estimate = add_warnings(measurement, estimate)
     state = add_delivered(state, fitted_as)
     fixed = []
     if readings.truth is None:
