@@ -7,8 +7,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from oed import units
-
 #: percent by which rounding may miss all of something
 PERCENT_ROUNDING: Final = 1e-9
 #: length from which `shorten` cuts within a word
@@ -92,9 +90,3 @@ def join_words(names: Sequence[str], last: str = "and") -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
-
-
-def quantity(value: float, si: str) -> str:
-    """An SI value in its fine unit, three digits: `12.3 um`."""
-    unit = units.FINE[si]
-    return f"{units.number(value, unit):.3g} {unit}"

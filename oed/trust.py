@@ -7,7 +7,7 @@ judge nothing on their own. Fits and checks of readings have the same limits.
 from __future__ import annotations
 
 from oed.result import (
-    Compensation,
+    CompensationName,
     CorrectedSection,
     EstimateSection,
     GapSection,
@@ -50,7 +50,7 @@ def objections(result: StudyResult) -> list[str]:
     )
     mixture = None if result.gap is None else result.gap.mixture
     section = mixture or result.final_estimate
-    if section is not None and section.sent == Compensation.NOTHING:
+    if section is not None and section.sent == CompensationName.NOTHING:
         sentences.append("no correction is expected to lessen the machine's errors")
     return sentences
 

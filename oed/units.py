@@ -134,6 +134,12 @@ def display(si: str) -> str:
     return DISPLAY[si]
 
 
+def quantity(value: float, si: str) -> str:
+    """An SI value in its fine unit, three digits: `12.3 um`."""
+    unit = FINE[si]
+    return f"{number(value, unit):.3g} {unit}"
+
+
 def _entry(unit: str) -> tuple[str, float]:
     if unit not in UNITS:
         raise UnitError(f"unknown unit {unit!r}; known are {', '.join(sorted(UNITS))}")

@@ -150,7 +150,7 @@ def _law(law: NoiseLaw) -> Record:
     of = law.law
     return {
         "repeat": float(of.level[0]),
-        "carried": float(of.carried[0]),
+        "carried": float(of.correlated[0]),
         "seat": float(of.seat[0]),
         "reach": float(of.reach[0]),
         "level": law.level,

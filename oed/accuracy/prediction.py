@@ -33,7 +33,7 @@ from oed.accuracy.maps import (
 )
 from oed.base import Array
 from oed.linear_algebra import covariance_root
-from oed.result import Compensation, SpreadRecord
+from oed.result import CompensationName, SpreadRecord
 
 __all__ = [
     "ErrorMaps",
@@ -226,7 +226,7 @@ def least_error(
     after: Mapping[str, Mapping[str, Spread]],
     driven: Collection[str],
 ) -> str:
-    """Name of the compensation of least expected error, the first of equals; or Compensation.NOTHING.
+    """Name of the compensation of least expected error, the first of equals; or CompensationName.NOTHING.
 
     before  {component: Spread} with nothing sent
     after   {compensation: {component: Spread}}, over the same draws
@@ -238,7 +238,7 @@ def least_error(
     units = {name: before[name].rms for name in driven if before[name].rms > 0.0}
     errors = {
         candidate: sum((spreads[n].rms / unit) ** 2 for n, unit in units.items())
-        for candidate, spreads in {**after, Compensation.NOTHING: before}.items()
+        for candidate, spreads in {**after, CompensationName.NOTHING: before}.items()
     }
     return min(errors, key=lambda candidate: errors[candidate])
 

@@ -13,7 +13,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.expressions import machine_expressions
 from oed.model.machine import Machine
-from oed.text import quantity
+from oed.units import quantity
 
 #: Gauss-Newton steps from a command to a corrected one: some five are needed
 MAX_STEPS = 20

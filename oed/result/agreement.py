@@ -6,9 +6,8 @@ contradict itself; then a report of it would be wrong, or fail half-way.
 
 from __future__ import annotations
 
-import functools
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -54,12 +53,12 @@ held_out/*/{{residuals,half_widths}} length ../n
 gap/traces/*/{{before,explained,unexplained,after}} length ../at
 {TABLES}/{{apart,angles_deg}} length ../names
 {TABLES}/{{apart,angles_deg}}/* length ../../names
+adjustment/accuracy one_more ../lines
 
 {{identifiability,identifiability_of/*}}/rank at_most ../singular_values
 {{identifiability,identifiability_of/*}}/singular_values at_most ../n
 drawing/bars at_most ../tool_points
 gap/{{answers,set95}}/*/classes at_most ../effects
-adjustment/lines at_most ../accuracy
 
 {{identifiability,identifiability_of/*}}/{{combinations,lost}}/* among ../../parameters
 design/poses/*/setup among setups/#/name?
@@ -108,6 +107,11 @@ forecast/nodes/* names ../#
 """
 
 
+#: keys from the whole result on, and what is there
+Keys = tuple[str, ...]
+Entry = tuple[Keys, Any]
+
+
 class Breach(NamedTuple):
     """A field that contradicts another, and how."""
 
@@ -115,38 +119,17 @@ class Breach(NamedTuple):
     problem: str
 
 
-class _Rule(NamedTuple):
-    """A relation of the fields of a pattern to another field, and whether each may be empty."""
-
-    steps: tuple[str, ...]
-    relation: str
-    other: tuple[str, ...]
-    may_be_empty: bool
-    other_may_be_empty: bool
-
-
 def breaches(result: StudyResult) -> Iterator[Breach]:
     """Contradictions within a result, by field; none where all fits."""
     tree = msgspec.to_builtins(result)
     yield from value_breaches((), tree)
     yield from _parameter_breaches(tree["machine"]["parameters"])
-    for rule in _rules():
-        for keys, value in _entries(tree, rule.steps):
-            if value or not rule.may_be_empty:
-                yield from _rule_breaches(tree, rule, keys, value)
-
-
-@functools.cache
-def _rules() -> tuple[_Rule, ...]:
-    rules = []
     for line in filter(None, RULES.splitlines()):
         pattern, relation, other = line.split()
         for field in _expanded(pattern):
-            steps = tuple(field.rstrip("?").split("/"))
-            others = tuple(other.rstrip("?").split("/"))
-            empty = (field.endswith("?"), other.endswith("?"))
-            rules.append(_Rule(steps, relation, others, *empty))
-    return tuple(rules)
+            for keys, value in _entries(tree, field.rstrip("?").split("/")):
+                if value or not field.endswith("?"):
+                    yield from _rule_breaches(tree, (keys, value), relation, other)
 
 
 def _expanded(pattern: str) -> list[str]:
@@ -160,9 +143,7 @@ def _expanded(pattern: str) -> list[str]:
     ]
 
 
-def _entries(
-    tree: Any, steps: tuple[str, ...], keys: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _entries(tree: Any, steps: Sequence[str], keys: Keys = ()) -> Iterator[Entry]:
     """Keys and values of what a pattern stands for; nothing of what is null or absent."""
     if tree is None:
         return
@@ -177,27 +158,27 @@ def _entries(
 
 
 def _rule_breaches(
-    tree: Any, rule: _Rule, keys: tuple[str, ...], value: Any
+    tree: Any, entry: Entry, relation: str, other: str
 ) -> Iterator[Breach]:
     """Where a field does not agree with the other one of a rule."""
-    ups = rule.other.count("..")
-    steps = (*(keys[:-ups] if ups else ()), *rule.other[ups:])
-    others = [other for _, other in _entries(tree, steps)]
-    if not others or (rule.other_may_be_empty and not any(others)):
+    keys, value = entry
+    ups = other.count("..")
+    steps = (*(keys[:-ups] if ups else ()), *other.rstrip("?").split("/")[ups:])
+    others = [value for _, value in _entries(tree, steps)]
+    if not others or (other.endswith("?") and not any(others)):
         return
     field, of = _field(keys), _field(steps)
-    if rule.relation in ("length", "at_most"):
-        size, expected = _count(value), _count(others[0])
-        if size > expected or (size < expected and rule.relation == "length"):
+    if relation in ("length", "at_most", "one_more"):
+        size, expected = _count(value), _count(others[0]) + (relation == "one_more")
+        if size > expected or (size < expected and relation != "at_most"):
             yield Breach(field, f"{size}, where {of} has {expected}")
         return
-    names = _names([value])
-    allowed = _names(others)
+    names, allowed = _names([value]), _names(others)
     for name in names:
         if name not in allowed:
             remedy = suggest(name, allowed, kind=of, limit=12)
             yield Breach(field, f"{shorten(name, 40)!r} is not in {of}; {remedy}")
-    for name in allowed if rule.relation == "names" else ():
+    for name in allowed if relation == "names" else ():
         if name not in names:
             yield Breach(field, f"{shorten(name, 40)!r} is missing, which {of} has")
 
@@ -212,13 +193,13 @@ def _names(values: list[Any]) -> Collection[str]:
     return dict.fromkeys(str(name) for part in parts for name in part)
 
 
-def _field(keys: tuple[str, ...]) -> str:
+def _field(keys: Keys) -> str:
     """A field as in a message: entries of lists by their number, from 1."""
     dotted = ".".join(keys).replace(".#", "")
     return re.sub(r"\.(\d+)\b", lambda number: f"[{int(number[1]) + 1}]", dotted)
 
 
-def value_breaches(keys: tuple[str, ...], value: Any) -> Iterator[Breach]:
+def value_breaches(keys: Keys, value: Any) -> Iterator[Breach]:
     """Numbers and units anywhere within a value that no result has."""
     if isinstance(value, Mapping | list | tuple):
         pairs = value.items() if isinstance(value, Mapping) else enumerate(value)
@@ -231,7 +212,7 @@ def value_breaches(keys: tuple[str, ...], value: Any) -> Iterator[Breach]:
         yield Breach(_field(keys), f"{value:.3g} is no number of a result")
 
 
-def _unit_breaches(keys: tuple[str, ...], value: Any) -> Iterator[Breach]:
+def _unit_breaches(keys: Keys, value: Any) -> Iterator[Breach]:
     """Units that nobody knows: no products of known ones, with their powers."""
     if isinstance(value, Mapping):
         for name, entry in value.items():

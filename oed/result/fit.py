@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import msgspec
 
-from oed.result.gap import Compensation
+from oed.result.gap import CompensationName
 from oed.result.record import Number, Record, Size
 
 
@@ -239,7 +239,7 @@ class EstimateSection(Record, frozen=True):
     effects: list[dict[str, str | float | bool]] = []
     faulty: float | None = None
     controller: dict[str, float] = {}
-    sent: str = Compensation.MIXTURE
+    sent: str = CompensationName.MIXTURE
     # what the model holds exactly, and the readings contradict
     held: list[HeldParameter] = []
     # circles and lines of the readings

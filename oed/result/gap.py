@@ -14,7 +14,7 @@ from oed.result.prediction import PredictionSection
 from oed.result.record import Point, Probability, Record, Size
 
 
-class Compensation:
+class CompensationName:
     """Names of the compensations that are compared: `sent` and `choices` of a mixture."""
 
     MIXTURE: Final = "mixture"
@@ -87,7 +87,7 @@ class MixtureSection(Record, frozen=True):
     parameters: dict[str, MixedParameter]
     covariance: list[list[float]]
     controller: dict[str, float] = {}
-    sent: str = Compensation.MIXTURE
+    sent: str = CompensationName.MIXTURE
     choices: list[CompensationChoice] = []
     prediction: PredictionSection | None = None
     with_effects: PredictionSection | None = None

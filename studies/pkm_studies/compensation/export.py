@@ -17,7 +17,8 @@ from oed.mechanism.pose_errors import component_errors
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from oed.safe_files import write_own
-from oed.text import format_number, quantity
+from oed.text import format_number
+from oed.units import quantity
 from oed.verdict import accuracy_verdicts
 from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Location

@@ -12,7 +12,7 @@ from oed.base import Array
 from oed.model.machine import Machine
 from oed.result import (
     AdjustmentSection,
-    Compensation,
+    CompensationName,
     CorrectedSection,
     EstimateSection,
     MixtureSection,
@@ -32,12 +32,12 @@ Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureS
 DRAWS = 100
 #: what the parameters are where effects may act and are not corrected
 SENT = {
-    Compensation.MIXTURE: "the parameters are the mean of what is known, over all answers where there"
+    CompensationName.MIXTURE: "the parameters are the mean of what is known, over all answers where there"
     " is a diagnosis, shifted so that they take up what is known of effects over the"
     " workspace",
-    Compensation.BEST: "the parameters are those of the likeliest answer, which are expected to leave"
+    CompensationName.BEST: "the parameters are those of the likeliest answer, which are expected to leave"
     " the least error",
-    Compensation.PLAIN: "the parameters are those of a fit without effects, which are expected to leave"
+    CompensationName.PLAIN: "the parameters are those of a fit without effects, which are expected to leave"
     " the least error",
 }
 
@@ -65,9 +65,9 @@ def identified_parameters(
     elif corrected is not None:
         conditions = (*_effect_parameters(corrected, tables), *_if_not_best(mixture))
         if corrected.controller and not with_effects:
-            conditions = (SENT[Compensation.PLAIN], *conditions)
+            conditions = (SENT[CompensationName.PLAIN], *conditions)
     elif result.estimate is not None and result.estimate.controller:
-        conditions = (SENT.get(result.estimate.sent, SENT[Compensation.BEST]),)
+        conditions = (SENT.get(result.estimate.sent, SENT[CompensationName.BEST]),)
     return Identified(values, sd, origin, conditions)
 
 
@@ -164,7 +164,7 @@ def _mixture_parameters(
     mixture: MixtureSection, corrected: CorrectedSection | None, tables: bool
 ) -> tuple[str, ...]:
     """What the parameters over all answers are, what stays, and what is reached."""
-    sentences = [SENT.get(mixture.sent, SENT[Compensation.BEST])]
+    sentences = [SENT.get(mixture.sent, SENT[CompensationName.BEST])]
     if corrected is not None:
         left_out = list(corrected.constants)
         sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")

@@ -20,7 +20,7 @@ from oed.compensate import (
 )
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.result import PredictionSection
-from oed.text import quantity
+from oed.units import quantity
 from pkm_studies.base import InputError
 from pkm_studies.quantities import display_unit
 

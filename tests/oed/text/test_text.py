@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from oed import text
+from oed import text, units
 
 
 @pytest.mark.parametrize(
@@ -53,4 +53,4 @@ def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
 
 
 def test_a_quantity_has_three_digits_of_its_fine_unit() -> None:
-    assert text.quantity(12.345e-6, "m") == "12.3 um"
+    assert units.quantity(12.345e-6, "m") == "12.3 um"

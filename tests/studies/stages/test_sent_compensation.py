@@ -15,7 +15,7 @@ from kernel.answer_mixture import Case, case, readings
 from oed import trust
 from oed.accuracy.prediction import Spread, least_error
 from oed.effects import SessionStates
-from oed.result import Compensation, MixtureSection
+from oed.result import CompensationName, MixtureSection
 from pkm_studies.earlier_result import controller_values, corrects_effects
 from pkm_studies.stages.corrected.section import drop_tables
 from pkm_studies.stages.gap import mixture as sections
@@ -50,7 +50,7 @@ def test_components_count_in_units_of_their_error_with_nothing_sent() -> None:
 def test_nothing_is_sent_where_all_is_worse() -> None:
     before = spreads(x=100e-6, turn=1e-3)
     worse = {"one": spreads(x=101e-6, turn=1e-3), "other": spreads(x=1.0, turn=0.0)}
-    assert least_error(before, worse, {"x", "turn"}) == Compensation.NOTHING
+    assert least_error(before, worse, {"x", "turn"}) == CompensationName.NOTHING
     assert least_error(before, {**worse, "equal": before}, {"x", "turn"}) == "equal"
 
 
@@ -76,7 +76,7 @@ def score(section: MixtureSection, name: str) -> float:
     """Sum of the squares relative to those with nothing sent."""
     rms = {choice.name: choice.rms for choice in section.choices}
     return sum(
-        (rms[name][n] / unit) ** 2 for n, unit in rms[Compensation.NOTHING].items()
+        (rms[name][n] / unit) ** 2 for n, unit in rms[CompensationName.NOTHING].items()
     )
 
 
@@ -85,13 +85,13 @@ def test_all_candidates_are_judged_and_the_least_is_sent(case: Case) -> None:
     section = section_of(case, case.answers[0].mean, case.answers[1].mean)
     names = [choice.name for choice in section.choices]
     assert names == [
-        Compensation.MIXTURE,
-        Compensation.BEST,
-        Compensation.PLAIN,
-        Compensation.NOTHING,
+        CompensationName.MIXTURE,
+        CompensationName.BEST,
+        CompensationName.PLAIN,
+        CompensationName.NOTHING,
     ]
     assert score(section, section.sent) == min(score(section, n) for n in names)
-    assert score(section, section.sent) < score(section, Compensation.NOTHING)
+    assert score(section, section.sent) < score(section, CompensationName.NOTHING)
     for name, value in section.controller.items():
         assert value == pytest.approx(section.parameters[name].value, rel=0.2, abs=1.0)
     assert len(section.controller) <= len(mean)
@@ -110,13 +110,13 @@ def test_a_shift_that_is_worse_than_the_plain_fit_is_not_sent(
     monkeypatch.setattr(knowledge, "absorb_effects", far)
     plain = case.answers[0].mean
     section = section_of(case, case.mixture.mean + SHIFT, plain)
-    assert section.sent == Compensation.PLAIN
+    assert section.sent == CompensationName.PLAIN
     machine_parameters = readings().measurement.machine.parameters
     for k, parameter in enumerate(machine_parameters):
         if parameter.name in section.controller and parameter.unit == "m":
             assert section.controller[parameter.name] == pytest.approx(1e3 * plain[k])
     hopeless = section_of(case, plain + SHIFT, plain + 2.0 * SHIFT)
-    assert hopeless.sent == Compensation.NOTHING
+    assert hopeless.sent == CompensationName.NOTHING
     assert "with nothing corrected" in hopeless.words[-1]
 
 
@@ -124,7 +124,7 @@ def test_a_result_whose_best_is_nothing_is_objected_to() -> None:
     result = report_fixture.result_of(whole())
     assert result.gap is not None
     assert result.gap.mixture is not None
-    mixture = msgspec.structs.replace(result.gap.mixture, sent=Compensation.NOTHING)
+    mixture = msgspec.structs.replace(result.gap.mixture, sent=CompensationName.NOTHING)
     gap = msgspec.structs.replace(result.gap, mixture=mixture)
     known = trust.objections(result)
     (objection,) = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from oed.result import Compensation, MixtureSection, PredictionSection, StudyResult
+from oed.result import CompensationName, MixtureSection, PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -19,11 +19,11 @@ from pkm_reports.sections.accuracy_ranges import figures
 
 #: compensations that a controller can be sent, as a reader knows them
 COMPENSATIONS: Final = {
-    Compensation.MIXTURE: "Geometry, over all answers",
-    Compensation.BEST: "Geometry, best answer alone",
-    Compensation.PLAIN: "Geometry, fit without effects",
-    Compensation.BEST_WITH_EFFECTS: "Best answer with its effects corrected",
-    Compensation.NOTHING: "Nothing corrected",
+    CompensationName.MIXTURE: "Geometry, over all answers",
+    CompensationName.BEST: "Geometry, best answer alone",
+    CompensationName.PLAIN: "Geometry, fit without effects",
+    CompensationName.BEST_WITH_EFFECTS: "Best answer with its effects corrected",
+    CompensationName.NOTHING: "Nothing corrected",
 }
 
 
@@ -60,8 +60,8 @@ def _accuracy(section: MixtureSection) -> list[Block]:
     """Figures with intervals of what is sent: geometry, and with effects if any."""
     tables: list[Block] = []
     for name, prediction in (
-        (section.sent or Compensation.MIXTURE, section.prediction),
-        (Compensation.BEST_WITH_EFFECTS, section.with_effects),
+        (section.sent or CompensationName.MIXTURE, section.prediction),
+        (CompensationName.BEST_WITH_EFFECTS, section.with_effects),
     ):
         if prediction is None:
             continue

@@ -26,7 +26,7 @@ from oed.measurement import Measurement
 from oed.model.machine import Machine
 from oed.posterior import Posterior
 from oed.result import (
-    Compensation,
+    CompensationName,
     CorrectedSection,
     EffectEstimate,
     EffectTable,
@@ -230,16 +230,18 @@ def add_least_error(
     """
     before, after = accuracy.compensated.before, accuracy.compensated.after
     geometry = {
-        Compensation.BEST: accuracy.parameters_only,
-        Compensation.PLAIN: accuracy.plain,
+        CompensationName.BEST: accuracy.parameters_only,
+        CompensationName.PLAIN: accuracy.plain,
     }
     machine = corrected.measurement.machine
-    every = {Compensation.BEST_WITH_EFFECTS: after, **geometry}
+    every = {CompensationName.BEST_WITH_EFFECTS: after, **geometry}
     sent = least_error(before, every, machine.driven)
     section = msgspec.structs.replace(section, sent=sent)
-    if least_error(before, geometry, machine.driven) == Compensation.PLAIN:
+    if least_error(before, geometry, machine.driven) == CompensationName.PLAIN:
         section = add_controller(section, machine, plain)
-    return section if sent == Compensation.BEST_WITH_EFFECTS else drop_tables(section)
+    return (
+        section if sent == CompensationName.BEST_WITH_EFFECTS else drop_tables(section)
+    )
 
 
 def drop_tables(section: CorrectedSection, reason: str = NO_HELP) -> CorrectedSection:

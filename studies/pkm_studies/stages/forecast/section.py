@@ -20,7 +20,7 @@ from oed.forecast import (
     forecast_table,
 )
 from oed.result import ForecastComponent, ForecastSection
-from oed.text import quantity
+from oed.units import quantity
 from pkm_studies import describe
 from pkm_studies.base import InputError
 from pkm_studies.stages.forecast import files

@@ -19,8 +19,8 @@ from oed.effects import ExpectedColumns, SessionStates
 from oed.gap.cause.advice import GO_AHEAD
 from oed.measurement import Measurement, Series
 from oed.result import (
-    Compensation,
     CompensationChoice,
+    CompensationName,
     GapSection,
     MixedAnswer,
     MixedParameter,
@@ -38,11 +38,11 @@ from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowled
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 PHRASES = {
-    Compensation.MIXTURE: "by the parameters over all answers",
-    Compensation.BEST: "by those of the best answer alone",
-    Compensation.PLAIN: "by those of the fit without effects",
-    Compensation.BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
-    Compensation.NOTHING: "with nothing corrected",
+    CompensationName.MIXTURE: "by the parameters over all answers",
+    CompensationName.BEST: "by those of the best answer alone",
+    CompensationName.PLAIN: "by those of the fit without effects",
+    CompensationName.BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
+    CompensationName.NOTHING: "with nothing corrected",
 }
 #: probability that what stays after compensation is within its bound
 BOUND = 0.95
@@ -174,12 +174,12 @@ def _add_accuracy(
     absorbed = knowledge.absorb_effects(known, use.command, use.reference, rng)
     mean = machine.nominal + known.centre if absorbed.sent is None else absorbed.sent
     sent = {
-        Compensation.MIXTURE: mean,
-        Compensation.BEST: best.theta[:count],
-        Compensation.PLAIN: best.plain[:count],
+        CompensationName.MIXTURE: mean,
+        CompensationName.BEST: best.theta[:count],
+        CompensationName.PLAIN: best.plain[:count],
     }
     if np.array_equal(best.plain, best.theta):
-        del sent[Compensation.PLAIN]
+        del sent[CompensationName.PLAIN]
     compensations = {
         name: dataclasses.replace(known, sent=parameters)
         for name, parameters in sent.items()
@@ -188,15 +188,15 @@ def _add_accuracy(
         of_best = best.corrected.estimate.theta[best.corrected.parameters :]
         corrected = np.zeros(known.effects.draws.shape[1])
         corrected[-len(of_best) :] = of_best
-        compensations[Compensation.BEST_WITH_EFFECTS] = dataclasses.replace(
-            compensations[Compensation.BEST], corrected=corrected
+        compensations[CompensationName.BEST_WITH_EFFECTS] = dataclasses.replace(
+            compensations[CompensationName.BEST], corrected=corrected
         )
     judged = knowledge.compared(
         compensations, use.command, use.reference, np.random.default_rng(seed)
     )
     predicted = {name: result.prediction for name, result in judged.items()}
     before, after = (
-        predicted[Compensation.BEST].before,
+        predicted[CompensationName.BEST].before,
         {n: p.after for n, p in predicted.items()},
     )
     geometry = least_error(before, {name: after[name] for name in sent}, machine.driven)
@@ -207,11 +207,13 @@ def _add_accuracy(
         sections[name] = add_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))
-    rms = {n: c.before.rms for n, c in sections[Compensation.BEST].components.items()}
-    choices.append(CompensationChoice(Compensation.NOTHING, rms))
-    shown = Compensation.BEST if geometry == Compensation.NOTHING else geometry
-    with_effects = sections.get(Compensation.BEST_WITH_EFFECTS)
-    if least_error(before, after, machine.driven) != Compensation.BEST_WITH_EFFECTS:
+    rms = {
+        n: c.before.rms for n, c in sections[CompensationName.BEST].components.items()
+    }
+    choices.append(CompensationChoice(CompensationName.NOTHING, rms))
+    shown = CompensationName.BEST if geometry == CompensationName.NOTHING else geometry
+    with_effects = sections.get(CompensationName.BEST_WITH_EFFECTS)
+    if least_error(before, after, machine.driven) != CompensationName.BEST_WITH_EFFECTS:
         with_effects = None
     return msgspec.structs.replace(
         add_controller(section, machine, sent[shown]),
@@ -227,7 +229,7 @@ def add_bound(gap: GapSection) -> GapSection:
     mixture = gap.mixture
     if not gap.next or gap.next[0] != GO_AHEAD or mixture is None:
         return gap
-    if mixture.prediction is None or mixture.sent == Compensation.NOTHING:
+    if mixture.prediction is None or mixture.sent == CompensationName.NOTHING:
         return gap
     bounds = [
         f"{name} {format_number(c.after.rms_quantiles[SpreadRecord.LEVELS.index(BOUND)])} {c.after.unit}"
@@ -332,8 +334,8 @@ def _choices_text(section: MixtureSection) -> list[str]:
     for choice in section.choices:
         if choice.name in (
             section.sent,
-            Compensation.BEST_WITH_EFFECTS,
-            Compensation.NOTHING,
+            CompensationName.BEST_WITH_EFFECTS,
+            CompensationName.NOTHING,
         ):
             figures = [f"{n} {format_number(choice.rms[n])} {unit[n]}" for n in driven]
             parts.append(f"{join_words(figures)} {PHRASES[choice.name]}")
