@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics
 from pkm_studies.catalogue import Compensation, Identified
 from pkm_studies.compensation.formats import c_code
 

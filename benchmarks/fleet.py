@@ -30,7 +30,7 @@ from oed.base import Array
 from oed.estimation import identify
 from oed.history import FleetPrior, MachineInformation, fleet_prior
 from oed.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics
 from pkm_studies import commands
 from pkm_studies.importers import import_files
 from pkm_studies.resolve import replace_mean_and_covariance, resolve

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model.instrument import mount
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines.hexapod import machine
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import os
 
+from oed.instrument import mount
+
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
 import argparse
@@ -32,7 +34,6 @@ from oed import dataset
 from oed.dataset import table
 from oed.design import CRITERIA, choose, choose_from_file, open_candidates
 from oed.measurement import Measurement
-from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 

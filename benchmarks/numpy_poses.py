@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.mechanism.newton import MAX_ITERATIONS, STEP_TOLERANCE
 from pkm_models.machines import a3_head, hexapod
 
 HEXAPOD_BASE = np.array(list(hexapod.B.values()))
@@ -22,6 +21,10 @@ DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0.0 * ANGLES], axis=1)
 AXES = np.stack([-np.sin(ANGLES), np.cos(ANGLES), 0.0 * ANGLES], axis=1)
 A3_BASE = a3_head.B * DIRECTIONS
 A3_PLATFORM = a3_head.A * DIRECTIONS - np.array([0.0, 0.0, a3_head.C])
+#: step (m, rad) that ends Newton's method, as in this project
+STEP_TOLERANCE = 1e-8
+#: most of its steps
+MAX_ITERATIONS = 30
 
 #: residuals (n, 6) and slopes over the twist (n, 6, 6) at points and rotations
 Equations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

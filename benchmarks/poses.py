@@ -19,6 +19,8 @@ from __future__ import annotations
 
 import os
 
+from oed.mechanism import Kinematics
+
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
 import statistics
@@ -30,9 +32,7 @@ import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, hexapod_poses
 from oed.measurement import Measurement, Series
-from oed.mechanism.batch import AT_ONCE, NEVER, VARIABLE
 from oed.mechanism.compiled import lanes
-from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines.hexapod import machine
 from readings import plan
 
@@ -40,6 +40,10 @@ COUNTS, ROUNDS = (100, 1000, 10_000, 100_000), 7
 #: counts from which the time on all cores is measured
 MANY = 10_000
 CORES = "OMP_NUM_THREADS"
+#: when functions are compiled: never, or at their first call
+VARIABLE = "OED_COMPILE"
+NEVER = "0"
+AT_ONCE = "1"
 NO_TOOL = np.zeros(3)
 
 Work = Callable[[], np.ndarray]

@@ -23,9 +23,9 @@ import casadi as ca
 import numpy as np
 from scipy import optimize
 
+from oed.instrument import mount
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
-from oed.model.expressions import symbols
-from oed.model.instrument import mount
+from oed.mechanism import symbols
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import machine
 

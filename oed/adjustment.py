@@ -29,9 +29,8 @@ from scipy.optimize import lsq_linear
 
 from oed.accuracy.maps import Reference, driven_errors, maps_by_reference
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.adjustment import Adjustment
-from oed.model.machine import Parameter
+from oed.mechanism import Kinematics
+from oed.model import Adjustment, Parameter
 
 #: share of the error by which it must grow without a line that is worth its work
 WORTH_SHARE = 0.05

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.coverage.noise import Layout
 from oed.compensate import compensated_joints
 from oed.estimation import IdentifiableCoordinates
+from oed.instrument import mount
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import mount
+from oed.mechanism import Kinematics
 from oed.noise import NoiseStatement
 from pkm_models.instruments import ball_bar, calliper, height_probe, relative
 from pkm_models.machines import a3_head, linear_delta, planar_2dof

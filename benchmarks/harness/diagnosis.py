@@ -14,12 +14,12 @@ import msgspec
 import numpy as np
 
 from oed import dataset
+from oed.effect_model import Effect
 from oed.gap import procedure
 from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 from oed.result import AnswerRecord, ClosureRecord
 from pkm_studies import study as studies

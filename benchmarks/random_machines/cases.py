@@ -27,8 +27,8 @@ from benchmarks.harness.statistics import share
 from benchmarks.random_machines import machines, sessions
 from benchmarks.random_machines.sessions import Bench, Mounted
 from oed import build_study, diagnose, identify, read_readings
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError
+from oed.model import Machine
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 
 Array = np.ndarray
 #: least and largest size of a machine of a family, m

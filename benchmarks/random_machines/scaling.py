@@ -18,11 +18,11 @@ from typing import Any
 from benchmarks.random_machines import cases
 from benchmarks.random_machines.cases import Case
 from oed import build_study, identify, read_readings
+from oed.effect_model import Effect
 from oed.gap.cause import searches
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
-from oed.model.effect import Effect
 from pkm_studies.resolve import gap_request
 
 FACTOR = 1000.0

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.random_machines.machines import parameter_errors, rotations
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.machine import Coordinate, Machine
+from oed.mechanism import AssemblyError
+from oed.model import Coordinate, Machine
 
 Array = np.ndarray
 LAWS = ("white", "along", "offsets", "tails")

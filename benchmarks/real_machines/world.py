@@ -14,8 +14,8 @@ from benchmarks.harness.diagnosis import bench as bench_of
 from benchmarks.second.world import GENERATOR, MACHINES, write_case
 from oed import dataset
 from oed.base import Array
+from oed.effect_model import Effect
 from oed.measurement import Measurement
-from oed.model.effect import Effect
 
 MM = 1e-3
 HEALTHY = (0.6, 1.4)

@@ -10,7 +10,7 @@ import math
 
 import casadi as ca
 
-from oed.model.machine import Component, Coordinate, Expr, Machine, Parameter, Values
+from oed.model import Component, Coordinate, Expr, Machine, Parameter, Values
 
 MM = 1e-3
 AXES = ("x", "y", "z")

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics
 from pkm_reports import style
 from pkm_reports.sections.figures import scene
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from oed.design import choose
 from oed.identifiability import analyse, scaled
+from oed.instrument import mount
 from oed.measurement import Measurement, commands_at_fixed_reading
-from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import C, D, machine
 from pkm_reports import style

@@ -14,8 +14,8 @@ import numpy as np
 
 from oed import compensate
 from oed.estimation import identify
+from oed.instrument import mount
 from oed.measurement import Measurement, draw_parameters
-from oed.model.instrument import mount
 from pkm_models.instruments import camera, redundancy
 from pkm_models.machines.cable_robot import FOLD, GEAR, LINES, SPOOL, machine
 from pkm_reports import style

@@ -15,8 +15,8 @@ import _draw
 import numpy as np
 
 from oed.identifiability import assess, explain
+from oed.instrument import mount
 from oed.measurement import Measurement, commands_at_fixed_reading
-from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines.hexapod import HEIGHT, machine
 from pkm_reports import style

@@ -12,8 +12,8 @@ import _draw
 import numpy as np
 
 from oed.identifiability import assess, explain
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines.linear_delta import machine
 from pkm_reports import style

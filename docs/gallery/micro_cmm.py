@@ -13,8 +13,8 @@ import _draw
 import numpy as np
 
 from oed.identifiability import assess
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model.instrument import mount
 from pkm_models.instruments import ball_plate, camera
 from pkm_models.machines.micro_cmm import direct, machine
 from pkm_reports import style

@@ -12,8 +12,8 @@ import _draw
 import numpy as np
 
 from oed.identifiability import Assessment, assess
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.model.instrument import mount
 from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine
 from pkm_reports import style

@@ -12,8 +12,8 @@ import _draw
 import numpy as np
 
 from oed.identifiability import Assessment, assess, explain
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model.instrument import mount
 from pkm_models.instruments import laser_ball_bar
 from pkm_models.machines import prs_spindle, prs_spindle_struts
 from pkm_reports import style

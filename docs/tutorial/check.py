@@ -3,7 +3,7 @@
 import numpy as np
 from my_machine import INWARD, LIMBS, machine
 
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics
 
 kinematics = Kinematics(machine)
 inward = np.array([INWARD[i] for i in LIMBS])

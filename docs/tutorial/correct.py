@@ -7,8 +7,7 @@ import numpy as np
 from my_machine import machine
 
 from oed import compensate, units
-from oed.mechanism import pose_error
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics, pose_error
 
 result = json.loads(Path("fit/result.json").read_text(encoding="utf-8"))
 identified = machine.nominal  # fixed parameters stay there

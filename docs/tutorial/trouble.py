@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from my_machine import INWARD, LIMBS, machine, target
 
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics
 
 
 def attempt(title, call):

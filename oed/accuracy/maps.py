@@ -22,9 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oed.base import Array
-from oed.mechanism.error_model import ErrorModel, error_model
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL, pose_error
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model, pose_error
 
 Reference = Literal["home", "absolute", "best_fit"]
 

@@ -22,7 +22,7 @@ from scipy import linalg
 from oed.base import Array, Index
 from oed.checks.session import SessionReadings
 from oed.estimation import Minima, minimise
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from oed.noise import Noise
 
 if TYPE_CHECKING:

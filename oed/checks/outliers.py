@@ -32,7 +32,7 @@ from oed.checks.fit import Fit, fit
 from oed.checks.goodness import goodness
 from oed.checks.outlier_odds import LOCATED, PROVEN, SHARE, OutlierOdds, best_set
 from oed.checks.session import SessionReadings
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 
 #: probability that a correct session has a reading beyond the limit
 FALSE_ALARM = 1e-4

@@ -2,8 +2,6 @@
 
 compensated_joints    joints that hold commands on a machine with other parameters
 joint_corrections     what a controller with the nominal model adds to its joints
-corrected_commands    commands that make it hold others
-command_of_pose       the command whose target is that of a pose
 undriven_components   pose components that no joint drives, in words
 joint_motion          motion of the driven components per unit of each joint
 GridAxis              a command coordinate of a table
@@ -30,9 +28,7 @@ if TYPE_CHECKING:
         joint_motion,
     )
     from oed.compensate.exact import (
-        command_of_pose,
         compensated_joints,
-        corrected_commands,
         joint_corrections,
         undriven_components,
     )

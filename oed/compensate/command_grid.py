@@ -17,11 +17,8 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array, Mask, grid_nodes
-from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL
-from oed.model.expressions import machine_expressions
-from oed.model.machine import Machine
+from oed.mechanism import NO_TOOL, BatchedFunction, Kinematics, symbols
+from oed.model import Machine
 
 FULL_TURN = 2.0 * math.pi
 #: nodes along an axis: its ends
@@ -156,17 +153,17 @@ def box_axes(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
 
 def _repeats_after_a_turn(machine: Machine) -> Mask:
     """Which command coordinates (n_dof,) are angles that hold the same pose after a turn."""
-    e = machine_expressions(machine)
-    target = BatchedFunction("target", [e.c], [ca.vertcat(*e.target)])
+    c, by_name = symbols("c", machine.command)
+    target = BatchedFunction("target", [c], [ca.vertcat(*machine.target(by_name))])
     rng = np.random.default_rng(0)
     positions = machine.home_command + rng.uniform(0.1, 0.5, (4, len(machine.command)))
     values = target(positions)[0]
     repeats = []
-    for k, c in enumerate(machine.command):
+    for k, coordinate in enumerate(machine.command):
         turned = positions.copy()
         turned[:, k] += FULL_TURN
         same = np.allclose(target(turned)[0], values, rtol=0.0, atol=POSITION_TOLERANCE)
-        repeats.append(c.unit == "rad" and same)
+        repeats.append(coordinate.unit == "rad" and same)
     return np.array(repeats)
 
 

@@ -18,8 +18,7 @@ from oed.compensate import (
     joint_corrections,
 )
 from oed.compensate.command_grid import CommandGrid
-from oed.mechanism import pose_error
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics, pose_error
 
 #: places in a table's box over which its interpolation error is averaged
 N_POSITIONS = 1000

@@ -14,10 +14,8 @@ import numpy as np
 
 from oed.base import Array
 from oed.compensate.exact import compensated_joints
-from oed.mechanism.error_model import error_model
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL, pose_error
-from oed.model.machine import Component
+from oed.mechanism import NO_TOOL, Kinematics, error_model, pose_error
+from oed.model import Component
 
 #: name of the offset about the tool axis
 TURN = "turn"

@@ -25,13 +25,13 @@ from scipy import special
 from oed import posterior
 from oed.base import Array, Index
 from oed.corrected.fit import CorrectedEstimate, EffectReadings, estimate_with_effects
+from oed.effect_model import Effect
 from oed.effects import ExpectedColumns
 from oed.estimation import Discrepancy, Estimate, IdentificationError, identify
 from oed.gap.cause.hypothesis import PRIOR
 from oed.gap.data.diagnosis import AnswerContent
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.effect import Effect
+from oed.mechanism import AssemblyError
 from oed.posterior import OutOfBoundsError
 from oed.result import AnswerRecord
 

@@ -16,16 +16,16 @@ from oed.corrected.forms import (
     groups_by_effect,
     updated_sizes,
 )
+from oed.effect_model import Effect, State
 from oed.effects import ActingForm, ExpectedColumns, SessionStates
 from oed.estimation import Discrepancy, Estimate, identify
 from oed.gap.data import problem as problems
 from oed.gap.data import signature as signatures
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.state import DOWN
+from oed.instrument import TakenReadings
 from oed.measurement import Measurement, Series
-from oed.model.effect import Effect, State
-from oed.model.machine import Parameter
-from oed.model.series import TakenReadings
+from oed.model import Parameter
 
 if TYPE_CHECKING:
     import pandas as pd

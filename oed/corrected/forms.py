@@ -9,7 +9,7 @@ together: the coefficients of one leg, say. They are N(0, t^2). An estimate made
 t, divided by its prior, is what the readings alone tell of a group; with it t is
 estimated again:
 
-- the groups of an effect share a size, its expected one or larger (`oed.model.size_prior`);
+- the groups of an effect share a size, its expected one or larger (`oed.effect_model`);
 - one group in ten is of any larger size, so that one leg whose conversion is wrong is not
   pulled to zero, and the others are not set free.
 
@@ -25,11 +25,10 @@ import numpy as np
 from scipy import linalg, special
 
 from oed.base import Array, Index
+from oed.effect_model import EFFECT_SIZES, FAR_SHARE, Effect
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature
-from oed.model.effect import Effect
-from oed.model.size_prior import EFFECT_SIZES, FAR_SHARE
 
 #: constants beyond which textbook forms alone are scanned
 MAX_FULL_GRID = 64

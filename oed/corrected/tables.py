@@ -17,9 +17,9 @@ import numpy as np
 from oed.base import Array
 from oed.corrected.fit import SEPARATOR, CorrectedEstimate
 from oed.corrected.forms import ChosenForm
+from oed.effect_model import State
 from oed.effects import workspace_state
-from oed.mechanism.error_model import ErrorModel, error_model
-from oed.model.effect import State
+from oed.mechanism import ErrorModel, error_model
 
 #: axis of what depends on the pose alone
 POSE = "pose"

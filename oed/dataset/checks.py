@@ -23,9 +23,9 @@ from oed.dataset.columns import (
 from oed.dataset.notations import notations
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table import cell_remedy
+from oed.instrument import Setup
 from oed.measurement import Measurement
-from oed.model.instrument import Setup
-from oed.model.machine import Coordinate
+from oed.model import Coordinate
 from oed.text import suggest
 
 #: SI amount by which a value may exceed its coordinate's range

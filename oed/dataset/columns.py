@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from oed import units
-from oed.model.instrument import Channel
-from oed.model.machine import Machine
+from oed.instrument import Channel
+from oed.model import Machine
 
 #: columns of text
 LABELS: Final = ("setup", "run")

@@ -31,10 +31,10 @@ from oed.dataset.data import Dataset, column_layouts
 from oed.dataset.file_rows import FILE_COLUMN, short_names
 from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
 from oed.dataset.table_checks import ORDER_REMEDY
+from oed.instrument import Instrument
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.instrument import Instrument
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError
+from oed.model import Machine
 
 #: most passes, and the change of a joint after which no further one follows, m or rad;
 #: each pass lowers the stretch's error by about the strain

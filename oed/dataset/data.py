@@ -10,9 +10,9 @@ import pandas as pd
 
 from oed.base import Array
 from oed.dataset.columns import ReadingsColumn
+from oed.instrument import Channel, Setup
 from oed.measurement import Measurement, Series
-from oed.model.instrument import Channel, Setup
-from oed.model.machine import Coordinate, Machine
+from oed.model import Coordinate, Machine
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -8,8 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from oed.base import Array
-from oed.model.instrument import Setup
-from oed.model.series import Series
+from oed.instrument import Series, Setup
 
 #: share of the smaller of two sessions that is equal in both where they are the same
 SAME = 0.9

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.model.machine import Coordinate
+from oed.model import Coordinate
 
 #: values (n,) of a column as they should be, SI, from those of the file
 Notation = Callable[[Array], Array]

@@ -16,6 +16,7 @@ from scipy import linalg
 
 from oed.accuracy.maps import ErrorMaps, Reference
 from oed.base import Array, Index, Mask
+from oed.effect_model import Effect, State
 from oed.effects.effect_maps import (
     ActingForm,
     SessionStates,
@@ -27,8 +28,7 @@ from oed.estimation import Discrepancy
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature
 from oed.gap.forms.unknown import unknown_effects
-from oed.mechanism.pose_errors import NO_TOOL
-from oed.model.effect import Effect, State
+from oed.mechanism import NO_TOOL
 
 #: most values of an effect's constants that stand side by side
 MAX_FORMS = 16

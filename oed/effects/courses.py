@@ -25,12 +25,12 @@ import numpy as np
 
 from oed.accuracy.maps import Reference
 from oed.base import Array, Index, Mask
+from oed.effect_model import Effect, State
 from oed.effects.columns import ExpectedColumns
 from oed.effects.effect_maps import SessionStates
 from oed.gap.data import state as states_of
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Series
-from oed.model.effect import Effect, State
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,13 +19,11 @@ import numpy as np
 
 from oed.accuracy.maps import ErrorMaps, Reference, error_maps
 from oed.base import Array
+from oed.effect_model import Column, Effect, State
 from oed.gap.data import state as states_of
 from oed.measurement import Measurement, Series
-from oed.mechanism.error_model import ErrorModel, error_model
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL
-from oed.model.effect import Column, Effect, State
-from oed.model.machine import Machine
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model
+from oed.model import Machine
 
 if TYPE_CHECKING:
     import pandas as pd

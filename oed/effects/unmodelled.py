@@ -21,6 +21,7 @@ import numpy as np
 from oed.accuracy.budget.model import BudgetModel
 from oed.accuracy.maps import ErrorMaps, Reference
 from oed.base import Array
+from oed.effect_model import Effect, State
 from oed.effects.effect_maps import (
     ActingForm,
     SessionStates,
@@ -29,7 +30,6 @@ from oed.effects.effect_maps import (
 )
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import untestable
-from oed.model.effect import Effect, State
 
 #: points of an effect's constants that are tried
 N_CONSTANTS = 5

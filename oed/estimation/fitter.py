@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 
 from oed.base import Array, Index, Mask
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 
 #: distance to the minimum, posterior standard deviations, below which a step is the last
 PRECISION = 1e-7

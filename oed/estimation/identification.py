@@ -33,7 +33,7 @@ from oed.estimation.law_stage import (
     integrated_stage,
 )
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from oed.noise import Noise
 
 

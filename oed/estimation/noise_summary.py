@@ -14,7 +14,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Mask
-from oed.model.instrument import Setup
+from oed.instrument import Setup
 from oed.noise import Laws
 from oed.noise_law import NoisePosterior
 from oed.result import NoiseRecord

@@ -22,9 +22,8 @@ import numpy as np
 
 from oed.accuracy.maps import Reference, error_maps
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL
-from oed.model.machine import Component
+from oed.mechanism import NO_TOOL, Kinematics
+from oed.model import Component
 
 #: what counts as an equal place, m or rad
 POSITION_TOLERANCE = 1e-9

@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from oed.base import Array
+from oed.effect_model import Effect
 from oed.gap.cause import advice, answers, closure, withheld
 from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
 from oed.gap.cause.explained import explain, nearest_effects
@@ -26,7 +27,6 @@ from oed.gap.forms.carriers import JOINTS, READINGS, part_in_words
 from oed.gap.forms.library import Library
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 from oed.result import PlaceRecord
 

@@ -22,10 +22,9 @@ from oed import units
 from oed.base import Array, Index
 from oed.identifiability import identifiability, information
 from oed.identifiability.identifiability import Identifiability
+from oed.instrument import Channel, Cost, Frame, Instrument, mount
 from oed.measurement import Measurement, Series
-from oed.model.expressions import passive_joints
-from oed.model.instrument import Channel, Cost, Frame, Instrument, mount
-from oed.model.machine import Expr, Parameter, Values
+from oed.model import Expr, Parameter, Values
 
 #: readings as a machine with its set-ups, and their series
 Readings = tuple[Measurement, Sequence[Series]]
@@ -218,7 +217,7 @@ def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
 def _passive_sensors(assessment: Assessment) -> list[Trial]:
     """The same joint positions with every passive joint read; zeros are unknown."""
     measurement = assessment.measurement
-    joints = passive_joints(measurement.machine)
+    joints = measurement.machine.passive_joints()
     if not joints:
         return []
     names = [joint.name for joint in joints]

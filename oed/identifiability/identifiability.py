@@ -16,7 +16,7 @@ import numpy as np
 
 from oed.base import Array, Index, Mask
 from oed.linear_algebra import first_largest, right_singular
-from oed.model.machine import Machine, PointGroup
+from oed.model import Machine, PointGroup
 
 #: Singular values below this share of the largest count as zero. Exact zeros come out
 #: near 1e-16; the finest true sensitivities of the machines here lie above 1e-5. In

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import elementwise
 
 from oed.base import Array, Mask
-from oed.measurement.measurement import Measurement
-from oed.model.machine import Coordinate
+from oed.measurement import Measurement
+from oed.model import Coordinate
 
 
 def _solve_coordinate(

@@ -10,14 +10,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from oed.base import Array, Mask
+from oed.instrument import ParameterVector, Series, Setup, TakenReadings
 from oed.measurement.reading_noise import stated_noise
 from oed.measurement.setup_readings import Response, SetupReadings
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.mechanism.nearby_poses import NearbyPoses
-from oed.model.instrument import Setup
-from oed.model.machine import Machine
-from oed.model.parameter_vector import ParameterVector
-from oed.model.series import Series, TakenReadings, index_poses, run_labels
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from oed.noise import Noise
 
 __all__ = ["Measurement", "Response", "Series"]
@@ -91,11 +88,11 @@ class Measurement(ParameterVector):
         """
         mounted = self.setups[setup]
         command = np.atleast_2d(np.asarray(command, dtype=float))
-        labels = run_labels(run, len(command))
+        labels = _run_labels(run, len(command))
         if mounted.teach is not None:
             command = np.vstack([command, np.array(mounted.teach)[None]])
         x, q = self._sent(command, controller, np.array(mounted.tool))
-        index, labels = index_poses(mounted.instrument, labels)
+        index, labels = mounted.instrument.index_poses(labels)
         return Series(setup, q, x, command, index, labels)
 
     def series_from_joints(
@@ -104,7 +101,7 @@ class Measurement(ParameterVector):
         """As `series`, from recorded joints (n, nq), SI; their commands are NaN."""
         mounted = self.setups[setup]
         q = np.atleast_2d(np.asarray(q, dtype=float))
-        labels = run_labels(run, len(q))
+        labels = _run_labels(run, len(q))
         x = self.kinematics.start_poses(q)
         command = np.full((len(q), len(self.machine.command)), np.nan)
         if mounted.teach is not None:
@@ -113,7 +110,7 @@ class Measurement(ParameterVector):
             teach_x, teach_q = self.kinematics.sent(teach, tool)
             q, x = np.vstack([q, teach_q]), np.vstack([x, teach_x])
             command = np.vstack([command, teach])
-        index, labels = index_poses(mounted.instrument, labels)
+        index, labels = mounted.instrument.index_poses(labels)
         return Series(setup, q, x, command, index, labels)
 
     def _sent(
@@ -162,11 +159,11 @@ class Measurement(ParameterVector):
     ) -> Callable[[Array], Array]:
         """A faster `try_readings` for vectors (m, n) near theta (n,).
 
-        Poses take the slopes at theta (`oed.mechanism.nearby_poses`).
+        Poses take the slopes at theta (`Kinematics.nearby`).
         """
         size = len(self.machine.parameters)
         nearby = [
-            NearbyPoses(self.kinematics, s.q, theta[:size], self.poses(s, theta))
+            self.kinematics.nearby(s.q, theta[:size], self.poses(s, theta))
             for s in series
         ]
 
@@ -294,3 +291,8 @@ def mode_jumps(
         jumps += int(np.count_nonzero(before * after < 0.0))
         count += len(start)
     return jumps, count
+
+
+def _run_labels(run: Sequence[str] | None, count: int) -> np.ndarray:
+    """Run (count,) of each pose; `1` for all by default."""
+    return np.array(["1"] * count if run is None else list(run), dtype=np.str_)

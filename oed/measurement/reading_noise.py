@@ -8,9 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from oed.base import Array
+from oed.instrument import Series, Setup
 from oed.measurement.setup_readings import SetupReadings
-from oed.model.instrument import Setup
-from oed.model.series import Series
 from oed.noise import Errors, FactoredNoise, Noise
 
 

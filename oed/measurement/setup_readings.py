@@ -16,13 +16,9 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array, Mask
-from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_slopes import PoseAdjoints
-from oed.model.expressions import machine_frame, symbols
-from oed.model.instrument import Setup
-from oed.model.machine import Machine
-from oed.model.series import Series
+from oed.instrument import Series, Setup
+from oed.mechanism import BatchedFunction, Kinematics, machine_frame, symbols
+from oed.model import Machine
 
 
 class ObservationModel:
@@ -197,7 +193,7 @@ class SetupReadings:
         x, p = self.poses(series, theta, strict=True), theta[:, : self._count]
         by_pose, by_setup, by_parameter = self._slopes(series, x, theta)
         joints = self._joints(series, len(x))
-        adjoints = PoseAdjoints(self._kinematics.slopes, x, joints, p)
+        adjoints = self._kinematics.slopes.adjoints(x, joints, p)
         shape = (len(x), len(series), by_setup.shape[1])
         pairs = zip(by_pose, series.pose_indices(), strict=True)
         parts = [adjoints.pull_back(g.reshape(*shape, -1), k) for g, k in pairs]

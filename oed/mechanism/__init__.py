@@ -1,10 +1,20 @@
-"""A closure made to move: forward and inverse kinematics, slopes, linear pose errors.
+"""A closure made to move: forward and inverse kinematics, slopes, pose errors.
 
-NO_TOOL            the reference tool
-AssemblyError      a closure that cannot be satisfied: out of reach, or singular
-InverseKinematics  the controller: commands to poses and joints
-Kinematics         both directions of a machine, and their derivatives
-pose_error         the exact twist error of a machine at joints
+AssemblyError        a closure that cannot be satisfied: out of reach, or singular
+BatchedFunction      a CasADi function over many points at once
+Controller           what a compensated controller holds of its machine
+ErrorModel           linear pose errors of a machine at commands
+Kinematics           both directions of a machine, and their derivatives
+NO_TOOL              the reference tool
+begin_job            a case of a campaign: its numbers depend on no case before
+closest_closure      where a machine that does not assemble meets its equations best
+component_errors     exact errors of the pose components that a machine states
+error_model          an ErrorModel, with the joint corrections that null what they can
+generated_functions  the kinematics of a machine as C functions
+machine_frame        what an instrument sees of a machine, in symbols
+pose_error           the exact twist error of a machine at joints
+symbols              a symbolic vector of coordinates or parameters
+twist_between        displacement from frames to others
 """
 
 from typing import TYPE_CHECKING
@@ -12,9 +22,20 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.mechanism.inverse import AssemblyError, InverseKinematics
-    from oed.mechanism.kinematics import Kinematics
-    from oed.mechanism.pose_errors import NO_TOOL, pose_error
+    from oed.mechanism.batch import BatchedFunction, begin_job
+    from oed.mechanism.c_code import generated_functions
+    from oed.mechanism.expressions import machine_frame, symbols
+    from oed.mechanism.inverse import AssemblyError
+    from oed.mechanism.kinematics import Controller, Kinematics
+    from oed.mechanism.least_squares_closure import closest_closure
+    from oed.mechanism.pose_errors import (
+        NO_TOOL,
+        ErrorModel,
+        component_errors,
+        error_model,
+        pose_error,
+        twist_between,
+    )
 else:
     # imported when first used: a module of the room may need little of it
     __getattr__ = door(__name__)

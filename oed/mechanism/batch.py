@@ -20,8 +20,7 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.mechanism.compiled.lanes import Adjoint, Evaluation, Newton, compiled
-from oed.mechanism.compiled.text import LaneJob
+from oed.mechanism.compiled.lanes import Adjoint, Evaluation, LaneJob, Newton, compiled
 from oed.mechanism.graph import Graph, read_graph
 from oed.mechanism.tape import (
     AdjointRows,
@@ -38,19 +37,24 @@ CHUNK_SIZES = (
     *(2048, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64),
     *(48, 32, 24, 16, 12, 8, 6, 4, 2, 1),
 )
-#: most points that padding may add: they take as long as another call does, of CasADi's
-#: interpreter and of array operations
-SPARE, ARRAY_SPARE = 4, 256
+#: most points that padding may add: they take as long as another call of CasADi's
+#: interpreter does
+MAX_PADDING = 4
+#: the same of array operations
+MAX_ARRAY_PADDING = 256
 #: number of points from which array operations are faster than CasADi's interpreter
-ARRAY_SIZE = 192
+MIN_ARRAY_POINTS = 192
 #: environment variable that decides when functions are compiled
-VARIABLE = "OED_COMPILE"
-NEVER, AT_ONCE = "0", "1"
+COMPILE_VARIABLE = "OED_COMPILE"
+#: its value where no function is compiled
+NEVER_COMPILE = "0"
+#: its value where each function is compiled at its first call
+COMPILE_AT_ONCE = "1"
 #: points after which the array code has taken longer than the compilation of a long
 #: function, 0.4 ms an instruction
-ENOUGH_POINTS = 400_000
+COMPILE_POINTS = 400_000
 #: points times instructions more, for the 0.1 s that the compiler takes at least
-LEAST_WORK = 100_000_000
+COMPILE_WORK = 100_000_000
 
 
 class BatchedFunction:
@@ -126,8 +130,8 @@ class BatchedFunction:
         for size, chunk in _chunks(n):
             if size not in self._newton:
                 self._newton[size] = ArrayNewton(graph, size, unknown, angles)
-            at = [a[chunk] for a in inputs]
-            part = self._newton[size].solve(at, step_tolerance, longest)
+            points = [a[chunk] for a in inputs]
+            part = self._newton[size].solve(points, step_tolerance, longest)
             solutions.solved[chunk], solutions.near[chunk] = part.solved, part.near
             for every, some in zip(values, part.values, strict=True):
                 every[chunk] = some
@@ -160,8 +164,8 @@ class BatchedFunction:
         for size, chunk in _chunks(n):
             if size not in self._adjoints:
                 self._adjoints[size] = ArrayAdjoint(graph, size, scale)
-            at = [a[chunk] for a in inputs]
-            self._adjoints[size].run(at, right[chunk], rows.part(chunk))
+            points = [a[chunk] for a in inputs]
+            self._adjoints[size].run(points, right[chunk], rows.part(chunk))
         return rows
 
     @functools.cached_property
@@ -177,7 +181,7 @@ class BatchedFunction:
 
     def _graph_of_many(self, points: int) -> Graph | None:
         """The graph where array operations are faster; None in CasADi's interpreter."""
-        return self._graph if points >= ARRAY_SIZE else None
+        return self._graph if points >= MIN_ARRAY_POINTS else None
 
     def _compiled_job(
         self, kind: Any, points: int, job: Callable[[Graph], LaneJob]
@@ -214,8 +218,8 @@ def _chunks(n: int) -> Iterator[tuple[int, slice]]:
     while start < n:
         rest = n - start
         size = min((c for c in CHUNK_SIZES if c >= rest), default=CHUNK_SIZES[0])
-        spare = ARRAY_SPARE if rest >= ARRAY_SIZE else SPARE
-        if size - rest > spare:
+        max_padding = MAX_ARRAY_PADDING if rest >= MIN_ARRAY_POINTS else MAX_PADDING
+        if size - rest > max_padding:
             size = max(c for c in CHUNK_SIZES if c <= rest)
         yield size, slice(start, min(start + size, n))
         start += size
@@ -298,20 +302,20 @@ class CompileSwitch:
         points  that it is to be computed at now
         length  number of its instructions
         """
-        if self._setting in (NEVER, AT_ONCE):
-            return self._setting == AT_ONCE
+        if self._setting in (NEVER_COMPILE, COMPILE_AT_ONCE):
+            return self._setting == COMPILE_AT_ONCE
         if self._job != _Jobs.number:
             self._job, self._points = _Jobs.number, 0
         self._points += points
-        return (self._points - ENOUGH_POINTS) * length > LEAST_WORK
+        return (self._points - COMPILE_POINTS) * length > COMPILE_WORK
 
 
 def _setting() -> str:
-    """NEVER, AT_ONCE, or an empty text: after enough work. Raises CompileSettingError."""
-    setting = os.environ.get(VARIABLE, "").strip()
-    if setting not in ("", NEVER, AT_ONCE):
+    """NEVER_COMPILE, COMPILE_AT_ONCE, or empty: after enough work. Raises CompileSettingError."""
+    setting = os.environ.get(COMPILE_VARIABLE, "").strip()
+    if setting not in ("", NEVER_COMPILE, COMPILE_AT_ONCE):
         raise CompileSettingError(
-            f"the environment variable {VARIABLE} is {setting!r}: write {NEVER} for never,"
-            f" {AT_ONCE} for at once, or unset it"
+            f"the environment variable {COMPILE_VARIABLE} is {setting!r}: write {NEVER_COMPILE} for never,"
+            f" {COMPILE_AT_ONCE} for at once, or unset it"
         )
     return setting

@@ -11,9 +11,10 @@ import dataclasses
 import casadi as ca
 
 from oed.base import Array
+from oed.mechanism import newton
+from oed.mechanism.expressions import MachineExpressions, machine_expressions
 from oed.mechanism.inverse import joint_slopes
-from oed.model.expressions import MachineExpressions, machine_expressions
-from oed.model.machine import Expr, Machine
+from oed.model import Expr, Machine
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,11 +25,13 @@ class GeneratedFunctions:
             pkm_wanted, in CasADi's calling convention
     reals   number of doubles
     whole   number of integers
+    longest_step  of Newton's method over them, m or rad
     """
 
     text: str
     reals: int
     whole: int
+    longest_step: float
 
 
 def generated_functions(machine: Machine, parameters: Array) -> GeneratedFunctions:
@@ -53,6 +56,7 @@ def generated_functions(machine: Machine, parameters: Array) -> GeneratedFunctio
         text=generator.dump(),
         reals=max(f.sz_w() for f in functions),
         whole=max(f.sz_iw() for f in functions),
+        longest_step=newton.longest_step(machine.lever),
     )
 
 
@@ -67,8 +71,10 @@ def _functions(
 
     start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
     pairs = zip(e.commanded, e.target, strict=True)
-    unmet = ca.vertcat(e.phi, *[held - wanted for held, wanted in pairs])
-    held, target = ca.vertcat(*e.commanded), ca.vertcat(*e.target)
+    unmet = ca.vertcat(
+        e.phi, *[commanded - target_value for commanded, target_value in pairs]
+    )
+    commanded, target = ca.vertcat(*e.commanded), ca.vertcat(*e.target)
     slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
     closure_slope = ca.jacobian(e.phi, e.x)
     own_slopes = ca.vertcat(*joint_slopes(e))
@@ -78,6 +84,6 @@ def _functions(
         function("pkm_unmet", [e.x, e.q, e.c, e.tool], [unmet, slope]),
         function("pkm_mode", [e.x, e.q], [closure_slope, own_slopes]),
         function("pkm_balance", [e.x, e.q], balance),
-        function("pkm_held", [e.x, e.tool], [held]),
+        function("pkm_held", [e.x, e.tool], [commanded]),
         function("pkm_wanted", [e.c], [target, ca.jacobian(target, e.c)]),
     ]

@@ -129,11 +129,13 @@ class Graph:
     inputs: Sequence[int]
     outputs: Sequence[Sequence[int]]
 
-    def needed(self, numbers: Collection[int], known: Collection[int] = ()) -> set[int]:
-        """Nodes that these take values from, and their own; known ones need no others."""
+    def needed(
+        self, numbers: Collection[int], computed: Collection[int] = ()
+    ) -> set[int]:
+        """Nodes that these take values from, and their own; computed ones need no others."""
         needed = set(numbers)
         for number in reversed(range(len(self.nodes))):
-            if number in needed and number not in known:
+            if number in needed and number not in computed:
                 needed.update(self.nodes[number].sources)
         return needed
 

@@ -23,18 +23,19 @@ import numpy as np
 from oed.base import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
-from oed.model.expressions import MachineExpressions
-from oed.model.machine import Machine
+from oed.mechanism.expressions import MachineExpressions
+from oed.model import Machine
 
 #: change of the slopes, over the largest, that is steady within Newton's last step
-STEADY = 1e-3
+SLOPE_TOLERANCE = 1e-3
 #: steps in which a solution is followed, first few, then more
 PATH_STEPS = (8, 64, 512)
-#: starts about the machine's own for a home pose that fails, and how far they reach,
-#: over the lever and in radians
-SEVERAL_STARTS, START_SPREAD = 64, 1.0
+#: number of starts about the machine's own, for a home pose that fails
+N_STARTS = 64
+#: how far they reach, over the lever and in radians
+START_SPREAD = 1.0
 #: pose numbers that an error lists
-LISTED = 8
+MAX_LISTED = 8
 
 OUT_OF_REACH = "out of reach or singular"
 MIRRORED = (
@@ -65,8 +66,8 @@ class AssemblyError(RuntimeError):
 
 def listed(indices: Index) -> str:
     """Pose numbers for an error message, the first few."""
-    numbers = ", ".join(str(i) for i in indices[:LISTED])
-    return numbers + (" ..." if indices.size > LISTED else "")
+    numbers = ", ".join(str(i) for i in indices[:MAX_LISTED])
+    return numbers + (" ..." if indices.size > MAX_LISTED else "")
 
 
 class InverseKinematics:
@@ -78,7 +79,7 @@ class InverseKinematics:
     def __init__(self, machine: Machine, e: MachineExpressions) -> None:
         self.machine = machine
         pairs = zip(e.commanded, e.target, strict=True)
-        unmet = ca.vertcat(e.phi, *[held - wanted for held, wanted in pairs])
+        unmet = ca.vertcat(e.phi, *[commanded - target for commanded, target in pairs])
         slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
         start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
         inputs = [e.x, e.q, e.p, e.c, e.tool]
@@ -107,10 +108,10 @@ class InverseKinematics:
         for steps in PATH_STEPS:
             if not lost.size:
                 break
-            followed, done = self._from_home(
-                (home, mode), command[lost], _at(p, lost), tool, steps
+            followed, done = self._follow_from_home(
+                (home, mode), command[lost], _rows_of(p, lost), tool, steps
             )
-            done &= self._has_slopes(followed, command[lost], _at(p, lost), tool)
+            done &= self._has_slopes(followed, command[lost], _rows_of(p, lost), tool)
             z[lost[done]] = followed[done]
             lost = lost[~done]
         if lost.size:
@@ -141,7 +142,7 @@ class InverseKinematics:
     def modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         """Signs (n, 2 + nq) of the mode; 0 where the machine does not define one."""
         parts = [
-            self._modes(z[rows], command[rows], _at(p, rows), tool)
+            self._modes(z[rows], command[rows], _rows_of(p, rows), tool)
             for rows in newton.blocks(len(z))
         ]
         return np.concatenate([np.empty((0, 2 + len(self.machine.joints))), *parts])
@@ -168,9 +169,9 @@ class InverseKinematics:
         solution = self._directly(command, p, tool, mode)
         if solution is None:
             start = z, drawn.home_command, drawn.nominal
-            solution = self._from_drawn(start, command, p, tool, mode)
+            solution = self._follow_from_drawn(start, command, p, tool, mode)
         if solution is None:
-            solution = self._from_several(command, p, tool, mode)
+            solution = self._search_starts(command, p, tool, mode)
         if solution is None:
             raise self._error(command, np.array([0]), self._why_not(command, p, tool))
         return solution, self.modes(solution[None], command, p, tool)[0]
@@ -191,7 +192,7 @@ class InverseKinematics:
             return None
         return np.asarray(z[0])
 
-    def _from_drawn(
+    def _follow_from_drawn(
         self,
         drawn: tuple[Array, Array, Array],
         command: Array,
@@ -203,8 +204,8 @@ class InverseKinematics:
         z, drawn_command, drawn_p = drawn
 
         def point(share: float) -> tuple[Array, Array, Array]:
-            at = drawn_command + share * (command - drawn_command)
-            return at, drawn_p + share * (p - drawn_p), tool
+            passed = drawn_command + share * (command - drawn_command)
+            return passed, drawn_p + share * (p - drawn_p), tool
 
         for steps in PATH_STEPS:
             followed, done = self._follow(z[None], mode, point, steps)
@@ -212,7 +213,7 @@ class InverseKinematics:
                 return np.asarray(followed[0])
         return None
 
-    def _from_several(
+    def _search_starts(
         self, command: Array, p: Array, tool: Array, mode: Array
     ) -> Array | None:
         """The solution in this mode nearest to the machine's start, from several."""
@@ -222,7 +223,7 @@ class InverseKinematics:
         from scipy.stats import qmc  # takes a second to import
 
         sequence = qmc.Halton(len(size), scramble=False)
-        cloud = 2.0 * sequence.random(SEVERAL_STARTS) - 1.0
+        cloud = 2.0 * sequence.random(N_STARTS) - 1.0
         z = start + START_SPREAD * np.array(size) * cloud
         commands = np.repeat(command, len(z), axis=0)
         z, failed = self._newton(z, commands, p, tool)
@@ -250,7 +251,7 @@ class InverseKinematics:
 
     # -- paths -------------------------------------------------------------------------
 
-    def _from_home(
+    def _follow_from_home(
         self,
         home: tuple[Array, Array],
         command: Array,
@@ -263,8 +264,8 @@ class InverseKinematics:
         start_command, start_p = self.machine.home_command, self.machine.nominal
 
         def point(share: float) -> tuple[Array, Array, Array]:
-            at = start_command + share * (command - start_command)
-            return at, start_p + share * (p - start_p), share * tool
+            passed = start_command + share * (command - start_command)
+            return passed, start_p + share * (p - start_p), share * tool
 
         starts = np.repeat(z[None], len(command), axis=0)
         return self._follow(starts, mode, point, steps)
@@ -301,10 +302,10 @@ class InverseKinematics:
         """
         nx = len(self.machine.pose)
         x, q = z[:, :nx], z[:, nx:]
-        _, at = self._inverse(x, q, p, command, tool)
+        _, slope = self._inverse(x, q, p, command, tool)
         _, near = self._inverse(x + newton.STEP_TOLERANCE, q, p, command, tool)
-        change = np.abs(near - at).max(axis=(1, 2))
-        regular: Mask = change < STEADY * np.abs(at).max(axis=(1, 2))
+        change = np.abs(near - slope).max(axis=(1, 2))
+        regular: Mask = change < SLOPE_TOLERANCE * np.abs(slope).max(axis=(1, 2))
         return regular
 
     # -- equations ---------------------------------------------------------------------
@@ -319,7 +320,7 @@ class InverseKinematics:
 
         def equations(values: Array, rows: Index) -> list[Array]:
             x, q = values[:, :nx], values[:, nx:]
-            return self._inverse(x, q, _at(p, rows), command[rows], tool)
+            return self._inverse(x, q, _rows_of(p, rows), command[rows], tool)
 
         longest = newton.longest_step(self.machine.lever)
         return newton.solve(equations, z.copy(), limited=nx, longest=longest)
@@ -359,7 +360,7 @@ def _determinant_signs(matrices: Array) -> Array:
     return signs
 
 
-def _at(p: Array, rows: Index) -> Array:
+def _rows_of(p: Array, rows: Index) -> Array:
     """Parameters of the rows, from one vector for all or one a row."""
     return p if p.ndim == 1 else p[rows]
 

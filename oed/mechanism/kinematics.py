@@ -21,32 +21,52 @@ All functions run over many poses and many parameter vectors at once.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import functools
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 
 from oed.base import Array, Mask
-from oed.mechanism import newton
+from oed.mechanism import commands, newton
 from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.controller import Controller
-from oed.mechanism.forward import ForwardKinematics
-from oed.mechanism.inverse import AssemblyError, InverseKinematics, listed
-from oed.mechanism.pose_slopes import PoseSlopes
-from oed.model.expressions import (
+from oed.mechanism.expressions import (
     MachineExpressions,
     machine_expressions,
     strut_ends,
     twist_slope,
 )
-from oed.model.machine import Machine
+from oed.mechanism.forward import NEAR_ERROR, ForwardKinematics, NearbyPoses
+from oed.mechanism.inverse import AssemblyError, InverseKinematics, listed
+from oed.mechanism.pose_slopes import PoseSlopes
+from oed.model import Machine
 
 #: steps in which joints without a command are followed from the home pose
 HOMING_STEPS = 20
 #: the same, where the first steps are too long
 FINER_HOMING_STEPS = 400
 
-__all__ = ["AssemblyError", "Kinematics"]
+#: what is added (n, nq) to the joints at commands (n, n_dof) that mean poses (n, nx), SI
+Corrections = Callable[[Array, Array], Array]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Controller:
+    """A controller that an earlier calibration compensated.
+
+    parameters   (np,) of its inverse kinematics, SI
+    corrections  that it adds to these joints; None where it has no such table
+    """
+
+    parameters: Array
+    corrections: Corrections | None = None
+
+    def corrected(self, command: Array, pose: Array, joints: Array) -> Array:
+        """Joints (n, nq) to which it drives, from pose and joints of its parameters."""
+        if self.corrections is None:
+            return joints
+        return np.asarray(joints + self.corrections(command, pose))
 
 
 class Kinematics:
@@ -57,10 +77,13 @@ class Kinematics:
 
     #: what the controller holds; None: nominal parameters
     controller: Controller | None = None
+    #: error (m, rad) that poses of `nearby` may have
+    nearby_error = NEAR_ERROR
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        self._expressions = e = machine_expressions(machine)
+        #: symbols and expressions of the machine
+        self.expressions = e = machine_expressions(machine)
         self._inverse = InverseKinematics(machine, e)
         #: the equations of a pose
         self.equations = ForwardKinematics(machine, e)
@@ -93,13 +116,13 @@ class Kinematics:
 
     @functools.cached_property
     def _commanded_slope(self) -> BatchedFunction:
-        e = self._expressions
+        e = self.expressions
         slope = ca.jacobian(ca.vertcat(*e.commanded), e.x)
         return BatchedFunction("commanded_slope", [e.x, e.tool], [slope])
 
     @functools.cached_property
     def _frame(self) -> BatchedFunction:
-        e = self._expressions
+        e = self.expressions
         frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, e.x)]
         return BatchedFunction("frame", [e.x, e.tool], frame)
 
@@ -125,6 +148,22 @@ class Kinematics:
     ) -> Array:
         """Slopes (n, nq, np) over the parameters of what `inverse` returned, the joints."""
         return self._inverse.joint_slopes(x, q, p, command, tool)
+
+    def corrected_commands(
+        self, command: Array, parameters: Array, tool: Array | None = None
+    ) -> Array:
+        """Commands (n, n_dof) that make a nominal controller hold `command` (n, n_dof).
+
+        parameters  (np,) of the real machine, SI
+
+        Raises AssemblyError; see `oed.mechanism.commands`.
+        """
+        tool = np.zeros(3) if tool is None else tool
+        return commands.corrected_commands(self, command, parameters, tool)
+
+    def command_of_pose(self, pose: Array, start: Array, tool: Array) -> Array:
+        """Command (n, n_dof) of poses (n, nx), near commands to start from (n, n_dof)."""
+        return commands.command_of_pose(self, pose, start, tool)
 
     @property
     def home_mode(self) -> Array:
@@ -205,6 +244,10 @@ class Kinematics:
     ) -> tuple[Array, Mask]:
         """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
         return self.equations.solve((start, q, p), start, step_tolerance)
+
+    def nearby(self, q: Array, p: Array, x: Array) -> NearbyPoses:
+        """Poses at joints q (n, nq) near those x (n, nx) at parameters p (np,)."""
+        return NearbyPoses(self.equations, q, p, x)
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
         """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.

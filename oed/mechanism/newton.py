@@ -11,6 +11,7 @@ from oed.base import Array, Index, Mask
 #: Newton stops after a step (m, rad) below this. Convergence is quadratic, so that the
 #: next step would be at rounding level.
 STEP_TOLERANCE = 1e-8
+#: steps after which a row has failed; shortened steps are what takes more than a few
 MAX_ITERATIONS = 30
 #: Longest step (m, rad). Longer ones are shortened, which keeps the assembly mode of
 #: the start.
@@ -18,7 +19,7 @@ MAX_STEP = 0.2
 #: Longest step of a large machine, over its lever
 LARGE_STEP = 0.1
 #: rows of which the slopes are in memory together: a multiple of a batch's largest chunk
-BLOCK = 8192
+BLOCK_ROWS = 8192
 
 #: values (n, k) and slopes (n, k, k) of the rows of z, and which rows they are
 Equations = Callable[[Array, Index], list[Array]]
@@ -48,8 +49,8 @@ def solve(
 
 def blocks(count: int) -> Iterator[Index]:
     """Numbers of rows in blocks whose slopes are in memory together."""
-    for first in range(0, count, BLOCK):
-        yield np.arange(first, min(first + BLOCK, count))
+    for first in range(0, count, BLOCK_ROWS):
+        yield np.arange(first, min(first + BLOCK_ROWS, count))
 
 
 def _solve_block(

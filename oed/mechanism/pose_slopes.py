@@ -19,16 +19,16 @@ import numpy as np
 from oed.base import Array, Index
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.expressions import MachineExpressions
 from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import AssemblyError, listed
-from oed.model.expressions import MachineExpressions
-from oed.model.machine import Machine
+from oed.model import Machine
 
 #: reciprocal condition number of phi_x (lengths over the lever) below which a pose
 #: counts as singular
 SINGULAR_BELOW = 1e-6
 #: poses over readings up to which many readings see one pose
-FEW = 0.25
+MAX_POSE_SHARE = 0.25
 
 
 class PoseSlopes:
@@ -100,6 +100,10 @@ class PoseSlopes:
             return False
         return bool(np.all(condition < 1.0 / SINGULAR_BELOW))
 
+    def adjoints(self, x: Array, q: Array, p: Array) -> PoseAdjoints:
+        """Those of poses x (m, poses, nx) with joints q (m, poses, nq), p (m, np)."""
+        return PoseAdjoints(self, x, q, p)
+
     def over_joints(self, x: Array, q: Array, p: Array) -> Array:
         """dx/dq (n, nx, nq) at fixed parameters."""
         by_x, _, by_q = self._equations.slopes(x, q, p)
@@ -152,7 +156,7 @@ class PoseAdjoints:
         Raises AssemblyError where a pose is singular.
         """
         distinct = np.unique(index)
-        if len(distinct) > FEW * len(index):
+        if len(distinct) > MAX_POSE_SHARE * len(index):
             return self._of_many(slopes, index)
         if len(distinct) == 1:
             return self._of_one(slopes, distinct[0])

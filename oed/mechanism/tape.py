@@ -75,16 +75,16 @@ class ArrayTape:
         varied = graph.varying(varying)
         first = graph.needed(graph.outputs[0]) & varied
         order = _order(graph, varied, first)
-        place = self._place_given(graph)
-        copies = self._place_outputs(graph, place)
-        for number, values in _place_computed(graph, order, varied, place, size):
-            place[number] = values
+        values_of = self._place_given(graph)
+        copies = self._place_outputs(graph, values_of)
+        for number, values in _place_computed(graph, order, varied, values_of, size):
+            values_of[number] = values
 
         def call(number: int) -> Call:
             node = graph.nodes[number]
             assert node.operation is not None
-            sources = [place[source] for source in node.sources]
-            return OPERATIONS[node.operation].array, (*sources, place[number])
+            sources = [values_of[source] for source in node.sources]
+            return OPERATIONS[node.operation].array, (*sources, values_of[number])
 
         self._fixed = [call(n) for n in order if n not in varied]
         self._first = [call(n) for n in order if n in first]
@@ -92,29 +92,29 @@ class ArrayTape:
         for number, entry in copies:
             varied_calls = self._first if number in first else self._rest
             calls = varied_calls if number in varied else self._fixed
-            calls.append((np.positive, (place[number], entry)))
+            calls.append((np.positive, (values_of[number], entry)))
 
     def _place_given(self, graph: Graph) -> dict[int, Any]:
         """Values of constants and of the inputs' entries, by node."""
-        place: dict[int, Any] = {}
+        values_of: dict[int, Any] = {}
         for number, node in enumerate(graph.nodes):
             if node.constant is not None:
-                place[number] = np.array(node.constant)
+                values_of[number] = np.array(node.constant)
             elif node.entry is not None:
-                place[number] = self.inputs[node.entry[0]][node.entry[1]]
-        return place
+                values_of[number] = self.inputs[node.entry[0]][node.entry[1]]
+        return values_of
 
     def _place_outputs(
-        self, graph: Graph, place: dict[int, Any]
+        self, graph: Graph, values_of: dict[int, Any]
     ) -> list[tuple[int, Array]]:
         """Give each output's node its entry; where it has a place, return a copy to make."""
         copies = []
         for row, entries in zip(graph.outputs, self.outputs, strict=True):
             for number, entry in zip(row, entries, strict=True):
-                if number in place:
+                if number in values_of:
                     copies.append((number, entry))
                 else:
-                    place[number] = entry
+                    values_of[number] = entry
         return copies
 
     def load(self, inputs: Sequence[Array]) -> None:
@@ -155,7 +155,7 @@ def _place_computed(
     graph: Graph,
     order: Sequence[int],
     varied: set[int],
-    place: dict[int, Any],
+    values_of: dict[int, Any],
     size: int,
 ) -> Iterable[tuple[int, Array]]:
     """Rows of memory for the nodes without a place: what one leaves, the next takes.
@@ -170,7 +170,7 @@ def _place_computed(
     free: list[int] = []
     count = 0
     for k, number in enumerate(order):
-        if number not in place:
+        if number not in values_of:
             if free:
                 rows[number] = free.pop()
             else:

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from oed.model.expressions import MachineExpressions, twist_slope
-from oed.model.machine import Expr, Machine
+from oed.mechanism.expressions import MachineExpressions, twist_slope
+from oed.model import Expr, Machine
 
 #: least determinant of the changes of three entries by turns, over the largest
-REGULAR = 0.5
+MIN_VOLUME_SHARE = 0.5
 
 
 class TwistSlopes(NamedTuple):
@@ -69,9 +69,9 @@ def _change_of_angles(
     what the angles change.
     """
     axes = ca.SX.eye(3)
-    places = list(itertools.product(range(3), range(3)))
-    turns = [ca.cross(e.rotation[:, j], axes[:, i]).T for i, j in places]
-    slopes = [ca.jacobian(e.rotation[i, j], e.x[list(angles)]) for i, j in places]
+    entries_of = list(itertools.product(range(3), range(3)))
+    turns = [ca.cross(e.rotation[:, j], axes[:, i]).T for i, j in entries_of]
+    slopes = [ca.jacobian(e.rotation[i, j], e.x[list(angles)]) for i, j in entries_of]
     best = _cheapest_entries(machine, e, turns, slopes)
     first, second, third = (slopes[k] for k in best)
     crossed = [
@@ -97,7 +97,7 @@ def _cheapest_entries(
     cost = [_instructions(slope, e.x) for slope in slopes]
     triples = list(itertools.combinations(range(9), 3))
     volumes = [abs(np.linalg.det(changes[list(triple)])) for triple in triples]
-    least = REGULAR * np.nanmax([0.0, *volumes])
+    least = MIN_VOLUME_SHARE * np.nanmax([0.0, *volumes])
     pairs = zip(triples, volumes, strict=True)
     regular = [triple for triple, volume in pairs if not volume < least]
     return min(regular, key=lambda triple: sum(cost[k] for k in triple))
@@ -127,11 +127,11 @@ def _at_rotation(equations: Expr, e: MachineExpressions, rotation: Expr) -> Expr
     outputs = [ca.densify(ca.vec(e.rotation)), ca.densify(equations)]
     inputs = [e.x, e.q, e.p]
     function = ca.Function("f", inputs, outputs, {"cse": True})
-    places = _writers(function)
-    if len({k for k, _ in places}) < 9:
+    entries_of = _writers(function)
+    if len({k for k, _ in entries_of}) < 9:
         return None
     entries: list[Any] = ca.vertsplit(ca.vec(rotation))
-    symbols = {k: sign * r for (k, sign), r in zip(places, entries, strict=True)}
+    symbols = {k: sign * r for (k, sign), r in zip(entries_of, entries, strict=True)}
     values: dict[int, Any] = {}
     rows: list[Any] = [None] * equations.numel()
     for k in range(function.n_instructions()):
@@ -161,15 +161,15 @@ def _writers(function: Any) -> list[tuple[int, float]]:
     inputs are left out.
     """
     writer: dict[int, tuple[int, float] | None] = {}
-    places = {}
+    entries_of = {}
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         sources = function.instruction_input(k)
         targets = function.instruction_output(k)
         if code == ca.OP_OUTPUT:
-            place = writer[sources[0]]
-            if targets[0] == 0 and place is not None:
-                places[targets[1]] = place
+            writer_of = writer[sources[0]]
+            if targets[0] == 0 and writer_of is not None:
+                entries_of[targets[1]] = writer_of
         elif code in {ca.OP_CONST, ca.OP_INPUT}:
             writer[targets[0]] = None
         else:
@@ -177,7 +177,7 @@ def _writers(function: Any) -> list[tuple[int, float]]:
             writer[targets[0]] = (
                 (k, 1.0) if negative is None else (negative[0], -negative[1])
             )
-    return [places[i] for i in sorted(places)]
+    return [entries_of[i] for i in sorted(entries_of)]
 
 
 def _turned(equations: Expr, rotation: Expr) -> list[Expr]:

@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 
 from oed.base import Array, Mask, Orientation
-from oed.model.parameter import CommonTolerance as CommonTolerance
-from oed.model.parameter import Parameter as Parameter
-from oed.model.passive_joint import PassiveJoint
+from oed.model.parameter import CommonTolerance, Parameter
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
@@ -27,8 +25,8 @@ Values = Mapping[str, Expr]
 Strut = tuple[Expr, Expr]
 #: Pose and joints from which Newton's method starts.
 Start = tuple[Sequence[Expr], Sequence[Expr]]
-#: Tool point (3,), m, relative to the reference tool's.
-Tool = Sequence[float]
+#: the reference tool's point (3,), m
+NO_SHIFT = (0.0, 0.0, 0.0)
 
 #: a coordinate may exceed its range by this share of the range's upper end
 RANGE_SLACK = 1e-9
@@ -91,6 +89,26 @@ class PointGroup:
     name: str
     origin: str
     points: tuple[tuple[tuple[str, str, str], tuple[float, float, float]], ...]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PassiveJoint:
+    """A passive joint of a machine, as `Machine.passive` lists it.
+
+    name   such as `swing1`; unique among the machine's coordinates
+    unit   SI unit, rad or m
+    value  its angle or length, a CasADi expression of pose, joints and parameters
+    about  what it measures: axis and sense, for tables
+
+    >>> from oed import PassiveJoint
+    >>> PassiveJoint("swing1", "rad", 0.1, "swing of leg 1, outward").unit
+    'rad'
+    """
+
+    name: str
+    unit: str
+    value: Any
+    about: str
 
 
 def _translation_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]:
@@ -303,13 +321,32 @@ class Machine:
         drawn = self.drawn or self
         return dataclasses.replace(self, parameters=tuple(parameters), drawn=drawn)
 
+    def passive_joints(self) -> list[PassiveJoint]:
+        """The passive joints, in expressions of symbols."""
+        import casadi as ca  # what states a machine loads without it
+
+        tables = self.pose, self.joints, self.parameters
+        symbols = [{item.name: ca.SX.sym(item.name) for item in t} for t in tables]
+        return list(self.passive(*symbols))
+
+    def passive_at_home(self) -> dict[str, float]:
+        """Value of each passive joint, SI, by name, at the start for the home pose."""
+        import casadi as ca  # what states a machine loads without it
+
+        p_by_name = {p.name: p.nominal for p in self.parameters}
+        pose, joints = self.start(self.home, p_by_name)
+        x = dict(zip((c.name for c in self.pose), pose, strict=True))
+        q = dict(zip((c.name for c in self.joints), joints, strict=True))
+        passive = self.passive(x, q, p_by_name)
+        return {j.name: round(float(ca.DM(j.value)), 12) + 0.0 for j in passive}
+
     def start(self, c: Values, p: Values) -> Start:
         """Start of Newton's method at a command and parameters: pose and joints."""
         follows = len(inspect.signature(self.guess).parameters) > 1
         return self.guess(c, p) if follows else self.guess(c)
 
     def out_of_range(
-        self, command: Array, tool: Tool = (0.0, 0.0, 0.0)
+        self, command: Array, tool: Sequence[float] = NO_SHIFT
     ) -> list[tuple[int, str, float, float, float]]:
         """Commands (n, n_dof) outside the workspace of a tool.
 
@@ -323,7 +360,7 @@ class Machine:
         """Joint values (n, nq) outside their ranges, each as `out_of_range` has it."""
         return _outside(q, self.joints)
 
-    def workspace(self, tool: Tool = (0.0, 0.0, 0.0)) -> tuple[Coordinate, ...]:
+    def workspace(self, tool: Sequence[float] = NO_SHIFT) -> tuple[Coordinate, ...]:
         """Command coordinates with the ranges for a tool, which moves x, y and z."""
         shift = dict(zip("xyz", tool, strict=True))
         return tuple(_shifted(c, shift.get(c.name, 0.0)) for c in self.command)

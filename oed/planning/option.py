@@ -15,9 +15,9 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design import Candidates, Nuisances
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.model.instrument import Setup
-from oed.model.machine import Machine
+from oed.model import Machine
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

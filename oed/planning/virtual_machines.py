@@ -36,12 +36,10 @@ from oed.accuracy import prediction
 from oed.base import Array, Index, Mask
 from oed.estimation import IdentificationError, identify, minimise
 from oed.identifiability import posterior_covariance
+from oed.instrument import Setup
 from oed.linear_algebra import symmetric_root
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.mechanism.error_model import ErrorModel, error_model
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL, twist_between
-from oed.model.instrument import Setup
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model, twist_between
 from oed.noise import Noise
 from oed.planning.prediction import PlanStage
 

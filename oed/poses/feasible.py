@@ -36,9 +36,7 @@ from scipy.special import ndtr
 
 from oed.base import Array, Mask
 from oed.measurement import Measurement, Series
-from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.kinematics import Kinematics
-from oed.model.expressions import symbols
+from oed.mechanism import BatchedFunction, Kinematics, symbols
 
 Point3 = tuple[float, float, float]
 #: sine^2 of the angle between two segments below which they count as parallel

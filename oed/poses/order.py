@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
 from oed.base import Array, Index, Mask
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.model.instrument import Setup
 
 #: relative tolerance of the longest time
 TIME_TOLERANCE = 1e-12

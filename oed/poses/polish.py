@@ -29,9 +29,9 @@ import numpy as np
 from oed.base import Array, Index
 from oed.design import CRITERIA, Criterion
 from oed.identifiability import Scaling, scaled
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.instrument import Setup
+from oed.mechanism import AssemblyError
 from oed.poses import reading_plan
 from oed.poses.reading_plan import (
     HOLD_TOLERANCE,

@@ -26,10 +26,10 @@ import numpy as np
 
 from oed.base import Array
 from oed.identifiability import Scaling, column_scale
+from oed.instrument import Frame, Setup
 from oed.measurement import Measurement, Series
-from oed.model.expressions import machine_frame, symbols
-from oed.model.instrument import Frame, Setup
-from oed.model.machine import Machine
+from oed.mechanism import machine_frame, symbols
+from oed.model import Machine
 
 TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
 #: options of every CasADi function: common subexpressions are evaluated once

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from oed.base import Array, Index
-from oed.mechanism.nearby_poses import NEAR_ERROR
+from oed.mechanism import Kinematics
 
 #: readings from which on interpolation is faster
 LEAST_READINGS = 1000
@@ -85,7 +85,7 @@ def interpolate(
     changes = (values[assembled] - middle) / sigma
     snapshots, checks = changes[1:-CHECKS], changes[-CHECKS:]
     triangle, order = linalg.qr(snapshots, mode="r", pivoting=True, check_finite=False)
-    left_out = max(LEFT_OUT, OVER_SOLVER * NEAR_ERROR / float(sigma.min()))
+    left_out = max(LEFT_OUT, OVER_SOLVER * Kinematics.nearby_error / float(sigma.min()))
     count = int((np.abs(np.diag(triangle)) > left_out).sum())
     if not 0 < count < len(snapshots):
         return exact

@@ -23,9 +23,9 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.estimation import Estimate
+from oed.instrument import take_values
 from oed.linear_algebra import covariance_root
 from oed.measurement import Measurement, Series
-from oed.model.series import take_values
 from oed.noise_law import NoisePosterior, ResidualModel
 from oed.posterior.interpolated_readings import (
     CHECKS,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed.estimation import IdentificationError
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 
 #: columns of every case: what a case function returns has other names
 SEED, ERROR, PROCESSOR_TIME = "seed", "error", "cpu_s"

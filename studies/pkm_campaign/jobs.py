@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from oed import child_process
-from oed.mechanism.batch import begin_job
+from oed.mechanism import begin_job
 from pkm_studies import files
 from pkm_studies.base import InputError
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from oed.text import shorten
 from pkm_campaign.case import COLUMNS, Figures
 from pkm_campaign.case_function import CaseFunction, UserFunction

@@ -14,7 +14,7 @@ from oed import trust, units
 from oed.accuracy.maps import driven_errors, error_maps
 from oed.base import Array
 from oed.identifiability import assess
-from oed.mechanism.batch import begin_job
+from oed.mechanism import begin_job
 from pkm_campaign.interval import HALF_WIDTH
 from pkm_studies.resolve import PredictionRequest
 from pkm_studies.stages import (

@@ -21,7 +21,7 @@ from oed.certificate import (
     Conformity,
 )
 from oed.linear_algebra import covariance_root
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies import quantities

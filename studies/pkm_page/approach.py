@@ -9,9 +9,9 @@ import contextlib
 import dataclasses
 from typing import Final
 
+from oed.instrument import Setup
 from oed.measurement import Measurement
-from oed.model.instrument import Setup
-from oed.model.machine import Machine
+from oed.model import Machine
 from pkm_page import rows
 from pkm_page.readings_log import FileContent
 from pkm_studies.base import InputError

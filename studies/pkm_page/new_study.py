@@ -13,9 +13,9 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Instrument
-from oed.model.machine import Dimension, Machine
+from oed.instrument import Instrument
+from oed.mechanism import Kinematics
+from oed.model import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.view import PageView, ViewLine
 from pkm_studies import catalogue, files, shipped

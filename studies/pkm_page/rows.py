@@ -17,7 +17,7 @@ from oed.base import Array
 from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
 from oed.measurement import Measurement, Series
-from oed.model.machine import Coordinate
+from oed.model import Coordinate
 from pkm_page.readings_log import REMARK, UNDONE, FileContent
 from pkm_studies.base import InputError
 from pkm_studies.resolve import PASS_SUFFIX

@@ -21,7 +21,7 @@ from oed.base import Array
 from oed.dataset.columns import column_name, parse_column
 from oed.estimation import IdentificationError
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from pkm_page import approach, doubts, rows, typed
 from pkm_page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
 from pkm_studies.base import InputError

@@ -10,8 +10,8 @@ import numpy as np
 
 from oed import units
 from oed.dataset.columns import column_name, written
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.model.instrument import Setup
 from pkm_page import approach, doubts, known, rows
 from pkm_page.readings_log import REMARK, FileContent
 from pkm_page.session import MachineSession, Pose, SessionState

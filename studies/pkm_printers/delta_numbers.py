@@ -9,7 +9,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.model.machine import Machine
+from oed.model import Machine
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation
 from pkm_studies.tables import NOT_KNOWN, ControllerTable

@@ -14,9 +14,8 @@ from typing import Final
 import numpy as np
 
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import cable_robot
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from pkm_printers import gcode, words
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_sequence import execution_order
@@ -39,7 +38,7 @@ MOTORS: Final = "ABCD"
 MODEL: Final = "cable_robot"
 #: what the model has built in, by letter of M666
 BUILT_IN: Final = {
-    "U": tuple(cable_robot.FOLD.values()),
+    "U": (2.0, 2.0, 2.0, 4.0),
     "H": (255.0,) * 4,
     "L": (20.0,) * 4,
     "O": (1.0,) * 4,

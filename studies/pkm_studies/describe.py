@@ -13,10 +13,10 @@ import numpy as np
 import oed
 from oed import units
 from oed.base import Array, Index
+from oed.instrument import Channel, Setup
 from oed.measurement import Measurement, Series, reading_sigma
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Channel, Setup
-from oed.model.machine import Coordinate, Machine
+from oed.mechanism import Kinematics
+from oed.model import Coordinate, Machine
 from oed.result import (
     Drawing,
     DrawingLabel,

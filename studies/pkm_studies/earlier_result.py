@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.result import (
     CorrectedSection,
     EstimateSection,

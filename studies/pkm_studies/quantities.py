@@ -11,7 +11,7 @@ from oed.text import suggest
 from pkm_studies.base import InputError, Location
 
 if TYPE_CHECKING:
-    from oed.model.machine import Machine
+    from oed.model import Machine
 
 
 def allowed_units(si: str) -> list[str]:

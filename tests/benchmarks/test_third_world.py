@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from benchmarks.harness import cases, diagnosis, judge
 from benchmarks.third import faults, physics, world
 from benchmarks.third.machines import MACHINES, change, session
+from oed.effect_model import Effect
 from oed.gap import GapProblem
-from oed.model import Effect
 
 COULOMB, BRISTLE = 30.0, 1e6  # N, N/m
 

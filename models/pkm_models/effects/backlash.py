@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m
@@ -24,15 +24,15 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     """-b sense / 2 a leg; shape: play that differs along the travel, and that is taken
     up after a reversal.
     """
-    unit, at = terms.joint_per_metre(state), terms.travel_position(state)
+    unit, position = terms.joint_per_metre(state), terms.travel_position(state)
     behind = -0.5 * state.motion_sign * unit
     fresh = np.exp(-state.travel_since_reversal / (distance * unit))
     for i in state.limbs:
         leg, half = f"leg {i + 1}", behind[:, i]
         yield Column(leg, PLAY, leg, {i: half})
         for name, form in (
-            ("slope", at[:, i]),
-            ("middle", at[:, i] ** 2),
+            ("slope", position[:, i]),
+            ("middle", position[:, i] ** 2),
             ("fresh", fresh[:, i]),
         ):
             yield terms.adapting(f"{leg} {name}", PLAY, leg, {i: half * form})

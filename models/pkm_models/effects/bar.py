@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from oed.model.effect import State
+from oed.effect_model import State
 
-NOMINAL = 0.3  # m, where a set-up does not tell
+NOMINAL_LENGTH = 0.3  # m, where a set-up does not tell
 
 
 def length(state: State) -> float | None:
@@ -15,5 +15,7 @@ def length(state: State) -> float | None:
 
 def label(state: State) -> str:
     """The bar by its length, or by its set-up: bars of one nominal length are one bar."""
-    known = length(state)
-    return f"{state.setup} bar" if known is None else f"bar {1e3 * known:g} mm"
+    bar_length = length(state)
+    return (
+        f"{state.setup} bar" if bar_length is None else f"bar {1e3 * bar_length:g} mm"
+    )

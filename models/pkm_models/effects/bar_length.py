@@ -8,17 +8,17 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import bar, natures, references
 
-WRONG = 10e-6  # m
+LENGTH_ERROR = 10e-6  # m
 
 
 def columns(state: State) -> Iterable[Column]:
     """A constant a bar: what reads too much is shorter than it says."""
     yield Column(
         bar.label(state),
-        WRONG,
+        LENGTH_ERROR,
         references.block(state),
         reading={"length": np.ones(len(state))},
     )

@@ -12,10 +12,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import bar, natures, terms
 
-RISE = 1.0  # K
+TEMPERATURE_RISE = 1.0  # K
 
 
 def columns(state: State, tau: float, held: float) -> Iterable[Column]:
@@ -24,11 +24,13 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     two, a second time constant, and any smooth course where no temperature is recorded.
     """
     measured, warm, second = terms.warm_up(state, "bar", tau)
-    name, long = bar.label(state), bar.length(state) or bar.NOMINAL
+    name, long = bar.label(state), bar.length(state) or bar.NOMINAL_LENGTH
     unit, scale = (
-        ("per kelvin", terms.STEEL) if measured else ("rise", RISE * terms.STEEL)
+        ("per kelvin", terms.STEEL)
+        if measured
+        else ("rise", TEMPERATURE_RISE * terms.STEEL)
     )
-    hand, most = "held", RISE * terms.STEEL
+    hand, most = "held", TEMPERATURE_RISE * terms.STEEL
     forms = {
         unit: (scale, warm),
         f"{unit} second": (terms.SHAPE_SHARE * scale, second),
@@ -50,10 +52,10 @@ def _fading(state: State, tau: float) -> Array:
     """exp(-t / tau) since the set-up's first reading (m,); nothing where no time is
     known.
     """
-    known = state.time[np.isfinite(state.time)]
+    times = state.time[np.isfinite(state.time)]
     return (
-        np.exp(-(terms.fill_gaps(state.time) - known.min()) / tau)
-        if known.size
+        np.exp(-(terms.fill_gaps(state.time) - times.min()) / tau)
+        if times.size
         else np.zeros(len(state))
     )
 

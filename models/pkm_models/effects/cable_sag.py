@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 WEIGHT_SQUARED = 0.16**2  # (N/m)^2, a steel rope of 2 mm

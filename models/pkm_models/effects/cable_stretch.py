@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 COMPLIANCE = 20e-6  # 1/N

@@ -14,10 +14,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace
+FIELD_SIZE = 20e-6  # m, at a lever's distance from the middle of the workspace
 #: sizes of constant, linear, quadratic ... fields, against the quadratic one's
 PARTS = (0.3, 0.3, 1.0, terms.SHAPE_SHARE, 0.5 * terms.SHAPE_SHARE)
 #: payloads are a half to a seventh of what the frame carries anyhow
@@ -40,7 +40,7 @@ def columns(state: State, sag: float) -> Iterable[Column]:
                 label = f"{axis} by {name}" if name else axis
                 yield Column(
                     label,
-                    part * FIELD,
+                    part * FIELD_SIZE,
                     "",
                     state.displacing_joints(k, bent),
                     shape=degree != 2,

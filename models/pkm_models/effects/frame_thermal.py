@@ -9,10 +9,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-RISE = 2.0  # K
+TEMPERATURE_RISE = 2.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
@@ -21,7 +21,9 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     """
     measured, warm, second = terms.warm_up(state, "frame", tau)
     unit, scale, strain = (
-        ("per kelvin", terms.STEEL, 1.0) if measured else ("rise", RISE, terms.STEEL)
+        ("per kelvin", terms.STEEL, 1.0)
+        if measured
+        else ("rise", TEMPERATURE_RISE, terms.STEEL)
     )
     away = state.base - state.base.mean(axis=1, keepdims=True)
     flat = away * np.array([1.0, 1.0, 0.0])

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 WIND_UP = 4e-6  # m
@@ -29,13 +29,15 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape:
     friction by load, more of it at low speed, and more along the travel.
     """
-    unit, at, known = (
+    unit, position, travel = (
         terms.joint_per_metre(state),
         terms.travel_position(state),
         terms.travel(state.machine),
     )
     screw = np.where(
-        known.guide.any(axis=1), 1.0 + 0.5 * at, state.strut_length / known.strut
+        travel.guide.any(axis=1),
+        1.0 + 0.5 * position,
+        state.strut_length / travel.strut,
     )
     wound = state.motion_sign * (
         1.0 - 2.0 * np.exp(-state.travel_since_reversal / (distance * unit))
@@ -50,7 +52,7 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
-        for name, form in (("load", load), ("slow", slow), ("slope", at)):
+        for name, form in (("load", load), ("slow", slow), ("slope", position)):
             change = {i: behind[:, i] * form[:, i]}
             yield terms.adapting(f"{leg} {name}", WIND_UP, leg, change)
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
-from oed.model.machine import Machine
+from oed.effect_model import Column, Effect, State
+from oed.model import Machine
 from pkm_models.effects import natures, terms
 
 #: amplitude, rad: 20 um of runout at a radius of 50 mm, half of it either way

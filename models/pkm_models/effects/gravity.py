@@ -8,17 +8,17 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-GIVES = 20e-6  # m, of a joint that carries the whole weight
+COMPLIANCE = 20e-6  # m, of a joint that carries the whole weight
 
 
 def columns(state: State, ratio: float) -> Iterable[Column]:
     """Drives (c0) and struts (c1), alike in all legs; shape: more along the travel,
     less where the load is large, legs that differ, weights that act elsewhere.
     """
-    (load, extra), square, at = (
+    (load, extra), square, position = (
         terms.joint_load(state, ratio),
         terms.joint_per_metre(state) ** 2,
         terms.travel_position(state),
@@ -32,19 +32,19 @@ def columns(state: State, ratio: float) -> Iterable[Column]:
     )
     size = np.abs(drive) + 1e-9
     forms = {
-        "travel": drive * at,
-        "bending": drive * at**2,
+        "travel": drive * position,
+        "bending": drive * position**2,
         "hardening": -drive * np.log(size / size.mean()),
         "payload": extra * square,
         "place": (state.tool_force - state.platform_force) * square,
     }
-    yield Column("drives", GIVES, "", terms.all_joints(drive))
-    yield Column("struts", GIVES, "", terms.all_joints(strut))
+    yield Column("drives", COMPLIANCE, "", terms.all_joints(drive))
+    yield Column("struts", COMPLIANCE, "", terms.all_joints(strut))
     for name, form in forms.items():
-        yield terms.adapting(name, GIVES, "", terms.all_joints(form))
+        yield terms.adapting(name, COMPLIANCE, "", terms.all_joints(form))
     for i in state.limbs:
         leg = f"leg {i + 1}"
-        yield terms.adapting(leg, GIVES, leg, {i: drive[:, i]})
+        yield terms.adapting(leg, COMPLIANCE, leg, {i: drive[:, i]})
 
 
 effect = Effect(

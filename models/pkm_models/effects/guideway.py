@@ -11,8 +11,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
-from oed.model.machine import Machine
+from oed.effect_model import Column, Effect, State
+from oed.model import Machine
 from pkm_models.effects import natures, terms
 
 CURVE = 10e-6  # m, standard deviation along the travel
@@ -22,17 +22,17 @@ def columns(state: State) -> Iterable[Column]:
     """Towards and from the middle (radial) and across, a leg: modes of a smooth random
     curve over the travel, of which those after the first two let the form adapt.
     """
-    guide, at = terms.travel(state.machine).guide, terms.travel_position(state)
+    guide, position = terms.travel(state.machine).guide, terms.travel_position(state)
     out = terms.radial_directions(state)
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
     out /= np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
     for name, direction in (("radial", out), ("across", np.cross(guide, out))):
         change = terms.joint_change(state, direction)
         for i in state.limbs:
-            for k in range(terms.CURVES):
+            for k in range(terms.N_CURVES):
                 leg = f"leg {i + 1}"
                 label = f"{leg} {name} curve {k + 1}"
-                curve = {i: change[:, i] * terms.travel_curve(at[:, i], k)}
+                curve = {i: change[:, i] * terms.travel_curve(position[:, i], k)}
                 yield Column(label, CURVE, leg, curve, shape=k > 1)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m
@@ -29,13 +29,13 @@ def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
     """
     pull = terms.joint_load(state, ratio)[0] * state.joint_per_length
     half = 0.5 * state.joint_per_length
-    at = terms.travel_position(state)
+    position = terms.travel_position(state)
     for i in state.limbs:
         leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
         for name, form in (
             ("harder", np.tanh(pull[:, i] / (0.3 * soft))),
-            ("slope", at[:, i] * (side - side.mean())),
+            ("slope", position[:, i] * (side - side.mean())),
         ):
             change = {i: half[:, i] * form}
             yield terms.adapting(f"{leg} {name}", PLAY, leg, change)

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-RISE = 3.0  # K
+TEMPERATURE_RISE = 3.0  # K
 
 
 def columns(state: State, tau: float) -> Iterable[Column]:
@@ -17,30 +17,32 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     second time constant, any smooth course where no temperature is recorded, a bearing
     that is elsewhere, and the struts that a carriage moves.
     """
-    known, courses = terms.travel(state.machine), terms.free_courses(state)
+    travel, courses = terms.travel(state.machine), terms.free_courses(state)
     for i in state.limbs:
         leg, sensor = f"leg {i + 1}", f"leg{i + 1}"
-        carried = bool(known.guide[i].any()) and state.machine.joints[i].unit == "m"
+        on_carriage = (
+            bool(travel.guide[i].any()) and state.machine.joints[i].unit == "m"
+        )
         measured, warm, second = terms.warm_up(
             state, sensor if sensor in state.temperature else "leg", tau
         )
         unit, scale, strain = (
             ("per kelvin", terms.STEEL, 1.0)
             if measured
-            else ("rise", RISE, terms.STEEL)
+            else ("rise", TEMPERATURE_RISE, terms.STEEL)
         )
         strut, stays = (
             state.joint_per_length[:, i] * length
-            for length in (state.strut_length[:, i], known.strut[i])
+            for length in (state.strut_length[:, i], travel.strut[i])
         )
         long, fixed = (
-            (state.joints[:, i], known.high[i] - known.low[i])
-            if carried
+            (state.joints[:, i], travel.high[i] - travel.low[i])
+            if on_carriage
             else (strut, stays)
         )
         yield Column(f"{leg} {unit}", scale, leg, {i: strain * long * warm})
         shapes = {"second": long * second, "bearing": fixed * warm} | (
-            {"strut": strut * warm} if carried else {}
+            {"strut": strut * warm} if on_carriage else {}
         )
         if not measured:
             shapes |= {name: long * course for name, course in courses.items()}

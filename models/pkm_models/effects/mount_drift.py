@@ -6,10 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-CREEP, TURN = 5e-6, 10e-6  # m, rad in a session
+#: expected creep of a mount in a session, m
+CREEP = 5e-6
+#: expected turn of a mount in a session, rad
+TURN = 10e-6
 #: unknowns of set-ups that a mount has
 ANGLES = (*(f"turn_{k}" for k in "xyz"), "tilt")
 UNKNOWNS = {

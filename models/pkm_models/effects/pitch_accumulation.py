@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
-from oed.model.machine import Machine
+from oed.effect_model import Column, Effect, State
+from oed.model import Machine
 from pkm_models.effects import natures, terms
 
 CURVE = 10e-6  # m, standard deviation along the travel
@@ -20,14 +20,14 @@ def columns(state: State) -> Iterable[Column]:
     """Modes of a smooth random curve over the travel a leg; those after the first two,
     and a slope, let the form adapt.
     """
-    unit, at = terms.joint_per_metre(state), terms.travel_position(state)
+    unit, position = terms.joint_per_metre(state), terms.travel_position(state)
     for i in state.limbs:
-        for k in range(terms.CURVES):
-            change = {i: unit[:, i] * terms.travel_curve(at[:, i], k)}
+        for k in range(terms.N_CURVES):
+            change = {i: unit[:, i] * terms.travel_curve(position[:, i], k)}
             yield Column(
                 f"leg {i + 1} curve {k + 1}", CURVE, f"leg {i + 1}", change, shape=k > 1
             )
-        slope = {i: unit[:, i] * at[:, i]}
+        slope = {i: unit[:, i] * position[:, i]}
         yield Column(f"leg {i + 1} slope", CURVE, f"leg {i + 1}", slope, shape=True)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, references
 
 SCALE = 2e-6
@@ -30,10 +30,10 @@ def _change(state: State) -> dict[str, Array]:
     if state.instrument == "ball_distance":
         first = [references.from_reference(state, state.tool[:, k]) for k in range(3)]
         return {"length": np.linalg.norm(first, axis=0)}
-    places = {f"ball_{n}": k for k, n in enumerate("xyz")}
+    axis_by_channel = {f"ball_{n}": k for k, n in enumerate("xyz")}
     return {
         channel: state.tool[:, k] - state.settings[f"at_{'xyz'[k]}"]
-        for channel, k in places.items()
+        for channel, k in axis_by_channel.items()
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, references
 
 OFFSET = 50e-6  # m

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 #: m, of what a controller leaves: ball bearings used as guides have 5 to 20 mm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import State
+from oed.effect_model import State
 
 #: instruments that read across a straightedge or a square: its direction (base axis) and
 #: the channel that it errs in
@@ -29,9 +29,9 @@ def along_line(state: State, axis: int) -> Array:
 
     It is as long as the way that the set-up reads along it.
     """
-    place = state.tool[:, axis]
-    low, high = place.min(), place.max()
-    return np.asarray(2.0 * (place - low) / max(high - low, 1e-12) - 1.0)
+    coordinate = state.tool[:, axis]
+    low, high = coordinate.min(), coordinate.max()
+    return np.asarray(2.0 * (coordinate - low) / max(high - low, 1e-12) - 1.0)
 
 
 def from_reference(state: State, values: Array) -> Array:

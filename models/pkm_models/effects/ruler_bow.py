@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.base import Array
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, references, terms
 
 BOW = 5e-6  # m, in its middle

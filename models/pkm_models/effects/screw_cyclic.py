@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
-from oed.model.machine import Machine
+from oed.effect_model import Column, Effect, State
+from oed.model import Machine
 from pkm_models.effects import natures, terms
 
 TURN = 3e-6  # m, amplitude
@@ -32,8 +32,8 @@ def unfit(machine: Machine) -> str | None:
     if machine.cable_stiffness is not None:
         return "its struts are cables: it has no screws"
     if machine.drive not in ("", "screw"):
-        words = machine.drive.replace("_", " ")
-        return f"a {words} moves each joint: it has no screws"
+        drive = machine.drive.replace("_", " ")
+        return f"a {drive} moves each joint: it has no screws"
     return terms.has_rotary_drives(machine)
 
 

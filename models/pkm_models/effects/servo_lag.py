@@ -8,10 +8,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-DELAY, SECOND = 1e-3, 3e-4  # s, s^2
+#: expected delay, s
+DELAY = 1e-3
+#: expected coefficient of the acceleration, s^2
+SECOND_ORDER = 3e-4
 
 
 def columns(state: State) -> Iterable[Column]:
@@ -24,7 +27,7 @@ def columns(state: State) -> Iterable[Column]:
         leg = f"leg {i + 1}"
         yield Column(leg, DELAY, leg, {i: -rate[:, i]})
         change = {i: -faster[:, i]}
-        yield terms.adapting(f"{leg} acceleration", SECOND, leg, change)
+        yield terms.adapting(f"{leg} acceleration", SECOND_ORDER, leg, change)
         yield terms.adapting(f"{leg} feed", DELAY, leg, {i: -bent[:, i]})
 
 

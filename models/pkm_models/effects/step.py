@@ -6,12 +6,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.model.effect import Column, Effect, State
+from oed.effect_model import Column, Effect, State
 from pkm_models.effects import mount_drift, natures, terms
 
-LOST, KNOCKED, TURNED = 20e-6, 10e-6, 2.0  # m, m, rad over m
-COUNT = 59
-WHEN = tuple((k + 1) / (COUNT + 1) for k in range(COUNT))  # share of the session
+#: expected steps that a joint loses, m
+LOST_STEPS = 20e-6
+#: expected shift of a mount that is knocked, m
+MOUNT_SHIFT = 10e-6
+#: turn of a mount over its shift, rad / m
+TURN_RATIO = 2.0
+#: moments of the session at which it may happen
+N_MOMENTS = 59
+WHEN = tuple(
+    (k + 1) / (N_MOMENTS + 1) for k in range(N_MOMENTS)
+)  # share of the session
 #: shares of the session that it lasts, to the end first
 LASTS = (
     9.0,
@@ -35,7 +43,7 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
     inside = ((time >= first) & (time < last)).astype(float)
     if not inside.any():
         return
-    fine = [inside * (time < first + k / 3.0 / (COUNT + 1)) for k in (1, 2)]
+    fine = [inside * (time < first + k / 3.0 / (N_MOMENTS + 1)) for k in (1, 2)]
     unit = terms.joint_per_metre(state)
     for name, form, part in (
         ("", inside, 1.0),
@@ -46,14 +54,18 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
             leg = f"leg {i + 1}"
             yield Column(
                 f"{leg}{name}",
-                part * LOST,
+                part * LOST_STEPS,
                 leg,
                 {i: unit[:, i] * form},
                 shape=bool(name),
             )
         block = f"set-up {state.setup}"
         for unknown in mount_drift.UNKNOWNS:
-            scale = part * KNOCKED * (TURNED if unknown in mount_drift.ANGLES else 1.0)
+            scale = (
+                part
+                * MOUNT_SHIFT
+                * (TURN_RATIO if unknown in mount_drift.ANGLES else 1.0)
+            )
             yield Column(
                 f"{block} {unknown}{name}",
                 scale,
@@ -64,7 +76,7 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
         for channel in mount_drift.READINGS:
             yield Column(
                 f"{block} {channel}{name}",
-                part * KNOCKED,
+                part * MOUNT_SHIFT,
                 block,
                 reading={channel: form},
                 shape=bool(name),

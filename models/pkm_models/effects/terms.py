@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from oed.base import Array, curve_mode
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.effect import Column, State
-from oed.model.machine import Machine
+from oed.effect_model import Column, State
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 
 STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
 #: time constants of warming up, s: a motor's housing half an hour, a machine frame four
@@ -26,9 +26,10 @@ SHAPE_SHARE = 0.4
 #: weight of what moves over the heaviest payload: that of a printer is 10 N, of a
 #: hexapod 2 kN, and payloads go with it
 MASS_RATIOS = (0.3, 1.0, 3.0, 10.0)
-#: distance over which an error along a joint's travel hangs together, of half the
-#: travel read; modes that describe it
-CORRELATION_LENGTH, CURVES = 0.5, 10
+#: correlation length of an error along a joint's travel, over half the travel read
+CORRELATION_LENGTH = 0.5
+#: modes that describe such an error
+N_CURVES = 10
 #: least part of a joint's whole travel over which its error is a curve of its own
 MIN_TRAVEL_SHARE = 0.25
 REMEMBERED = 32
@@ -116,12 +117,16 @@ def travel_position(state: State) -> Array:
     return np.asarray((state.joints - 0.5 * (low + high)) / half)
 
 
-def travel_curve(at: Array, number: int) -> Array:
+def travel_curve(position: Array, number: int) -> Array:
     """One of the CURVES of a smooth error along a travel, at places in it from -1 to 1:
     without mean and slope, for a joint's zero and scale are other effects.
     """
     return curve_mode(
-        at, number, correlation_length=CORRELATION_LENGTH, count=CURVES, detrend=2
+        position,
+        number,
+        correlation_length=CORRELATION_LENGTH,
+        count=N_CURVES,
+        detrend=2,
     )
 
 
@@ -239,8 +244,10 @@ def session_share(state: State) -> Array:
 
 
 #: smooth courses over the session that what warms or creeps may take besides the
-#: textbook's, and over what part of half a session they hang together
-COURSES, COURSE_LENGTH = 4, 0.5
+#: textbook's
+N_COURSES = 4
+#: correlation length of these courses, over half a session
+COURSE_LENGTH = 0.5
 
 
 def free_courses(state: State) -> dict[str, Array]:
@@ -249,17 +256,20 @@ def free_courses(state: State) -> dict[str, Array]:
     The cause is the body that warms or the mount that creeps, whatever its course: a
     shop's day, a door that opens, a spindle that is switched on and off.
     """
-    at = np.append(2.0 * session_share(state) - 1.0, -1.0)
+    position = np.append(2.0 * session_share(state) - 1.0, -1.0)
     courses = {}
-    for k in range(COURSES):
-        mode = curve_mode(at, k, correlation_length=COURSE_LENGTH, count=COURSES)
+    for k in range(N_COURSES):
+        mode = curve_mode(
+            position, k, correlation_length=COURSE_LENGTH, count=N_COURSES
+        )
         courses[f"course {k + 1}"] = mode[:-1] - mode[-1]
     return courses
 
 
-#: gaps (s) that are more than the way to the next pose, and how many times their median
-#: a break is
-PAUSE, BREAK = 60.0, 2.5
+#: shortest gap, s, that is more than the way to the next pose
+MIN_PAUSE = 60.0
+#: shortest break, over the median of such gaps
+BREAK_RATIO = 2.5
 
 
 def warm_up(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
@@ -288,9 +298,9 @@ def _worked(state: State, tau: float) -> Array:
     if not session.size:
         return np.zeros(len(state))
     gaps = np.diff(session)
-    between = gaps[gaps > PAUSE]
+    between = gaps[gaps > MIN_PAUSE]
     idle = gaps > max(
-        BREAK * float(np.median(between)) if between.size else np.inf, PAUSE
+        BREAK_RATIO * float(np.median(between)) if between.size else np.inf, MIN_PAUSE
     )
     decay = np.exp(-gaps / tau)
     share = np.zeros(len(session))

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Parameter, Values
 
 SOURCE = "Tian et al. 2016, section 3; ISO 230-4 for the instrument"
 LENGTH = Setting("length", "m", 0.300, "nominal bar length")

@@ -23,9 +23,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Parameter, Values
-from pkm_models.parts import registration
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Parameter, Values
+from pkm_models.instruments import registration
 
 SOURCE = "ISO 10360-2 (calibrated test lengths for coordinate measuring machines)"
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument
-from oed.model.machine import Expr, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.model import Expr, Parameter, Values
 
 BETWEEN = "distance between the tool points of this row and of the run's first row"
 

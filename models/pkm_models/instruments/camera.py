@@ -3,7 +3,7 @@ reflector, any position reader.
 
 The instrument stands somewhere: its frame is registered with the machine's base frame
 by a shift and a small turn, unknown within their tolerances
-(`pkm_models.parts.registration`), and it reads
+(`pkm_models.instruments.registration`), and it reads
 
     y = R(turn) (tool point) + shift.
 
@@ -19,9 +19,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument
-from oed.model.machine import Expr, Values
-from pkm_models.parts import registration
+from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.model import Expr, Values
+from pkm_models.instruments import registration
 
 SOURCE = (
     "three-coordinate position readings; 1 mm is what markers on a mover a few metres"

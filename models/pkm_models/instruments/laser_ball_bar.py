@@ -38,16 +38,9 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base import direction
-from oed.model.instrument import (
-    Channel,
-    Cost,
-    Frame,
-    InnerReading,
-    Instrument,
-    Setting,
-)
-from oed.model.machine import Expr, Values
-from pkm_models.parts import registration
+from oed.instrument import Channel, Cost, Frame, InnerReading, Instrument, Setting
+from oed.model import Expr, Values
+from pkm_models.instruments import registration
 
 SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"
 ARCSEC = math.pi / 648000.0

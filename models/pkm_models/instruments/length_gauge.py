@@ -30,8 +30,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Parameter, Values
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:

@@ -36,11 +36,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument
-from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.model import Expr, Machine, Parameter, Values
 
 SOURCE = "Tian et al. 2016, section 3, Eq. (13)"
-LEVEL, AUTOCOLLIMATOR = 10e-6, 2.5e-6  # rad
+#: noise of a level, rad
+LEVEL_SIGMA = 10e-6
+#: noise of an autocollimator, rad
+AUTOCOLLIMATOR_SIGMA = 2.5e-6
 TURNS = "xyz"
 U, V, W = 0, 1, 2
 SLOPES = {
@@ -107,7 +110,7 @@ def _orientation(
         source=SOURCE,
         about=about,
         channels=tuple(
-            Channel(n, "rad", sigma, about=words) for n, words in channels.items()
+            Channel(n, "rad", sigma, about=about) for n, about in channels.items()
         ),
         settings=(),
         nuisances=_zeros(TURNS[: len(channels)]),
@@ -121,7 +124,7 @@ instrument = _orientation(
     "home_orientation",
     "level and dial gauges: rotations of the platform about x, y and z at home",
     SLOPES | SPIN,
-    LEVEL,
+    LEVEL_SIGMA,
     _with_spin,
     Cost(setup=600.0, reading=120.0),
 )
@@ -130,7 +133,7 @@ level = _orientation(
     "level",
     "level on the platform: its tilts about x and y",
     SLOPES,
-    LEVEL,
+    LEVEL_SIGMA,
     _slopes,
     Cost(setup=300.0, reading=60.0),
 )
@@ -139,7 +142,7 @@ autocollimator = _orientation(
     "autocollimator",
     "autocollimator and a mirror on the platform: its tilts about x and y",
     NORMAL,
-    AUTOCOLLIMATOR,
+    AUTOCOLLIMATOR_SIGMA,
     _normal,
     Cost(setup=1800.0, reading=30.0),
 )

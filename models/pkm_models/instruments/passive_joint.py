@@ -26,29 +26,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from oed.model.expressions import passive_at_home, passive_joints
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Machine, Parameter, Values
-from oed.model.passive_joint import PassiveJoint
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Machine, Parameter, PassiveJoint, Values
 
 SOURCE = (
     "Rugbani and Schreve, The use of parallel mechanism micro-CMM in micrometrology,"
     " section VI: constrained calibration and self-calibration"
 )
-#: noise and zero of a sensor, play and rest of a lock, by unit
-NOISE, ZERO = {"rad": 5e-6, "m": 1e-6}, {"rad": 10e-3, "m": 1e-3}
-PLAY, REST = {"rad": 20e-6, "m": 5e-6}, {"rad": 10e-3, "m": 1e-3}
+#: noise of a sensor, by unit
+SENSOR_SIGMA = {"rad": 5e-6, "m": 1e-6}
+#: tolerance of a sensor's zero, by unit
+ZERO_TOLERANCE = {"rad": 10e-3, "m": 1e-3}
+#: play of a lock, by unit
+LOCK_PLAY = {"rad": 20e-6, "m": 5e-6}
+#: tolerance of where a lock rests, by unit
+REST_TOLERANCE = {"rad": 10e-3, "m": 1e-3}
 SCALE = 1e-3
 #: the joint that the catalogue shows; a machine has its own
 EXAMPLE = PassiveJoint("swing1", "rad", 0.0, "a passive joint, as the machine names it")
 
 
 def _unfit(machine: Machine, names: Sequence[str]) -> str | None:
-    known = [joint.name for joint in passive_joints(machine)]
-    if not known:
+    available = [joint.name for joint in machine.passive_joints()]
+    if not available:
         return "it names no passive joints"
-    absent = [name for name in names if name not in known]
-    return f"it has no passive joint {absent[0]}, but {known}" if absent else None
+    absent = [name for name in names if name not in available]
+    return f"it has no passive joint {absent[0]}, but {available}" if absent else None
 
 
 def _sensors(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instrument:
@@ -72,7 +75,7 @@ def _sensors(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instr
             Channel(
                 j.name,
                 j.unit,
-                NOISE[j.unit],
+                SENSOR_SIGMA[j.unit],
                 about=j.about,
                 alone=(f"zero_{j.name}", f"scale_{j.name}"),
             )
@@ -90,14 +93,20 @@ def _sensors(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instr
 def _sensor_unknowns(joint: PassiveJoint) -> tuple[Parameter, Parameter]:
     name, unit = joint.name, joint.unit
     return (
-        Parameter(f"zero_{name}", 0.0, ZERO[unit], unit, f"zero of the sensor {name}"),
+        Parameter(
+            f"zero_{name}",
+            0.0,
+            ZERO_TOLERANCE[unit],
+            unit,
+            f"zero of the sensor {name}",
+        ),
         Parameter(f"scale_{name}", 0.0, SCALE, "1", f"scale of the sensor {name}"),
     )
 
 
 def _sensors_of(machine: Machine) -> Instrument:
-    joints = passive_joints(machine)
-    return _sensors(joints, passive_at_home(machine)) if joints else instrument
+    joints = machine.passive_joints()
+    return _sensors(joints, machine.passive_at_home()) if joints else instrument
 
 
 def _lock(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instrument:
@@ -107,8 +116,8 @@ def _lock(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instrume
         readings = []
         for joint in joints:
             rest = s.get(f"rest_{joint.name}", 0.0)
-            at = k.get(f"at_{joint.name}", 0.0)
-            readings.append(frames[0].passive[joint.name] - at - rest)
+            locked_value = k.get(f"at_{joint.name}", 0.0)
+            readings.append(frames[0].passive[joint.name] - locked_value - rest)
         return readings
 
     names = [joint.name for joint in joints]
@@ -120,7 +129,7 @@ def _lock(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instrume
             Channel(
                 f"off_{j.name}",
                 j.unit,
-                PLAY[j.unit],
+                LOCK_PLAY[j.unit],
                 about=f"{j.about}, less its value where it is locked; 0 while it holds",
                 alone=(f"at_{j.name}", f"rest_{j.name}"),
             )
@@ -136,7 +145,7 @@ def _lock(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instrume
             Parameter(
                 f"rest_{j.name}",
                 0.0,
-                REST[j.unit],
+                REST_TOLERANCE[j.unit],
                 j.unit,
                 f"where {j.name} is locked, less the stated value",
             )
@@ -153,8 +162,8 @@ def _lock(joints: Sequence[PassiveJoint], home: Mapping[str, float]) -> Instrume
 
 
 def _lock_of(machine: Machine) -> Instrument:
-    joints = passive_joints(machine)
-    return _lock(joints, passive_at_home(machine)) if joints else locked
+    joints = machine.passive_joints()
+    return _lock(joints, machine.passive_at_home()) if joints else locked
 
 
 instrument = _sensors([EXAMPLE], {EXAMPLE.name: 0.0})

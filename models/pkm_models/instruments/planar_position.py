@@ -16,9 +16,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Cost, Frame, Instrument
-from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models.parts import registration
+from oed.instrument import Cost, Frame, Instrument
+from oed.model import Expr, Machine, Parameter, Values
+from pkm_models.instruments import registration
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:

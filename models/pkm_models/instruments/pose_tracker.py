@@ -24,9 +24,9 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base import rotation
-from oed.model.instrument import Channel, Cost, Frame, Instrument
-from oed.model.machine import Expr, Values
-from pkm_models.parts import registration
+from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.model import Expr, Values
+from pkm_models.instruments import registration
 
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
 ORIENTATION = rotation(("x", "read_alpha"), ("y", "read_beta"), ("z", "read_gamma"))

@@ -27,11 +27,11 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Machine, Values
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Machine, Values
 
 #: m, standard deviation of a reading: legs of 1 mm, four of them
-SIGMA = 0.5e-3
+DEFAULT_SIGMA = 0.5e-3
 SOURCE = (
     "self-calibration by redundant legs: Patel and Ehmann 2000, Int. J. Mach. Tools"
     " Manuf. 40, 489-512"
@@ -39,7 +39,7 @@ SOURCE = (
 GAP = Channel(
     "gap",
     "m",
-    SIGMA,
+    DEFAULT_SIGMA,
     about="the legs' lengths beyond those that close the machine; either sign",
 )
 
@@ -69,7 +69,9 @@ def _channels(machine: Machine) -> tuple[Channel, ...]:
     if count == 1:
         return (GAP,)
     about = f"component of {GAP.about}"
-    return tuple(Channel(f"gap{k + 1}", "m", SIGMA, about=about) for k in range(count))
+    return tuple(
+        Channel(f"gap{k + 1}", "m", DEFAULT_SIGMA, about=about) for k in range(count)
+    )
 
 
 def _for_machine(machine: Machine) -> Instrument:
@@ -93,7 +95,7 @@ def _unlike(machine: Machine, count: int) -> str | None:
 
 def _per_leg(machine: Machine) -> Instrument:
     legs, m = machine.joints, len(machine.joints)
-    default = SIGMA * math.sqrt(m)
+    default = DEFAULT_SIGMA * math.sqrt(m)
 
     def sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
         noise = ca.vertcat(*[k[f"noise_{leg.name}"] for leg in legs])

@@ -28,11 +28,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument
-from oed.model.machine import Expr, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument
+from oed.model import Expr, Parameter, Values
 
 SOURCE = "Chang, Li and Li 2011, Chin. J. Mech. Eng., sections 2.3.2 and 2.4"
-LASER, MICROMETER = 1.0e-6, 3.0e-6  # m
+#: noise of a laser interferometer, m
+LASER_SIGMA = 1.0e-6
+#: noise of a micrometer, m
+MICROMETER_SIGMA = 3.0e-6
 TILT = Parameter(
     "tilt",
     0.0,
@@ -92,7 +95,7 @@ _LASER_COST, _MICROMETER_COST = (
 rm1 = _relative(
     "rm1",
     "RM 1: dy along y, laser interferometer",
-    (_channel("dy", LASER),),
+    (_channel("dy", LASER_SIGMA),),
     (_along(Y),),
     (),
     _LASER_COST,
@@ -100,7 +103,7 @@ rm1 = _relative(
 rm2 = _relative(
     "rm2",
     "RM 2: dz along z, laser interferometer",
-    (_channel("dz", LASER),),
+    (_channel("dz", LASER_SIGMA),),
     (_along(Z),),
     (),
     _LASER_COST,
@@ -108,7 +111,7 @@ rm2 = _relative(
 rm3 = _relative(
     "rm3",
     "RM 3: dz along y, micrometer",
-    (_channel("dz", MICROMETER),),
+    (_channel("dz", MICROMETER_SIGMA),),
     (_across(Z, Y),),
     (TILT,),
     _MICROMETER_COST,
@@ -116,7 +119,7 @@ rm3 = _relative(
 rm4 = _relative(
     "rm4",
     "RM 4: dy along z, micrometer",
-    (_channel("dy", MICROMETER),),
+    (_channel("dy", MICROMETER_SIGMA),),
     (_across(Y, Z),),
     (TILT,),
     _MICROMETER_COST,
@@ -124,7 +127,7 @@ rm4 = _relative(
 rm5 = _relative(
     "rm5",
     "RM 5: dy and dz along y, laser interferometer and micrometer",
-    (_channel("dy", LASER), _channel("dz", MICROMETER)),
+    (_channel("dy", LASER_SIGMA), _channel("dz", MICROMETER_SIGMA)),
     (_along(Y), _across(Z, Y)),
     (TILT,),
     Cost(setup=4800.0, reading=40.0),

@@ -22,11 +22,14 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Machine, Parameter, Values
 
 AXES = "xyz"
-REPEATABILITY, PLACE = 1e-6, 1e-3  # m
+#: how exactly a seat takes the tool again, m
+REPEATABILITY = 1e-6
+#: tolerance of where the seat is, m
+SEAT_TOLERANCE = 1e-3
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -61,7 +64,13 @@ def _seat(home: Sequence[float | None]) -> Instrument:
             for n, value in zip(AXES, home, strict=True)
         ),
         nuisances=tuple(
-            Parameter(f"seat_{n}", 0.0, PLACE, "m", f"{n} of the seat less the stated")
+            Parameter(
+                f"seat_{n}",
+                0.0,
+                SEAT_TOLERANCE,
+                "m",
+                f"{n} of the seat less the stated",
+            )
             for n in AXES
         ),
         cost=Cost(setup=300.0, reading=15.0),

@@ -19,8 +19,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Parameter, Values
+from oed.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model import Expr, Parameter, Values
 
 
 def _axes(normal: Expr) -> tuple[Expr, Expr, Expr]:
@@ -42,7 +42,7 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return [ca.dot(point, n) - k["at"] - s["offset"] - tilted]
 
 
-def _plane(at: float | None) -> Instrument:
+def _plane(distance: float | None) -> Instrument:
     """The plane at a distance along its normal, m; a set-up has to state None."""
     return Instrument(
         name="touch_plane",
@@ -57,7 +57,9 @@ def _plane(at: float | None) -> Instrument:
             ),
         ),
         settings=(
-            Setting("at", "m", at, "distance of the plane from the origin, along n"),
+            Setting(
+                "at", "m", distance, "distance of the plane from the origin, along n"
+            ),
             Setting("normal_x", "1", 0.0, "x of the plane's normal n"),
             Setting("normal_y", "1", 0.0, "y of the plane's normal n"),
             Setting("normal_z", "1", 1.0, "z of the plane's normal n"),

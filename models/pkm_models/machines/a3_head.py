@@ -20,17 +20,10 @@ import casadi as ca
 import numpy as np
 
 from oed.base import direction, rotation
-from oed.model.adjustment import Adjustment
-from oed.model.machine import (
-    Component,
-    Coordinate,
-    Expr,
-    Parameter,
-    Values,
-)
-from pkm_models.parts import coordinates, passive, six_dof
-from pkm_models.parts.families import numbers, places, point_group
-from pkm_models.parts.six_dof import platform
+from oed.model import Adjustment, Component, Coordinate, Expr, Parameter, Values
+from pkm_models.machines.parts import coordinates, passive, six_dof
+from pkm_models.machines.parts.families import numbers, places, point_group
+from pkm_models.machines.parts.six_dof import platform
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
 LIMBS = (1, 2, 3)
@@ -45,10 +38,13 @@ THETA = f"nutation: tilt of the tool axis from z; {AXIS.formula}"
 
 # Tolerances (prior standard deviations): the size of the errors that Table 3 found on
 # the prototype.
-HOME, JOINT, TILT = 1.0e-3, 1.0e-3, 10e-3  # m, m, rad
+HOME_SD = 1.0e-3  # m
+JOINT_SD = 1.0e-3  # m
+TILT_SD = 10e-3  # rad
 
 # Shims of 0.01 mm; under one of two bearings 200 mm apart they tilt a revolute joint.
-SHIM, TILT_STEP = 0.01e-3, 0.05e-3  # m, rad
+SHIM = 0.01e-3  # m
+TILT_STEP = 0.05e-3  # rad
 
 
 def _base(i: int) -> tuple[float, float, float]:
@@ -116,12 +112,12 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 
 def _parameters() -> tuple[Parameter, ...]:
-    table = numbers("dq", [0.0] * len(LIMBS), HOME, "m", "home error of limb")
+    table = numbers("dq", [0.0] * len(LIMBS), HOME_SD, "m", "home error of limb")
     table += [
         Parameter(
             f"db{i}{k}",
             0.0,
-            JOINT,
+            JOINT_SD,
             "m",
             f"{k} of base joint {i}",
             adjust=Adjustment(f"shift or shim base joint {i}", SHIM),
@@ -129,12 +125,12 @@ def _parameters() -> tuple[Parameter, ...]:
         for i in LIMBS
         for k in XYZ
     ]
-    table += places("da", np.zeros((len(LIMBS), 3)), JOINT, "platform joint")
+    table += places("da", np.zeros((len(LIMBS), 3)), JOINT_SD, "platform joint")
     table += [
         Parameter(
             f"beta{i}",
             0.0,
-            TILT,
+            TILT_SD,
             "rad",
             f"tilt of limb {i} out of its plane",
             adjust=Adjustment(f"shim under a bearing of base joint {i}", TILT_STEP),

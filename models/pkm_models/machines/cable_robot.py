@@ -28,13 +28,14 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.model.machine import Dimension, Expr, Family, Machine, Parameter, Strut, Values
-from pkm_models.parts import families, translation
-from pkm_models.parts.coordinates import joint, point
-from pkm_models.parts.translation import tool_point
+from oed.model import Dimension, Expr, Family, Machine, Parameter, Strut, Values
+from pkm_models.machines.parts import families, translation
+from pkm_models.machines.parts.coordinates import joint, point
+from pkm_models.machines.parts.translation import tool_point
 
 LINES = (1, 2, 3, 4)  # A, B, C, D
-GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m
+GEAR = 255.0 / 20.0
+BUILDUP = 0.06875e-3  # m
 FOLD = {1: 2.0, 2: 2.0, 3: 2.0, 4: 4.0}
 SPOOL = 0.075  # m
 LINE = {1: 1.597, 2: 1.795, 3: 1.5825, 4: 2.355}  # m
@@ -76,8 +77,8 @@ def _closure(buildup: float, x: Values, q: Values, p: Values) -> list[Expr]:
 
 def _motor(c: Values, i: int) -> Expr:
     """Motor angle at a command, without build-up."""
-    wanted = ca.norm_2(ca.vertcat(*ANCHOR[i]) - tool_point(c)) - LINE[i]
-    return FOLD[i] * wanted / SPOOL * GEAR
+    paid_out = ca.norm_2(ca.vertcat(*ANCHOR[i]) - tool_point(c)) - LINE[i]
+    return FOLD[i] * paid_out / SPOOL * GEAR
 
 
 def build(geometry: families.Geometry) -> Machine:

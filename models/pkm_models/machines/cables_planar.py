@@ -1,4 +1,4 @@
-"""Cable robot in the x-y plane with any number of cables: see `pkm_models.parts.cables`.
+"""Cable robot in the x-y plane with any number of cables: see `pkm_models.machines.parts.cables`.
 
 Geometry (`[machine.geometry]`): anchor, one point a cable; attach, the cables' points
 on the mover where it is a body that turns; home, reach and turn of the workspace. By
@@ -7,9 +7,9 @@ default four cables hold a point: two more than its coordinates.
 
 from __future__ import annotations
 
-from oed.model.machine import Family, Machine
-from pkm_models.parts import cables, families
-from pkm_models.parts.families import Geometry
+from oed.model import Family, Machine
+from pkm_models.machines.parts import cables, families
+from pkm_models.machines.parts.families import Geometry
 
 NAME = "cables_planar"
 SOURCE = "Pott 2018, Cable-Driven Parallel Robots, Springer: the standard model"

@@ -26,22 +26,22 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import (
+from oed.model import (
     Dimension,
     Expr,
     Family,
     Machine,
     Parameter,
+    PassiveJoint,
     Start,
     Values,
 )
-from oed.model.passive_joint import PassiveJoint
 from pkm_models.machines import linear_delta
 from pkm_models.machines.linear_delta import DOWN
-from pkm_models.parts import families, translation
-from pkm_models.parts.coordinates import joint, point
-from pkm_models.parts.families import Geometry, as_rows
-from pkm_models.parts.translation import tool_point
+from pkm_models.machines.parts import families, translation
+from pkm_models.machines.parts.coordinates import joint, point
+from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
 NAME = "delta"

@@ -2,7 +2,7 @@
 
     |t - k_i(q_i)| = l_i,        i = 1, 2,
 
-with the tool point t and the knees k_i of `pkm_models.parts.cranks` in the plane z = 0; see
+with the tool point t and the knees k_i of `pkm_models.machines.parts.cranks` in the plane z = 0; see
 J.-P. Merlet, Parallel Robots, Springer 2006. Angles count from x to y. Geometry
 (`[machine.geometry]`): centre, crank, strut and side of each limb; home and reach of the
 workspace.
@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.model.machine import Dimension, Family, Machine
-from pkm_models.parts import cranks, families, translation
-from pkm_models.parts.families import Geometry, as_rows
+from oed.model import Dimension, Family, Machine
+from pkm_models.machines.parts import cranks, families, translation
+from pkm_models.machines.parts.families import Geometry, as_rows
 
 NAME = "five_bar"
 CENTRES = ((-0.100, 0.0), (0.100, 0.0))

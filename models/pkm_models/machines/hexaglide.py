@@ -26,10 +26,10 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.model.machine import Expr, PointGroup, Values
-from pkm_models.parts import families, six_dof
-from pkm_models.parts.coordinates import joint
-from pkm_models.parts.six_dof import XYZ, command, platform, target
+from oed.model import Expr, PointGroup, Values
+from pkm_models.machines.parts import families, six_dof
+from pkm_models.machines.parts.coordinates import joint
+from pkm_models.machines.parts.six_dof import XYZ, command, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 STRUT, START, HEIGHT, PLATFORM = (
@@ -38,7 +38,10 @@ STRUT, START, HEIGHT, PLATFORM = (
     0.200,
     0.200,
 )  # m; START: x of the guides' ends; HEIGHT: z at home
-JOINT, ZERO, LENGTH = 0.3e-3, 0.5e-3, 0.5e-3  # m
+# Tolerances (prior standard deviations), m
+JOINT_SD = 0.3e-3
+ZERO_SD = 0.5e-3
+LENGTH_SD = 0.5e-3
 TRAVEL = "travel of carriage {} from its guide's end, towards +x, less its zero"
 Point = tuple[float, float, float]
 
@@ -110,10 +113,12 @@ machine = six_dof.machine(
     base_frame="x along the guides, z up, origin below the middle of their travel",
     tool_axis="from the tool point to the platform, up at home",
     parameters=(
-        *families.numbers("dq", [0.0] * 6, ZERO, "m", "zero of carriage"),
-        *families.places("db", np.zeros((6, 2)), JOINT, "the guide at carriage", "yz"),
-        *families.places("da", np.zeros((6, 3)), JOINT, "platform joint"),
-        *families.numbers("dl", [0.0] * 6, LENGTH, "m", "length of strut"),
+        *families.numbers("dq", [0.0] * 6, ZERO_SD, "m", "zero of carriage"),
+        *families.places(
+            "db", np.zeros((6, 2)), JOINT_SD, "the guide at carriage", "yz"
+        ),
+        *families.places("da", np.zeros((6, 3)), JOINT_SD, "platform joint"),
+        *families.numbers("dl", [0.0] * 6, LENGTH_SD, "m", "length of strut"),
     ),
     home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
     lever=PLATFORM,

@@ -21,10 +21,10 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.model.machine import Expr, Values
-from pkm_models.parts import families, passive, six_dof
-from pkm_models.parts.coordinates import joint
-from pkm_models.parts.six_dof import XYZ, command, platform, target
+from oed.model import Expr, Values
+from pkm_models.machines.parts import families, passive, six_dof
+from pkm_models.machines.parts.coordinates import joint
+from pkm_models.machines.parts.six_dof import XYZ, command, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 BASE, PLATFORM, ABOVE, HEIGHT = (
@@ -33,7 +33,9 @@ BASE, PLATFORM, ABOVE, HEIGHT = (
     0.100,
     0.500,
 )  # m; HEIGHT: tool point over the base at home
-JOINT, ZERO = 0.3e-3, 0.5e-3  # m
+# Tolerances (prior standard deviations), m
+JOINT_SD = 0.3e-3
+ZERO_SD = 0.5e-3
 Point = tuple[float, float, float]
 
 
@@ -104,9 +106,9 @@ machine = six_dof.machine(
     ),
     tool_axis="from the tool point to the platform, up at home",
     parameters=(
-        *families.places("db", np.zeros((6, 3)), JOINT, "base joint"),
-        *families.places("da", np.zeros((6, 3)), JOINT, "platform joint"),
-        *families.numbers("dl", [0.0] * 6, ZERO, "m", "zero of leg"),
+        *families.places("db", np.zeros((6, 3)), JOINT_SD, "base joint"),
+        *families.places("da", np.zeros((6, 3)), JOINT_SD, "platform joint"),
+        *families.numbers("dl", [0.0] * 6, ZERO_SD, "m", "zero of leg"),
     ),
     home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
     lever=PLATFORM,

@@ -16,10 +16,10 @@ import math
 
 import numpy as np
 
-from oed.model.machine import Dimension, Family, Machine
-from pkm_models.parts import families, legs, six_dof
-from pkm_models.parts.carriages import GuidedStruts
-from pkm_models.parts.families import Geometry, as_rows
+from oed.model import Dimension, Family, Machine
+from pkm_models.machines.parts import families, legs, six_dof
+from pkm_models.machines.parts.carriages import GuidedStruts
+from pkm_models.machines.parts.families import Geometry, as_rows
 
 NAME = "hexapod_pus"
 GUIDES = families.ring(0.350, (-15, 15, 105, 135, 225, 255), 0.0)

@@ -4,7 +4,7 @@ The knee of crank i is at k_i(q_i), and its strut runs to the platform joint:
 
     |x + R a_i - k_i| = l_i,
 
-with k_i as in `pkm_models.parts.cranks`; see J.-P. Merlet, Parallel Robots, Springer 2006,
+with k_i as in `pkm_models.machines.parts.cranks`; see J.-P. Merlet, Parallel Robots, Springer 2006,
 section 2.3, robots with six degrees of freedom. A universal or a ball joint at the knee
 makes no difference to the pose. Geometry (`[machine.geometry]`): centre, axis, first,
 crank, strut, side and platform, one for each limb; home, reach and tilt of the workspace.
@@ -16,9 +16,9 @@ import math
 
 import numpy as np
 
-from oed.model.machine import Dimension, Family, Machine
-from pkm_models.parts import cranks, families, legs, six_dof
-from pkm_models.parts.families import Geometry, as_rows
+from oed.model import Dimension, Family, Machine
+from pkm_models.machines.parts import cranks, families, legs, six_dof
+from pkm_models.machines.parts.families import Geometry, as_rows
 
 NAME = "hexapod_rus"
 CENTRES = families.ring(0.250, (-15, 15, 105, 135, 225, 255), 0.0)

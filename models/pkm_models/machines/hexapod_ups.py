@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import math
 
-from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.parts import families, legs, passive, six_dof
-from pkm_models.parts.families import Geometry
+from oed.model import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models.machines.parts import families, legs, passive, six_dof
+from pkm_models.machines.parts.families import Geometry
+from pkm_models.rotation import across
 
 LEGS = (1, 2, 3, 4, 5, 6)
 NAME = "hexapod_ups"
@@ -59,7 +60,7 @@ def build(geometry: Geometry) -> Machine:
         skeleton=limbs.skeleton,
         struts=limbs.struts,
         passive=lambda x, q, p: passive.universals(
-            limbs.struts(x, q, p), legs.across(limbs.drawn)[:, 0], limbs.drawn
+            limbs.struts(x, q, p), across(limbs.drawn)[:, 0], limbs.drawn
         ),
         family=family,
     )

@@ -18,11 +18,10 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.machine import Expr, Parameter, Values
-from oed.model.passive_joint import PassiveJoint
-from pkm_models.parts import families, translation
-from pkm_models.parts.coordinates import joint, point
-from pkm_models.parts.translation import tool_point
+from oed.model import Expr, Parameter, PassiveJoint, Values
+from pkm_models.machines.parts import families, translation
+from pkm_models.machines.parts.coordinates import joint, point
+from pkm_models.machines.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
 DOWN = "travel of carriage {} down from its endstop"

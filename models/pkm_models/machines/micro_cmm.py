@@ -24,17 +24,16 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import Expr, Values
-from oed.model.passive_joint import PassiveJoint
-from pkm_models.parts import translation
-from pkm_models.parts.coordinates import joint, point
-from pkm_models.parts.families import numbers
-from pkm_models.parts.translation import tool_point
+from oed.model import Expr, PassiveJoint, Values
+from pkm_models.machines.parts import translation
+from pkm_models.machines.parts.coordinates import joint, point
+from pkm_models.machines.parts.families import numbers
+from pkm_models.machines.parts.translation import tool_point
 
 LEGS = (1, 2, 3)
 R_FRAME, R_PLATFORM = 0.200, 0.060  # m
 ANGLE = {i: 2.0 * math.pi * (i - 1) / 3.0 for i in LEGS}
-MADE = 50e-6  # m
+MANUFACTURING_SD = 50e-6  # m
 
 
 def direct(lengths: Array, rho: float = R_FRAME - R_PLATFORM) -> Array:
@@ -106,23 +105,25 @@ machine = translation.machine(
         " x towards leg 1"
     ),
     parameters=(
-        *numbers("rf", [R_FRAME] * 3, MADE, "m", "radius of frame point"),
-        *numbers("rp", [R_PLATFORM] * 3, MADE, "m", "radius of platform point"),
+        *numbers("rf", [R_FRAME] * 3, MANUFACTURING_SD, "m", "radius of frame point"),
+        *numbers(
+            "rp", [R_PLATFORM] * 3, MANUFACTURING_SD, "m", "radius of platform point"
+        ),
         *numbers(
             "thetaf",
             list(ANGLE.values()),
-            MADE / R_FRAME,
+            MANUFACTURING_SD / R_FRAME,
             "rad",
             "angle of frame point",
         ),
         *numbers(
             "thetap",
             list(ANGLE.values()),
-            MADE / R_PLATFORM,
+            MANUFACTURING_SD / R_PLATFORM,
             "rad",
             "angle of platform point",
         ),
-        *numbers("dl", [0.0] * 3, MADE, "m", "zero of leg"),
+        *numbers("dl", [0.0] * 3, MANUFACTURING_SD, "m", "zero of leg"),
     ),
     lever=R_FRAME,
     closure=closure,

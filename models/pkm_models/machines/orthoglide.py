@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.model.machine import Expr, Family, Machine, Values
-from pkm_models.parts import families, legs, translation
-from pkm_models.parts.carriages import GuidedStruts
-from pkm_models.parts.families import Geometry, as_rows
+from oed.model import Expr, Family, Machine, Values
+from pkm_models.machines.parts import families, legs, translation
+from pkm_models.machines.parts.carriages import GuidedStruts
+from pkm_models.machines.parts.families import Geometry, as_rows
 
 NAME = "orthoglide"
 DIMENSIONS = (

@@ -16,10 +16,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from oed.model.machine import Dimension, Expr, Family, Machine, Start, Strut, Values
-from pkm_models.parts import coordinates, families, legs, six_dof
-from pkm_models.parts.families import Geometry, as_rows, point
-from pkm_models.parts.rotation import tilt_torsion
+from oed.model import Dimension, Expr, Family, Machine, Start, Strut, Values
+from pkm_models.machines.parts import coordinates, families, legs, six_dof
+from pkm_models.machines.parts.families import Geometry, as_rows, point
+from pkm_models.rotation import tilt_torsion
 
 NAME = "pentapod"
 LEGS = (1, 2, 3, 4, 5)
@@ -92,7 +92,7 @@ def build(geometry: Geometry) -> Machine:
     sd = families.tolerance(table, float(lengths.mean()))
     of = coordinates.TILT_DIRECTION
     turns = tuple(coordinates.angle(n, -tilt, tilt, of=of) for n in COMMAND[3:])
-    places = [
+    positions = [
         coordinates.point(n, v - reach, v + reach)
         for n, v in zip("xyz", home, strict=True)
     ]
@@ -103,7 +103,7 @@ def build(geometry: Geometry) -> Machine:
         pose=coordinates.points()
         + tuple(coordinates.angle(n, of=of) for n in COMMAND[3:]),
         joints=families.around(lengths, change, 5, legs.LEG),
-        command=(*places, *turns),
+        command=(*positions, *turns),
         parameters=(
             *families.places("b", base, sd, "base joint"),
             *families.numbers("h", height.tolist(), sd, "m", "height of collar"),

@@ -21,16 +21,20 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.machine import Expr, Parameter, Values
-from pkm_models.parts import translation
-from pkm_models.parts.coordinates import joint, point
-from pkm_models.parts.families import numbers
-from pkm_models.parts.translation import tool_point
+from oed.model import Expr, Parameter, Values
+from pkm_models.machines.parts import translation
+from pkm_models.machines.parts.coordinates import joint, point
+from pkm_models.machines.parts.families import numbers
+from pkm_models.machines.parts.translation import tool_point
 
 LIMBS = (1, 2)
 SIDE = {1: -0.5, 2: 0.5}
 D, L = 3.584, 3.350  # m, section 2.2
-DISTANCE, HOME, LENGTH, TILT = 0.5e-3, 0.5e-3, 0.5e-3, 0.3e-3  # m, m, m, rad
+# Tolerances (prior standard deviations)
+DISTANCE_SD = 0.5e-3  # m
+HOME_SD = 0.5e-3  # m
+LENGTH_SD = 0.5e-3  # m
+TILT_SD = 0.3e-3  # rad
 
 
 def _slider(i: int, q: Values, p: Values) -> Expr:
@@ -86,12 +90,12 @@ machine = translation.machine(
         " guide 2; z up; the machine moves in the plane x = 0"
     ),
     parameters=(
-        Parameter("D", D, DISTANCE, "m", "distance between the guides at z = 0"),
-        *numbers("z", [0.0] * 2, HOME, "m", "home error of slider"),
-        *numbers("l", [L] * 2, LENGTH, "m", "length of strut"),
+        Parameter("D", D, DISTANCE_SD, "m", "distance between the guides at z = 0"),
+        *numbers("z", [0.0] * 2, HOME_SD, "m", "home error of slider"),
+        *numbers("l", [L] * 2, LENGTH_SD, "m", "length of strut"),
         *(
             Parameter(
-                f"beta{i}", 0.0, TILT, "rad", f"tilt of guide {i} from the vertical"
+                f"beta{i}", 0.0, TILT_SD, "rad", f"tilt of guide {i} from the vertical"
             )
             for i in LIMBS
         ),

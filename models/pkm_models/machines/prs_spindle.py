@@ -29,8 +29,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base import direction, rotation
-from oed.model.adjustment import Adjustment
-from oed.model.machine import (
+from oed.model import (
+    Adjustment,
     Component,
     Coordinate,
     Expr,
@@ -38,9 +38,9 @@ from oed.model.machine import (
     PointGroup,
     Values,
 )
-from pkm_models.parts import coordinates, passive, six_dof
-from pkm_models.parts.families import point_group
-from pkm_models.parts.six_dof import platform
+from pkm_models.machines.parts import coordinates, passive, six_dof
+from pkm_models.machines.parts.families import point_group
+from pkm_models.machines.parts.six_dof import platform
 
 R, RADIUS, H, L = (
     0.349,
@@ -58,7 +58,9 @@ ANGLES = rotation(("x", "alpha"), ("y", "beta"), ("z", "gamma"))
 
 # Tolerances (prior standard deviations): the size of the errors that Table 4 found,
 # column by column.
-SLIDER, BALL, LENGTH = 1.0e-3, 0.2e-3, 0.5e-3  # m
+SLIDER_SD = 1.0e-3  # m
+BALL_SD = 0.2e-3  # m
+LENGTH_SD = 0.5e-3  # m
 
 # Section 6: "the joint position errors have to be corrected by manual reassembly of
 # column positions"; strut lengths are programmed.
@@ -151,21 +153,23 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 def _parameters(i: int) -> list[Parameter]:
     table = [
-        Parameter(f"db{i}{k}", 0.0, BALL, "m", f"{k} of ball joint {i}, platform frame")
+        Parameter(
+            f"db{i}{k}", 0.0, BALL_SD, "m", f"{k} of ball joint {i}, platform frame"
+        )
         for k in "xyz"
     ]
     table += [
         Parameter(
             f"dR{i}{k}",
             0.0,
-            SLIDER,
+            SLIDER_SD,
             "m",
             f"{k} of slider joint {i}, base frame",
             adjust=Adjustment(f"move column {i}", COLUMN_STEP),
         )
         for k in "xy"
     ]
-    return [*table, Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}")]
+    return [*table, Parameter(f"dl{i}", 0.0, LENGTH_SD, "m", f"length of strut {i}")]
 
 
 _BALLS = [_circle(RADIUS, H, i) for i in LIMBS]

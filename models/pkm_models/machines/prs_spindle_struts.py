@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from oed.model.machine import Expr, Values
+from oed.model import Expr, Values
 from pkm_models.machines import prs_spindle as full
 
 

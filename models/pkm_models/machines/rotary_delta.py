@@ -6,7 +6,7 @@ point t, and each shoulder by as much towards the centre:
 
     |t - k_i(q_i)| = lower_i,
 
-with the knee k_i of `pkm_models.parts.cranks`. Angle q_i is 0 where the upper arm points
+with the knee k_i of `pkm_models.machines.parts.cranks`. Angle q_i is 0 where the upper arm points
 straight outward and grows as the knee goes down, as in LinuxCNC's rotarydeltakins. All
 knees are outward of the lines from their shoulders to the platform.
 
@@ -23,9 +23,9 @@ import math
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import Dimension, Family, Machine
-from pkm_models.parts import cranks, families, translation
-from pkm_models.parts.families import Geometry, as_rows
+from oed.model import Dimension, Family, Machine
+from pkm_models.machines.parts import cranks, families, translation
+from pkm_models.machines.parts.families import Geometry, as_rows
 
 NAME = "rotary_delta"
 ANGLES = tuple(math.radians(d) for d in (270.0, 150.0, 30.0))

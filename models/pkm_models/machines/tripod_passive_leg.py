@@ -22,18 +22,18 @@ import math
 
 import casadi as ca
 
-from oed.model.machine import (
+from oed.model import (
     Dimension,
     Expr,
     Family,
     Machine,
     Parameter,
+    PassiveJoint,
     Start,
     Values,
 )
-from oed.model.passive_joint import PassiveJoint
-from pkm_models.parts import coordinates, families, legs, passive, six_dof
-from pkm_models.parts.families import XYZ, Geometry
+from pkm_models.machines.parts import coordinates, families, legs, passive, six_dof
+from pkm_models.machines.parts.families import XYZ, Geometry
 
 LEGS = (1, 2, 3)
 NAME = "tripod_passive_leg"

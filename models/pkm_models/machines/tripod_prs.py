@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.parts import coordinates, families, legs, passive, six_dof
-from pkm_models.parts.carriages import GuidedStruts
-from pkm_models.parts.families import Geometry, as_rows
+from oed.model import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models.machines.parts import coordinates, families, legs, passive, six_dof
+from pkm_models.machines.parts.carriages import GuidedStruts
+from pkm_models.machines.parts.families import Geometry, as_rows
 
 NAME = "tripod_prs"
 DEGREES = (0.0, 120.0, 240.0)

@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 
 from oed.base import Array
-from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.parts import coordinates, families, legs, passive, six_dof
-from pkm_models.parts.families import Geometry
+from oed.model import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models.machines.parts import coordinates, families, legs, passive, six_dof
+from pkm_models.machines.parts.families import Geometry
 
 LEGS = (1, 2, 3)
 NAME = "tripod_rps"

@@ -23,16 +23,10 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import (
-    Dimension,
-    Expr,
-    Family,
-    Machine,
-    Start,
-    Values,
-)
-from pkm_models.parts import coordinates, families, legs, six_dof
-from pkm_models.parts.families import XYZ, Geometry
+from oed.model import Dimension, Expr, Family, Machine, Start, Values
+from pkm_models.machines.parts import coordinates, families, legs, six_dof
+from pkm_models.machines.parts.families import XYZ, Geometry
+from pkm_models.rotation import across
 
 LEGS = (1, 2, 3)
 NAME = "tripod_upr_spr"
@@ -40,7 +34,7 @@ BASE = ((-0.350, 0.0, 0.0), (0.350, 0.0, 0.0), (0.0, 0.500, 0.0))
 PLATFORM = ((-0.120, 0.0, 0.300), (0.120, 0.0, 0.300), (0.0, 0.150, 0.300))
 #: axes of the revolute joints, in the platform's frame
 AXES = np.array([(0.0, 1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
-SIDES = legs.across(AXES)
+SIDES = across(AXES)
 #: share of the size by which points on one line may be off it
 OFF_LINE = 1e-6
 DIMENSIONS = (

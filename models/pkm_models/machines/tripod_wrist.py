@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import (
+from oed.model import (
     Coordinate,
     Dimension,
     Expr,
@@ -34,9 +34,9 @@ from oed.model.machine import (
     Values,
 )
 from pkm_models.machines import tripod_passive_leg as tripod
-from pkm_models.parts import coordinates, families, legs, six_dof
-from pkm_models.parts.families import XYZ, Geometry, point
-from pkm_models.parts.rotation import tilt_torsion
+from pkm_models.machines.parts import coordinates, families, legs, six_dof
+from pkm_models.machines.parts.families import XYZ, Geometry, point
+from pkm_models.rotation import across, tilt_torsion
 
 NAME = "tripod_wrist"
 LEGS, AXES = (1, 2, 3), (4, 5)
@@ -47,9 +47,9 @@ DIRECTIONS = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 #: largest turn of a wrist axis, rad
 TURN = math.pi
 #: times that the start's platform follows the wrist
-ROUNDS = 3
+N_ROUNDS = 3
 #: sine of the angle between tool and singular directions, at home, below which it is refused
-SINGULAR = 0.05
+MIN_SINE = 0.05
 DIMENSIONS = (
     *(d for d in tripod.DIMENSIONS if d.name not in ("home", "reach", "tolerance")),
     Dimension("wrist_point", "m", (2, 3), POINTS, "points of the wrist's axes"),
@@ -64,7 +64,7 @@ class Wrist:
 
     def __init__(self, points: Array, axes: Array, home_tilt: Array) -> None:
         self.points, self.axes = points, axes
-        self.sides = legs.across(axes)
+        self.sides = across(axes)
         #: components of a point that move its axis
         self.moved = [
             [k for k in range(3) if k != int(np.argmax(np.abs(u)))] for u in axes
@@ -91,28 +91,30 @@ class Wrist:
                 name = f"tilt{i}{side}"
                 listed.append(Parameter(name, 0.0, rad, "rad", f"tilt {about}, {side}"))
             for k in moved:
-                place = float(point_[k])
-                words = f"{XYZ[k]} of a point {about}"
-                listed.append(Parameter(f"c{i}{XYZ[k]}", place, sd, "m", words))
+                point = float(point_[k])
+                about_parameter = f"{XYZ[k]} of a point {about}"
+                listed.append(
+                    Parameter(f"c{i}{XYZ[k]}", point, sd, "m", about_parameter)
+                )
         return listed
 
     def axis(self, p: Values, k: int) -> tuple[Expr, Expr]:
         """Point and direction of axis k, from 0."""
         i = AXES[k]
-        place = [
+        point = [
             p[f"c{i}{XYZ[j]}"] if j in self.moved[k] else float(self.points[k][j])
             for j in range(3)
         ]
         direction = legs.direction(p, i, self.axes[k], self.sides[k])
-        return ca.vertcat(*place), direction
+        return ca.vertcat(*point), direction
 
     def motion(self, q: Values, p: Values) -> tuple[Expr, Expr]:
         """Rotation and shift of the tool in the platform's frame."""
         rotation, shift = ca.SX.eye(3), ca.SX.zeros(3)
         for k in (1, 0):
-            place, direction = self.axis(p, k)
+            point, direction = self.axis(p, k)
             turn = _rotation(direction, q[f"q{AXES[k]}"] + p[f"zero{AXES[k]}"])
-            shift = place + turn @ (shift - place)
+            shift = point + turn @ (shift - point)
             rotation = turn @ rotation
         return rotation, shift
 
@@ -178,17 +180,17 @@ def _closure(
 def _guess(c: Values, p: Values, wrist: Wrist, up: float) -> Start:
     """The platform's axis towards the pivot, the wrist towards the tool's direction."""
     tool = ca.vertcat(c["x"], c["y"], c["z"])
-    wanted = tilt_torsion(c["rx"], c["ry"], 0.0)
+    tilted = tilt_torsion(c["rx"], c["ry"], 0.0)
     origin, turns = tool, [0.0, 0.0]
     rotation, motion = ca.SX.eye(3), ca.SX.eye(3)
-    for _ in range(ROUNDS):
+    for _ in range(N_ROUNDS):
         offset = up * (tripod.pivot(p) - origin)
         axis = offset / ca.norm_2(offset)
         rotation = tilt_torsion(*_tilt(axis), 0.0)
-        turns = wrist.angles(rotation.T @ wanted[:, 2], p)
+        turns = wrist.angles(rotation.T @ tilted[:, 2], p)
         motion, shift = wrist.motion(dict(zip(("q4", "q5"), turns, strict=True)), p)
         origin = tool - rotation @ shift
-    spun = wanted.T @ rotation @ motion
+    spun = tilted.T @ rotation @ motion
     spin = ca.atan2(spun[1, 0], spun[0, 0])
     lengths = [_length((rotation, origin), p, i) for i in LEGS]
     return [c[n] for n in COMMAND] + [spin], [*lengths, *turns]
@@ -214,11 +216,11 @@ def _skeleton(x: Values, q: Values, p: Values, wrist: Wrist) -> list[list[Expr]]
 
 def _refuse_singular(axes: Array, tilt: Array) -> None:
     """Refuse a wrist that cannot turn the tool at home. Raises ValueError."""
-    if np.linalg.norm(np.cross(*axes)) < SINGULAR:
+    if np.linalg.norm(np.cross(*axes)) < MIN_SINE:
         raise ValueError("the wrist's axes are parallel: give two directions")
-    if np.hypot(*axes[1][:2]) < SINGULAR:
+    if np.hypot(*axes[1][:2]) < MIN_SINE:
         raise ValueError("wrist axis 5 is the tool's own: it does not turn it")
-    if np.hypot(*axes[0][:2]) < SINGULAR and np.hypot(*tilt) < SINGULAR:
+    if np.hypot(*axes[0][:2]) < MIN_SINE and np.hypot(*tilt) < MIN_SINE:
         raise ValueError(
             "the wrist is singular at home, where axis 4 is the tool's: give home_tilt"
         )
@@ -228,7 +230,7 @@ def _commands(table: Geometry) -> tuple[Coordinate, ...]:
     home, tilted = families.array(table, "home"), _home_tilt(table)
     reach, tilt = families.number(table, "reach"), families.number(table, "tilt")
     of = coordinates.TILT_DIRECTION
-    places = [
+    positions = [
         coordinates.point(n, v - reach, v + reach)
         for n, v in zip(XYZ, home, strict=True)
     ]
@@ -236,7 +238,7 @@ def _commands(table: Geometry) -> tuple[Coordinate, ...]:
         coordinates.angle(n, v - tilt, v + tilt, of=of)
         for n, v in zip(COMMAND[3:], tilted.tolist(), strict=True)
     ]
-    return (*places, *turns)
+    return (*positions, *turns)
 
 
 def _home_tilt(table: Geometry) -> Array:

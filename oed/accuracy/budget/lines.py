@@ -26,8 +26,7 @@ from oed.accuracy.budget.model import (
 from oed.accuracy.maps import ErrorMaps, Reference, maps_by_reference
 from oed.base import Array
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.mechanism.kinematics import AssemblyError
-from oed.mechanism.pose_errors import NO_TOOL
+from oed.mechanism import NO_TOOL, AssemblyError
 
 #: factor on the standard deviation of an error that is gone: its covariance stays
 #: regular

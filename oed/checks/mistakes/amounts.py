@@ -29,8 +29,8 @@ from oed.checks.mistakes.trial import (
     in_values,
 )
 from oed.checks.session import SessionReadings
+from oed.instrument import InnerReading
 from oed.measurement import Series, source_gradients
-from oed.model.instrument import InnerReading
 
 #: log prior of another factor in part of a set-up: it belongs to the instrument
 SELDOM = -3.0

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike
 from oed.base import Array, Mask
 from oed.checks.mistakes.moved import Moved
 from oed.measurement import Measurement, Series
-from oed.model.machine import RANGE_SLACK, Machine, Tool
+from oed.model import Machine
 
 #: a full turn, rad
 TURN = 2.0 * np.pi
+#: share of a coordinate's range that rounding may exceed
+RANGE_TOLERANCE = 1e-9
 #: commands or joints (n, k) in place of others
 Change = Callable[[Array], Array]
 
@@ -47,11 +49,13 @@ def commanded(
     return moved
 
 
-def inside(command: Array, machine: Machine, tool: Tool, slack: float) -> bool:
+def inside(
+    command: Array, machine: Machine, tool: Sequence[float], slack: float
+) -> bool:
     """Whether no command is outside the workspace by more than a share of it."""
     for value, coordinate in zip(command.T, machine.workspace(tool), strict=True):
         span = coordinate.upper - coordinate.lower
-        room = (slack + RANGE_SLACK) * span if np.isfinite(span) else 0.0
+        room = (slack + RANGE_TOLERANCE) * span if np.isfinite(span) else 0.0
         below, above = coordinate.lower - value.min(), value.max() - coordinate.upper
         if max(below, above) > room:
             return False
@@ -101,7 +105,7 @@ def wrapped(command: Array, machine: Machine) -> Array:
 def turns_freely(lower: float, upper: float) -> bool:
     """Whether an angle's range is a full turn."""
     span = upper - lower
-    return bool(np.isfinite(span) and span >= TURN * (1.0 - RANGE_SLACK))
+    return bool(np.isfinite(span) and span >= TURN * (1.0 - RANGE_TOLERANCE))
 
 
 def of_column(k: int, meant: Change) -> Change:

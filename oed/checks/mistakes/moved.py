@@ -16,9 +16,9 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
 from oed.checks.session import SessionReadings
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.instrument import Setup
+from oed.mechanism import AssemblyError
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]

@@ -41,8 +41,8 @@ from oed.checks.mistakes.trial import MistakeTrial, amount
 from oed.dataset.columns import column_name
 from oed.dataset.notations import notations
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.machine import Coordinate
+from oed.mechanism import AssemblyError
+from oed.model import Coordinate
 
 #: where an amount is sought first: shares of a coordinate's range, and steps of a turn
 SHARES, TURNS = (0.003, 0.01, 0.03, 0.1, 0.3), 24

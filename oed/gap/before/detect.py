@@ -23,13 +23,13 @@ from scipy import linalg
 
 from oed import units
 from oed.base import Array, Index
+from oed.effect_model import Effect
 from oed.gap.before.confusion import SAME, effect_rival, indistinguishable
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 from oed.result import DetectabilityRecord, DetectabilityTable
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Array, Index
+from oed.effect_model import Effect
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
-from oed.model.effect import Effect
 
 #: prior standard deviations that a rival's textbook coefficients may go to
 ROOM = 100.0

@@ -13,13 +13,13 @@ import pandas as pd
 from scipy import linalg
 
 from oed.base import Array, Index
+from oed.effect_model import Effect
 from oed.gap.before.confusion import in_words
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.separation import Separation, Target
 from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement import Measurement, Series
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 
 #: covariates that a condition may state

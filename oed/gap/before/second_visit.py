@@ -19,6 +19,7 @@ import pandas as pd
 
 from oed.base import Array, Index
 from oed.design import Rules
+from oed.effect_model import Effect
 from oed.gap.before import choose
 from oed.gap.before.expected import (
     AnswerForm,
@@ -39,7 +40,6 @@ from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.forms import discrepancy
 from oed.gap.forms import library as libraries
 from oed.measurement import Series
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 from oed.result import SeparationRecord
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
+from oed.effect_model import Effect
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, UNKNOWN, ExcessScatter
 from oed.gap.data.signature import LACKS
-from oed.model.effect import Effect
 from oed.result import AnswerRecord
 from oed.text import join_words
 

@@ -31,13 +31,12 @@ import numpy as np
 from scipy import special
 
 from oed.base import Array, Index
+from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Further, Search
 from oed.gap.data.evidence import Grams
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.problem import GapProblem
-from oed.model.effect import Effect
-from oed.model.size_prior import EFFECT_SIZES
 
 #: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
 DISTINCT = 5.0

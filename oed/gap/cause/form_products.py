@@ -12,12 +12,12 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from oed.base import Array, Index
+from oed.effect_model import EFFECT_SIZES, UNKNOWN_SIZES
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
-from oed.model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES
 from oed.noise import NoiseLaw
 
 #: columns of each selected effect, with the size of its coefficients

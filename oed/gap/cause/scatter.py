@@ -25,12 +25,12 @@ import pandas as pd
 from scipy import linalg, special
 
 from oed.base import Array, Index
+from oed.effect_model import UNKNOWN_SIZES
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
-from oed.model.size_prior import UNKNOWN_SIZES
 from oed.noise import NoiseLaw
 from oed.noise_law import KNOWN_TO
 from oed.trust import chi2_is_large

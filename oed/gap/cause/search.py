@@ -17,6 +17,7 @@ import numpy as np
 from scipy import special
 
 from oed.base import Array, Index
+from oed.effect_model import EFFECT_SIZES
 from oed.gap.cause.form_products import SIZES as UNKNOWN_SIZES
 from oed.gap.cause.form_products import FormProducts
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
@@ -24,7 +25,6 @@ from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
-from oed.model.size_prior import EFFECT_SIZES
 from oed.noise import NoiseLaw
 from oed.noise_law import Outliers
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from oed import noise_law
 from oed.base import Array
+from oed.effect_model import Effect
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
@@ -27,7 +28,6 @@ from oed.gap.forms import discrepancy, waves
 from oed.gap.forms import library as libraries
 from oed.gap.forms.discrepancy import IN_A_RUN
 from oed.gap.forms.library import Library
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 from oed.noise_law import Outliers
 

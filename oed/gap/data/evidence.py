@@ -24,9 +24,9 @@ from scipy import special
 
 from oed import linear_algebra
 from oed.base import Array, Index
+from oed.effect_model import EFFECT_SIZES
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.model.size_prior import EFFECT_SIZES
 from oed.noise import NoiseLaw
 
 #: share of a column's energy, before anything absorbs of it, up to which what remains of

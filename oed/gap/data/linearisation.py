@@ -16,12 +16,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed.base import Array
+from oed.effect_model import Effect
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import exact_readings
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.effect import Effect
+from oed.mechanism import AssemblyError
 from oed.noise import NoiseLaw
 
 #: steps to the most probable point, and departure from its linear model that ends them

@@ -19,11 +19,11 @@ import numpy as np
 import pandas as pd
 
 from oed.base import Array, Index
+from oed.effect_model import Effect, State
 from oed.estimation import identify
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series, reading_structure
-from oed.model.effect import Effect, State
 from oed.noise import Laws, NoiseLaw, NoiseStatement, ReadingStructure
 
 

@@ -17,8 +17,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from oed.base import Array, Mask
+from oed.effect_model import Column, Effect, State
 from oed.measurement import Measurement, Response, Series
-from oed.model.effect import Column, Effect, State
 
 #: norm of a signature over all readings, in units of the noise, up to which a
 #: coefficient changes nothing

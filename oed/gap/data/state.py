@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from oed.base import Array, Index, rows_by_label
 from oed.dataset.columns import TEMPERATURE, TENSION
+from oed.effect_model import State
 from oed.gap.data.motion import motion, tool_places
 from oed.measurement import Measurement, Series
-from oed.model.effect import State
 
 DOWN = (0.0, 0.0, -1.0)
 #: covariates of a reading that a State has under the same name

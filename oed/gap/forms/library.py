@@ -15,13 +15,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from oed.base import Array, Index
+from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
 from oed.gap.forms.aliased import ALIASED, distinct_from_parameters
-from oed.model.effect import Effect
-from oed.model.size_prior import EFFECT_SIZES
 
 #: prior share of an effect's forms in which one limb alone has it
 ALONE = 0.4

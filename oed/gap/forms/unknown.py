@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from oed.base import Array
+from oed.effect_model import Column, Effect, State
 from oed.gap.forms.discrepancy import known_values
-from oed.model.effect import Column, Effect, State
 
 #: terms of a series over the workspace, over the time
 PLACES, TIMES = 24, 10

@@ -14,13 +14,13 @@ import numpy as np
 from scipy import linalg
 
 from oed.base import Array, Mask
+from oed.effect_model import Effect
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
 from oed.gap.forms.library import Library
-from oed.model.effect import Effect
 from oed.noise import NoiseLaw
 
 

@@ -36,12 +36,13 @@ FLAGS = (
 #: all that this processor can do, or what every one can, where the compiler cannot tell
 PROCESSORS = (("-march=native",), ())
 #: longest time of a compilation, s
-LONGEST = 120.0
+COMPILATION_TIMEOUT = 120.0
 #: files of the folder beyond which the oldest are removed
-MOST_FILES = 512
+MAX_FILES = 512
 #: characters of a digest in a file's name
-DIGITS = 32
-FOLDER = "compiled"
+DIGEST_LENGTH = 32
+#: name of the folder with the compiled files
+FOLDER_NAME = "compiled"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +65,7 @@ def load(text: str) -> ctypes.CDLL | None:
 
 def cache_folder() -> Path:
     """The folder of the compiled files, of this user and computer."""
-    return platformdirs.user_cache_path("pkm-oed", appauthor=False) / FOLDER
+    return platformdirs.user_cache_path("pkm-oed", appauthor=False) / FOLDER_NAME
 
 
 @functools.cache
@@ -92,7 +93,9 @@ def _asks_to_install(program: str) -> bool:
     """Whether a program opens a window in place of compiling: on a Mac without tools."""
     if sys.platform != "darwin" or not program.startswith("/usr/bin/"):
         return False
-    asked = child_process.run(["/usr/bin/xcode-select", "-p"], Path("/"), LONGEST)
+    asked = child_process.run(
+        ["/usr/bin/xcode-select", "-p"], Path("/"), COMPILATION_TIMEOUT
+    )
     return asked.returncode != 0
 
 
@@ -111,7 +114,7 @@ def _processor() -> str:
 def _load(text: str, compiler: Compiler, folder: Path) -> ctypes.CDLL | None:
     """As `load`, once a process for each text."""
     parts = "\n".join([text, *FLAGS, str(PROCESSORS), compiler.identity])
-    digest = hashlib.sha256(parts.encode()).hexdigest()[:DIGITS]
+    digest = hashlib.sha256(parts.encode()).hexdigest()[:DIGEST_LENGTH]
     try:
         if not make_private(folder):
             return None
@@ -139,7 +142,7 @@ def _is_whole(file: Path) -> bool:
 
 
 def _content_digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:DIGITS]
+    return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
 
 
 def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
@@ -150,7 +153,7 @@ def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
         files = ("-o", str(library), str(source), "-lm")
         for processor in PROCESSORS:
             command = [compiler.path, *FLAGS, *processor, *files]
-            done = child_process.run(command, Path(scratch), LONGEST)
+            done = child_process.run(command, Path(scratch), COMPILATION_TIMEOUT)
             if done.returncode == 0:
                 break
         content = library.read_bytes()
@@ -164,5 +167,5 @@ def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
 def _remove_oldest(folder: Path) -> None:
     """Keep the folder small: processes that have a file open keep it."""
     files = sorted(folder.glob("*.so"), key=lambda file: file.stat().st_mtime_ns)
-    for file in files[:-MOST_FILES]:
+    for file in files[:-MAX_FILES]:
         file.unlink(missing_ok=True)

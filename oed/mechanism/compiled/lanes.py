@@ -1,40 +1,191 @@
-"""Compiled functions over arrays of poses: evaluation, Newton's method, adjoints."""
+"""Compiled functions over arrays of poses: evaluation, Newton's method, adjoints.
+
+Their C text has one statement for each value, over vectors of poses. It holds no number of
+the machine: constants are an array that a call brings along. So machines that differ in
+their dimensions alone share it, as those of a campaign do.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import dataclasses
+import functools
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from importlib import resources
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from oed.base import Array, Mask
 from oed.mechanism.compiled.compiler import load
-from oed.mechanism.compiled.text import LaneJob, lane_text
-from oed.mechanism.graph import Graph
-from oed.mechanism.tape import (
-    REMAINING_ERROR,
-    SHORT_STEP,
-    AdjointRows,
-    SolvedSystems,
-)
+from oed.mechanism.graph import OPERATIONS, Graph, Node
+from oed.mechanism.tape import REMAINING_ERROR, SHORT_STEP, AdjointRows, SolvedSystems
 
 #: least number of points of a core's share: two milliseconds of work
-SHARED_POINTS = 8192
+MIN_SHARED_POINTS = 8192
 #: shares begin at multiples of this: of the lanes of every processor
-MOST_LANES = 8
-#: most steps with new slopes, and with kept ones
-NEWTON_STEPS, CHORD_STEPS = 8, 4
+MAX_LANES = 8
+#: most steps with new slopes: the last are quadratic, so that eight reach rounding
+MAX_NEWTON_STEPS = 8
+#: most steps with kept slopes, which show the error that remains
+MAX_CHORD_STEPS = 4
 #: error (m, rad) after which a point takes no further step
-LEAST_ERROR = 1e-17
+FINAL_ERROR = 1e-17
 #: instructions of the longest function that is compiled, in some ten seconds
-MOST_INSTRUCTIONS = 20_000
-#: states of points in newton.h
-SOLVED, NEAR = 1, 2
-#: words of memory in a number
-WORD = 8
+MAX_INSTRUCTIONS = 20_000
+#: state of a solved point in newton.h
+SOLVED = 1
+#: state of a point that ended with a short step
+NEAR = 2
+#: bytes of a number
+NUMBER_SIZE = 8
+#: operations of one angle that share their work, by the letter of their variable
+ANGLE_FUNCTIONS = {ca.OP_SIN: "s", ca.OP_COS: "c"}
+
+
+class LaneJob(NamedTuple):
+    """What is computed of a function.
+
+    template  the file of C text that does it
+    varying   numbers of the inputs that vary while the others stay
+    macros    further numbers of the template, by name
+    """
+
+    template: str
+    varying: frozenset[int]
+    macros: tuple[tuple[str, int], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class LaneText:
+    """C text, and the constants that its functions take."""
+
+    text: str
+    constants: Array
+
+
+def lane_text(graph: Graph, job: LaneJob) -> LaneText:
+    """The C text of a job on the graph of a function."""
+    writer = _Writer(graph, job.varying)
+    sizes = [len(row) for row in graph.outputs]
+    macros = {
+        "INPUTS": len(graph.inputs),
+        "INPUT_ENTRIES": sum(graph.inputs),
+        "OUTPUTS": len(sizes),
+        "OUTPUT_ENTRIES": sum(sizes),
+        "FIXED_ENTRIES": len(writer.slots),
+        **dict(job.macros),
+    }
+    numbers = ", ".join(map(str, sizes))
+    lines = [
+        *(f"#define {name} {value}" for name, value in macros.items()),
+        _template("lanes.h"),
+        f"static const int64_t OUTPUT_SIZES[] = {{{numbers}}};",
+        *writer.functions(),
+    ]
+    if "ROWS" in macros:
+        lines.append(_template("elimination.h"))
+    lines.append(_template(job.template))
+    return LaneText("\n".join(lines), np.array(writer.constants, dtype=float))
+
+
+@functools.cache
+def _template(name: str) -> str:
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+
+
+class _Writer:
+    """Writes the functions of a graph.
+
+    varying  numbers of the inputs that vary while the others stay
+
+    Attributes:
+
+    constants  numbers of the constants' array
+    slots      for each node that varying ones take from fixed ones, its index in `fixed`
+    """
+
+    def __init__(self, graph: Graph, varying: Collection[int]) -> None:
+        self._graph, self._varied = graph, graph.varying(varying)
+        self._starts = np.cumsum([0, *graph.inputs]).tolist()
+        nodes = graph.nodes
+        self.constants = [n.constant for n in nodes if n.constant is not None]
+        numbers = [k for k, n in enumerate(nodes) if n.constant is not None]
+        self._constant = {number: index for index, number in enumerate(numbers)}
+        self.slots = {number: k for k, number in enumerate(self._shared())}
+
+    def _shared(self) -> list[int]:
+        """Computed nodes that stay, of which varying ones take the values."""
+        nodes = self._graph.nodes
+        sources = {
+            source for number in self._varied for source in nodes[number].sources
+        }
+        return [
+            source
+            for source in sorted(sources - self._varied)
+            if nodes[source].operation is not None
+        ]
+
+    def functions(self) -> Iterator[str]:
+        """The functions `prepare`, `every_output` and `first_output`."""
+        outputs = self._graph.outputs
+        every = list(enumerate(n for output in outputs for n in output))
+        fixed = [(k, n) for k, n in every if n not in self._varied]
+        varied = [(k, n) for k, n in every if n in self._varied]
+        first = [(k, n) for k, n in varied if k < len(outputs[0])]
+        slots = {f"fixed[{k}]": number for number, k in self.slots.items()}
+        results = slots | {f"out[{k}]": number for k, number in fixed}
+        yield self._function("prepare", results, (), "vec *restrict fixed")
+        pairs = {"every_output": varied, "first_output": first}
+        for name, chosen in pairs.items():
+            results = {f"out[{k}]": number for k, number in chosen}
+            yield self._function(name, results, self.slots, "const vec *fixed")
+
+    def _function(
+        self,
+        name: str,
+        results: dict[str, int],
+        computed: Collection[int],
+        fixed: str,
+    ) -> str:
+        """A function that writes results, by variable, from inputs and computed nodes."""
+        lines = [
+            f"static inline void {name}(const vec *in, const double *constants,"
+            f" {fixed}, vec *restrict out)",
+            "{",
+        ]
+        angles: set[int] = set()
+        for number in sorted(self._graph.needed(results.values(), computed)):
+            node = self._graph.nodes[number]
+            if node.operation in ANGLE_FUNCTIONS and number not in computed:
+                angle = node.sources[0]
+                if angle not in angles:
+                    angles.add(angle)
+                    lines.append(f"vec s{angle}, c{angle};")
+                    lines.append(f"sine_cosine(v{angle}, &s{angle}, &c{angle});")
+            value = (
+                f"fixed[{self.slots[number]}]"
+                if number in computed
+                else self._expression(number, node)
+            )
+            lines.append(f"const vec v{number} = {value};")
+        lines += [f"{variable} = v{n};" for variable, n in results.items()]
+        return "\n".join([*lines, "}"])
+
+    def _expression(self, number: int, node: Node) -> str:
+        """The value of a node, from its sources."""
+        if node.constant is not None:
+            return f"splat(constants[{self._constant[number]}])"
+        if node.entry is not None:
+            return f"in[{self._starts[node.entry[0]] + node.entry[1]}]"
+        assert node.operation is not None
+        if node.operation in ANGLE_FUNCTIONS:
+            return f"{ANGLE_FUNCTIONS[node.operation]}{node.sources[0]}"
+        sources = [f"v{source}" for source in node.sources]
+        return OPERATIONS[node.operation].expression.format(*sources)
 
 
 class _Limits(ctypes.Structure):
@@ -92,8 +243,8 @@ class _Lanes:
         entries = [a.shape[-1] for a in points.arrays]
         if entries != self._entries[: len(entries)]:
             raise ValueError(f"inputs have {entries} entries, not {self._entries}")
-        table, inner = _place(points.table), ctypes.c_int64(points.inner)
-        constants = _place(self._constants)
+        table, inner = _pointer(points.table), ctypes.c_int64(points.inner)
+        constants = _pointer(self._constants)
 
         def run(first: int, end: int) -> None:
             ends = ctypes.c_int64(first), ctypes.c_int64(end)
@@ -114,8 +265,8 @@ class Evaluation(_Lanes):
     def run(self, inputs: Sequence[Array], count: int) -> list[Array]:
         """Outputs (count, entries), each column by column, at inputs (count, size)."""
         outputs = [np.empty((count, size)) for size in self._sizes]
-        places = np.array([_address(a) for a in outputs], dtype=np.int64)
-        self._call(_points(inputs, (count,)), _place(places))
+        addresses = np.array([_address(a) for a in outputs], dtype=np.int64)
+        self._call(_points(inputs, (count,)), _pointer(addresses))
         return outputs
 
 
@@ -160,13 +311,13 @@ class Newton(_Lanes):
             step_tolerance,
             longest,
             SHORT_STEP,
-            LEAST_ERROR,
+            FINAL_ERROR,
             REMAINING_ERROR,
-            NEWTON_STEPS,
-            CHORD_STEPS,
+            MAX_NEWTON_STEPS,
+            MAX_CHORD_STEPS,
         )
-        at = ctypes.byref(limits)
-        self._call(points, at, _place(solutions), _place(states))
+        limits_pointer = ctypes.byref(limits)
+        self._call(points, limits_pointer, _pointer(solutions), _pointer(states))
         ends = np.cumsum([a.shape[-1] for a in inputs[:unknown]])[:-1]
         values = np.split(solutions, ends, axis=-1)
         return SolvedSystems(values, states == SOLVED, states == NEAR)
@@ -197,11 +348,11 @@ class Adjoint(_Lanes):
         condition = np.empty(n)
         self._call(
             _points(inputs, (n,)),
-            _place(scale),
+            _pointer(scale),
             ctypes.c_int64(channels),
-            _place(right),
-            _place(values),
-            _place(condition),
+            _pointer(right),
+            _pointer(values),
+            _pointer(condition),
         )
         accurate: Mask = np.isfinite(condition)
         return AdjointRows(values, condition, accurate)
@@ -211,7 +362,7 @@ def compiled(
     kind: Callable[[ctypes.CDLL, Graph, Array], Any], graph: Graph, job: LaneJob
 ) -> Any:
     """A job on a dense SX function, compiled; None where that cannot be."""
-    if len(graph.nodes) > MOST_INSTRUCTIONS:
+    if len(graph.nodes) > MAX_INSTRUCTIONS:
         return None
     written = lane_text(graph, job)
     library = load(written.text)
@@ -223,7 +374,7 @@ def _points(inputs: Sequence[Array], shape: tuple[int, ...]) -> _InputTable:
     arrays = [_readable(a, shape) for a in inputs]
     table = np.zeros((len(arrays), 4), dtype=np.int64)
     for row, array in zip(table, arrays, strict=True):
-        steps = [stride // WORD for stride in array.strides[:-1]]
+        steps = [stride // NUMBER_SIZE for stride in array.strides[:-1]]
         outer = steps[0] if len(steps) == 2 else 0
         row[:] = _address(array), outer, steps[-1], array.shape[-1]
     return _InputTable(arrays, table, shape)
@@ -232,8 +383,8 @@ def _points(inputs: Sequence[Array], shape: tuple[int, ...]) -> _InputTable:
 def _readable(values: Array, shape: tuple[int, ...]) -> Array:
     """Doubles at every point, without copies where one row serves several."""
     values = np.asarray(values, dtype=float)
-    aligned = not any(stride % WORD for stride in values.strides)
-    if not (aligned and values.strides[-1] == WORD):
+    aligned = not any(stride % NUMBER_SIZE for stride in values.strides)
+    if not (aligned and values.strides[-1] == NUMBER_SIZE):
         values = np.ascontiguousarray(values)
     if values.shape[:-1] == shape:
         return values
@@ -241,22 +392,22 @@ def _readable(values: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _address(array: Array) -> int:
-    place: int = array.__array_interface__["data"][0]
-    return place
+    address: int = array.__array_interface__["data"][0]
+    return address
 
 
-def _place(array: Any) -> ctypes.c_void_p:
+def _pointer(array: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(_address(array))
 
 
 def share_points(run: Callable[[int, int], None], count: int) -> None:
     """Run from 0 to `count` in as many shares as there are cores for this process."""
-    shares = count // SHARED_POINTS
+    shares = count // MIN_SHARED_POINTS
     cores = min(_cores(), shares) if shares > 1 else 1
     if cores < 2:
         run(0, count)
         return
-    size = -(-count // (cores * MOST_LANES)) * MOST_LANES
+    size = -(-count // (cores * MAX_LANES)) * MAX_LANES
     starts = range(0, count, size)
     threads = [
         threading.Thread(target=run, args=(start, min(start + size, count)))

@@ -16,7 +16,7 @@ from oed.accuracy.acceptance import (
 )
 from oed.base import Array, Index
 from oed.dataset.dialect import commented
-from oed.model.machine import Component, Machine
+from oed.model import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult, finite_or_none
 from pkm_studies import describe
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy

@@ -12,8 +12,8 @@ from oed import units
 from oed.accuracy.acceptance import Promise, smooth_functions
 from oed.accuracy.maps import ErrorMaps, Reference, driven_errors, error_maps
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Component, Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Component, Machine
 from oed.result import (
     CorrectedSection,
     EstimateSection,

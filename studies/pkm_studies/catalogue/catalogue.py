@@ -42,9 +42,9 @@ PACKAGES = {
 ATTRIBUTES = {"formats": "controller"}
 #: module and name of the class of a kind's items
 CLASSES = {
-    "machines": ("oed.model.machine", "Machine"),
-    "instruments": ("oed.model.instrument", "Instrument"),
-    "effects": ("oed.model.effect", "Effect"),
+    "machines": ("oed.model", "Machine"),
+    "instruments": ("oed.instrument", "Instrument"),
+    "effects": ("oed.effect_model", "Effect"),
     "formats": ("pkm_studies.catalogue.controller_format", "ControllerFormat"),
 }
 
@@ -82,11 +82,11 @@ def listing(kind: str) -> list[CatalogueEntry]:
 def machine(
     reference: str, origin: Origin, location: Location, *, assembled: bool = True
 ) -> Any:
-    """The `oed.model.machine.Machine` that `reference` names. Raises InputError.
+    """The `oed.model.Machine` that `reference` names. Raises InputError.
 
     assembled  whether the home pose of a user's own must assemble
     """
-    from oed.model.machine import Machine
+    from oed.model import Machine
     from pkm_studies.catalogue import machine_check as soundness
 
     machine = lookup(reference, "machines", Machine, origin, location)
@@ -96,15 +96,15 @@ def machine(
 
 
 def instrument(reference: str, origin: Origin, location: Location) -> Any:
-    """The `oed.model.instrument.Instrument` that `reference` names. Raises InputError."""
-    from oed.model.instrument import Instrument
+    """The `oed.instrument.Instrument` that `reference` names. Raises InputError."""
+    from oed.instrument import Instrument
 
     return lookup(reference, "instruments", Instrument, origin, location)
 
 
 def effect(reference: str, origin: Origin, location: Location) -> Any:
-    """The `oed.model.effect.Effect` that `reference` names. Raises InputError."""
-    from oed.model.effect import Effect
+    """The `oed.effect_model.Effect` that `reference` names. Raises InputError."""
+    from oed.effect_model import Effect
 
     return lookup(reference, "effects", Effect, origin, location)
 

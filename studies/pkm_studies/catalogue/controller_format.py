@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from oed.base import Array
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.result import EffectTable
 from oed.text import shorten
 
 if TYPE_CHECKING:
     from oed.compensate import CommandGrid, FurtherAxes
-    from oed.mechanism.kinematics import Kinematics
+    from oed.mechanism import Kinematics
     from pkm_studies.tables import ControllerTable
 
 #: characters of a comment, which holds text of results

@@ -9,10 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.mechanism.closest_closure import closure_at_guess
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.expressions import symbols
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics, closest_closure, symbols
+from oed.model import Machine
 from oed.text import shorten
 from pkm_studies.base import Location
 
@@ -51,8 +49,8 @@ def _check_home(machine: Machine, location: Location) -> None:
 
 def _equations(machine: Machine) -> str:
     """The closure's equations at the guess for home, as words."""
-    start = closure_at_guess(machine, machine.home_command)
-    values = [f"{value:.3g}" for value in start.equations.values()]
+    guess = closest_closure(machine, machine.home_command).guess
+    values = [f"{value:.3g}" for value in guess.equations]
     return (
         f"the closure's equations 1 to {len(values)} are {', '.join(values)} (m, rad)"
     )

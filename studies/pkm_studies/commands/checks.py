@@ -12,7 +12,7 @@ import numpy as np
 from oed import checks
 from oed.checks import Severity, blind
 from oed.dataset import Dataset
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics
 from pkm_studies import catalogue, shipped, sources
 from pkm_studies.base import InputError, Location, SourceAbsentError, Stream
 from pkm_studies.resolve import (

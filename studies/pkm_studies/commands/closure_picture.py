@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.mechanism.closest_closure import closest_closure
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics, closest_closure
+from oed.model import Machine
 from oed.result import ClosestClosure
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Location

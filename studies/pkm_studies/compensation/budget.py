@@ -19,7 +19,7 @@ from oed import units
 from oed.accuracy.maps import driven_errors
 from oed.base import Array
 from oed.compensate import interpolation_errors, joint_errors
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from oed.result import (
     BudgetLine,
     BudgetSection,

@@ -13,8 +13,8 @@ import numpy as np
 from oed import trust, units, verdict
 from oed.base import Array
 from oed.compensate import GridAxis, compensated_joints, undriven_components
-from oed.mechanism.pose_errors import component_errors
-from oed.model.machine import Machine
+from oed.mechanism import component_errors
+from oed.model import Machine
 from oed.result import StudyResult
 from oed.safe_files import write_own
 from oed.text import format_number

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from oed.base import Array
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.result import (
     AdjustmentSection,
     CompensationName,

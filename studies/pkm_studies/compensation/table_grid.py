@@ -18,7 +18,7 @@ from oed.compensate import (
     joint_corrections,
     joint_motion,
 )
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics
 from oed.result import PredictionSection
 from oed.units import quantity
 from pkm_studies.base import InputError

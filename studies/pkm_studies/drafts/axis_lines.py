@@ -9,7 +9,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.model.machine import Coordinate, Machine
+from oed.model import Coordinate, Machine
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.tables import PredictionReference
 

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
 
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError
+from oed.model import Machine
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import template

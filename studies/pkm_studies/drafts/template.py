@@ -9,10 +9,10 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
+from oed.instrument import Instrument, mount
 from oed.measurement import Measurement, commands_at_fixed_reading
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import Instrument, mount
-from oed.model.machine import Family, Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Family, Machine
 from pkm_studies.drafts.axis_lines import (
     SHARES,
     axis,

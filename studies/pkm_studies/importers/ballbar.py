@@ -16,8 +16,8 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import column_map

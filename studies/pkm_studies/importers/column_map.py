@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import msgspec
 import tomli_w
 
-from oed.model.instrument import Instrument
-from oed.model.machine import Machine
+from oed.instrument import Instrument
+from oed.model import Machine
 from pkm_studies import catalogue, files, user_code
 from pkm_studies import study as studies
 from pkm_studies.base import Location

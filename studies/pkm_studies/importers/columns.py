@@ -20,9 +20,9 @@ from oed.dataset.columns import (
     tension_columns,
 )
 from oed.dataset.table_cells import LARGEST
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Instrument
-from oed.model.machine import Machine
+from oed.instrument import Instrument
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from oed.text import suggest
 from oed.units import UnitError
 from pkm_studies.base import InputError, Location

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import Instrument
+from oed.instrument import Instrument
+from oed.mechanism import AssemblyError, Kinematics
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import orientations

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from oed import units
 from oed.base import Array, Mask, Orientation, along
-from oed.model.instrument import Instrument
+from oed.instrument import Instrument
 from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.base import Row

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.importers import base, registry

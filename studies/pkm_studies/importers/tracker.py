@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 from oed import units
 from oed.base import Array
 from oed.dataset.columns import SIGMA
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Instrument
+from oed.instrument import Instrument
+from oed.mechanism import Kinematics
 from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (

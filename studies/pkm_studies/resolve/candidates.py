@@ -11,7 +11,7 @@ import numpy as np
 from oed import units
 from oed.base import Array, Mask
 from oed.measurement import Measurement, Series
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.poses import (
     Capsule,
     DirectionCone,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import units
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.model.instrument import Setup
 from pkm_studies.tables import ConditionsTable
 
 if TYPE_CHECKING:

@@ -13,11 +13,9 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.compensate import InterpolationTable, command_of_pose
-from oed.mechanism.controller import Controller
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL
-from oed.model.machine import Machine
+from oed.compensate import InterpolationTable
+from oed.mechanism import NO_TOOL, Controller, Kinematics
+from oed.model import Machine
 from oed.text import suggest
 from pkm_studies import csv_table, files
 from pkm_studies.base import InputError, Location
@@ -171,7 +169,7 @@ def _tabled(kinematics: Kinematics, path: Path, location: Location) -> Controlle
 
     def corrections(command: Array, pose: Array) -> Array:
         """The table is over commands of the reference tool."""
-        return table.at(command_of_pose(kinematics, pose, command, NO_TOOL))
+        return table.at(kinematics.command_of_pose(pose, command, NO_TOOL))
 
     return Controller(machine.nominal, corrections)
 

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 from oed import units
 from oed.base import Orientation
 from oed.dataset.columns import parse_column
-from oed.model.expressions import passive_joints
-from oed.model.instrument import Channel, Instrument
-from oed.model.machine import Component, Coordinate, Machine, Parameter
-from oed.model.passive_joint import PassiveJoint
+from oed.instrument import Channel, Instrument
+from oed.model import Component, Coordinate, Machine, Parameter, PassiveJoint
 from oed.units import UnitError
 from pkm_studies import catalogue
 from pkm_studies.catalogue import CatalogueEntry
@@ -48,7 +46,7 @@ def machine_columns(machine: Machine) -> list[ColumnStatement]:
         ),
         *(_statement(c, JOINT) for c in machine.joints),
         *errors,
-        *(_statement(joint, PASSIVE) for joint in passive_joints(machine)),
+        *(_statement(joint, PASSIVE) for joint in machine.passive_joints()),
     ]
 
 

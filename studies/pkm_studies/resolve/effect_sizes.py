@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from oed import units
-from oed.model.effect import Effect
-from oed.model.expected_size import coefficient_units, with_expected_size
+from oed.effect_model import Effect
 from oed.text import suggest
 from pkm_studies import catalogue
 from pkm_studies.study import Study
@@ -46,7 +45,7 @@ def effect_with_sizes(effect: Effect, study: Study) -> Effect:
         unit = field.removeprefix(f"{effect.name}_")
         if unit != field and unit in factors:
             si, factor = factors[unit]
-            effect = with_expected_size(effect, si, value * factor)
+            effect = effect.with_expected_size(si, value * factor)
     return effect
 
 
@@ -58,13 +57,13 @@ def _effect_of(field: str, allowed: Iterable[str]) -> str | None:
 
 def _names(effect: Effect) -> list[str]:
     """Units in which reports state coefficients of an effect, as ends of fields."""
-    return [_spelt(units.coefficient_unit(si)[0]) for si in coefficient_units(effect)]
+    return [_spelt(units.coefficient_unit(si)[0]) for si in effect.coefficient_units()]
 
 
 def _factors(effect: Effect) -> Mapping[str, tuple[str, float]]:
     """{end of a field: (SI unit, factor to SI)} of an effect's coefficients."""
     table: dict[str, tuple[str, float]] = {}
-    for si in coefficient_units(effect):
+    for si in effect.coefficient_units():
         name, factor = units.coefficient_unit(si)
         table[_spelt(name)] = (si, factor)
         for unit, (kind, to_si) in units.UNITS.items():

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.model.effect import Effect
-from oed.model.machine import Machine
+from oed.effect_model import Effect
+from oed.model import Machine
 from oed.text import suggest
 from pkm_studies import catalogue
 from pkm_studies.base import InputError, Location

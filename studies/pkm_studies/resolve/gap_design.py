@@ -10,9 +10,9 @@ import numpy as np
 
 from oed.base import Array
 from oed.design import Rules
+from oed.effect_model import Effect
 from oed.gap.before.runs import Run
 from oed.measurement import Measurement, Series
-from oed.model.effect import Effect
 from pkm_studies import catalogue
 from pkm_studies.base import Location
 from pkm_studies.resolve.conditions import (

@@ -14,10 +14,10 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import Setup
-from oed.model.machine import Coordinate, Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Coordinate, Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.quantities import format_value

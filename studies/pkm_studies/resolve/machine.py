@@ -11,9 +11,8 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.adjustment import Adjustment
-from oed.model.machine import Coordinate, Dimension, Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Adjustment, Coordinate, Dimension, Machine
 from pkm_studies import catalogue, quantities, user_code
 from pkm_studies.base import Location
 from pkm_studies.resolve import lookup, reach

@@ -6,8 +6,8 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
+from oed.instrument import Setup
 from oed.measurement import Measurement
-from oed.model.instrument import Setup
 from oed.noise import NoiseStatement
 from oed.text import suggest
 from pkm_studies import quantities

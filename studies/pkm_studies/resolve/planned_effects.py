@@ -9,6 +9,7 @@ import numpy as np
 from oed import dataset
 from oed.base import Array
 from oed.design import Candidates
+from oed.effect_model import Effect
 from oed.effects import (
     Course,
     PlannedEffects,
@@ -21,7 +22,6 @@ from oed.effects import (
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
-from oed.model.effect import Effect
 from pkm_studies.base import Location
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.prediction import PredictionRequest

@@ -11,8 +11,8 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Index
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from pkm_studies import csv_table, quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve.command_ranges import command_units

@@ -13,8 +13,8 @@ from oed import units
 from oed.base import Array
 from oed.dataset import columns
 from oed.dataset.table_cells import LARGEST
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import command_ranges, grids, reach

@@ -17,7 +17,7 @@ from oed import units
 from oed.base import Index, Mask
 from oed.design import QuotaSet
 from oed.measurement import Measurement, Series
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.text import suggest
 from pkm_studies import quantities
 from pkm_studies.base import Location

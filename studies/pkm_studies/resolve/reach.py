@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError
+from oed.model import Machine
 from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
 

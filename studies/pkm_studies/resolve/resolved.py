@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from oed.dataset.digests import digests
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Setup
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from pkm_studies.resolve import candidates, roles, setups, tolerances
 from pkm_studies.resolve.controller import hold_parameters
 from pkm_studies.resolve.counted import doubtful_sessions

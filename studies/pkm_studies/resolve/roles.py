@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from oed.instrument import Setup
 from oed.measurement import Measurement, Series
-from oed.model.instrument import Setup
 from pkm_studies import quantities
 from pkm_studies.resolve import lookup
 from pkm_studies.resolve.design import DesignRequest

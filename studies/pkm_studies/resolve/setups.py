@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 
 from oed import units
+from oed.instrument import Instrument, Protocol, Setup, mount
 from oed.measurement import Measurement
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import Instrument, Protocol, Setup, mount
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from pkm_studies import catalogue, quantities
 from pkm_studies.base import Location
 from pkm_studies.quantities import check_not_negative

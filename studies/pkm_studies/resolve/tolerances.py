@@ -13,9 +13,8 @@ from oed import trust, units
 from oed.base import Array
 from oed.dataset.digests import is_counted
 from oed.history import MachineInformation, fleet_prior
-from oed.model.instrument import Setup
-from oed.model.machine import CommonTolerance, Machine, Parameter
-from oed.model.parameter_vector import ParameterVector
+from oed.instrument import ParameterVector, Setup
+from oed.model import CommonTolerance, Machine, Parameter
 from oed.result import StudyResult
 from pkm_studies import quantities
 from pkm_studies.base import Location

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
 

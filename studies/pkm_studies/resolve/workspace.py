@@ -8,8 +8,8 @@ from scipy.stats import qmc
 
 from oed.base import Array, grid_nodes
 from oed.compensate import GridAxis, box_axes
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from pkm_studies.resolve.prediction import prediction_request
 from pkm_studies.study import Study
 

@@ -13,8 +13,8 @@ from oed import csv_text, safe_files, units
 from oed.accuracy.maps import Reference
 from oed.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from oed.result import (
     AdjustedRecord,
     AdjustmentLine,

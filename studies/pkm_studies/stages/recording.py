@@ -11,6 +11,7 @@ import numpy as np
 from oed import units
 from oed.accuracy import prediction
 from oed.base import Array, Mask
+from oed.effect_model import Effect
 from oed.effects import (
     Course,
     CourseColumns,
@@ -22,7 +23,6 @@ from oed.effects import (
 )
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement, Series
-from oed.model.effect import Effect
 from oed.recording import (
     PlannedReadings,
     RemainingError,

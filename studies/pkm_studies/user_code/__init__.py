@@ -167,7 +167,7 @@ def _failure(error: BaseException, name: str, location: Location) -> InputError:
             f"it imports {error.name}, which is not there in this version",
             "import names such as Machine, Parameter, Instrument and Effect from oed"
             " itself: from oed import Machine; what machines share is in"
-            " pkm_models.parts",
+            " pkm_models.machines.parts",
             name,
         )
     if isinstance(error, ModuleNotFoundError):

@@ -271,7 +271,7 @@ def test_a_machine_without_struts_is_told(name: str) -> None:
 OWN = """\
 import numpy as np
 
-from oed.model.effect import Column, Effect
+from oed.effect_model import Column, Effect
 
 effect = Effect(
     name="wind", source="the weather", about="wind on the head", columns=lambda state: [Column("wind", 1e-6)]

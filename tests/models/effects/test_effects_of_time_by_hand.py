@@ -204,7 +204,7 @@ def test_free_courses_are_a_smooth_random_course_that_starts_at_nothing() -> Non
     courses = np.column_stack(
         list(terms.free_courses(dataclasses.replace(state, time=time)).values())
     )
-    assert courses[0] == pytest.approx(np.zeros(terms.COURSES), abs=1e-2)
+    assert courses[0] == pytest.approx(np.zeros(terms.N_COURSES), abs=1e-2)
     at = 2.0 * time / HOURS - 1.0
     far = np.sqrt(3.0) / terms.COURSE_LENGTH * np.abs(at[:, None] - at)
     correlation = (1.0 + far) * np.exp(-far)

@@ -25,8 +25,8 @@ from constraint_machines import (
 from shipped_models import hexapod
 
 from oed.identifiability import assess, recoveries
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
-from oed.model import Setup, mount
 from pkm_models.instruments import camera, passive_joint, seat, touch_plane
 
 #: the joints of the legs, in the machine's order

@@ -25,9 +25,9 @@ from shipped_models import hexapod
 
 from oed.dataset import ReadingsError, from_series, load, to_csv
 from oed.estimation import identify
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
-from oed.model import Setup, mount
 from pkm_models.instruments import passive_joint, seat, touch_plane
 from pkm_reports.page.sheet import _table
 from pkm_studies.commands import main

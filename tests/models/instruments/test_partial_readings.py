@@ -11,8 +11,8 @@ import pytest
 from sample import refused, resolved
 from shipped_models import a3_head, cables_planar, delta
 
+from oed.instrument import mount
 from oed.measurement import Measurement, reading_covariances
-from oed.model import mount
 from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
 
 ARM = """\

@@ -11,8 +11,9 @@ from scipy import optimize
 from shipped_models import cables_planar, cables_spatial
 
 from oed.estimation import Estimate, identify
+from oed.instrument import mount
 from oed.measurement import Measurement, reading_covariances
-from oed.model import Machine, mount
+from oed.model import Machine
 from pkm_models.instruments import redundancy
 
 #: m, of one drum

@@ -19,9 +19,9 @@ from shipped_models import camera, redundancy
 
 from oed.base import Array
 from oed.estimation import Estimate, identify
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
-from oed.model import mount
 from pkm_models.machines import a3_head, cable_robot
 
 MM = 1e-3

@@ -19,9 +19,10 @@ from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
 from oed import units
+from oed.instrument import Instrument, mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
-from oed.model import Instrument, Machine, mount
+from oed.model import Machine
 from pkm_models.machines import (
     a3_head,
     hexapod,

@@ -14,7 +14,7 @@ from sample import refused, resolved
 
 from oed.accuracy import error_maps
 from oed.mechanism import AssemblyError, Kinematics
-from oed.model.machine import Family
+from oed.model import Family
 
 #: relative to the machine's size
 CLOSURE = 1e-12

@@ -8,9 +8,9 @@ from shipped_models import pose_tracker
 
 from oed.base import Array
 from oed.identifiability import Assessment, assess, lost_motions
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
-from oed.model import Setup, mount
 from pkm_models.machines import hexaglide
 
 MACHINE = hexaglide.machine

@@ -11,9 +11,9 @@ from shipped_models import ball_bar, pose_tracker
 
 from oed.base import Array
 from oed.identifiability import Assessment, assess, explain, lost_motions
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.mechanism import Kinematics
-from oed.model import Setup, mount
 from oed.result import IdentifiabilityFinding
 from pkm_models.machines import hexapod
 

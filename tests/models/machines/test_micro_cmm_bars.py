@@ -11,9 +11,9 @@ from oed.accuracy import error_maps
 from oed.base import Array
 from oed.estimation import identify
 from oed.identifiability import assess
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement, draw_parameters, draw_readings
 from oed.mechanism import Kinematics
-from oed.model import Setup, mount
 from pkm_models.machines import micro_cmm
 
 MACHINE = micro_cmm.machine

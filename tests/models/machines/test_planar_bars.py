@@ -11,8 +11,8 @@ from shipped_models import relative
 
 from oed.design import CRITERIA
 from oed.identifiability import Identifiability, analyse, posterior_covariance, scaled
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement, Series
-from oed.model import Setup, mount
 from pkm_models.machines.planar_2dof import machine
 
 RM = {k: getattr(relative, f"rm{k}") for k in range(1, 6)}
@@ -87,7 +87,7 @@ def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(
     assert np.abs(printed - step).max() < 1e-13
     assert (
         np.abs(
-            m.kinematics.slopes.parameters_criterion(x, q, oracle.NOMINAL) - printed
+            m.kinematics.slopes.over_parameters(x, q, oracle.NOMINAL) - printed
         ).max()
         < 1e-13
     )

@@ -24,9 +24,10 @@ from shipped_models import laser_ball_bar, pose_tracker
 
 from oed.estimation import identify
 from oed.identifiability import Assessment, assess, explain
+from oed.instrument import Instrument, mount
 from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
-from oed.model import Instrument, Machine, mount
+from oed.model import Machine
 
 NAMES = tuple(
     f"{kind.format(i)}"

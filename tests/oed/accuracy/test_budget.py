@@ -24,8 +24,8 @@ from oed.accuracy.budget.lines import shares
 from oed.accuracy.maps import maps_by_reference
 from oed.compensate import compensated_joints
 from oed.estimation import identify
+from oed.instrument import mount
 from oed.measurement import Measurement, Series, draw_parameters, reading_structure
-from oed.model import mount
 from oed.noise import Laws
 
 

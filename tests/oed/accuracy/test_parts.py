@@ -14,9 +14,9 @@ from oed.accuracy.acceptance import Promise, state_limits
 from oed.accuracy.budget.lines import variance_over_machines
 from oed.accuracy.budget.model import budget_model
 from oed.accuracy.maps import driven_errors
+from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
-from oed.model import mount
 
 COMMAND = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.5], [1.25, 1.1, 0.05]])
 

@@ -12,8 +12,7 @@ from shipped_models import a3_head, linear_delta
 from kernel import a3_plans
 from oed import identifiability
 from oed.accuracy import prediction
-from oed.mechanism import Kinematics
-from oed.mechanism.error_model import error_model
+from oed.mechanism import Kinematics, error_model
 
 ARCSEC = 180 * 3600 / np.pi
 A3 = Kinematics(a3_head.machine)

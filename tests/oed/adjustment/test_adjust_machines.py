@@ -21,10 +21,10 @@ from shipped_models import a3_head, pose_tracker, prs_spindle
 from oed.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.estimation import fit_machines
 from oed.identifiability import parameter_covariance
+from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
-from oed.model import Machine, mount
-from oed.model.adjustment import Adjustment
+from oed.model import Adjustment, Machine
 
 STEP, TILT_STEP = 0.02e-3, 0.1e-3  # m, rad
 SIGMA = np.array([10e-6] * 3 + [np.deg2rad(5.0 / 3600.0)] * 3)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import stated_order
 
-from oed.base import orientation
-from oed.base.orientation import Orientation
+from oed.base import Orientation, orientation
 
 ORDERS = [
     orientation.rotation(("x", "a"), ("y", "b"), ("z", "c")),

@@ -17,8 +17,8 @@ from oed.checks.candidates import candidates
 from oed.checks.fit import fit, fit_amounts
 from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
+from oed.instrument import mount
 from oed.measurement import Measurement, reading_structure
-from oed.model import mount
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import log_prior_of_scale, scale_over_stated
 

@@ -32,7 +32,6 @@ from oed.checks.mistakes import (
     values,
 )
 from oed.checks.mistakes.trial import MistakeTrial
-from oed.mechanism import InverseKinematics
 
 BY_NAME = {blunder.name: blunder for blunder in BLUNDERS}
 #: mistakes without amounts, or with those, SI, that were made
@@ -177,8 +176,9 @@ def test_programs_out_of_reach_are_not_followed_from_home(
         raise AssertionError("hundreds of steps")
 
     given = session(BY_NAME["the circle of another height"])
-    names = [c.name for c in given.session.measurement.machine.command]
-    monkeypatch.setattr(InverseKinematics, "_from_home", follow)
+    kinematics = given.session.measurement.kinematics
+    names = [c.name for c in kinematics.machine.command]
+    monkeypatch.setattr(type(kinematics._inverse), "_follow_from_home", follow)
     displaced = pose._with_follower(given, names.index("theta"), names.index("z"))
     assert {trial.family for trial in displaced}
 

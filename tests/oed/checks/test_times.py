@@ -13,8 +13,8 @@ from oed import checks
 from oed.checks.findings import Severity
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 PATHS = {
     "low": np.column_stack([np.linspace(-1.0, 1.0, 5), np.full(5, 0.3)]),

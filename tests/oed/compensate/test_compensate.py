@@ -11,9 +11,7 @@ from shipped_models import a3_head, linear_delta
 
 from kernel.cases import CASES
 from oed import compensate
-from oed.mechanism import Kinematics, pose_error
-from oed.mechanism.error_model import error_model
-from oed.mechanism.pose_errors import twist_between
+from oed.mechanism import Kinematics, error_model, pose_error, twist_between
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 SPREAD = np.r_[np.full(21, 1e-3), np.full(3, 10e-3)]

@@ -7,9 +7,7 @@ from shipped_models import a3_head, hexapod, planar_2dof
 
 from oed import compensate
 from oed.compensate import InterpolationTable
-from oed.mechanism import Kinematics
-from oed.mechanism.error_model import error_model
-from oed.mechanism.pose_errors import component_errors
+from oed.mechanism import Kinematics, component_errors, error_model
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
 TABLE3 = a3.errors(**{k: a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")})
@@ -67,13 +65,13 @@ def test_joints_through_the_closure_leave_nothing_that_joints_drive() -> None:
 def test_corrected_commands_do_it_with_an_unchanged_controller(
     rng: np.random.Generator,
 ) -> None:
-    corrected = compensate.corrected_commands(A3, CIRCLE, TABLE3)
+    corrected = A3.corrected_commands(CIRCLE, TABLE3)
     error = reached(a3.inverse_nominal(*corrected.T), TABLE3, CIRCLE)
     assert np.abs(error).max() <= 1e-9
     machine = Kinematics(hexapod.machine)
     command = hexapod.machine.home_command + 0.05 * rng.uniform(-1, 1, (10, 6))
     truth = hexapod.machine.nominal + 1e-3 * rng.standard_normal(42)
-    corrected = compensate.corrected_commands(machine, command, truth)
+    corrected = machine.corrected_commands(command, truth)
     x, q = machine.inverse(corrected)
     wanted, _ = machine.inverse(command)
     assert np.abs(machine.forward(q, truth, x) - wanted).max() <= 1e-9

@@ -8,14 +8,11 @@ from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
 from oed.compensate.exact import (
-    command_of_pose,
     compensated_joints,
-    corrected_commands,
     joint_corrections,
     undriven_components,
 )
-from oed.mechanism import AssemblyError, Kinematics
-from oed.mechanism.pose_errors import component_errors
+from oed.mechanism import AssemblyError, Kinematics, component_errors
 
 PLANAR = Kinematics(planar_2dof.machine)
 COMMAND = np.array([[0.0, 0.0], [1.0, 0.5], [-1.3, 1.4]])
@@ -45,7 +42,7 @@ def test_corrections_join_those_of_a_nominal_controller(truth: np.ndarray) -> No
 def test_a_nominal_controller_holds_the_command_by_the_corrected_one(
     truth: np.ndarray,
 ) -> None:
-    sent = corrected_commands(PLANAR, COMMAND, truth)
+    sent = PLANAR.corrected_commands(COMMAND, truth)
     assert np.abs(sent - COMMAND).max() > 1e-5
     joints = planar_geometry.inverse(sent)
     assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
@@ -74,7 +71,7 @@ def test_a_redundant_machine_holds_the_command_by_the_corrected_one(
     far = dataclasses.replace(robot, zeros=10.0 * robot.zeros)
     truth = np.array([far.by_name()[p.name] for p in machine.parameters])
     command = rng.uniform(-0.4, 0.4, (5, 2))
-    sent = corrected_commands(kinematics, command, truth)
+    sent = kinematics.corrected_commands(command, truth)
     drawing = planar_cables.Robot(planar_cables.ANCHORS, np.zeros(4), np.zeros(4))
     held = [planar_cables.settled(far, drums) for drums in drawing.lengths(sent)]
     assert np.abs(sent - command).max() > 1e-2
@@ -92,10 +89,10 @@ def test_a_command_that_no_nominal_one_holds_is_refused() -> None:
     tolerance = np.array([p.tolerance for p in machine.parameters])
     truth = machine.nominal + tolerance * rng.standard_normal(len(tolerance))
     with pytest.raises(AssemblyError, match="give the controller the parameters") as e:
-        corrected_commands(kinematics, command, truth)
+        kinematics.corrected_commands(command, truth)
     held = np.delete(command, e.value.indices, axis=0)
     assert e.value.indices.tolist() == [1]
-    joints = kinematics.inverse(corrected_commands(kinematics, held, truth))[1]
+    joints = kinematics.inverse(kinematics.corrected_commands(held, truth))[1]
     left = component_errors(kinematics, held, joints, truth)
     assert np.abs(left).max() < 1e-9
 
@@ -107,7 +104,7 @@ def test_a_command_near_a_tilt_of_zero_is_found() -> None:
     pose, _ = kinematics.inverse(command)
     turned = 1.3 + np.deg2rad(10.0 * np.arange(36) + 2.0)
     start = np.column_stack([command[:, 0], turned, np.zeros(36)])
-    reached = command_of_pose(kinematics, pose, start, np.zeros(3))
+    reached = kinematics.command_of_pose(pose, start, np.zeros(3))
 
     def axis(c: np.ndarray) -> np.ndarray:
         return np.column_stack([np.cos(c[:, 1]), np.sin(c[:, 1])]) * np.sin(c[:, 2:])

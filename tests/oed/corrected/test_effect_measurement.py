@@ -5,9 +5,8 @@ import pytest
 from shipped_models import planar_2dof, pose_tracker
 
 from oed.corrected.fit import MeasurementWithEffects
+from oed.instrument import TakenReadings, mount
 from oed.measurement import Measurement
-from oed.model import mount
-from oed.model.series import TakenReadings
 
 position = pose_tracker.position
 

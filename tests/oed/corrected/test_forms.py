@@ -8,8 +8,8 @@ from shipped_models import backlash
 
 from kernel import gap_problem
 from oed.corrected.forms import choose_forms, form_evidence
+from oed.effect_model import EFFECT_SIZES
 from oed.gap import GapProblem
-from oed.model import EFFECT_SIZES
 
 PLAY = np.array([3.0, -2.0, 4.0])
 

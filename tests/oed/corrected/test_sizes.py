@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from oed.corrected.forms import SIZES, groups_by_effect, updated_sizes
-from oed.model import EFFECT_SIZES
+from oed.effect_model import EFFECT_SIZES
 
 
 def form(*labels: str) -> Any:

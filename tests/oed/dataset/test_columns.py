@@ -31,8 +31,8 @@ from oed.dataset import (
 from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table_checks import check_rows
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 from oed.units import UnitError
 
 HEADER = ["setup", "run", "order", "z_mm", "direction", "length_mm"]

@@ -9,11 +9,10 @@ from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
 from oed.accuracy import budget_model, error_maps
+from oed.effect_model import State
 from oed.effects import SessionStates, expected_effects, workspace_state
 from oed.estimation import identify
 from oed.gap import DOWN, assemble
-from oed.model import State
-from oed.model.expected_size import with_expected_size
 
 
 def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -> None:
@@ -50,7 +49,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     wanted = np.sqrt(expected.variance[:, maps.names.index("z")])
     assert np.abs(z) == pytest.approx(wanted, rel=0.05, abs=0.02 * wanted.max())
     assert np.sqrt(np.mean(z**2)) > 1e-6
-    smaller = with_expected_size(leg_thermal.effect, "1/K", PER_KELVIN / 4.0)
+    smaller = leg_thermal.effect.with_expected_size("1/K", PER_KELVIN / 4.0)
     second = expected_effects(
         problem,
         session,

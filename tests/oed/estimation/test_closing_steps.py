@@ -6,9 +6,9 @@ from shipped_models import linear_delta, pose_tracker
 
 from oed.estimation import IdentificationError, identification, identify
 from oed.estimation.fit_stages import ReadingsFit
+from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.mechanism import AssemblyError
-from oed.model import mount
 
 position = pose_tracker.position
 

@@ -13,8 +13,8 @@ from kernel.printer_bed import ARM, SIGMA, bed, heights
 from oed import Measurement, mount
 from oed.base import Array
 from oed.estimation import contradicted_parameters, identify
+from oed.instrument import Series
 from oed.measurement import draw_parameters, draw_readings
-from oed.model.series import Series
 from oed.result import HeldParameter
 
 TOLERANCES = {"radius": 2e-3, "arm": 3e-3, "angle": 0.01, "endstop": 2e-3}

@@ -18,8 +18,8 @@ from oed.estimation import (
     IdentificationError,
     identify,
 )
+from oed.instrument import mount
 from oed.measurement import Measurement, Series, draw_parameters, draw_readings
-from oed.model import mount
 
 NOISE = 0.5e-6
 

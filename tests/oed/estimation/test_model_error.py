@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from shipped_models import hexapod_ups, pose_tracker
 
 from oed.estimation import Estimate, identify
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 MM = 1e-3
 LEG = np.arange(6)

@@ -6,8 +6,8 @@ from oracles import planar_geometry
 from shipped_models import planar_2dof, pose_tracker
 
 from oed.estimation.coordinates import ReadingsProblem
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 position = pose_tracker.position
 

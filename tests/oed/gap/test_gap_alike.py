@@ -9,11 +9,11 @@ import pytest
 
 from kernel.gap_lines import BOW, planted, readings
 from kernel.laws import STATED_LAW
+from oed.effect_model import Column, Effect, State
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library
-from oed.model import Column, Effect, State
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)

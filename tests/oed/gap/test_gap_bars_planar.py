@@ -15,13 +15,14 @@ from scipy import linalg
 from shipped_models import planar_2dof, relative
 
 from kernel.dense_noise import law_covariance
+from oed.effect_model import Effect
 from oed.gap.data import state as states_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem, assemble, prepare
 from oed.gap.data.signature import exact_readings, signature
 from oed.gap.procedure import diagnose
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.model import Effect, mount
 
 ACTING = (
     (

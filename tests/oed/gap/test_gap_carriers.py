@@ -9,10 +9,10 @@ import pytest
 
 from kernel import gap_problem as case
 from kernel.gap_lines import readings
+from oed.effect_model import Column, Effect, State
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, waves
-from oed.model import Column, Effect, State
 
 PERIOD, SIZE = 700.0, 1e-6
 

@@ -21,8 +21,8 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
+from oed.instrument import Setup, mount
 from oed.measurement import Measurement, commands_at_fixed_reading
-from oed.model import Setup, mount
 
 POINTS = 12
 STROKES = np.linspace(0.0, 0.2, 9)

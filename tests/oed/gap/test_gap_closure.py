@@ -14,8 +14,8 @@ from kernel import gap_problem as case
 from kernel.laws import STATED_LAW
 from oed.gap.cause.closure import closure
 from oed.gap.data.problem import GapProblem, assemble
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 SPLITS = ("within", "whole")
 

@@ -24,8 +24,8 @@ from oed.gap.forms import discrepancy, library
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.gap.places.place import STANDS_OUT
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 from oed.result import PlaceRecord
 
 position = pose_tracker.position

@@ -14,6 +14,7 @@ from shipped_models import step
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from kernel.laws import STATED_LAW, noise_law
+from oed.effect_model import Column, Effect, State
 from oed.gap import procedure as diagnosing
 from oed.gap.cause import search as searching_one
 from oed.gap.cause import searches as searching
@@ -24,7 +25,6 @@ from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.model import Column, Effect, State
 from oed.noise import NoiseLaw
 
 

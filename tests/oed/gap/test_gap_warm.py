@@ -12,12 +12,12 @@ from effects_sample import session
 
 from kernel.gap_lines import readings
 from kernel.laws import STATED_LAW
+from oed.effect_model import State
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, library
-from oed.model import State
 
 
 def _with(problem: GapProblem, **changes: object) -> GapProblem:

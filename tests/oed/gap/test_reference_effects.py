@@ -24,12 +24,13 @@ from shipped_models import (
 from kernel import planar_session
 from kernel.laws import STATED_LAW
 from oed import Measurement, mount
+from oed.effect_model import Effect, State
 from oed.gap import diagnose, prepare
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
+from oed.instrument import Instrument, Setup
 from oed.measurement import draw_parameters, draw_readings
-from oed.model import Effect, Instrument, Setup, State
 from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.resolve import gap_request

@@ -10,11 +10,11 @@ from shipped_models import encoder_scale, planar_2dof, pose_tracker
 
 from kernel.laws import STATED_LAW
 from oed import Measurement, mount
+from oed.effect_model import UNKNOWN_SIZES
 from oed.gap import diagnose, prepare
 from oed.gap.cause.scatter import Energies, replicates, shape
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
 from oed.gap.data.problem import GapProblem
-from oed.model.size_prior import UNKNOWN_SIZES
 
 effect = encoder_scale.effect
 position = pose_tracker.position

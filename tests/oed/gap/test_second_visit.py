@@ -21,8 +21,8 @@ from oed.gap.before.expected import (
 )
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import assemble
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 EFFECTS = (gravity.effect, encoder_scale.effect)
 #: a reading so precise that it fixes a coefficient at 1

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from effects_sample import session
 
+from oed.effect_model import Column, State
 from oed.gap.forms.unknown import (
     PLACES,
     TIMES,
@@ -12,7 +13,6 @@ from oed.gap.forms.unknown import (
     over_time,
     unknown_effects,
 )
-from oed.model import Column, State
 
 EFFECTS = {effect.name: effect for effect in unknown_effects()}
 

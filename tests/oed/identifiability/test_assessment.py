@@ -22,8 +22,9 @@ from oed.identifiability import (
     whiten,
 )
 from oed.identifiability.assessment import free_parameters
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.model import CommonTolerance, mount
+from oed.model import CommonTolerance
 
 GRID = np.linspace(-0.06, 0.06, 4)
 POINTS = np.array([[x, y, 0.0] for x in GRID for y in GRID])

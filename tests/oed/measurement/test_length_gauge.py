@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, height_probe, length_gauge
 
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 POSES = np.array(
     [[1.13, 0.3, 0.1], [1.2, 2.0, 0.4], [1.17, -1.0, 0.2], [1.15, 4.0, 0.3]]

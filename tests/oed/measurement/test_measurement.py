@@ -11,6 +11,7 @@ from shipped_models import a3_head, ball_bar, calliper, height_probe, linear_del
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed import identifiability
+from oed.instrument import Channel, Cost, Instrument, mount
 from oed.measurement import (
     Measurement,
     commands_at_fixed_reading,
@@ -18,7 +19,7 @@ from oed.measurement import (
     draw_readings,
 )
 from oed.mechanism import AssemblyError
-from oed.model import Channel, Cost, Instrument, Parameter, mount
+from oed.model import Parameter
 
 TOOL = 0.05
 LONGER = (0.0, 0.0, TOOL)

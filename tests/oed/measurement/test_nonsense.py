@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from shipped_models import camera, delta
 
+from oed.instrument import mount
 from oed.measurement import Measurement, mode_jumps
-from oed.model import mount
 from pkm_studies.commands import main
 
 STUDY = """\

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 
+from oed.instrument import Setup, mount
 from oed.measurement import (
     Measurement,
     Series,
@@ -20,7 +21,7 @@ from oed.measurement import (
 from oed.measurement.fixed_reading import _solve_coordinate
 from oed.measurement.reading_noise import stated_noise
 from oed.measurement.setup_readings import ObservationModel
-from oed.model import Coordinate, Setup, mount
+from oed.model import Coordinate
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 BAR = mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0), sigma=[0.5e-6])

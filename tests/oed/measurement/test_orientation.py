@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, hexapod, linear_delta, orientation, planar_2dof
 
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 
 INSTRUMENTS = (orientation.instrument, orientation.level, orientation.autocollimator)
 #: rx, ry, spin of a hexapod's command, rad

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 from shipped_models import hexapod
 
-from oed.mechanism.batch import ARRAY_SIZE
+from oed.mechanism import Kinematics
+from oed.mechanism.batch import MIN_ARRAY_POINTS
 from oed.mechanism.graph import read_graph
-from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.tape import AdjointRows, ArrayAdjoint
 
 ROWS, COLUMNS, SIZE = 4, 3, 8
@@ -48,7 +48,7 @@ def test_rows_and_condition(rng: np.random.Generator) -> None:
 
 def test_rows_of_several_channels_of_a_machine(rng: np.random.Generator) -> None:
     """Each channel's row, where rows share values with the matrices."""
-    kinematics, count = Kinematics(hexapod.machine), ARRAY_SIZE + 3
+    kinematics, count = Kinematics(hexapod.machine), MIN_ARRAY_POINTS + 3
     x, q = kinematics.inverse(np.tile(hexapod.machine.home_command, (count, 1)))
     tolerance = np.array([p.tolerance for p in hexapod.machine.parameters])
     p = tolerance * rng.standard_normal((count, len(tolerance)))

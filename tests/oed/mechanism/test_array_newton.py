@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, hexapod, linear_delta
 
-from oed.mechanism import batch, newton
+from oed.mechanism import Kinematics, batch, newton
 from oed.mechanism.graph import read_graph
-from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.tape import ArrayNewton, Elimination
 from oed.model import Machine
 
@@ -98,7 +97,7 @@ def test_poses_are_those_of_careful_steps(
     machine: Machine, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where some poses cannot be assembled, and for starts that vectors share."""
-    kinematics, count = Kinematics(machine), batch.ARRAY_SIZE + 5
+    kinematics, count = Kinematics(machine), batch.MIN_ARRAY_POINTS + 5
     lower = np.array([c.lower for c in machine.command])
     upper = np.array([c.upper for c in machine.command])
     command = machine.home_command + 0.3 * (
@@ -111,7 +110,7 @@ def test_poses_are_those_of_careful_steps(
     few = slice(0, 8), slice(0, 40)
     together = kinematics.try_forward_per_pose(q, p, x)
     shared = kinematics.try_forward(q[few[0]], p[few[1]], x[few[0]])
-    monkeypatch.setattr(batch, "ARRAY_SIZE", 10**9)
+    monkeypatch.setattr(batch, "MIN_ARRAY_POINTS", 10**9)
     careful = kinematics.try_forward_per_pose(q, p, x)
     assert np.flatnonzero(careful[1]).tolist() == [7]
     assert np.array_equal(together[1], careful[1])

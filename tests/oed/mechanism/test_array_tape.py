@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, cables_planar, hexapod, linear_delta
 
+from oed.mechanism.expressions import machine_expressions
 from oed.mechanism.graph import Graph, read_graph
 from oed.mechanism.tape import ArrayTape
-from oed.model import Machine, machine_expressions
+from oed.model import Machine
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 SIZE = 7

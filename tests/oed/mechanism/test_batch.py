@@ -4,7 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.mechanism.batch import CHUNK_SIZES, BatchedFunction
+from oed.mechanism import BatchedFunction
+from oed.mechanism.batch import CHUNK_SIZES
 
 A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
 SIZES = sorted(

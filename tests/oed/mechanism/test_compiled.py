@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from kernel.mechanism.compiling import compiled, compiled_files, needs_compiler
-from oed.mechanism import batch, newton
-from oed.mechanism.batch import (
-    BatchedFunction,
-    CompileSettingError,
-    CompileSwitch,
-    begin_job,
-)
+from oed.mechanism import BatchedFunction, batch, begin_job, newton
+from oed.mechanism.batch import CompileSettingError, CompileSwitch
 from oed.mechanism.compiled import lanes
 from oed.mechanism.tape import SolvedSystems
 
@@ -145,7 +140,7 @@ def test_inputs_of_another_size_are_refused() -> None:
 
 
 def test_a_very_long_function_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lanes, "MOST_INSTRUCTIONS", 3)
+    monkeypatch.setattr(lanes, "MAX_INSTRUCTIONS", 3)
     function = batched([A, Z], [A + Z])
     assert function(np.ones(2), np.ones(2))[0].tolist() == [[2.0, 2.0]]
     assert function._compiled[lanes.Evaluation] is None
@@ -249,7 +244,7 @@ def test_a_singular_matrix_has_no_row() -> None:
 def test_cores_share_points_and_change_no_digit(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, cores: int
 ) -> None:
-    monkeypatch.setattr(lanes, "SHARED_POINTS", 16)
+    monkeypatch.setattr(lanes, "MIN_SHARED_POINTS", 16)
     function = batched([A, Z], [ca.exp(A) * ca.sin(Z)])
     a, z = rng.uniform(1.0, 2.0, (2, 101, 2))
     monkeypatch.setattr(lanes, "_cores", lambda: 1)
@@ -269,19 +264,19 @@ def test_a_stated_number_of_threads_holds(
 def test_a_function_is_compiled_once_it_has_done_enough(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.delenv(batch.VARIABLE)
+    monkeypatch.delenv(batch.COMPILE_VARIABLE)
     counter = CompileSwitch()
-    assert not counter.is_on(batch.ENOUGH_POINTS, 1000)
-    assert counter.is_on(batch.LEAST_WORK // 1000 + 1, 1000)
+    assert not counter.is_on(batch.COMPILE_POINTS, 1000)
+    assert counter.is_on(batch.COMPILE_WORK // 1000 + 1, 1000)
     begin_job()
     assert not counter.is_on(1, 1000)
 
 
 def test_the_variable_decides(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(batch.VARIABLE, batch.NEVER)
+    monkeypatch.setenv(batch.COMPILE_VARIABLE, batch.NEVER_COMPILE)
     assert not CompileSwitch().is_on(10**12, 1000)
-    monkeypatch.setenv(batch.VARIABLE, f" {batch.AT_ONCE}")
+    monkeypatch.setenv(batch.COMPILE_VARIABLE, f" {batch.COMPILE_AT_ONCE}")
     assert CompileSwitch().is_on(1, 1)
-    monkeypatch.setenv(batch.VARIABLE, "off")
+    monkeypatch.setenv(batch.COMPILE_VARIABLE, "off")
     with pytest.raises(CompileSettingError, match="OED_COMPILE is 'off': write 0"):
         CompileSwitch()

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from kernel.mechanism.compiling import compiled, needs_compiler
-from oed.mechanism.batch import BatchedFunction
+from oed.mechanism import BatchedFunction
 from oed.mechanism.compiled import compiler, lanes
 
 pytestmark = needs_compiler
@@ -134,7 +134,9 @@ def test_where_the_compiler_fails_the_array_code_serves(
     script.write_text(f"#!/bin/sh\n{find_output}\nexec 2>/dev/null\n{program}\n")
     script.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setattr(compiler, "LONGEST", 0.3 if "sleep" in program else 20.0)
+    monkeypatch.setattr(
+        compiler, "COMPILATION_TIMEOUT", 0.3 if "sleep" in program else 20.0
+    )
     assert not runs_compiled()
     assert not [*folder.iterdir()]
 
@@ -209,7 +211,7 @@ def test_a_compiler_of_the_current_folder_is_not_called(
 
 
 def test_the_folder_stays_small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiler, "MOST_FILES", 2)
+    monkeypatch.setattr(compiler, "MAX_FILES", 2)
     for number in range(4):
         compiler.load(text_of(number))
     assert len([*folder.iterdir()]) == 2

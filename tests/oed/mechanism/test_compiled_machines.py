@@ -17,7 +17,7 @@ from kernel.mechanism.compiling import (
     needs_compiler,
 )
 from oed.measurement import Measurement
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
 
 __all__ = ["compiled_files"]

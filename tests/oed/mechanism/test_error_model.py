@@ -10,14 +10,18 @@ from oracles import a3_geometry as a3
 from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, cables_planar, linear_delta
 
-from oed.mechanism import pose_errors
-from oed.mechanism.closest_closure import closest_closure
-from oed.mechanism.error_model import error_model
+from oed.mechanism import (
+    AssemblyError,
+    Kinematics,
+    closest_closure,
+    error_model,
+    pose_errors,
+)
+from oed.mechanism.expressions import machine_expressions
 from oed.mechanism.forward import ForwardKinematics
-from oed.mechanism.inverse import AssemblyError, InverseKinematics
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.inverse import InverseKinematics
 from oed.mechanism.pose_slopes import PoseAdjoints
-from oed.model import Machine, machine_expressions
+from oed.model import Machine
 
 A3 = Kinematics(a3_head.machine)
 NOMINAL = a3_head.machine.nominal

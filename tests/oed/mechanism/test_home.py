@@ -12,9 +12,8 @@ import pytest
 from oracles import delta_trilateration as delta
 from shipped_models import linear_delta
 
-from oed.mechanism.kinematics import Kinematics
-from oed.model import Machine
-from oed.model.machine import Expr, Values
+from oed.mechanism import Kinematics
+from oed.model import Expr, Machine, Values
 
 
 def misled(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, height_probe, linear_delta
 
 from kernel.cases import CASES
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model import Coordinate, mount
-from oed.model.machine import Expr, Values
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Coordinate, Expr, Values
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 A3_SPREAD = np.r_[

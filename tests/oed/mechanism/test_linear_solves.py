@@ -41,7 +41,7 @@ def test_blocks_of_systems_are_solved_as_one(monkeypatch: pytest.MonkeyPatch) ->
     def equations(z: Array, rows: Index) -> list[Array]:
         return [z**2 - goal[rows, None], 2.0 * z[..., None]]
 
-    monkeypatch.setattr(newton, "BLOCK", 2)
+    monkeypatch.setattr(newton, "BLOCK_ROWS", 2)
     roots, failed = newton.solve(equations, np.full((5, 1), 0.3))
     assert failed.tolist() == [False, False, True, False, False]
     assert roots[~failed, 0] == pytest.approx([0.1, 0.2, 0.3, 0.4])

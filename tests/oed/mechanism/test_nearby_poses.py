@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, cable_robot, hexapod, linear_delta
 
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.nearby_poses import NearbyPoses
+from oed.mechanism import Kinematics
 from oed.model import Machine
 
 
@@ -28,7 +27,7 @@ def test_as_newton_from_the_nominal_pose(machine: Machine, tolerances: float) ->
     x, q = kinematics.inverse(command)
     spread = tolerances * np.array([p.tolerance for p in machine.parameters])
     vectors = machine.nominal + spread * rng.standard_normal((6, len(spread)))
-    poses = NearbyPoses(kinematics, q, machine.nominal, x).solve(vectors)
+    poses = kinematics.nearby(q, machine.nominal, x).solve(vectors)
     exact = kinematics.forward(q, vectors, x)
     np.testing.assert_allclose(poses, exact, rtol=0.0, atol=2e-11)
 
@@ -40,6 +39,6 @@ def test_poses_that_do_not_assemble_are_nan() -> None:
     vectors = np.vstack([machine.nominal, machine.nominal])
     arm = next(k for k, p in enumerate(machine.parameters) if p.name == "arm1")
     vectors[1, arm] -= 10.0
-    poses = NearbyPoses(kinematics, q, machine.nominal, x).solve(vectors)
+    poses = kinematics.nearby(q, machine.nominal, x).solve(vectors)
     assert np.isfinite(poses[0]).all()
     assert np.isnan(poses[1]).all()

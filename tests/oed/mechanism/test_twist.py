@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, hexapod, linear_delta, tripod_prs
 
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics
+from oed.mechanism.expressions import (
+    MachineExpressions,
+    machine_expressions,
+    twist_slope,
+)
 from oed.mechanism.twist import TwistSlopes, twist_slopes
-from oed.model import Machine, machine_expressions
-from oed.model.expressions import MachineExpressions
+from oed.model import Machine
 
 
 def _slopes_over_pose(
@@ -74,3 +78,17 @@ def test_none_where_equations_take_an_angle_itself() -> None:
     e = machine_expressions(hexapod.machine)
     by_angle = ca.vertcat(e.balance[:5], e.balance[5] + e.x[5])
     assert twist_slopes(hexapod.machine, by_angle, e) is None
+
+
+def test_the_twist_of_a_turn_about_z() -> None:
+    """A point at radius 2 m, turned about z by x: it moves along the tangent."""
+    x = ca.SX.sym("x", 1)
+    turn = ca.vertcat(
+        ca.horzcat(ca.cos(x), -ca.sin(x), 0),
+        ca.horzcat(ca.sin(x), ca.cos(x), 0),
+        ca.horzcat(0, 0, 1),
+    )
+    slope = twist_slope(turn, turn @ ca.DM([2.0, 0.0, 0.5]), x)
+    at = ca.Function("f", [x], [slope])(0.3)
+    tangent = [-2.0 * np.sin(0.3), 2.0 * np.cos(0.3), 0.0, 0.0, 0.0, 1.0]
+    assert np.array(at).ravel() == pytest.approx(tangent)

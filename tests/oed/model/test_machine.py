@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from shipped_models import ball_bar, height_probe, linear_delta
 
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model.instrument import mount
-from oed.model.machine import Parameter
+from oed.model import Parameter
 
 machine = linear_delta.machine
 

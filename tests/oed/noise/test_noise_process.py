@@ -8,8 +8,8 @@ import pytest
 from shipped_models import laser_ball_bar, prs_spindle
 
 from kernel import bar_circles
+from oed.instrument import mount
 from oed.measurement import Measurement, reading_structure
-from oed.model import mount
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import NoisePosterior, NoisePrior, ResidualModel, detect_outliers
 

@@ -16,8 +16,9 @@ from shipped_models import planar_2dof, relative
 from kernel import plan_catalogues as catalogues
 from kernel.plan_catalogues import capture, searched, stage_after
 from oed import Component
+from oed.instrument import Channel, Cost, Instrument, mount
 from oed.measurement import Measurement
-from oed.model import Channel, Coordinate, Cost, Instrument, Machine, Parameter, mount
+from oed.model import Coordinate, Machine, Parameter
 from oed.planning import Goal, Option, build_option, travel
 from oed.planning import prediction as stage_module
 from oed.planning.prediction import profiled_information

@@ -9,8 +9,8 @@ from oracles import planar_geometry
 from shipped_models import planar_2dof, pose_tracker
 
 from kernel import plan_catalogues as catalogues
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 from oed.planning import Option, PlanStage, build_option, propagate, virtual_machines
 from oed.planning.virtual_machines import (
     HALF_WIDTH,

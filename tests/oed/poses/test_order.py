@@ -12,8 +12,8 @@ from oracles import planar_geometry as planar
 from shipped_models import height_probe, planar_2dof
 
 from kernel.orders import along, plane, problem, shortest
+from oed.instrument import Protocol, mount
 from oed.measurement import Measurement
-from oed.model import Protocol, mount
 from oed.poses import order
 
 

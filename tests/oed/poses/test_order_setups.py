@@ -8,7 +8,7 @@ import pytest
 from shipped_models import ball_bar, calliper
 
 from kernel.orders import plane, problem, shortest
-from oed.model import mount
+from oed.instrument import mount
 from oed.poses import order
 
 

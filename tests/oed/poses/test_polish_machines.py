@@ -14,8 +14,8 @@ from kernel.cases import CASES, reading_series
 from oed import identifiability
 from oed.design import CRITERIA, Criterion
 from oed.design.forms import Determinant, PowerMean
+from oed.instrument import mount
 from oed.measurement import Measurement, Series
-from oed.model import mount
 from oed.poses import polish, reading_plan
 
 PAIRS = [

@@ -11,8 +11,8 @@ from oracles import planar_geometry
 from shipped_models import planar_2dof, pose_tracker
 
 from kernel import a3_plans
+from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.model import mount
 from oed.poses import polish_readings
 from oed.poses.polish import IPOPT_OPTIONS, PolishProgram
 from oed.poses.reading_plan import (

@@ -9,8 +9,8 @@ from shipped_models import a3_head, ball_bar, height_probe, linear_delta
 from oed.base import Array
 from oed.corrected import MeasurementWithEffects
 from oed.estimation import identify
+from oed.instrument import mount
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.model import mount
 from oed.posterior import LogDensity, interpolated_readings
 
 #: readings of a circle

@@ -11,8 +11,8 @@ import sample
 from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
+from oed.effect_model import Column, Effect
 from oed.effects import CourseColumns, SessionStates, expected_columns, over_courses
-from oed.model import Column, Effect
 from oed.recording import PlannedReadings, equal_times, relative, remaining_error
 from pkm_reports.blocks import Table
 from pkm_reports.sections.recording import blocks

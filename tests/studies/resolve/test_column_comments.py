@@ -6,7 +6,7 @@ from pathlib import Path
 
 from shipped_models import prs_spindle
 
-from oed.model import Instrument
+from oed.instrument import Instrument
 from pkm_studies import catalogue
 from pkm_studies.base import Location
 from pkm_studies.resolve import conventions

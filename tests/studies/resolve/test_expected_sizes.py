@@ -4,7 +4,7 @@ import effects_sample
 import pytest
 import sample
 
-from oed.model import Effect
+from oed.effect_model import Effect
 from pkm_studies.base import InputError
 
 

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from oed.base import Array
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.mechanism.limbs import PlatformOnLimbs, platform_on_limbs
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Machine
 from pkm_studies.catalogue import Compensation
+from pkm_studies.compensation.limbs import PlatformOnLimbs, platform_on_limbs
 
 #: why a machine has no such model
 NEEDS = (

@@ -10,9 +10,8 @@ import numpy as np
 
 from oed.base import Array
 from oed.compensate import compensated_joints
-from oed.mechanism import newton
-from oed.mechanism.c_code import generated_functions
-from oed.model.machine import Coordinate, Machine
+from oed.mechanism import generated_functions
+from oed.model import Coordinate, Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 #: SI units in one of LinuxCNC's units of a metric machine
@@ -74,6 +73,7 @@ def _source(compensation: Compensation) -> str:
             _comment(compensation) + LOCAL,
             generated.text,
             _sizes(machine, generated.reals, generated.whole),
+            f"#define PKM_LONGEST_STEP {generated.longest_step!r}\n",
             _home(compensation),
             _template("solve.c"),
         ]
@@ -94,8 +94,7 @@ def _sizes(machine: Machine, reals: int, whole: int) -> str:
     }
     results = "PKM_OK = 0, PKM_NOT_ASSEMBLED = 1, PKM_OTHER_MODE = 2"
     listed = ", ".join(f"PKM_{name} = {size}" for name, size in sizes.items())
-    longest = newton.longest_step(machine.lever)
-    return f"enum {{ {results} }};\nenum {{ {listed} }};\n#define PKM_LONGEST_STEP {longest!r}\n"
+    return f"enum {{ {results} }};\nenum {{ {listed} }};"
 
 
 def _home(compensation: Compensation) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oed import units
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.text import shorten
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import (

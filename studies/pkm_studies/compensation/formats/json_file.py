@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.compensate import compensated_joints, corrected_commands, joint_corrections
+from oed.compensate import compensated_joints, joint_corrections
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.quantities import column, display_unit
 
@@ -57,7 +57,7 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
     kinematics, machine = compensation.kinematics, compensation.machine
     values = compensation.identified.values
     command = compensation.tabled
-    corrected = corrected_commands(kinematics, command, values)
+    corrected = kinematics.corrected_commands(command, values)
     joints = compensated_joints(kinematics, command, values)
     added = joint_corrections(kinematics, command, values)
     columns = {}

@@ -11,8 +11,8 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats import linuxcnc_deltas, linuxcnc_pentapod
 

@@ -15,7 +15,7 @@ import numpy as np
 from oed import units
 from oed.base import Array, Index
 from oed.compensate import compensated_joints
-from oed.model.machine import Machine
+from oed.model import Machine
 from pkm_studies.catalogue import Compensation, Texts
 
 #: limbs of the study may be this far, in degrees, from those of the module

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.model.machine import Machine
+from oed.model import Machine
 from pkm_studies.catalogue import Compensation, Texts
 
 LEGS = (1, 2, 3, 4, 5)

@@ -11,11 +11,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed.base import Array
-from oed.mechanism.limbs import CRANK, LEG, Limb, PlatformOnLimbs, square_directions
-from oed.model.machine import Coordinate, Machine
+from oed.model import Coordinate, Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.compensation.formats.body_names import text_of
+from pkm_studies.compensation.limbs import (
+    CRANK,
+    LEG,
+    Limb,
+    PlatformOnLimbs,
+    square_directions,
+)
 
 BASE, TOOL = "base", "platform"
 LOOP_HEAD = (

@@ -12,17 +12,10 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import (
-    five_bar,
-    hexapod_pus,
-    hexapod_rus,
-    hexapod_ups,
-    orthoglide,
-    rotary_delta,
-)
-from pkm_models.parts import legs
+from oed.mechanism import Kinematics
+from oed.model import Machine
+from pkm_models.rotation import across
+from pkm_studies import catalogue
 from pkm_studies.base import Location
 from pkm_studies.drafts.bodies import mjcf_file, urdf_file
 from pkm_studies.drafts.bodies.limbs import (
@@ -36,6 +29,7 @@ from pkm_studies.drafts.bodies.limbs import (
 from pkm_studies.drafts.bodies.tree import turn
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import replace_nominal, unreachable
+from pkm_studies.user_code import Origin
 
 SUFFIXES = (".xml", ".urdf")
 #: first half width of the workspace over the largest length, and largest tilt, rad
@@ -81,7 +75,8 @@ def described(path: Path, loops: Path | None) -> Described:
             "six legs, carriages or cranks hold a free platform, three carriages or cranks"
             " one with slides, two cranks one in the plane of x and y",
         )
-    family, geometry_of = FAMILIES[key]
+    name, geometry_of = FAMILIES[key]
+    family = catalogue.machine(name, Origin(), location).family
     geometry, nominal = geometry_of(drawn, location)
     machine, geometry = _reachable(family, geometry, nominal, location)
     joints = ", ".join(
@@ -228,7 +223,7 @@ def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
                 "a rotary delta has level axes, angles that grow downward, knees outward",
             )
         level = np.array([axis[0], axis[1], 0.0]) / math.hypot(axis[0], axis[1])
-        tilts = legs.across(level[None])[0] @ axis / (axis @ level)
+        tilts = across(level[None])[0] @ axis / (axis @ level)
         outward, shoulder = np.cross(level, UPWARD), centre - limb.local
         first = outward - outward @ axis * axis
         first = first / np.linalg.norm(first)
@@ -276,13 +271,13 @@ def _planar(drawn: DrawnMachine, location: Location) -> Geometry:
 
 
 FAMILIES: dict[
-    tuple[str, int, bool], tuple[Any, Callable[[DrawnMachine, Location], Geometry]]
+    tuple[str, int, bool], tuple[str, Callable[[DrawnMachine, Location], Geometry]]
 ] = {
-    (LEG, 3, True): (hexapod_ups.family, _legs),
-    (CARRIAGE, 3, True): (hexapod_pus.family, _carriages),
-    (CRANK, 3, True): (hexapod_rus.family, _cranks),
-    (CARRIAGE, 3, False): (orthoglide.family, _glides),
-    (CRANK, 3, False): (rotary_delta.family, _rotary),
-    (CRANK, 2, False): (five_bar.family, _planar),
+    (LEG, 3, True): ("hexapod_ups", _legs),
+    (CARRIAGE, 3, True): ("hexapod_pus", _carriages),
+    (CRANK, 3, True): ("hexapod_rus", _cranks),
+    (CARRIAGE, 3, False): ("orthoglide", _glides),
+    (CRANK, 3, False): ("rotary_delta", _rotary),
+    (CRANK, 2, False): ("five_bar", _planar),
 }
 COUNTS = {key: (6 if key[2] else key[1]) for key in FAMILIES}

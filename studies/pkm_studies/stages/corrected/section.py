@@ -23,7 +23,7 @@ from oed.corrected import (
 )
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.measurement import Measurement
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.posterior import Posterior
 from oed.result import (
     CompensationName,

@@ -14,7 +14,7 @@ import numpy as np
 from oed import units
 from oed.base import Array, Index
 from oed.measurement import Measurement, Series
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.poses import ChangeTimes, ReadingOrder, order_mounting, order_readings
 from oed.result import WorkingOrder
 from pkm_studies.base import Location

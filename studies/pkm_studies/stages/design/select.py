@@ -12,7 +12,7 @@ from oed.base import Array
 from oed.design import CRITERIA, Candidates, Choice, DesignProblem
 from oed.identifiability import Scaling, assess, prior_information
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from oed.result import (
     AllowedEffects,
     CandidateWeight,

@@ -11,7 +11,7 @@ from oed.base import Array
 from oed.corrected import EffectReadings
 from oed.effects import SessionStates
 from oed.gap.data.problem import GapProblem
-from oed.model.machine import Machine
+from oed.model import Machine
 from oed.result import CorrectedSection, MixtureSection
 from pkm_studies.resolve import GapRequest, check_states
 from pkm_studies.stages.fit.states import recorded_states

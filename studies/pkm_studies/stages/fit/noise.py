@@ -8,7 +8,7 @@ import msgspec
 
 from oed import units
 from oed.estimation import Estimate, noise_numbers
-from oed.model.instrument import Setup
+from oed.instrument import Setup
 from oed.noise import reach_phrase
 from oed.result import GoodnessSection, NoiseRecord
 from oed.text import rounded

@@ -18,7 +18,7 @@ from oed.compensate import compensated_joints
 from oed.estimation import Estimate
 from oed.gap.data.state import phase_along_runs
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from oed.result import RunCurve
 from pkm_studies.stages.gap.traces import MIN_POINTS, run_shape
 

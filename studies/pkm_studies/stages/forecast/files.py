@@ -9,12 +9,10 @@ import numpy as np
 
 from oed import csv_text, units
 from oed.base import Array
-from oed.compensate import command_of_pose
 from oed.dataset.dialect import commented
 from oed.forecast import Forecast
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL
-from oed.model.machine import Component
+from oed.mechanism import NO_TOOL, Kinematics
+from oed.model import Component
 from pkm_studies import csv_table, describe
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import CsvTable
@@ -112,7 +110,7 @@ def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
     machine, command = kinematics.machine, forecast.grid.commands
     start, joints = kinematics.inverse(command)
     pose = kinematics.forward(joints + forecast.joints, machine.nominal, start)
-    corrected = command_of_pose(kinematics, pose, command, NO_TOOL)
+    corrected = kinematics.command_of_pose(pose, command, NO_TOOL)
     columns: dict[str, Array] = {}
     for k, c in enumerate(machine.command):
         columns[column(c.name, c.unit)] = _shown(command[:, k], c.unit)

@@ -10,8 +10,8 @@ from oed.accuracy.maps import driven_errors
 from oed.base import Array, grid_nodes
 from oed.compensate import GridAxis, box_axes
 from oed.forecast import JointErrors, Kernel, expected_kernel, joint_size
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import Setup
+from oed.instrument import Setup
+from oed.mechanism import AssemblyError, Kinematics
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import ResolvedStudy

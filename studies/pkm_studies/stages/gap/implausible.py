@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from oed import units
-from oed.model.expected_size import IMPLAUSIBLE
+from oed.effect_model import IMPLAUSIBLE
 from oed.result import CoefficientRecord
 from oed.text import rounded
 

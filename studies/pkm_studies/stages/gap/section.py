@@ -12,10 +12,10 @@ from msgspec.structs import replace
 
 from oed import units
 from oed.base import Array
+from oed.effect_model import Column, Effect
 from oed.gap.data import problem
 from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis, Size
 from oed.measurement import Measurement, Series
-from oed.model.effect import Column, Effect
 from oed.result import (
     ClosureRecord,
     CoefficientRecord,

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
+from oed.effect_model import Effect, State
 from oed.gap.cause.advice import (
     DOUBT,
     MOST_NAMES,
@@ -18,7 +19,6 @@ from oed.gap.cause.advice import (
 )
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
-from oed.model.effect import Effect, State
 from oed.result import (
     AnswerRecord,
     ClosureRecord,

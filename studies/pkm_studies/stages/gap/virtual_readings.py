@@ -9,10 +9,10 @@ import numpy as np
 
 from oed import dataset, units
 from oed.base import Array
+from oed.effect_model import State
 from oed.gap.data import signature
 from oed.gap.data.state import states as states_of
 from oed.measurement import Measurement, Series
-from oed.model.effect import State
 from pkm_studies.resolve import (
     ActingEffect,
     GapRequest,

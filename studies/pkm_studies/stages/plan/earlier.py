@@ -11,8 +11,8 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from oed.planning import Option
 from oed.result import StudyResult
 from pkm_studies.earlier_result import known_parameters

@@ -12,8 +12,8 @@ from oed.accuracy.budget import Budget
 from oed.accuracy.budget.lines import shares
 from oed.accuracy.prediction import Prediction, Spread
 from oed.base import Array
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from oed.result import (
     ComponentAccuracy,
     MapPoint,

@@ -10,9 +10,9 @@ from oed import units
 from oed.accuracy.budget import Budget, Line
 from oed.accuracy.prediction import Prediction
 from oed.base import Array
+from oed.effect_model import EFFECT_SIZES
 from oed.effects import ExpectedEffect, ExpectedEffects
-from oed.model.machine import Machine
-from oed.model.size_prior import EFFECT_SIZES
+from oed.model import Machine
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine, UsualEffects
 from pkm_studies.results import Values, advice_on, error_ratio
 

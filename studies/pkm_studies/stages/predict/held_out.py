@@ -22,8 +22,8 @@ import numpy as np
 from oed import units
 from oed.base import Array, Mask
 from oed.estimation import Estimate
+from oed.instrument import Channel
 from oed.measurement import Measurement, Series, reading_structure
-from oed.model.instrument import Channel
 from oed.noise import Laws
 from oed.result import HeldOutSection, HeldOutVerdict
 

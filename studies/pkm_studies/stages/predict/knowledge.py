@@ -23,8 +23,7 @@ from oed.effects import ExpectedColumns, SessionStates, absorbing_shift
 from oed.estimation import Estimate
 from oed.identifiability import parameter_covariance
 from oed.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
-from oed.mechanism.pose_errors import NO_TOOL
+from oed.mechanism import NO_TOOL, AssemblyError
 from oed.noise import LawNoise
 from oed.posterior import ApproximateDraws
 

@@ -21,9 +21,9 @@ from oed.corrected import (
     predict_corrected,
     with_constants,
 )
+from oed.effect_model import Effect
 from oed.estimation import IdentificationError
 from oed.gap.data.signature import untestable
-from oed.model.effect import Effect
 from pkm_studies import catalogue
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (

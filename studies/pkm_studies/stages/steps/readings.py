@@ -11,8 +11,8 @@ from oed.base import Array
 from oed.dataset import Dataset
 from oed.dataset.columns import tension_columns
 from oed.measurement import Series, draw_errors, draw_parameters, draw_readings
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.machine import Machine
+from oed.mechanism import AssemblyError
+from oed.model import Machine
 from pkm_studies.base import Stream
 from pkm_studies.stages.gap import virtual_readings
 from pkm_studies.stages.run_state import (

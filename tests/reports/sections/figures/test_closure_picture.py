@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from shipped_models import cable_robot, hexapod, tripod_passive_leg
 
-from oed.mechanism.closest_closure import closest_closure
+from oed.mechanism import closest_closure
 from oed.model import Machine
 from pkm_reports import style
 from pkm_reports.sections import draw_closure

@@ -1,0 +1,81 @@
+"""Registration: where an instrument's own frame is in the base frame, as six unknowns
+of a set-up.
+
+A point is read as R(turn) (point - about) + about + shift, a rotation as R(turn) times
+it, with R a small rotation and `about` a known point (a gimbal's centre), so that shift
+and turn are as independent as they can be.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from oed.instrument import Channel
+from oed.model import Expr, Parameter, Values
+from pkm_models.rotation import tilt_torsion
+
+
+def coordinate(name: str) -> str:
+    """What an instrument reads of the tool point along an axis of its frame."""
+    return (
+        f"{name} of the tool point in the instrument's frame, which is the base frame up"
+        " to shift and turn"
+    )
+
+
+def point_channels(sigma: float, axes: str = "xyz") -> tuple[Channel, ...]:
+    """`read_x`, ...: what an instrument reads of the tool point, with its noise, m."""
+    return tuple(Channel(f"read_{n}", "m", sigma, about=coordinate(n)) for n in axes)
+
+
+def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
+    """The six unknowns with their tolerances (m, rad); 0 holds them, as for a frame
+    that is known.
+    """
+    return (
+        *(
+            Parameter(f"shift_{n}", 0.0, shift, "m", f"{n} of the instrument's frame")
+            for n in "xyz"
+        ),
+        *(
+            Parameter(
+                f"turn_{n}",
+                0.0,
+                turn,
+                "rad",
+                f"rotation of the instrument's frame about {n}",
+            )
+            for n in "xyz"
+        ),
+    )
+
+
+def rotation_in_frame(s: Values, rotation: Expr) -> Expr:
+    """A rotation (3 x 3) or direction (3,) of the base frame, as the instrument sees
+    it.
+    """
+    return tilt_torsion(s["turn_x"], s["turn_y"], s["turn_z"]) @ rotation
+
+
+def point_in_frame(s: Values, point: Expr, about: Expr) -> Expr:
+    """A point (3,) of the base frame, as the instrument sees it."""
+    return (
+        rotation_in_frame(s, point - about)
+        + about
+        + ca.vertcat(s["shift_x"], s["shift_y"], s["shift_z"])
+    )
+
+
+def coordinates_in_frame(s: Values, point: Expr) -> list[Expr]:
+    """Its coordinates, x, y and z, with the base frame's origin as `about`."""
+    return list(ca.vertsplit(point_in_frame(s, point, ca.DM.zeros(3))))
+
+
+def axis_angles(axis: Expr) -> list[Expr]:
+    """alpha, beta of an axis (3,) = (sin beta, -sin alpha cos beta, cos alpha cos beta)
+    times its length.
+    """
+    return [
+        ca.atan2(-axis[1], axis[2]),
+        ca.atan2(axis[0], ca.sqrt(axis[1] ** 2 + axis[2] ** 2)),
+    ]

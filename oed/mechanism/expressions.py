@@ -1,0 +1,189 @@
+"""CasADi expressions derived from a machine's closure: pose slopes, struts, misfit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from oed.base import Array
+from oed.instrument import Frame
+from oed.model import Coordinate, Expr, Machine, Parameter, Values
+
+
+def symbols(
+    prefix: str, items: Sequence[Coordinate | Parameter]
+) -> tuple[ca.SX, Values]:
+    """Symbolic vector of coordinates or parameters, and its entries by name."""
+    vector = ca.SX.sym(prefix, len(items))
+    return vector, {item.name: vector[i] for i, item in enumerate(items)}
+
+
+@dataclasses.dataclass(frozen=True)
+class MachineExpressions:
+    """Symbols of a machine and the expressions of its closure and tool frame.
+
+    x, q, p    pose, joints and parameters, vectors; with their entries by name
+    c          command, vector; with its entries by name
+    tool       (3,) tool point relative to the reference tool's
+    phi        closure, a vector
+    rotation   (3, 3) of the tool in the base frame
+    tip        (3,) tool point in the base frame
+    commanded  quantities that the controller holds at pose x with this tool
+    target     the same quantities at command c
+    """
+
+    x: ca.SX
+    q: ca.SX
+    p: ca.SX
+    c: ca.SX
+    tool: ca.SX
+    x_by_name: Values
+    q_by_name: Values
+    p_by_name: Values
+    c_by_name: Values
+    phi: Expr
+    rotation: Expr
+    tip: Expr
+    commanded: Sequence[Expr]
+    target: Sequence[Expr]
+
+    @property
+    def balance(self) -> Expr:
+        """Equations that a pose obeys: phi, or phi_x^T phi for a redundant machine."""
+        if self.phi.numel() == self.x.numel():
+            return self.phi
+        return ca.jacobian(self.phi, self.x).T @ self.phi
+
+
+def machine_expressions(machine: Machine) -> MachineExpressions:
+    """Evaluate a machine's functions on symbols."""
+    x, x_by_name = symbols("x", machine.pose)
+    q, q_by_name = symbols("q", machine.joints)
+    p, p_by_name = symbols("p", machine.parameters)
+    c, c_by_name = symbols("c", machine.command)
+    tool = ca.SX.sym("tool", 3)
+    rotation, origin = machine.platform(x_by_name)
+    tip = origin + rotation @ tool
+    return MachineExpressions(
+        x=x,
+        q=q,
+        p=p,
+        c=c,
+        tool=tool,
+        x_by_name=x_by_name,
+        q_by_name=q_by_name,
+        p_by_name=p_by_name,
+        c_by_name=c_by_name,
+        phi=ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name)),
+        rotation=rotation,
+        tip=tip,
+        commanded=machine.commanded(x_by_name, tip),
+        target=machine.target(c_by_name),
+    )
+
+
+def twist_slope(rotation: Expr, tip: Expr, x: Expr) -> Expr:
+    """Slope (6, nx) of [tool point, rotation vector] over x, base frame.
+
+    Column j of the rotation is vee(dR/dx_j R^T).
+    """
+    columns = []
+    for j in range(x.numel()):
+        by_x = ca.reshape(ca.jacobian(ca.vec(rotation), x[j]), 3, 3)
+        spin = by_x @ rotation.T
+        columns.append(ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0]))
+    return ca.vertcat(ca.jacobian(tip, x), ca.horzcat(*columns))
+
+
+def strut_ends(machine: Machine, e: MachineExpressions) -> list[Expr] | None:
+    """Struts' ends (3, nq) at base and platform, and slope (nq,) of each joint's row.
+
+    The slope is over the joint, of the first row of the closure that holds it. None
+    where the machine states no struts.
+    """
+    if machine.struts is None:
+        return None
+    ends = machine.struts(e.x_by_name, e.q_by_name, e.p_by_name)
+    slopes = []
+    for k in range(len(machine.joints)):
+        row = _first_row_with(e.phi, e.q[k])
+        slopes.append(ca.jacobian(row, e.q[k]))
+    base, platform = (ca.horzcat(*side) for side in zip(*ends, strict=True))
+    return [base, platform, ca.vertcat(*slopes)]
+
+
+def _first_row_with(phi: Expr, joint: Expr) -> Expr:
+    rows = (phi[i] for i in range(phi.numel()))
+    return next(row for row in rows if ca.depends_on(row, joint))
+
+
+def closure_misfit(phi: Expr, x: Expr) -> Expr | None:
+    """Signed root mean square of a redundant machine's closure where it settles.
+
+    None unless there is one equation more than unknowns. Then phi = g m^1/2 n where
+    the machine settles. Here n is the unit vector with n^T phi_x = 0, from the signed
+    minors of phi_x, m is the number of equations, and g the misfit.
+    """
+    rows = phi.numel()
+    if rows != x.numel() + 1:
+        return None
+    phi_x = ca.jacobian(phi, x)
+    minors = []
+    for i in range(rows):
+        others = [k for k in range(rows) if k != i]
+        minors.append((-1) ** i * ca.det(phi_x[others, :]))
+    normal = ca.vertcat(*minors)
+    return ca.dot(normal, phi) / (ca.norm_2(normal) * np.sqrt(rows))
+
+
+def machine_frame(
+    machine: Machine, x: ca.SX, by_name: tuple[Values, Values, Values], tool: Expr
+) -> Frame:
+    """What an instrument sees of a machine at a pose, with a tool (3,).
+
+    by_name  pose, joints and parameters
+    """
+    x_by_name, q_by_name, p_by_name = by_name
+    rotation, origin = machine.platform(x_by_name)
+    tip = origin + rotation @ tool
+    joints = machine.passive(x_by_name, q_by_name, p_by_name)
+    passive = {joint.name: joint.value for joint in joints}
+    phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
+    spare = phi.numel() - x.numel()
+    if spare <= 0:
+        return Frame(rotation, tip, passive=passive)
+    null = _null_space(ca.jacobian(phi, x), _home_null_space(machine))
+    misfits = null.T @ phi / np.sqrt(phi.numel())
+    return Frame(rotation, tip, closure_misfit(phi, x), misfits, null, passive)
+
+
+def _home_null_space(machine: Machine) -> Array:
+    """Orthonormal null space (m, k) of the constraints at the start for home."""
+    e = machine_expressions(machine)
+    start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+    start_values = ca.Function("start", [e.c, e.p], start)(
+        machine.home_command, machine.nominal
+    )
+    slope = ca.Function("slope", [e.x, e.q, e.p], [ca.jacobian(e.phi, e.x)])
+    vectors, _, _ = np.linalg.svd(np.array(slope(*start_values, machine.nominal)))
+    return vectors[:, e.x.numel() :]
+
+
+def _null_space(slope: Expr, reference: Array) -> Expr:
+    """Orthonormal directions (m, k) across the columns of a slope (m, n).
+
+    By Gram and Schmidt on the slope's columns, then on the reference's (m, k): smooth
+    wherever no direction of the null space is square to all of the reference.
+    """
+    columns = [slope[:, j] for j in range(slope.shape[1])]
+    columns += [ca.DM(column) for column in reference.T]
+    unit: list[Expr] = []
+    for column in columns:
+        rest = column
+        for direction in unit:
+            rest = rest - ca.dot(direction, rest) * direction
+        unit.append(rest / ca.norm_2(rest))
+    return ca.horzcat(*unit[slope.shape[1] :])

@@ -1,0 +1,112 @@
+"""How near a machine comes to assembled at a command, and which equations stay open.
+
+Where Newton's method fails, least squares still leads somewhere: it minimises the
+closure's equations together with those that hold the command. What remains of an
+equation is by how much it cannot be met.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from scipy import optimize
+
+from oed.base import Array
+from oed.mechanism.expressions import MachineExpressions, machine_expressions
+from oed.model import Expr, Machine
+from oed.result import ClosestClosure, MachineShape
+
+#: an equation is open above this share of the machine's lever
+OPEN_SHARE = 1e-6
+#: weight of the command against the closure: what remains shows in the closure
+COMMAND_WEIGHT = 10.0
+
+
+def closest_closure(machine: Machine, command: Array) -> ClosestClosure:
+    """The machine at a command (n_dof,), SI, by least squares from its guess.
+
+    What is no number in the guess, such as the root of a length too short, is 0 instead
+    where the search begins, or the middle of its range.
+    """
+    e = machine_expressions(machine)
+    command = np.asarray(command, dtype=float)
+    parts = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+    start = ca.Function("start", [e.c, e.p], parts)(command, machine.nominal)
+    z = np.concatenate([np.array(part).ravel() for part in start])
+    guess = _shape(machine, e, z)
+    usable = np.where(np.isfinite(z), z, _middles(machine))
+    nearest = _shape(machine, e, _least_squares(machine, e, command, usable))
+    met = np.abs(nearest.equations) <= OPEN_SHARE * machine.lever
+    still_open = tuple(int(k) for k in np.flatnonzero(~met))
+    joints = [_joints(machine, e, e.phi[k]) for k in range(e.phi.numel())]
+    moving = [_joints(machine, e, line) for line in _lines(machine, e)]
+    return ClosestClosure(guess, nearest, tuple(joints), tuple(moving), still_open)
+
+
+def _middles(machine: Machine) -> Array:
+    """Middles (nx + nq,) of the ranges of pose and joints; 0 where they have no end."""
+    ends = [(c.lower, c.upper) for c in (*machine.pose, *machine.joints)]
+    middles = np.array([0.5 * (low + high) for low, high in ends])
+    return np.where(np.isfinite(middles), middles, 0.0)
+
+
+def _least_squares(
+    machine: Machine, e: MachineExpressions, command: Array, start: Array
+) -> Array:
+    """Pose and joints (nx + nq,) at which closure and command are met best."""
+    z = ca.vertcat(e.x, e.q)
+    unmet_command: Expr = ca.vertcat(*e.commanded)
+    unmet_command = unmet_command - ca.vertcat(*e.target)
+    rows = ca.vertcat(e.phi, COMMAND_WEIGHT * unmet_command)
+    rows = ca.substitute(
+        rows, ca.vertcat(e.p, e.c, e.tool), [*machine.nominal, *command, 0.0, 0.0, 0.0]
+    )
+    value = ca.Function("rows", [z], [rows])
+    slope = ca.Function("slope", [z], [ca.jacobian(rows, z)])
+    solution = optimize.least_squares(
+        lambda z: np.nan_to_num(np.array(value(z)).ravel(), nan=1e3),
+        start,
+        jac=lambda z: np.nan_to_num(np.array(slope(z))),
+        x_scale="jac",
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    return np.asarray(solution.x)
+
+
+def _shape(machine: Machine, e: MachineExpressions, z: Array) -> MachineShape:
+    """The machine at pose and joints (nx + nq,)."""
+    count = e.x.numel()
+
+    def value(expression: Expr) -> Array:
+        function = ca.Function("value", [e.x, e.q, e.p], [expression])
+        return np.array(function(z[:count], z[count:], machine.nominal))
+
+    by_name = e.x_by_name, e.q_by_name, e.p_by_name
+    struts = [] if machine.struts is None else machine.struts(*by_name)
+    rotation, point = machine.platform(e.x_by_name)
+    ends = [value(ca.horzcat(*strut)).T for strut in struts]
+    return MachineShape(
+        equations=value(e.phi).ravel(),
+        lines=tuple(value(line).T for line in _lines(machine, e)),
+        struts=np.array(ends).reshape(-1, 2, 3),
+        tool=value(point).ravel(),
+        axes=value(rotation),
+    )
+
+
+def _lines(machine: Machine, e: MachineExpressions) -> list[Expr]:
+    """The lines (3, n) that the machine draws."""
+    if machine.skeleton is None:
+        return []
+    lines = machine.skeleton(e.x_by_name, e.q_by_name, e.p_by_name)
+    return [ca.horzcat(*line) for line in lines]
+
+
+def _joints(
+    machine: Machine, e: MachineExpressions, expression: Expr
+) -> tuple[str, ...]:
+    """Names of the joints on which an expression depends."""
+    names = [c.name for c in machine.joints]
+    return tuple(n for n in names if ca.depends_on(expression, e.q_by_name[n]))
