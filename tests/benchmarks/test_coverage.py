@@ -96,6 +96,7 @@ def test_draws_follow_the_lost_directions() -> None:
     assert np.abs(m.readings(bench.series, theta) - straight).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_runs_are_off() -> None:
     """Of the delta with offsets of 2 sigma, which intervals of the stated noise miss."""
     one_machine = module("intervals").one_machine

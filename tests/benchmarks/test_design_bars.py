@@ -179,6 +179,7 @@ def of_a3(rows: np.ndarray) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 def test_a3_designs_are_best_in_their_own_criterion() -> None:
     """30 of 1512 readings of the taught cup, and the paper's two circles of 15."""
     resolved = resolve(

@@ -232,6 +232,7 @@ def clean(problem: GapProblem, seed: int) -> GapProblem:
     return problem.with_residual(rng.normal(size=len(problem)) + problem.slopes @ theta)
 
 
+@pytest.mark.slow
 def test_stepwise_takes_the_form_of_least_bic(a3_case: Case) -> None:
     """Against explicit least squares with a row a parameter for its tolerance."""
     problem, _ = prepare(a3_case.study, a3_case.readings)

@@ -90,6 +90,7 @@ def toy(tmp_path: Path) -> Path:
     return tmp_path / "toy"
 
 
+@pytest.mark.slow
 def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
     """sum(x) * n is detected; n >= 0 in place of n > 0 is not: no test has n = 0."""
     cases = {

@@ -39,7 +39,7 @@ def test_a_set_has_so_many_cases(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "machine",
     [
-        m if m in ("a3", "delta") else pytest.param(m, marks=pytest.mark.slow)
+        m if m == "delta" else pytest.param(m, marks=pytest.mark.slow)
         for m in world.MACHINES
     ],
 )

@@ -106,9 +106,10 @@ def test_size_of_a_fault_is_as_drawn() -> None:
     assert np.array_equal(values, same)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tried",
-    [{"gravity", "backlash", "friction"}, pytest.param(None, marks=pytest.mark.slow)],
+    [{"gravity", "backlash", "friction"}, None],
     ids=["few", "all"],
 )
 def test_a_case_is_diagnosed_and_tabulated(

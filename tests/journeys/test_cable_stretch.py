@@ -179,6 +179,7 @@ def test_an_unknown_compliance_is_estimated(
     assert any("tension of each cable is known" in c for c in corrected.conditions)
 
 
+@pytest.mark.slow
 @pytest.mark.mistakes
 def test_the_diagnosis_names_the_stretch(
     tmp_path: Path, rng: np.random.Generator

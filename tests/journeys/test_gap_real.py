@@ -38,7 +38,7 @@ UNSUPPORTED = {
 
 @pytest.fixture(
     scope="module",
-    params=["delta_v400", pytest.param("hangprinter_hp4", marks=pytest.mark.slow)],
+    params=["delta_v400", "hangprinter_hp4"],
 )
 def gap(
     request: pytest.FixtureRequest,

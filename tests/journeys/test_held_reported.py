@@ -80,6 +80,7 @@ def test_a_lean_of_the_bed_is_reported(
         assert held[0]["estimate"] == pytest.approx(1e3 * lean, abs=3.0 * held[0]["sd"])
 
 
+@pytest.mark.slow
 def test_belts_that_shrink_to_nothing_are_no_finding(tmp_path: Path) -> None:
     """Scales of all belts at -1 close any loop, with the anchors at one place."""
     folder = Path(__file__).resolve().parents[3] / "shared" / "inputs" / "four_belts"

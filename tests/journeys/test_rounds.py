@@ -323,6 +323,7 @@ def test_home_errors_of_the_paper_converge(tmp_path: Path) -> None:
     assert (before[2] < before[1]).all()
 
 
+@pytest.mark.slow
 def test_the_two_steps_of_the_paper(tmp_path: Path) -> None:
     """Home errors in three rounds, then all errors of its Table 3 in a fourth."""
     fine = {k: v for k, v in a3.TABLE3.items() if k != "ds"}

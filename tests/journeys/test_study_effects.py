@@ -146,7 +146,7 @@ FEW = '["encoder_scale", "gravity"]'
 
 @pytest.fixture(
     scope="module",
-    params=[FEW, pytest.param('"catalogue"', marks=pytest.mark.slow)],
+    params=[FEW, '"catalogue"'],
     ids=["few", "catalogue"],
 )
 def wrong_scale(

@@ -21,10 +21,16 @@ ROOMS = {
 }
 FACE = [("oed", name) for name in oed.__all__ if name != "__version__"]
 NAMES = FACE + [(room, name) for room, names in ROOMS.items() for name in names]
+#: examples of seconds, whose steps tests/studies/notebook runs
+LONG = {("oed", "diagnose"), ("oed", "plan")}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
 
-@pytest.mark.parametrize(("room", "name"), NAMES, ids=lambda part: part)
+@pytest.mark.parametrize(
+    ("room", "name"),
+    [pytest.param(*n, marks=[pytest.mark.slow] if n in LONG else []) for n in NAMES],
+    ids=lambda part: part,
+)
 def test_the_example_runs(
     room: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

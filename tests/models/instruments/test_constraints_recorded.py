@@ -131,7 +131,9 @@ CALIBRATIONS = {
 }
 
 
-@pytest.mark.parametrize("name", CALIBRATIONS)
+@pytest.mark.parametrize(
+    "name", ["sensors", "plate", "lock", pytest.param("seat", marks=pytest.mark.slow)]
+)
 def test_intervals_hold_over_40_machines(name: str) -> None:
     rng = np.random.default_rng(11)
     errors = np.array([CALIBRATIONS[name](rng) for _ in range(40)])
@@ -195,8 +197,8 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("machine", "instrument"),
     [
-        ("micro_cmm", "passive_joint"),
-        ("micro_cmm", "locked_joint"),
+        pytest.param("micro_cmm", "passive_joint", marks=pytest.mark.slow),
+        pytest.param("micro_cmm", "locked_joint", marks=pytest.mark.slow),
         ("delta", "touch_plane"),
         pytest.param("hexapod", "seat", marks=pytest.mark.slow),
     ],

@@ -19,7 +19,6 @@ QUICK = {
     "columns of one line exchanged",
     "one reading off by 50 sigma",
     "computed, not measured",
-    "one set-up's readings in both",
     "sign of x",
     "a clock of 12 hours",
     "two set-ups at the same times",

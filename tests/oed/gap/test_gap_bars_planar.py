@@ -195,9 +195,8 @@ def conditioned(
     )
 
 
-@pytest.mark.parametrize(
-    ("machines", "least"), [(1, 1), pytest.param(6, 9, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("machines", "least"), [(1, 1), (6, 9)])
 def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines(
     machines: int, least: int
 ) -> None:

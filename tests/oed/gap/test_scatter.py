@@ -45,7 +45,7 @@ def diagnosis(factor: float, *, assumed: bool = False) -> Diagnosis:
     return diagnose(problem, [effect], rng)
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize("factor", [pytest.param(0.7, marks=pytest.mark.slow), 1.3])
 def test_scatter_that_a_data_sheet_is_good_for_is_noise(factor: float) -> None:
     result = diagnosis(factor)
     assert result.verdict == "none"

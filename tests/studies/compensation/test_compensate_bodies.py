@@ -28,8 +28,17 @@ from oed.model import Machine
 
 Run = Callable[..., tuple[int, str, str]]
 #: legs, carriages and cranks; in the plane, and with a platform that only translates
-MJCF = [hexapod.machine, hexapod_pus.machine, rotary_delta.machine]
-URDF = [hexapod.machine, hexapod_rus.machine, five_bar.machine]
+SLOW = pytest.mark.slow
+MJCF = [
+    hexapod.machine,
+    rotary_delta.machine,
+    pytest.param(hexapod_pus.machine, marks=SLOW),
+]
+URDF = [
+    hexapod.machine,
+    five_bar.machine,
+    pytest.param(hexapod_rus.machine, marks=SLOW),
+]
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,12 @@ def written(oed: Run, folder: Path, machine: Machine, values: np.ndarray) -> Pat
 
 
 @pytest.mark.parametrize(
-    "machine", [linear_delta.machine, hexapod.machine, a3_head.machine]
+    "machine",
+    [
+        linear_delta.machine,
+        pytest.param(hexapod.machine, marks=pytest.mark.slow),
+        a3_head.machine,
+    ],
 )
 def test_ten_thousand_poses_are_those_of_python(
     machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator

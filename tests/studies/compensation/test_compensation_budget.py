@@ -239,6 +239,7 @@ def test_interpolation_costs_what_its_line_says(
         assert (total < 1.03 * EXACT).all()
 
 
+@pytest.mark.slow
 def test_accuracy_that_is_zeroed_at_home_has_the_corrections_of_home(
     tmp_path: Path,
 ) -> None:

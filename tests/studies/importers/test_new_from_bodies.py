@@ -150,7 +150,7 @@ def test_a_hand_written_delta_stands_where_mujoco_puts_it(
     ("original", "form"),
     [
         pytest.param(hexapod.machine, "urdf", id="legs"),
-        pytest.param(hexapod_rus.machine, "mjcf", id="cranks"),
+        pytest.param(hexapod_rus.machine, "mjcf", id="cranks", marks=pytest.mark.slow),
         pytest.param(
             hexapod_pus.machine, "mjcf", id="carriages", marks=pytest.mark.slow
         ),

@@ -71,6 +71,7 @@ def of_file(section):
     return msgspec.json.decode(msgspec.json.encode(section))
 
 
+@pytest.mark.slow
 def test_a_notebook_has_the_diagnosis_of_the_command(scaled, commanded) -> None:
     study, path = scaled
     view = oed.diagnose(oed.identify(oed.read_readings(study, path)))

@@ -167,6 +167,7 @@ def test_interpolation_of_the_effects_tables_is_in_the_budget(
         assert line["size"][name] == pytest.approx(sum(cost[name] for cost in costs))
 
 
+@pytest.mark.slow
 def test_a_file_without_the_effects_has_them_in_its_budget(
     folder: Path, result: StudyResult
 ) -> None:
@@ -244,6 +245,7 @@ def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
     assert "<p>The fit is bad" not in (folder / "page.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_without_effects_the_alarm_stays(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

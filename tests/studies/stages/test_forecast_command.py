@@ -288,6 +288,7 @@ runs_by = "z"
 """
 
 
+@pytest.mark.slow
 def test_an_estimate_in_the_folder_is_the_mean_of_the_field(tmp_path: Path) -> None:
     """Eight nodes of a machine with the nominal numbers, whose errors are 0.3 mm."""
     setup = """[[setup]]

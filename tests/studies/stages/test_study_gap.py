@@ -241,6 +241,7 @@ def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     assert json.loads((tmp_path / "whole/result.json").read_text())["gap"] == simulated
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(
     oed: Run, virtual: Diagnosed, tmp_path: Path
 ) -> None:
@@ -308,6 +309,7 @@ def _two_sessions(folder: Path) -> None:
     pd.concat([parts[0], later]).to_csv(folder / "one.csv", index=False)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_mixture")
 def test_two_sessions_together_are_as_one_file_of_both(
     oed: Run, tmp_path: Path

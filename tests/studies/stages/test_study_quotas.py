@@ -201,7 +201,9 @@ def test_readings_that_cannot_be_shared_equally_are_refused() -> None:
 # -- branch and bound ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["D", "A", "I", "O5"])
+@pytest.mark.parametrize(
+    "name", ["D", "A", pytest.param("I", marks=pytest.mark.slow), "O5"]
+)
 def test_branching_proves_the_best_plan(name: str) -> None:
     resolved, design = chosen(
         text(f'criterion = "{name}"\nbranch_nodes = 500\n' + KNOWN + EXTRA)

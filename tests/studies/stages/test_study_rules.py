@@ -228,7 +228,14 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel() -> None:
 # -- polish and order ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("criterion", ["D", "I", "c"])
+@pytest.mark.parametrize(
+    "criterion",
+    [
+        "D",
+        pytest.param("I", marks=pytest.mark.slow),
+        pytest.param("c", marks=pytest.mark.slow),
+    ],
+)
 def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -> None:
     polish = (
         "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"

@@ -79,6 +79,7 @@ def test_accuracy_against_the_number_of_readings() -> None:
         assert curve.accuracy[key][2] < curve.accuracy[key][0]
 
 
+@pytest.mark.slow
 def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
     resolved, design = small.chosen(small.text(MANY))
     best = {n: best_accuracy(resolved, design, n)["z"] for n in (3, 4)}
