@@ -173,14 +173,14 @@ def test_out_of_range_names_row_coordinate_and_limits(case: Case) -> None:
 def test_jacobian_is_the_slope_of_the_exact_readings(
     name: str, setup: str, rng: np.random.Generator
 ) -> None:
-    """100 random poses, at nominal and at a wrong machine, nuisances included. Central
+    """30 random poses, at nominal and at a wrong machine, nuisances included. Central
     differences, extrapolated to fourth order; each column's error is told against its
     largest entry, of a hundred-thousandth of the largest of H at least. Readings round
     in their last digits: over the step, that is 3e-12.
     """
     case = CASES[name]
-    m, series = reading_series(case, setup, rng, 100)
-    assert len(series) == 100
+    m, series = reading_series(case, setup, rng, 30)
+    assert len(series) == 30
     spread = np.array([p.tolerance for p in m.parameters])
     for theta in (m.nominal, m.nominal + spread * rng.standard_normal(len(spread))):
         moves = np.vstack(
