@@ -93,6 +93,8 @@ TURNING = ("a3_head", "hexaglide", "hexapod", "prs_spindle", "prs_spindle_struts
 TURNING_IN_A_SEAT = ("hexaglide", "hexapod")
 #: instruments of passive joints, and machines that name none
 OF_PASSIVE_JOINTS = ("passive_joint", "locked_joint")
+#: machines whose workspace is drafted in a moment
+SMALL = ("linear_delta", "planar_2dof", "micro_cmm")
 CHECKED_ELSEWHERE = tuple(new_families.CLOSURES)
 UNNAMED = ("cable_robot", "hexaglide", "planar_2dof")
 
@@ -110,8 +112,8 @@ def can_read(machine: str, instrument: str) -> bool:
 def _pairs() -> list[Any]:
     """Every machine with every instrument; of families with one position reader.
 
-    By default each instrument with one machine that it reads, in turn, a sixth of those
-    that it cannot read, and families that tests/models/machines/test_new_families.py
+    By default each instrument with one machine that it reads, small ones in turn, a sixth
+    of those that it cannot read, and families that tests/models/machines/test_new_families.py
     does not check.
     """
     location = Location("catalogue")
@@ -133,8 +135,8 @@ def _pairs() -> list[Any]:
         if not can_read(machine, tool):
             refused = (machines.index(machine) + number) % 6 == 0
             return [] if refused else [pytest.mark.slow]
-        turn = number % len(machines)
-        in_turn = [*machines[turn:], *machines[:turn]]
+        turn = number % len(SMALL)
+        in_turn = [*SMALL[turn:], *SMALL[:turn], *machines]
         chosen = next(m for m in in_turn if can_read(m, tool))
         return [] if machine == chosen else [pytest.mark.slow]
 

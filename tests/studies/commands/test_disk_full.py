@@ -170,10 +170,10 @@ def test_the_system_s_own_limit_ends_in_no_crash(tmp_path: Path) -> None:
     code = (
         "import sys, numpy as np, resource\n"
         "from pathlib import Path\n"
-        "from oed.base import own_files\n"
+        "from oed import safe_files\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try:\n"
-        "    own_files.write_own(Path(sys.argv[1]), bytes(2000))\n"
+        "    safe_files.write_own(Path(sys.argv[1]), bytes(2000))\n"
         "except OSError as error:\n"
         "    print(error.errno, error.filename)\n"
     )
