@@ -27,6 +27,27 @@ os.environ.setdefault("OED_COMPILE", "0")
 # tests, and 7 % of that of running them.
 gc.set_threshold(100_000, 20, 50)
 
+#: shipped studies that run by night, and what runs the same by day
+NIGHTLY_STUDIES = {
+    "a3_adjust": "tests/studies/sessions/test_adjust.py",
+    "a3_forecast": "studies/planar_forecast.study.toml",
+    "a3_home_orientation": "tests/models/machines/test_a3_home_orientation.py",
+    "a3_test_circles": "tests/studies/stages/test_run_curves.py",
+    "delta_v400_reverse": "studies/delta_v400.study.toml",
+    "micro_cmm_self": "studies/micro_cmm.study.toml",
+    "planar_plan": "tests/studies/stages/test_study_plan.py",
+    "prs_adjust": "tests/studies/sessions/test_adjust.py",
+    "prs_laser_ball_bar": "studies/prs_paper_model.study.toml",
+}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the shipped studies that run by night."""
+    for item in items:
+        if item.path.name.removesuffix(".study.toml") in NIGHTLY_STUDIES:
+            item.add_marker(pytest.mark.slow)
+
 
 def pytest_collection_finish() -> None:
     """Nothing that is loaded now becomes garbage."""
