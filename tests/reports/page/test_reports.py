@@ -22,7 +22,7 @@ from report_fixture import result_of, shown_text, text_of
 from oed import safe_files
 from oed.result import StudyResult
 from pkm_reports import sections, write_report
-from pkm_reports.page import build_document, render_html, render_pdf
+from pkm_reports.page import build_document, document, render_html, render_pdf
 from pkm_studies import result_folder
 from pkm_studies.results import load_result
 
@@ -173,6 +173,7 @@ def test_the_study_file_and_the_seed_are_shown(full: tuple[Path, Path]) -> None:
     assert "<tags>" not in page
 
 
+@pytest.mark.slow
 def test_the_same_result_gives_the_same_page(
     full: tuple[Path, Path], result: StudyResult, tmp_path: Path
 ) -> None:
@@ -299,7 +300,10 @@ def _with_nasty_names() -> dict[str, Any]:
     return raw
 
 
-def test_text_of_the_study_is_never_markup(tmp_path: Path) -> None:
+def test_text_of_the_study_is_never_markup(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
     page, book = write_report(result_of(_with_nasty_names()), tmp_path)
     source = page.read_text(encoding="utf-8")
     assert "<b>&" not in source

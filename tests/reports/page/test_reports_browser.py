@@ -27,6 +27,7 @@ playwright = pytest.importorskip("playwright.sync_api")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 CHROMIUM = next((path for path in map(shutil.which, BROWSERS) if path), None)
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.pictures,
     pytest.mark.skipif(
         CHROMIUM is None,

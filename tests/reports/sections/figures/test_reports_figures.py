@@ -91,7 +91,13 @@ def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
         assert style.render(figure).kind == "svg"
 
 
-@pytest.mark.parametrize("build", [report_fixture.sample, report_fixture.delta])
+@pytest.mark.parametrize(
+    "build",
+    [
+        report_fixture.sample,
+        pytest.param(report_fixture.delta, marks=pytest.mark.slow),
+    ],
+)
 def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> None:
     full = result_of(build())
     design, prediction = full.design, full.prediction
