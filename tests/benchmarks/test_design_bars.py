@@ -98,6 +98,7 @@ def test_problem_a_by_d() -> None:
     assert choice.efficiency == pytest.approx(np.exp((reached - upper) / 21), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_problem_a_by_e() -> None:
     rows = rows_a()
     choice = choose(rows, 30, np.random.default_rng(1), "E", rounds=20)
@@ -128,7 +129,7 @@ CLARABEL = 263.13586
 @pytest.mark.parametrize(
     ("instance", "efficiency"),
     [
-        (0, 0.88),
+        pytest.param(0, 0.88, marks=pytest.mark.slow),
         pytest.param(1, 0.86, marks=pytest.mark.slow),
         pytest.param(2, 0.88, marks=pytest.mark.slow),
     ],

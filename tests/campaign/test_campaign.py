@@ -101,6 +101,7 @@ def test_a_campaign_interrupted_ends_as_an_unbroken_one(
     assert quiet < noisy
 
 
+@pytest.mark.slow
 def test_the_realised_error_is_that_of_the_compensated_machine(
     campaign: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +130,7 @@ def test_the_realised_error_is_that_of_the_compensated_machine(
     assert row["realised_z_um"] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_processes_are_as_many_as_cores_by_default(
     campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

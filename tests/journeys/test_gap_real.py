@@ -29,6 +29,7 @@ from typer.testing import CliRunner
 
 from pkm_studies.commands.cli import app
 
+pytestmark = pytest.mark.slow
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 #: effects that need a covariate which neither file has: time, direction, feed
 UNSUPPORTED = {

@@ -146,7 +146,10 @@ FEW = '["encoder_scale", "gravity"]'
 
 @pytest.fixture(
     scope="module",
-    params=[FEW, '"catalogue"'],
+    params=[
+        pytest.param(effects, marks=pytest.mark.slow)
+        for effects in (FEW, '"catalogue"')
+    ],
     ids=["few", "catalogue"],
 )
 def wrong_scale(

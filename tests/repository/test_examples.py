@@ -22,7 +22,7 @@ ROOMS = {
 FACE = [("oed", name) for name in oed.__all__ if name != "__version__"]
 NAMES = FACE + [(room, name) for room, names in ROOMS.items() for name in names]
 #: examples of seconds, whose steps tests/studies/notebook runs
-LONG = {("oed", "diagnose"), ("oed", "plan")}
+LONG = {("oed", name) for name in ("diagnose", "plan", "run", "choose_design")}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 
 

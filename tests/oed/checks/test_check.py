@@ -81,6 +81,7 @@ def test_two_gross_errors_are_not_said_to_be_exchanged() -> None:
     assert exchanged(y) is None
 
 
+@pytest.mark.slow
 def test_readings_in_inches_are_a_mistake() -> None:
     session = of_one_bar()
     result = checked(session.with_y(session.y / 25.4))

@@ -168,6 +168,7 @@ def test_a_rough_measurement_comes_first_where_the_bars_could_not_follow(
     assert all(s.probability.min() > 0.99 for s in best.stages[1:])
 
 
+@pytest.mark.slow
 def test_it_is_left_out_where_the_machine_is_known_well_enough() -> None:
     best = a3_plan(0.1e-3, 0.05e-3, 0.3e-3, 0.1e-3, stages=2).best
     assert "rough" not in best.names

@@ -207,6 +207,7 @@ def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
     assert staged.theta == pytest.approx(estimate.theta)
 
 
+@pytest.mark.slow
 def test_effects_may_be_asked_for(readings, estimate) -> None:
     assert estimate.state.mixture is None
     asked = oed.identify(readings, effects="encoder_scale")

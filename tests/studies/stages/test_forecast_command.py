@@ -239,6 +239,7 @@ def test_an_empty_sheet_is_refused(
     assert "no error was measured" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_component_that_was_not_read_is_named(
     planned: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
