@@ -69,6 +69,7 @@ def assert_refused(
     assert "Traceback" not in error
 
 
+@pytest.mark.slow
 def test_a_campaign_interrupted_ends_as_an_unbroken_one(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

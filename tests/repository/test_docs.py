@@ -35,13 +35,12 @@ EXECUTED = {
 }
 #: command of a page from which on it runs at night only, as it takes seconds
 LONG_COMMANDS = {
-    "tutorial_own_machine": "oed diagnose gap.study.toml",
     "howto/forecast": "oed forecast a3_forecast",
     "howto/rounds": "oed identify round1.study.toml",
     "howto/self_calibration": "oed run plates.study.toml",
 }
 #: pages that run at night only: other tests run their commands on the same study
-AT_NIGHT = {"howto/adjust", "howto/test", "tutorial_tripod"}
+AT_NIGHT = {"howto/adjust", "howto/test", "tutorial_own_machine", "tutorial_tripod"}
 PAGES = [
     *((page, LONG_COMMANDS.get(page, "")) for page in EXECUTED if page not in AT_NIGHT),
     *(

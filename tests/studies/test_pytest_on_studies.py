@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import sample
 from few_poses import PLAN, write
 
@@ -27,6 +28,7 @@ def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_each_claim_is_a_test(tmp_path: Path) -> None:
     claims = (
         'wrong = { of = "identifiability.n", equals = 20 }\nnowhere = { of ='

@@ -62,6 +62,7 @@ def _suite(folder: Path, texts: Sequence[str], *options: str) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_each_combination_is_a_test_on_two_processes(tmp_path: Path) -> None:
     """A circle of 12 readings sees 12 directions: the claim of 18 fails, in words."""
     printed = _suite(tmp_path, [SUITE], "-n", "2")

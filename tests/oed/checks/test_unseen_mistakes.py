@@ -99,11 +99,7 @@ def test_check_and_fit_judge_by_one_noise_law() -> None:
 
 @pytest.mark.parametrize(
     "seed",
-    [
-        0,
-        pytest.param(1, marks=pytest.mark.slow),
-        pytest.param(2, marks=pytest.mark.slow),
-    ],
+    [pytest.param(seed, marks=pytest.mark.slow) for seed in range(3)],
 )
 def test_clean_files_with_run_offsets_pass(tmp_path: Path, seed: int) -> None:
     study = tmp_path / "clean.study.toml"

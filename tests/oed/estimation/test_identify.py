@@ -185,6 +185,7 @@ def test_coordinates_split_theta_into_seen_and_unseen(
             )
 
 
+@pytest.mark.slow
 def test_estimates_scatter_as_their_covariance_says(printer: tuple) -> None:
     """200 machines from the tolerances: (found - true) in units of the posterior; each
     spread is known to 5 %.

@@ -313,6 +313,7 @@ def test_text_of_the_study_is_never_markup(
     assert book.read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 def test_the_book_is_short_without_its_appendix() -> None:
     """At most 12 pages and 3 MB for a study that asks what the A3 study asks."""
     raw = report_fixture.sample()

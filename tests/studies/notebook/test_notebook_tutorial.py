@@ -40,6 +40,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     matplotlib.pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_the_diagnosis_names_what_the_virtual_machine_has(
     names: dict[str, Any],
 ) -> None:
@@ -48,6 +49,7 @@ def test_the_diagnosis_names_what_the_virtual_machine_has(
     assert "backlash" in names["diagnosis"].title
 
 
+@pytest.mark.slow
 def test_the_design_is_drawn_over_its_commands(names: dict[str, Any]) -> None:
     drawn = names["design"].plot(_new_axes())
     poses = names["design"].section.poses
@@ -65,6 +67,7 @@ def test_the_design_is_drawn_over_its_commands(names: dict[str, Any]) -> None:
     )
 
 
+@pytest.mark.slow
 def test_residuals_and_bars_are_those_of_the_sections(names: dict[str, Any]) -> None:
     drawn = names["estimate"].plot(_new_axes())
     np.testing.assert_array_equal(
