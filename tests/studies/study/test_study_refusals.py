@@ -18,7 +18,7 @@ BROKEN = {
     "half a reading": (("readings = 21", "readings = 2.5"), "design.readings", "a whole number"),
     "no reading": (("readings = 21", "readings = 0"), "design.readings", ">= 1"),
     "name with a slash": (('name = "small"', 'name = "a/b"'), "name", "letters, digits"),
-    "criterion": (('criterion = "D"', 'criterion = "F"'), "design.criterion", "allowed: D, Ds, A, c, I, G"),
+    "criterion": (('criterion = "D"', 'criterion = "F"'), "design.criterion", "allowed: A, c, D, Ds, E, G"),
     "version": (("schema = 1", "schema = 2"), "schema", "schema = 1"),
     "no version": (("schema = 1\n", ""), "schema", "missing"),
     "one bracket": (("[[setup]]", "[setup]"), "setup", "two brackets"),
