@@ -16,12 +16,9 @@ is the peak of the process, with Python and all libraries.
 
 from __future__ import annotations
 
-import os
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
-
 import argparse
 import dataclasses
+import os
 import subprocess
 import sys
 import tempfile
@@ -32,10 +29,12 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.harness.diagnosis import prepare
-from oed.gap.data.problem import GapProblem
-from oed.gap.procedure import diagnose
+from oed.gap import GapProblem, diagnose
 from oed.noise import NoiseLaw
 from pkm_studies import stages, study
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
+
 
 RUNS, NOISE, CARRIED, REACH, LEVEL = 4, 0.5, 0.3, 8.0, 0.2
 STUDY = """\

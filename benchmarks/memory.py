@@ -82,7 +82,7 @@ def read(path: Path) -> None:
     setup = mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0))
     measurement = Measurement(a3_head.machine, [setup])
     before, start = peak(), time.process_time()
-    with mock.patch.multiple(table, MOST_READINGS=10**9, MAX_BYTES=10**12):
+    with mock.patch.multiple(table, MAX_READINGS=10**9, MAX_BYTES=10**12):
         readings = dataset.load(path, measurement)
     seconds = time.process_time() - start
     size = path.stat().st_size

@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed.accuracy.maps import Reference, driven_errors, maps_by_reference
+from oed.accuracy import Reference, driven_errors, error_maps
 from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Adjustment, Parameter
@@ -284,10 +284,9 @@ class AdjustableMachine:
 
     def _maps(self, parameters: Array) -> tuple[Array, Array]:
         """Slopes (n, k, np) raw and remaining, about parameters (np,)."""
-        references = [self.reference]
-        maps = maps_by_reference(
-            self.kinematics, self.command, references, parameters=parameters
-        )[self.reference]
+        maps = error_maps(
+            self.kinematics, self.command, self.reference, parameters=parameters
+        )
         return maps.raw, maps.remaining
 
     def _errors(self, numbers: Sequence[int]) -> Array:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array, Index
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem
 from oed.noise import Errors, NoiseLaw, ReadingStructure
 
 

@@ -27,7 +27,7 @@ from benchmarks.coverage.machines import Bench, configuration
 from benchmarks.coverage.noise import draw as draw_noise
 from benchmarks.harness.statistics import half_width
 from oed import posterior
-from oed.accuracy.maps import driven_errors
+from oed.accuracy import driven_errors
 from oed.estimation import Estimate, identify
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _combinations(
 
 def true_coordinates(bench: Bench, estimate: Estimate, exact: np.ndarray) -> np.ndarray:
     """Coordinates (r,) whose readings are the exact ones (N,)."""
-    return estimate.coordinates.of_readings(
+    return estimate.coordinates.match_readings(
         bench.measurement, bench.series, exact, estimate.z
     )
 

@@ -13,12 +13,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from oed import dataset
+from oed import dataset, gap
 from oed.effect_model import Effect
-from oed.gap import procedure
-from oed.gap.data import problem as problem_of
-from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.problem import GapProblem
+from oed.gap import Diagnosis, GapProblem
 from oed.measurement import Measurement
 from oed.noise import NoiseLaw
 from oed.result import AnswerRecord, ClosureRecord
@@ -61,7 +58,7 @@ def prepare(study: Path, readings: Path) -> tuple[GapProblem, tuple[Effect, ...]
     """
     measurement, effects, gravity = bench(study)
     data = dataset.load(readings, measurement)
-    problem = problem_of.prepare(
+    problem = gap.prepare(
         measurement, data.series, data.y, data.covariates, gravity=gravity
     )
     return problem, effects
@@ -77,7 +74,7 @@ def diagnose(
     problem, effects = prepare(study, readings)
     known = None if law is None else law(problem)
     rng = np.random.default_rng(stream)
-    return diagnosis_record(procedure.diagnose(problem, effects, rng, law=known))
+    return diagnosis_record(gap.diagnose(problem, effects, rng, law=known))
 
 
 def record_or_failure(work: Callable[[], Record]) -> Record:

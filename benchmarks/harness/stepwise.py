@@ -15,8 +15,7 @@ import numpy as np
 
 from benchmarks.harness.diagnosis import Record, prepare
 from oed.base import Array, Index
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem, Metric
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Library
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem
 from oed.noise import NoiseLaw
 
 

@@ -19,10 +19,9 @@ from benchmarks.random_machines import cases
 from benchmarks.random_machines.cases import Case
 from oed import build_study, identify, read_readings
 from oed.effect_model import Effect
+from oed.gap import GapProblem, assemble
 from oed.gap.cause import searches
 from oed.gap.cause.compare import compare, probabilities
-from oed.gap.data import problem
-from oed.gap.data.problem import GapProblem
 from pkm_studies.resolve import gap_request
 
 FACTOR = 1000.0
@@ -105,7 +104,7 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
         request = gap_request(study, state.resolved.machine)
     readings, estimate = state.readings, state.estimate
     assert readings.covariates is not None
-    residuals = problem.assemble(
+    residuals = assemble(
         state.measurement,
         readings.series,
         readings.covariates,

@@ -37,10 +37,7 @@ from oed.corrected import (
 )
 from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
 from oed.estimation import Discrepancy, Estimate, identify
-from oed.gap import procedure
-from oed.gap.data import problem as problems
-from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.problem import GapProblem
+from oed.gap import Diagnosis, GapProblem, assemble, explain_residuals, prepare
 
 #: draws of an estimate that are judged, and of an answer
 DRAWS, ANSWER_DRAWS = 200, 400
@@ -84,7 +81,7 @@ def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     record["law"] = judge(bench, law.theta, _normal_draws(law, rng))
     started = time.process_time()
     plain = identify(bench.measurement, bench.series, bench.y)
-    problem = problems.assemble(
+    problem = assemble(
         bench.measurement,
         bench.series,
         bench.covariates,
@@ -148,7 +145,7 @@ def _normal_draws(estimate: Estimate, rng: np.random.Generator) -> Array:
 
 
 def tool_shifts(
-    bench: world.Bench, problem: problems.GapProblem, columns: ExpectedColumns
+    bench: world.Bench, problem: GapProblem, columns: ExpectedColumns
 ) -> Array:
     """Displacements (n, 3, k) of the tool at the session's rows per unit of each column."""
     machine = bench.measurement.machine
@@ -246,14 +243,14 @@ def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     record: dict[str, Any] = dict(bench.case)
     rng = np.random.default_rng([seed, round(setting["size"])])
     started = time.process_time()
-    problem = problems.prepare(
+    problem = prepare(
         bench.measurement,
         bench.series,
         bench.y,
         bench.covariates,
         gravity=bench.gravity,
     )
-    diagnosis = procedure.explain_residuals(problem, bench.effects, rng)
+    diagnosis = explain_residuals(problem, bench.effects, rng)
     record["seconds_diagnosis"] = time.process_time() - started
     started = time.process_time()
     alone = identify(bench.measurement, problem.series, bench.y, estimate_noise=True)

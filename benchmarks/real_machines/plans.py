@@ -18,11 +18,8 @@ allowed. Judged is the true error of the tool point once the parameters are comp
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import dataclasses
+import os
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -36,9 +33,12 @@ from oed.base import Array, Index
 from oed.design import CRITERIA, Candidates, choose
 from oed.effects import PlannedEffects, expected_columns
 from oed.estimation import Discrepancy, identify
-from oed.gap.data import problem as problems
+from oed.gap import assemble
 from oed.identifiability import prior_information
 from pkm_studies.resolve import effects_of_planned, pose_error_slopes
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
 
 #: sizes of effects that a plan is made for, and that a machine has; all readings
 SIZES, ALL = ("rigid", "typical", "full"), "all readings"
@@ -108,7 +108,7 @@ class Problem:
 
     def plan(self, size: int, rng: np.random.Generator) -> Index:
         """The readings that serve this machine best."""
-        criterion = CRITERIA.over("I", self.factor.shape[1], self.factor[None])
+        criterion = CRITERIA.build("I", self.factor.shape[1], self.factor[None])
         choice = choose(
             self.blocks, size, rng, criterion, prior=self.prior, certify=False
         )
@@ -181,7 +181,7 @@ def _realised(bench: world.Bench, indices: Index, seed: int) -> dict[str, float]
     series, numbers = _taken(bench, indices)
     y, rows = bench.y[numbers], bench.covariates.iloc[indices].reset_index(drop=True)
     plain = identify(measurement, series, y)
-    gap_problem = problems.assemble(
+    gap_problem = assemble(
         measurement, series, rows, plain.theta, y, gravity=bench.gravity
     )
     columns = expected_columns(gap_problem, bench.effects)

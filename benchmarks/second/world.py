@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness.worlds import Case
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem
 from oed.noise import NoiseLaw
 
 HERE = Path(__file__).resolve().parent
@@ -124,7 +124,7 @@ def true_law(problem: GapProblem, law: Mapping[str, Any]) -> NoiseLaw:
     changed = dataclasses.replace(
         stated,
         scale=within * stated.scale,
-        carried=np.array([(carried / within) ** 2]),
+        correlated=np.array([(carried / within) ** 2]),
         reach=np.array([-1.0 / math.log(correlation)]),
         level=np.array([law.get("repeat_over_sigma", 0.0) / within]),
     )

@@ -31,14 +31,15 @@ from benchmarks.harness.judge import SIX, Scored
 from benchmarks.harness.statistics import share
 from benchmarks.second.world import GENERATOR, MACHINES, write_case
 from benchmarks.visits import later
-from oed import units
+from oed import gap, units
 from oed.base import Array
-from oed.gap import procedure
-from oed.gap.before import repeats, second_visit
-from oed.gap.before.second_visit import SecondVisit
-from oed.gap.data import problem as problem_of
-from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.problem import GapProblem
+from oed.gap import (
+    Diagnosis,
+    GapProblem,
+    SecondVisit,
+    explain_residuals,
+    propose_second_visit,
+)
 
 MM = 1e-3
 #: kind and severity of the cases, in turn
@@ -83,21 +84,18 @@ def _record(
         make.write(first.case, first.y, first.label, stem)
         problem, effects = prepare(*write_case(stem, Path(folder) / "study"))
     rng = np.random.default_rng(key)
-    diagnosis = procedure.explain_residuals(problem, effects, rng)
+    diagnosis = explain_residuals(problem, effects, rng)
     record = {
         "acting": [e["effect"] for e in first.label["effects"]],
         "first": _judge(first.label, diagnosis),
         "readings": sum(len(s) for s in problem.series),
         "visited": False,
     }
-    if not second_visit.needs_second_visit(diagnosis):
-        return record
-    candidates = repeats.candidate_runs(diagnosis.problem)
-    visit = second_visit.propose(diagnosis, effects, candidates, rng)
+    visit = propose_second_visit(diagnosis, effects, rng)
     if visit is None:
         return record
     both = _both(make, first, problem, visit)
-    second = procedure.explain_residuals(both, effects, rng)
+    second = explain_residuals(both, effects, rng)
     return record | {
         "visited": True,
         "further": sum(len(s) for s in visit.series),
@@ -172,7 +170,7 @@ def _both(
     y, clock = later.visit_again(make, first, runs)
     covariates = _with_time(visit, clock, runs)
     series = [*problem.series, *visit.series]
-    return problem_of.prepare(
+    return gap.prepare(
         problem.measurement,
         series,
         np.concatenate([problem.y, MM * np.round(y, 6)]),

@@ -18,9 +18,7 @@ import _draw
 import numpy as np
 
 from oed import dataset
-from oed.gap.data import problem as problem_of
-from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.procedure import diagnose
+from oed.gap import Diagnosis, diagnose, prepare
 from pkm_reports import style
 from pkm_studies import stages, study
 from pkm_studies.resolve import gap_request, resolve
@@ -35,7 +33,7 @@ with tempfile.TemporaryDirectory() as folder:
 
 
 def diagnosis_with(covariates) -> Diagnosis:
-    problem = problem_of.prepare(
+    problem = prepare(
         measurement, data.series, data.y, covariates, gravity=request.gravity
     )
     return diagnose(problem, request.effects, np.random.default_rng(study_file.seed))

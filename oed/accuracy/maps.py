@@ -49,11 +49,14 @@ def error_maps(
     reference: Reference = "home",
     tool: Array = NO_TOOL,
     further: tuple[Array, Array] | None = None,
+    parameters: Array | None = None,
 ) -> ErrorMaps:
     """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError.
 
-    `further` are twists (n + 1, 6, m) per unit of m coefficients, raw and remaining,
-    the home pose last; the maps are then over them in place of the parameters.
+    tool        tool point in the platform's frame; home is home with this tool
+    further     twists (n + 1, 6, m) per unit of m coefficients, raw and remaining, the
+                home pose last; the maps are then over them in place of the parameters
+    parameters  (np,) of the machine about which the maps hold; nominal by default
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
@@ -65,8 +68,10 @@ def error_maps(
     >>> maps.names
     ('y', 'z')
     """
-    maps = maps_by_reference(kinematics, command, (reference,), tool, further)
-    return maps[reference]
+    of_one = (reference,)
+    return maps_by_reference(kinematics, command, of_one, tool, further, parameters)[
+        reference
+    ]
 
 
 def maps_by_reference(
@@ -77,11 +82,7 @@ def maps_by_reference(
     further: tuple[Array, Array] | None = None,
     parameters: Array | None = None,
 ) -> dict[Reference, ErrorMaps]:
-    """Error maps against several references, as `error_maps`.
-
-    tool        tool point in the platform's frame; home is home with this tool
-    parameters  (np,) of the machine about which the maps hold; nominal by default
-    """
+    """Error maps against several references, as `error_maps`."""
     machine = kinematics.machine
     home_command = machine.and_home(command, tool)[-1:]
     model = error_model(kinematics, command, tool, parameters)
@@ -151,11 +152,11 @@ def _relative(
         carry[:, 3:, 3:] = model.rotation @ home.rotation[0].T
         return twist - carry @ home_twist
     if reference == "best_fit":
-        return _without_rigid_motion(twist, model.point, lever)
+        return _remove_rigid_motion(twist, model.point, lever)
     raise ValueError(f"reference {reference!r} is none of {get_args(Reference)}")
 
 
-def _without_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
+def _remove_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
     """Twists (n, 6, m) less the rigid motion that fits them best.
 
     point  (n, 3) tool points, m

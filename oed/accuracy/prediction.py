@@ -24,34 +24,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.accuracy.maps import (
-    ErrorMaps,
-    Reference,
-    error_maps,
-    maps_by_reference,
-    relative_to_reference,
-)
+from oed.accuracy.maps import ErrorMaps, Reference
 from oed.base import Array
 from oed.linear_algebra import covariance_root
 from oed.result import CompensationName, SpreadRecord
 
-__all__ = [
-    "ErrorMaps",
-    "Prediction",
-    "Reference",
-    "Spread",
-    "error_maps",
-    "error_spread",
-    "maps_by_reference",
-    "predict",
-    "relative_to_reference",
-]
-
-#: virtual machines drawn for the 95th percentile and the largest error, and how many
-#: at least where the errors of all would take too much memory
-VIRTUAL_MACHINES, LEAST_MACHINES = 2000, 400
+#: virtual machines drawn for the 95th percentile and the largest error
+N_MACHINES = 2000
 #: errors of all machines, poses and components, at most
-MOST_ERRORS = 12_000_000
+MAX_ERRORS = 12_000_000
 #: ends of the interval that holds 95 % of the machines
 INTERVAL = (0.025, 0.975)
 
@@ -72,7 +53,7 @@ class Spread:
     p95_interval      the same of each machine's 95th percentile
     largest_interval  the same of each machine's largest error
     rms_quantiles     of the rms over the workspace of one machine, at the probabilities
-                      `oed.result.prediction.LEVELS`
+                      `oed.result.SpreadRecord.LEVELS`
     monte_carlo       {figure: standard errors that the number of machines leaves}: of
                       `rms` where it is drawn, of `p95`, `largest`, and of both ends of
                       the intervals
@@ -88,6 +69,42 @@ class Spread:
     monte_carlo: Mapping[str, tuple[float, ...]] = dataclasses.field(
         default_factory=dict
     )
+
+    @classmethod
+    def of_errors(cls, errors: Array, worth: float | None = None) -> Spread:
+        """Spread of the errors (machines, n), SI, of one pose component.
+
+        worth  number of independent machines that these are worth; all by default
+        """
+        size = np.abs(errors)
+        of_machine = {
+            "rms": np.sqrt(np.mean(size**2, axis=1)),
+            "p95": np.quantile(size, 0.95, axis=1),
+            "largest": size.max(axis=1),
+        }
+        rms = root_mean_square(size, worth)
+        p95 = pooled_quantile(size, 0.95, worth)
+        largest = quantile(of_machine["largest"], 0.95, worth)
+        intervals: dict[str, Interval] = {}
+        errors_of: dict[str, tuple[float, ...]] = {
+            "rms": (rms.error,),
+            "p95": (p95.error,),
+            "largest": (largest.error,),
+        }
+        for name, values in of_machine.items():
+            low, high = (quantile(values, end, worth) for end in INTERVAL)
+            intervals[f"{name}_interval"] = (low.value, high.value)
+            errors_of[f"{name}_interval"] = (low.error, high.error)
+        return cls(
+            rms=rms.value,
+            p95=p95.value,
+            largest=largest.value,
+            rms_quantiles=tuple(
+                np.quantile(of_machine["rms"], SpreadRecord.LEVELS).tolist()
+            ),
+            monte_carlo=errors_of,
+            **intervals,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,7 +158,7 @@ def predict(
              `posterior` is the second moment; normal draws by default
     worth    number of independent draws that these are worth; m by default
     variance (n, k) of the errors that delta causes, where it is known better than by
-             the maps (`oed.accuracy.budget.lines`); draws are scaled to it
+             the maps (`oed.accuracy.budget`); draws are scaled to it
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
@@ -264,48 +281,12 @@ def _ratio(exact: Array, linear: Array) -> Array:
     return scale
 
 
-def error_spread(errors: Array, worth: float | None = None) -> Spread:
-    """Spread of the errors (machines, n), SI, of one pose component.
-
-    worth  number of independent machines that these are worth; all by default
-    """
-    size = np.abs(errors)
-    of_machine = {
-        "rms": np.sqrt(np.mean(size**2, axis=1)),
-        "p95": np.quantile(size, 0.95, axis=1),
-        "largest": size.max(axis=1),
-    }
-    rms = root_mean_square(size, worth)
-    p95 = pooled_quantile(size, 0.95, worth)
-    largest = quantile(of_machine["largest"], 0.95, worth)
-    intervals: dict[str, Interval] = {}
-    errors_of: dict[str, tuple[float, ...]] = {
-        "rms": (rms.error,),
-        "p95": (p95.error,),
-        "largest": (largest.error,),
-    }
-    for name, values in of_machine.items():
-        low, high = (quantile(values, end, worth) for end in INTERVAL)
-        intervals[f"{name}_interval"] = (low.value, high.value)
-        errors_of[f"{name}_interval"] = (low.error, high.error)
-    return Spread(
-        rms=rms.value,
-        p95=p95.value,
-        largest=largest.value,
-        rms_quantiles=tuple(
-            np.quantile(of_machine["rms"], SpreadRecord.LEVELS).tolist()
-        ),
-        monte_carlo=errors_of,
-        **intervals,
-    )
-
-
 def _spread(errors: Array, rms: Array, worth: float | None) -> Spread:
     """Spread of drawn errors (machines, n) of a component, of exact rms (n,).
 
     Only the percentile and the largest error need the draws.
     """
-    drawn = error_spread(errors, worth)
+    drawn = Spread.of_errors(errors, worth)
     exact = float(np.sqrt(np.mean(rms**2)))
     others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
     return dataclasses.replace(drawn, rms=exact, monte_carlo=others)
@@ -314,7 +295,7 @@ def _spread(errors: Array, rms: Array, worth: float | None) -> Spread:
 def _machines(maps: ErrorMaps) -> int:
     """Number of virtual machines whose errors at all poses fit into the memory."""
     of_machine = maps.raw.shape[0] * maps.raw.shape[1]
-    return int(np.clip(MOST_ERRORS // of_machine, LEAST_MACHINES, VIRTUAL_MACHINES))
+    return int(np.clip(MAX_ERRORS // of_machine, 400, N_MACHINES))
 
 
 def _draw(covariance: Array, rng: np.random.Generator, count: int) -> Array:

@@ -5,6 +5,7 @@ Array          an array of numbers
 Index          an array of indices
 Mask           an array of truth values
 rows_by_label  the rows of each label
+consecutive_slices  slices of some sizes, one after the other
 grid_nodes     the nodes of a rectilinear grid
 Orientation    three angles of a platform, by their order
 rotation       rotations about axes, one after the other
@@ -26,7 +27,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oed.base.arrays import Array, Index, Mask, grid_nodes, rows_by_label
+    from oed.base.arrays import (
+        Array,
+        Index,
+        Mask,
+        consecutive_slices,
+        grid_nodes,
+        rows_by_label,
+    )
     from oed.base.orientation import (
         Orientation,
         along,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,12 @@ def rows_by_label(labels: NDArray[np.str_]) -> list[Index]:
     _, number, counts = np.unique(labels, return_inverse=True, return_counts=True)
     order = np.argsort(number, kind="stable")
     return np.split(order, np.cumsum(counts)[:-1])
+
+
+def consecutive_slices(sizes: Sequence[int]) -> tuple[slice, ...]:
+    """Slices of these sizes, one after the other."""
+    ends = np.cumsum(sizes, dtype=int).tolist()
+    return tuple(slice(end - size, end) for size, end in zip(sizes, ends, strict=True))
 
 
 def grid_nodes(knots: tuple[Array, ...]) -> Array:

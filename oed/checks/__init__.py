@@ -1,32 +1,36 @@
-"""Checks of readings before they are fitted: ranges, mistakes, outliers, copies.
+"""Checks of readings before they are fitted: mistakes, outliers, copies, times.
 
-session    readings as checks use them
-ranges     predicted range of every reading
-fit        fit within the tolerances, and what all others predict of a reading
-outliers   readings that all others contradict, to set aside or in doubt; far_reading: one of
-           them, outlier_odds: the odds of a gross error and of its place
-mistakes   the usual mistakes, undone
-explain    which mistake explains readings that do not fit
-change     a change between two parts of a session
-copies     readings that no instrument took
-senses     order and direction of runs that contradict each other
-times      times that contradict the order of readings, or each other
-goodness   residuals against the stated noise
-blind      mistakes that readings cannot reveal
-check      all of them on one session
+CheckFinding           what is wrong, in a sentence, and how harmful it is
+CheckedSession         a session with its findings, its outliers and what explains them
+Explanation            a mistake that explains readings which do not fit
+FarReading             a reading far from what all others predict of it
+Goodness               residuals against the stated noise
+PHYSICAL_KINDS         kinds of mistakes that an effect of the machine can mimic
+SessionReadings        readings as checks use them
+Severity               how harmful a finding is
+check_session          all checks on one session
+goodness_of_delivered  goodness of the parameters that are delivered
+misfits                how far readings miss with and without a mistake, in words
+predict_ranges         predicted range of every reading
+session_readings       the readings of series, for checks
+unseen_mistakes        mistakes that readings cannot reveal
 """
 
-from oed.checks.check import CheckedSession, check_session
-from oed.checks.findings import CheckFinding, Severity
-from oed.checks.goodness import Goodness
-from oed.checks.session import SessionReadings, session
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "CheckFinding",
-    "CheckedSession",
-    "Goodness",
-    "SessionReadings",
-    "Severity",
-    "check_session",
-    "session",
-]
+from oed.base import door
+
+if TYPE_CHECKING:
+    from oed.checks.blind import unseen_mistakes
+    from oed.checks.check import CheckedSession, check_session
+    from oed.checks.explain import Explanation
+    from oed.checks.findings import CheckFinding, Severity
+    from oed.checks.fit import Goodness
+    from oed.checks.judgement import goodness_of_delivered
+    from oed.checks.mistakes import PHYSICAL_KINDS
+    from oed.checks.outlier_odds import FarReading
+    from oed.checks.sentences import misfits
+    from oed.checks.session import SessionReadings, predict_ranges, session_readings
+else:
+    # imported when first used: a plan checks no readings
+    __getattr__ = door(__name__)

@@ -13,21 +13,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.checks.fit import CANNOT_BE, fit
-from oed.checks.mistakes import Given, MistakeTrial, trials
+from oed.checks.mistakes import MistakeTrial, Suspect, trials
 from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
 from oed.measurement import Measurement, draw_parameters
 
 #: penalised sum of squares that noise-free readings may gain without a trace
-UNSEEN = 25.0
-#: scale of the noise, in the linear model, beyond which a mistake is not fitted
-FAR = 100.0
+MAX_GAIN = 25.0
 #: kinds that rescale the noise, and show in it, or that need mistaken readings
-SEEN = ("unit", "deviation", "sorting", "disorder", "copied")
+SEEN_KINDS = ("unit", "deviation", "sorting", "disorder", "copied")
 #: factors on readings, and on their noise, that a few readings do not tell
-FACTORS = (0.5, 2.0)
+UNSEEN_FACTORS = (0.5, 2.0)
 #: mistakes of a kind that a sentence names
-NAMED = 3
+MAX_NAMED = 3
 
 
 def unseen_mistakes(
@@ -44,34 +42,34 @@ def unseen_mistakes(
     plain = fit(exact)
     if plain is None:
         return []
-    limit = plain.penalised + UNSEEN
+    limit = plain.penalised + MAX_GAIN
     by_kind: dict[str, list[str]] = {}
-    for trial in _trials(Given(exact, with_amounts=False)):
+    for trial in _trials(Suspect(exact, with_amounts=False)):
         if _fits(exact, trial, limit):
-            words = trial.words(trial.amounts, trial.amounts)
-            by_kind.setdefault(trial.kind, []).append(words)
+            text = trial.text(trial.amounts, trial.amounts)
+            by_kind.setdefault(trial.kind, []).append(text)
     return [_together(sentences) for sentences in by_kind.values()]
 
 
 def _together(sentences: list[str]) -> str:
     """Mistakes of one kind, the first of them in words."""
-    text = "; or ".join(sentences[:NAMED])
-    more = len(sentences) - NAMED
+    text = "; or ".join(sentences[:MAX_NAMED])
+    more = len(sentences) - MAX_NAMED
     return f"{text}; or {more} others of this kind" if more > 0 else text
 
 
-def _trials(given: Given) -> Iterator[MistakeTrial]:
+def _trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Mistakes of the file and of set-ups, without amounts, that may be unseen."""
-    every = [t for t in trials(given) if _is_whole(t)]
-    scores = Screening(given).scores(every)
+    every = [t for t in trials(data) if _is_whole(t)]
+    scores = Screening(data).scores(every)
     for trial, score in zip(every, scores, strict=True):
-        if np.isfinite(score.log_evidence) and score.scale <= FAR:
+        if np.isfinite(score.log_evidence) and score.scale <= 100.0:
             yield trial
 
 
 def _is_whole(trial: MistakeTrial) -> bool:
     """Whether a mistake concerns all readings of a set-up, and has one form."""
-    if trial.kind in SEEN or trial.scope.level not in ("file", "set-up"):
+    if trial.kind in SEEN_KINDS or trial.scope.level not in ("file", "set-up"):
         return False
     has_form = not len(trial.amounts) and trial.estimated is None
     moves = trial.missing is None and trial.parts is None and trial.columns is None
@@ -84,7 +82,7 @@ def _is_of_noise(trial: MistakeTrial) -> bool:
         return True
     count = max(int((trial.mistaken != trial.y).sum()), 1)
     factor = float(np.exp(-trial.log_scale / count))
-    return min(FACTORS) - 0.1 < factor < max(FACTORS) + 0.1
+    return min(UNSEEN_FACTORS) - 0.1 < factor < max(UNSEEN_FACTORS) + 0.1
 
 
 def _fits(exact: SessionReadings, trial: MistakeTrial, limit: float) -> bool:

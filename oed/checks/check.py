@@ -9,29 +9,94 @@ import numpy as np
 
 from oed.base import Array, Index, Mask
 from oed.checks import copies, sentences
-from oed.checks.conditions import doubtful_conditions
 from oed.checks.explain import Explanation, explain
-from oed.checks.findings import CheckFinding, Severity
-from oed.checks.fit import fit
-from oed.checks.goodness import Goodness, goodness
+from oed.checks.findings import CheckFinding, Severity, listing
+from oed.checks.fit import Goodness, fit, goodness
 from oed.checks.judgement import Judgement, judge
-from oed.checks.mistakes import PHYSICAL
+from oed.checks.mistakes import PHYSICAL_KINDS
 from oed.checks.outliers import OutlierSearch
-from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.senses import contradictions
-from oed.checks.session import SessionReadings
+from oed.checks.session import Ranges, SessionReadings, predict_ranges
 from oed.checks.times import wrong_times
+from oed.dataset import ReadingsColumn, temperature_body
 from oed.measurement import Measurement
 from oed.trust import ALARM_PROBABILITY
 
+# Covariates that no workshop has: temperatures in kelvin, loads of a thousand tons.
+
+#: least and largest value, SI, that machines work at, by the beginning of the name: a
+#: body's temperature (C, or a difference), a speed (300 m/min), a load of 10 t, a tension
+RANGES = {
+    "temp_": (-60.0, 150.0),
+    "feed": (0.0, 5.0),
+    "payload": (0.0, 1e5),
+    "tension_": (0.0, 1e6),
+}
+#: 0 C in kelvin
+ZERO_CELSIUS = 273.15
+#: the lowest temperature at which machines work, K
+COLDEST_KELVIN = 213.15
+
+
+def doubtful_conditions(session: SessionReadings) -> list[CheckFinding]:
+    """Covariates outside the range that machines work at, by column and row."""
+    findings = []
+    frame = session.values.iloc[session.firsts]
+    for column in filter(None, map(ReadingsColumn.of_covariate, frame.columns)):
+        stem = column.stem
+        limits = next((v for k, v in RANGES.items() if stem.startswith(k)), None)
+        if limits is None:
+            continue
+        values = frame[stem].to_numpy(dtype=float)
+        outside = np.isfinite(values) & ((values < limits[0]) | (values > limits[1]))
+        if outside.any():
+            findings.append(_doubt(session, column, limits, values, outside))
+    return findings
+
+
+def _doubt(
+    session: SessionReadings,
+    column: ReadingsColumn,
+    limits: tuple[float, float],
+    values: Array,
+    outside: Mask,
+) -> CheckFinding:
+    name, factor = column.name, column.factor
+    rows = session.rows(np.flatnonzero(outside))
+    ends = values[outside].min(), values[outside].max()
+    unit = name.removeprefix(f"{column.stem}_")
+    between = f"{ends[0] / factor:.6g}"
+    if ends[1] > ends[0]:
+        between += f" to {ends[1] / factor:.6g}"
+    lower, upper = (limit / factor for limit in limits)
+    sentence = (
+        f"{name} is {between} in {len(rows)} row{'s' if len(rows) > 1 else ''}"
+        f" ({listing(rows)}), outside {lower:.6g} to {upper:.6g} {unit}:"
+        f" {_cause(column.stem, *ends, limits[1])}."
+    )
+    return CheckFinding(Severity.ORDER, "condition", sentence, rows)
+
+
+def _cause(stem: str, least: float, largest: float, upper: float) -> str:
+    if temperature_body(stem):
+        if least >= COLDEST_KELVIN and largest <= ZERO_CELSIUS + upper:
+            return f"kelvin, not Celsius? Subtract {ZERO_CELSIUS}"
+        if least < -ZERO_CELSIUS:
+            return "nothing is below absolute zero; leave the cell empty where it is unknown"
+        return "a sensor's mark of no value? Leave the cell empty where it is unknown"
+    if least < 0.0:
+        return "it cannot be negative; correct the sign, or leave the cell empty"
+    if largest <= 1e3 * upper:
+        return "in a finer unit than that of the column?"
+    return "correct it, or leave the cell empty where it is unknown"
+
+
 #: values from which on mistakes are tried: fewer fit too many of them
-LEAST_VALUES = 8
-#: outliers that are tried as an exchanged pair, at most
-MOST_PAIRED = 6
+MIN_VALUES = 8
 #: kinds of findings on how large the residuals are
 FIT_KINDS = ("fit", "guess", "law", "too_small")
 #: residuals over the stated noise from which on it is said that a law explains them
-LARGE_BY_LAW = 2.0
+RATIO_BY_LAW = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,10 +133,10 @@ class CheckedSession:
 
         Where that fit does not use the law, the readings are judged by the check's.
         """
-        known = self.goodness
-        if fitted.law_p_high is None and known is not None:
+        checked = self.goodness
+        if fitted.law_p_high is None and checked is not None:
             fitted = dataclasses.replace(
-                fitted, law_p_low=known.law_p_low, law_p_high=known.law_p_high
+                fitted, law_p_low=checked.law_p_low, law_p_high=checked.law_p_high
             )
         findings = [f for f in self.findings if f.kind not in FIT_KINDS]
         findings += _fit_findings(
@@ -93,7 +158,7 @@ class CheckedSession:
         """
         mimicked, others = 0.0, 0.0
         for one in self.explanations:
-            if one.kind in PHYSICAL:
+            if one.kind in PHYSICAL_KINDS:
                 mimicked += one.probability
             else:
                 others += one.probability
@@ -129,7 +194,7 @@ def check_session(
 
     `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
     in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
-    to `oed.trust.GUESS` times as large are no bad fit. Raises AssemblyError where
+    to `oed.trust.GUESS_RATIO` times as large are no bad fit. Raises AssemblyError where
     the nominal machine cannot be read.
     """
     ranges = predict_ranges(session, rng)
@@ -171,7 +236,7 @@ def _explanations(
     """Mistakes, where the readings without their outliers do not fit."""
     outliers, fitted = judgement.outliers, judgement.fitted
     is_small = judgement.stated and fitted is not None and fitted.too_small
-    if len(session) < LEAST_VALUES or (judgement.stated and not is_small):
+    if len(session) < MIN_VALUES or (judgement.stated and not is_small):
         return []
     solution = None if outliers is None else outliers.rest
     if is_small:
@@ -180,9 +245,9 @@ def _explanations(
         return explain(session, solution, measurement)
     # what an effect can mimic, the noise law holds as well here
     likely = explain(session, solution, measurement, thorough=False)
-    if likely and likely[0].kind in PHYSICAL:
+    if likely and likely[0].kind in PHYSICAL_KINDS:
         return []
-    return [one for one in likely if one.kind not in PHYSICAL]
+    return [one for one in likely if one.kind not in PHYSICAL_KINDS]
 
 
 def _fit_findings(
@@ -204,7 +269,7 @@ def _fit_findings(
         return []
     if fitted.too_large:
         return [sentences.guessed(fitted.ratio, outliers)]
-    if fitted.p_high < ALARM_PROBABILITY and fitted.ratio > LARGE_BY_LAW:
+    if fitted.p_high < ALARM_PROBABILITY and fitted.ratio > RATIO_BY_LAW:
         return [sentences.explained_by_law(fitted, outliers)]
     if fitted.too_small:
         return [sentences.too_small(fitted, outliers)]
@@ -249,7 +314,7 @@ def _exchanged(
 ) -> tuple[int, int] | None:
     """Two outliers that fit where the other one stands, by number."""
     numbers = [one.reading for one in outliers.far]
-    if not 2 <= len(numbers) <= MOST_PAIRED:
+    if not 2 <= len(numbers) <= 6:
         return None
     reading = session.reading_of_value
     for i, first in enumerate(numbers):

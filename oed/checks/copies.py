@@ -13,15 +13,11 @@ from oed.checks.session import SessionReadings
 from oed.measurement import Series
 
 #: probability that a correct session has as many equal readings
-FALSE_ALARM = 1e-5
-#: digits after the decimal point in a column's unit that are looked at
-DIGITS = 9
+COPY_FALSE_ALARM = 1e-5
 #: share of the stated noise within which a reading is one of the nominal machine
-NOMINAL = 0.1
-#: share of a session's readings that are nominal where they were computed
-COMPUTED = 0.3
+NOMINAL_SHARE = 0.1
 #: rounding steps, in the stated noise, from which on they matter
-COARSE = 3.0
+COARSE_STEPS = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +38,7 @@ def resolution(session: SessionReadings, members: Index) -> float:
     values = session.y[members] / factor
     if np.ptp(values) <= 1e-9 * np.abs(values).max(initial=0.0):
         return 0.0
-    for digits in range(-2, DIGITS + 1):
+    for digits in range(-2, 9 + 1):
         step = 10.0**-digits
         rest = values / step - np.round(values / step)
         tolerance = 1e-9 * np.maximum(1.0, np.abs(values / step))
@@ -89,14 +85,14 @@ def interpolated_readings(session: SessionReadings) -> Index:
         y = session.y[members]
         bend = y[:-2] - 2.0 * y[1:-1] + y[2:]
         # half a step of rounding, twice
-        at = np.abs(bend) <= 1.001 * step
-        between += session.reading_of_value[members[1:-1][at]].tolist()
+        is_mean = np.abs(bend) <= 1.001 * step
+        between += session.reading_of_value[members[1:-1][is_mean]].tolist()
         noise = 2.0 * float(
             np.median(session.measurement.sigma(session.series)[members])
         )
         wide = np.sqrt(2.0 * np.pi) * max(_spread(bend), noise)
         expected += len(bend) * min(3.0 * step / wide, 1.0)
-    if not between or special.pdtrc(len(between) - 1, expected) >= FALSE_ALARM:
+    if not between or special.pdtrc(len(between) - 1, expected) >= COPY_FALSE_ALARM:
         return np.empty(0, dtype=np.intp)
     return np.unique(np.array(between, dtype=np.intp))
 
@@ -136,7 +132,7 @@ def _unlikely(
     expected += float(within @ [agreement(run) for run in runs])
     expected += max(_pairs(np.array([n])) - within.sum(), 0.0) * agreement(table)
     at_least_as_many = special.pdtrc(pairs - 1, expected)
-    return bool(at_least_as_many < FALSE_ALARM)
+    return bool(at_least_as_many < COPY_FALSE_ALARM)
 
 
 def _pairs(sizes: Index) -> float:
@@ -160,13 +156,13 @@ def computed_readings(session: SessionReadings, nominal: Array, sd: Array) -> In
     """
     sigma = session.measurement.sigma(session.series)
     reading = session.reading_of_value
-    close = NOMINAL * sigma + np.minimum(_rounding(session), sigma)
+    close = NOMINAL_SHARE * sigma + np.minimum(_rounding(session), sigma)
     shown = session.shown
     near = shown & (np.abs(session.y - nominal) <= close)
     density = 2.0 * close / (np.sqrt(2.0 * np.pi) * sd)
     expected = float(np.minimum(density, 1.0)[shown].sum())
     count = int(near.sum())
-    if not count or count < COMPUTED * shown.sum() or 3.0 * expected > count:
+    if not count or count < 0.3 * shown.sum() or 3.0 * expected > count:
         return np.empty(0, dtype=np.intp)
     return np.unique(reading[near])
 
@@ -218,7 +214,7 @@ def _coarse_runs(
         one = _coarse(session, channel, members)
         if one is None or usual <= 0.0:
             continue
-        if len(runs) * (usual / one.step) ** len(members) < FALSE_ALARM:
+        if len(runs) * (usual / one.step) ** len(members) < COPY_FALSE_ALARM:
             coarse.append(dataclasses.replace(one, run=str(run)))
     return coarse
 
@@ -230,7 +226,7 @@ def _coarse(
     step = resolution(session, rows)
     sigma = session.measurement.sigma(session.series)[rows]
     is_stated = step <= _stated_resolution(session, channel)
-    if is_stated or step <= COARSE * float(np.median(sigma)):
+    if is_stated or step <= COARSE_STEPS * float(np.median(sigma)):
         return None
     numbers = np.unique(session.reading_of_value[rows]).tolist()
     return CoarseReadings(channel, step, tuple(numbers))

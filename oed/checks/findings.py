@@ -7,7 +7,7 @@ import enum
 import math
 from collections.abc import Sequence
 
-from oed.dataset.file_rows import Row
+from oed.dataset import Row
 
 
 class Severity(enum.IntEnum):
@@ -46,9 +46,9 @@ class CheckFinding:
 
 
 #: digits of a number that a person reads
-DIGITS = 4
+SIGNIFICANT_DIGITS = 4
 #: rows that a sentence names, at most
-NAMED = 6
+MAX_LISTED_ROWS = 6
 
 
 def rounded(value: float, sd: float) -> str:
@@ -57,9 +57,9 @@ def rounded(value: float, sd: float) -> str:
     It has DIGITS digits at most.
     """
     if not math.isfinite(sd) or sd <= 0.0 or value == 0.0:
-        return f"{value:.{DIGITS}g}"
+        return f"{value:.{SIGNIFICANT_DIGITS}g}"
     by_sd = -math.floor(math.log10(sd))
-    by_size = DIGITS - 1 - math.floor(math.log10(abs(value)))
+    by_size = SIGNIFICANT_DIGITS - 1 - math.floor(math.log10(abs(value)))
     places = max(0, min(by_sd, by_size))
     text = f"{value:.{places}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
@@ -67,6 +67,6 @@ def rounded(value: float, sd: float) -> str:
 
 def listing(rows: Sequence[Row]) -> str:
     """`rows 3, 7, ...`."""
-    shown = ", ".join(str(k) for k in rows[:NAMED])
-    more = ", ..." if len(rows) > NAMED else ""
+    shown = ", ".join(str(k) for k in rows[:MAX_LISTED_ROWS])
+    more = ", ..." if len(rows) > MAX_LISTED_ROWS else ""
     return f"row{'s' if len(rows) > 1 else ''} {shown}{more}"

@@ -17,27 +17,28 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, special
 
-from oed.base import Array, Index
+from oed.base import Array, Index, Mask
 from oed.checks.session import SessionReadings
-from oed.estimation import Minima, minimise
+from oed.estimation import Estimate, Minima, minimise
+from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.noise import Noise
+from oed.trust import ALARM_PROBABILITY, GUESS_RATIO, noise_ratio
 
 if TYPE_CHECKING:
     from oed.checks.mistakes.trial import MistakeTrial
 
+
 #: steps of one fit
-MOST_STEPS = 30
+MAX_STEPS = 30
 #: steps by which an amount may change with no doubt: its prior is that wide
-WIDE = 1e9
-#: rounds of fit and noise, and residuals over the noise that ask for no further one
-ROUNDS, LITTLE = 4, 2.0
+AMOUNT_PRIOR_STEPS = 1e9
+#: residuals over the noise that ask for no further round
+SETTLED_RATIO = 2.0
 #: factor on the noise up to which the stated noise is tried as well
-MAY_BE_NOISE = 100.0
-#: standard deviations that amounts must be away from nothing
-SIGNIFICANT = 3.0
+MAX_STATED_SCALE = 100.0
 #: errors of poses that cannot be reached
 CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
@@ -79,7 +80,7 @@ class Fit:
     def is_significant(self) -> bool:
         """Whether the amounts are surely not nothing; true where there are none."""
         size = float(self.amounts @ self.precision @ self.amounts)
-        return not self.amounts.size or size >= SIGNIFICANT**2
+        return not self.amounts.size or size >= 3.0**2
 
     @property
     def chi2(self) -> float:
@@ -142,7 +143,7 @@ def fit_of_any_misfit(session: SessionReadings, scale: float) -> Fit | None:
     def at_scale(factor: float, before: Fit | None) -> Fit | None:
         return fit(session, None if before is None else before.theta, factor)
 
-    return _at_scale_of_misfit(at_scale, scale)
+    return _fit_scale(at_scale, scale)
 
 
 def fit_amounts(trial: MistakeTrial, scale: float) -> Fit | None:
@@ -159,10 +160,10 @@ def fit_amounts(trial: MistakeTrial, scale: float) -> Fit | None:
         start = None if before is None else before.theta
         return _Problem(undo, amounts, steps, factor).fit(start)
 
-    return _at_scale_of_misfit(at_scale, scale)
+    return _fit_scale(at_scale, scale)
 
 
-def _at_scale_of_misfit(
+def _fit_scale(
     at_scale: Callable[[float, Fit | None], Fit | None], scale: float
 ) -> Fit | None:
     """A fit with the noise as large as what remains, or with the stated one where little
@@ -172,19 +173,19 @@ def _at_scale_of_misfit(
     scale     guess of what remains, over the stated noise
     """
     fitted = at_scale(max(scale, 1.0), None)
-    for _ in range(ROUNDS):
+    for _ in range(4):
         if fitted is None:
             return None
         remains, factor = fitted.remaining(), fitted.scale
-        if factor == 1.0 and remains <= LITTLE:
+        if factor == 1.0 and remains <= SETTLED_RATIO:
             return fitted
-        if factor / LITTLE <= remains <= factor * LITTLE:
+        if factor / SETTLED_RATIO <= remains <= factor * SETTLED_RATIO:
             break
         fitted = at_scale(max(remains, 1.0), fitted if remains < factor else None)
-    if fitted is None or fitted.scale > MAY_BE_NOISE:
+    if fitted is None or fitted.scale > MAX_STATED_SCALE:
         return fitted
     stated = at_scale(1.0, fitted)
-    return fitted if stated is None or stated.remaining() > LITTLE else stated
+    return fitted if stated is None or stated.remaining() > SETTLED_RATIO else stated
 
 
 class _Problem:
@@ -203,7 +204,7 @@ class _Problem:
         self._root = session.prior_root()
         self._count = self._root.shape[1]
         self._noise = session.noise().scaled(scale)
-        weights = (np.ones(self._count), np.full(len(steps), 1.0 / WIDE))
+        weights = (np.ones(self._count), np.full(len(steps), 1.0 / AMOUNT_PRIOR_STEPS))
         self._weight = np.concatenate(weights)
         # a small reading may be the difference of lengths as large as the machine
         factors = session.measurement.reading_length_factors(session.series)
@@ -223,7 +224,7 @@ class _Problem:
             departure = linalg.solve(self._root[free], away)
         first = np.concatenate([departure, self._amounts / self._steps])
         try:
-            minima = minimise(self, first[None], weight=self._weight, steps=MOST_STEPS)
+            minima = minimise(self, first[None], weight=self._weight, steps=MAX_STEPS)
             return self._fitted(minima)
         except (*CANNOT_BE, RuntimeError):
             return None
@@ -324,3 +325,96 @@ def half_covariance(slopes: Array) -> Array:
     size = np.zeros(len(vectors))
     size[: len(singular)] = singular
     return np.asarray(vectors.T / np.hypot(1.0, size))
+
+
+# Goodness of fit against the stated noise, with a probability in both tails.
+
+
+@dataclasses.dataclass(frozen=True)
+class Goodness:
+    """How residuals compare with the stated noise.
+
+    chi2    sum of squared whitened residuals
+    dof     its expectation: values less effectively determined directions
+    p_low   probability of a smaller sum
+    p_high  probability of a larger sum
+    law_p_low, law_p_high  the same of the sum under the law that is estimated, with a
+            scatter within what a statement is good for (`oed.checks.judgement`); None
+            where no law is
+    """
+
+    chi2: float
+    dof: float
+    p_low: float
+    p_high: float
+    law_p_low: float | None = None
+    law_p_high: float | None = None
+
+    @property
+    def ratio(self) -> float | None:
+        """Residuals over the stated noise; None where too little freedom judges it."""
+        return noise_ratio(self.chi2, self.dof)
+
+    @property
+    def too_large(self) -> bool:
+        """Whether neither the stated noise nor its law explains the residuals."""
+        is_by_law = self.law_p_high is not None and (self.ratio or 0.0) <= GUESS_RATIO
+        p_high = self.law_p_high if is_by_law else self.p_high
+        return p_high is not None and p_high < ALARM_PROBABILITY
+
+    def is_bad(self, *, noise_is_a_guess: bool) -> bool:
+        """Whether neither the stated noise nor an estimated one explains the residuals."""
+        explained = noise_is_a_guess and self.chi2 <= GUESS_RATIO**2 * self.dof
+        return self.too_large and not explained
+
+    @property
+    def too_small(self) -> bool:
+        """Whether the stated noise, or its law, would leave larger residuals."""
+        return (
+            self.p_low if self.law_p_low is None else self.law_p_low
+        ) < ALARM_PROBABILITY
+
+
+def goodness(solution: Fit) -> Goodness:
+    """Goodness of a fit, by a scaled chi-squared law of the right mean and variance.
+
+    The weights of chi2 are 1 / (1 + s^2) for singular values s of the slopes, and 1
+    (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114).
+    """
+    return goodness_of(solution.chi2, solution.weights())
+
+
+def goodness_of_estimate(
+    measurement: Measurement,
+    series: Sequence[Series],
+    estimate: Estimate,
+    doubtful: Mask | None = None,
+) -> Goodness:
+    """Goodness of an estimate's parameters against the noise that the set-ups state.
+
+    doubtful  (N,) values that are fitted, and that the figures leave out
+    """
+    noise = measurement.noise(series)
+    jacobian = measurement.jacobian(series, estimate.theta)
+    slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)
+    if doubtful is None or not doubtful.any():
+        return goodness_of(estimate.chi2, residual_weights(noise.whiten(slopes)))
+    # values that are left out have no information and no misfit
+    weight = np.where(doubtful, 0.0, 1.0)
+    white = noise.whiten(weight * estimate.residuals)
+    weights = residual_weights(noise.whiten(weight[:, None] * slopes))
+    # each value left out would add a weight of 1
+    count = int(doubtful.sum())
+    return goodness_of(float(white @ white), np.sort(weights)[: len(weights) - count])
+
+
+def goodness_of(chi2: float, weights: Array) -> Goodness:
+    """Goodness of a sum of squares chi2 of terms with these weights (N,)."""
+    total, squares = float(weights.sum()), float(weights @ weights)
+    if total <= 0.0:
+        return Goodness(chi2, 0.0, 1.0, 1.0)
+    scale, freedom = squares / total, total**2 / squares
+    scaled = chi2 / scale
+    p_low = float(special.chdtr(freedom, scaled))
+    p_high = float(special.chdtrc(freedom, scaled))
+    return Goodness(chi2, total, p_low, p_high)

@@ -14,15 +14,16 @@ import numpy as np
 from scipy import linalg, special
 
 from oed.base import Array, Index, Mask
-from oed.checks.evidence import linear_readings
-from oed.checks.fit import Fit, residual_weights
-from oed.checks.goodness import (
+from oed.checks.fit import (
+    Fit,
     Goodness,
     goodness,
     goodness_of,
     goodness_of_estimate,
+    residual_weights,
 )
 from oed.checks.outliers import OutlierSearch, find_outliers
+from oed.checks.screening import linear_readings
 from oed.checks.session import CheckedLaw, SessionReadings
 from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
@@ -35,9 +36,6 @@ from oed.noise_law import (
     robust_residuals,
 )
 from oed.trust import ALARM_PROBABILITY, GUESS_RATIO
-
-#: rounds of tails and law
-ROUNDS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,13 +81,13 @@ def judge(
     if fits or ratio > GUESS_RATIO:
         return stated
     suspects = np.union1d(suspects, np.array(search.readings, dtype=np.intp))
-    by_law = _by_law(session, suspects, solution, robust=robust)
+    by_law = _judge_by_law(session, suspects, solution, robust=robust)
     if by_law is None:
         return stated
     return dataclasses.replace(by_law, stated=stated.sound)
 
 
-def _by_law(
+def _judge_by_law(
     session: SessionReadings, suspects: Index, solution: Fit, *, robust: bool
 ) -> Judgement | None:
     """The same by the law that is estimated at a fit.
@@ -140,7 +138,7 @@ def estimated_law(solution: Fit) -> tuple[CheckedLaw, ResidualModel]:
     prior = NoisePrior.of(structure, len(structure) - linear.slopes.shape[1])
     laws: Laws = Laws.stated(structure)
     z, mode = solution.departure, None
-    for _ in range(ROUNDS):
+    for _ in range(3):
         clean = robust_residuals(structure, laws, linear.residual, linear.slopes)
         model = ResidualModel(structure, clean - linear.slopes @ z, linear.slopes, z)
         mode = model.most_probable(prior, mode)
@@ -190,14 +188,14 @@ def _probabilities_under(
     Too large are residuals that are so for the largest scale which a stated one is good
     for, too small those for the least.
     """
-    stated, p_stated = _under_scale(law, model, 1.0)
-    large, p_large = _under_scale(law, model, KNOWN_TO)
-    small, _ = _under_scale(law, model, 1.0 / KNOWN_TO)
+    stated, p_stated = _scaled_probabilities(law, model, 1.0)
+    large, p_large = _scaled_probabilities(law, model, KNOWN_TO)
+    small, _ = _scaled_probabilities(law, model, 1.0 / KNOWN_TO)
     p_low, p_high = max(stated.p_low, small.p_low), max(stated.p_high, large.p_high)
     return p_low, p_high, max(p_stated, p_large)
 
 
-def _under_scale(
+def _scaled_probabilities(
     law: CheckedLaw, model: ResidualModel, scale: float
 ) -> tuple[Goodness, float]:
     """The same where single readings scatter by a factor on the stated noise."""

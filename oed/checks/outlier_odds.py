@@ -39,22 +39,294 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from oed.base import Array, Index
-from oed.checks.far_reading import LeaveOneOut
+from oed.checks.fit import CANNOT_BE, Fit
+from oed.checks.session import SessionReadings
+from oed.dataset import ReadingsColumn
+from oed.measurement import Series
+from oed.noise import Noise
 from oed.noise_law import NORMAL, ErrorDensity, StudentT, scale_over_stated
 
-#: readings that are combined, and most in one set
-CANDIDATES, MOST = 60, 3
+# What all other readings predict of each, and how far readings are from it.
+#
+# With C the covariance of readings about those of the nominal machine (`oed.checks.fit`) and
+# P its inverse, all others predict a value to within (P r)_i / P_ii, of variance 1 / P_ii.
+# A gross error is of one reading. Neighbours of a run that are off the same way, and many
+# readings of one sign, are the work of an effect that is not in the model.
+#
+# A person may have typed another number: digits exchanged, a sign, a point.
+
+#: how many times the usual error of such readings one is that may be a single error
+SINGLE_ERROR_FACTOR = 3.0
+
+
+@dataclasses.dataclass(frozen=True)
+class FarReading:
+    """A reading far from what all others predict.
+
+    reading  its number
+    pull     how far it is, in standard deviations of its prediction
+    error    how far it is, SI, of the value that is farthest
+    value    number of that value
+    """
+
+    reading: int
+    pull: float
+    error: float
+    value: int
+
+
+@dataclasses.dataclass(frozen=True)
+class LeaveOneOut:
+    """Each reading against what all others predict, by the precision P = C^-1.
+
+    gradient  (N,) P r
+    diagonal  (N,) of P
+    factor    (N, r) B, with P = S^-1 - B B^T
+    noise     of covariance S
+    reading   (N,) number of the reading that each value belongs to
+    """
+
+    gradient: Array
+    diagonal: Array
+    factor: Array
+    noise: Noise
+    reading: Index
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return 1 + int(self.reading[-1])
+
+    def values(self, readings: Sequence[int]) -> Index:
+        """Places of the values of readings."""
+        return np.flatnonzero(np.isin(self.reading, readings))
+
+    def farthest(self, one: int, aside: Sequence[int]) -> FarReading:
+        """How far a reading is from what all but it and those `aside` predict."""
+        gradient, diagonal = self.without([k for k in aside if k != one])
+        pulls = gradient / np.sqrt(diagonal)
+        values = self.values([one])
+        worst = int(values[np.argmax(np.abs(pulls[values]))])
+        error = float(gradient[worst] / diagonal[worst])
+        return FarReading(one, float(pulls[worst]), error, worst)
+
+    def columns(self, members: Index) -> Array:
+        """Columns (N, k) of P."""
+        unit = np.zeros((len(self.diagonal), len(members)))
+        unit[members, np.arange(len(members))] = 1.0
+        alone = self.noise.precision(unit)
+        return alone - self.factor @ self.factor[members].T
+
+    def without(self, readings: Sequence[int]) -> tuple[Array, Array]:
+        """Gradient and diagonal (N,) with some readings left out: 0 and 1 of theirs."""
+        members = self.values(readings)
+        if not len(members):
+            return self.gradient, self.diagonal
+        if self.noise.is_independent:
+            gradient, diagonal = self._drop_independent(members)
+        else:
+            gradient, diagonal = self._drop_related(members)
+        gradient[members], diagonal[members] = 0.0, 1.0
+        return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
+
+    def _drop_independent(self, members: Index) -> tuple[Array, Array]:
+        """The same where S is diagonal: what is left out changes B B^T alone.
+
+        With U the rows of B that are left out, and D their part of S^-1, it becomes
+        B K^-1 B^T, K = 1 - U^T D^-1 U (Woodbury): linear in the number of readings,
+        however many are left out.
+        """
+        alone = self.noise.precision_diagonal()
+        out = self.factor[members]
+        scaled = out / alone[members, None]
+        lower = linalg.cholesky(np.eye(out.shape[1]) - out.T @ scaled, lower=True)
+        explained = linalg.cho_solve((lower, True), scaled.T @ self.gradient[members])
+        half = linalg.solve_triangular(lower, self.factor.T, lower=True)
+        diagonal = alone - np.einsum("ij,ij->j", half, half)
+        return self.gradient + self.factor @ explained, diagonal
+
+    def _drop_related(self, members: Index) -> tuple[Array, Array]:
+        """The same for any S, by the columns of P that are left out."""
+        columns = self.columns(members)
+        lower = linalg.cholesky(columns[members], lower=True)
+        half = linalg.solve_triangular(lower, columns.T, lower=True)
+        explained = linalg.solve_triangular(lower, self.gradient[members], lower=True)
+        gradient = self.gradient - half.T @ explained
+        diagonal = self.diagonal - np.einsum("ij,ij->j", half, half)
+        return gradient, diagonal
+
+
+def predict_from_others(solution: Fit) -> LeaveOneOut:
+    """What all other readings predict of each reading, linear at the solution."""
+    noise = solution.noise
+    half = solution.half_covariance()
+    shared = solution.slopes @ half
+    r = solution.linear_residual()
+    remainder = r - shared @ (shared.T @ r)
+    factor = noise.whiten_back(shared)
+    diagonal = noise.precision_diagonal() - np.einsum("ij,ij->i", factor, factor)
+    reading = solution.session.reading_of_value
+    return LeaveOneOut(noise.whiten_back(remainder), diagonal, factor, noise, reading)
+
+
+# -- far readings ----------------------------------------------------------------------
+
+
+def measure(
+    prediction: LeaveOneOut, readings: Sequence[int], aside: Sequence[int]
+) -> tuple[FarReading, ...]:
+    """How far readings are from what all but those `aside` predict, farthest first."""
+    records = [prediction.farthest(one, aside) for one in readings]
+    return tuple(sorted(records, key=lambda record: -abs(record.pull)))
+
+
+def alike_readings(
+    session: SessionReadings, far: Sequence[FarReading]
+) -> tuple[int, ...]:
+    """Far readings, by number, to which one thing happens: they are no single errors.
+
+    Neighbours of a run that are off the same way, or all of one sign where signs are not
+    random. One that is far beyond the others may be a single error as well.
+    """
+    groups = [_one_signed(far), *_neighbours(session, far)]
+    alike: set[int] = set()
+    for group in groups:
+        if not group:
+            continue
+        usual = float(np.median([abs(one.pull) for one in group]))
+        alike |= {
+            one.reading for one in group if abs(one.pull) < SINGLE_ERROR_FACTOR * usual
+        }
+    return tuple(sorted(alike))
+
+
+def _one_signed(far: Sequence[FarReading]) -> list[FarReading]:
+    """The far readings of the commoner sign, where chance does not explain so many."""
+    positive = [one for one in far if one.error > 0.0]
+    negative = [one for one in far if one.error <= 0.0]
+    commoner = max(positive, negative, key=len)
+    chance = 2.0 * special.bdtrc(len(commoner) - 1, len(far), 0.5)
+    return commoner if chance < 1e-3 else []
+
+
+def _neighbours(
+    session: SessionReadings, far: Sequence[FarReading]
+) -> list[list[FarReading]]:
+    """Groups of far readings that follow each other in a run and are off the same way."""
+    labels = session.values[["setup", "run", "channel"]].to_numpy()
+    groups: list[list[FarReading]] = []
+    for one in sorted(far, key=lambda reading: reading.reading):
+        last = groups[-1][-1] if groups else one
+        follows = one.reading == last.reading + 1 and one.error * last.error > 0.0
+        if follows and (labels[one.value] == labels[last.value]).all():
+            groups[-1].append(one)
+        else:
+            groups.append([one])
+    return [group for group in groups if len(group) >= 3]
+
+
+#: standard deviations of what all others predict within which another number fits, and
+#: from which on the one of the file is so far off that a fitting one says something
+FITS, FAR = 4.0, 40.0
+
+
+def other_number(session: SessionReadings, solution: Fit, one: FarReading) -> str:
+    """Which slip of the hand explains a far reading, as a sentence; empty for none.
+
+    solution  fit of the other readings
+    """
+    if abs(one.pull) < FAR:
+        return ""
+    return _other_reading(session, one) or _other_command(session, solution, one)
+
+
+def _other_reading(session: SessionReadings, one: FarReading) -> str:
+    factor = session.column(str(session.values["channel"].iloc[one.value])).factor
+    value = float(session.y[one.value]) / factor
+    predicted = value - one.error / factor
+    sd = abs(one.error / one.pull) / factor
+    fitting = [
+        (abs(number - predicted), text, number)
+        for text, number in _slips(value)
+        if abs(number - predicted) < FITS * sd
+    ]
+    if not fitting:
+        return ""
+    _, text, number = min(fitting)
+    return f" With {text} it is {number:.9g}, which fits."
+
+
+def _other_command(session: SessionReadings, solution: Fit, one: FarReading) -> str:
+    """The same of one command of the row, in all that was read there."""
+    measurement = session.measurement
+    part = session.take(np.array([one.reading]))
+    sigma = measurement.sigma(part.series)
+    tried = []
+    for text, series in _commands_undone(part):
+        error = np.abs(part.y - measurement.try_readings([series], solution.theta))
+        if np.isfinite(error).all():
+            tried.append((float((error / sigma).max()), text, series, error))
+    if not tried:
+        return ""
+    _, text, series, error = min(tried, key=lambda one: one[0])
+    jacobian = measurement.jacobian([series], solution.theta)
+    spread = jacobian @ session.prior_root() @ solution.half_covariance()
+    fits = (error < FITS * np.hypot(sigma, np.linalg.norm(spread, axis=1))).all()
+    return f" With {text}, it fits." if fits else ""
+
+
+def _commands_undone(part: SessionReadings) -> Iterator[tuple[str, Series]]:
+    """A reading with each slip in a command of its row undone, in words."""
+    (series,), measurement = part.series, part.measurement
+    pose = series.index[0, 0]
+    tool = np.array(measurement.setups[series.setup].tool)
+    for k, coordinate in enumerate(measurement.machine.command):
+        column = ReadingsColumn.of(coordinate.name, coordinate.unit).name
+        factor = ReadingsColumn.parse(column).factor
+        written = float(series.command[pose, k]) / factor
+        if len(f"{abs(written):.9g}".replace(".", "")) > 5:
+            continue
+        for text, number in _slips(written):
+            command = series.command.copy()
+            command[pose, k] = number * factor
+            try:
+                x, q = measurement.kinematics.sent(command, tool)
+            except CANNOT_BE:
+                continue
+            there = dataclasses.replace(series, q=q, start=x, command=command)
+            yield f"{text} of the command, {column} = {number:.9g}", there
+
+
+def _slips(value: float) -> Iterator[tuple[str, float]]:
+    """Numbers that may have been meant, in words."""
+    yield "the other sign", -value
+    for power in (-3, -2, -1, 1, 2, 3):
+        yield "its decimal point elsewhere", value * 10.0**power
+    digits = list(f"{abs(value):.9g}")
+    places = [k for k, digit in enumerate(digits) if digit.isdigit()]
+    for j, k in itertools.pairwise(places):
+        if digits[j] != digits[k]:
+            other = digits.copy()
+            other[j], other[k] = digits[k], digits[j]
+            sign = -1.0 if value < 0.0 else 1.0
+            yield "two neighbouring digits exchanged", sign * float("".join(other))
+
+
+#: readings that are combined
+N_CANDIDATES = 60
+#: readings in one set, at most
+MAX_SET = 3
 
 
 def best_set(prediction: LeaveOneOut, removed: list[int], limit: float) -> list[int]:
     """The readings, by number, to leave out in place of `removed`."""
-    if not 0 < len(removed) <= MOST:
+    if not 0 < len(removed) <= MAX_SET:
         return removed
     values = prediction.values(removed)
     gradient = prediction.gradient[values]
@@ -97,27 +369,29 @@ def solve_sets(prediction: LeaveOneOut, members: Sequence[int]) -> list[SetSolut
     pulls = np.abs(prediction.gradient) / np.sqrt(prediction.diagonal)
     largest = np.zeros(prediction.count)
     np.maximum.at(largest, prediction.reading, pulls)
-    worst = np.argsort(-largest, kind="stable")[:CANDIDATES]
+    worst = np.argsort(-largest, kind="stable")[:N_CANDIDATES]
     candidates = np.union1d(worst, np.array(members, dtype=np.intp))
     places = [prediction.values([one]) for one in candidates]
-    count = max(len(place) for place in places)
-    whole = [k for k, place in enumerate(places) if len(place) == count]
+    count = max(len(values) for values in places)
+    whole = [k for k, values in enumerate(places) if len(values) == count]
     chosen = np.concatenate([places[k] for k in whole])
     precision = prediction.columns(chosen)[chosen]
     names = candidates[np.array(whole)]
     solutions = []
-    for size in range(1, min(MOST, len(whole)) + 1):
+    for size in range(1, min(MAX_SET, len(whole)) + 1):
         combined = list(itertools.combinations(range(len(whole)), size))
         sets = np.array(combined, dtype=np.intp)
-        at = (count * sets[:, :, None] + np.arange(count)).reshape(len(sets), -1)
-        gradient = prediction.gradient[chosen][at]
-        blocks = precision[at[:, :, None], at[:, None, :]]
+        places_of_sets = (count * sets[:, :, None] + np.arange(count)).reshape(
+            len(sets), -1
+        )
+        gradient = prediction.gradient[chosen][places_of_sets]
+        blocks = precision[places_of_sets[:, :, None], places_of_sets[:, None, :]]
         inverse = np.linalg.inv(blocks)
         shift = np.einsum("sij,sj->si", inverse, gradient)
         solutions.append(
             SetSolutions(
                 sets=names[sets],
-                values=chosen[at],
+                values=chosen[places_of_sets],
                 shift=shift,
                 sd=np.sqrt(_variances(blocks, inverse)),
                 gain=np.maximum(np.einsum("si,si->s", gradient, shift), 0.0),
@@ -133,16 +407,20 @@ def _variances(blocks: Array, inverse: Array) -> Array:
     return np.asarray(np.maximum(np.einsum("sii->si", inverse), least))
 
 
-#: posterior odds from which a reading is located, and is a gross error
-LOCATED, PROVEN = 100.0, 10.0
+#: posterior odds from which a reading is located
+LOCATED_ODDS = 100.0
+#: posterior odds from which a reading is a gross error
+GROSS_ODDS = 10.0
 #: scale of a gross error's prior, in units of the noise
-GROSS = 10.0
-#: gross errors expected in a session that has any, and largest share of its readings
-EXPECTED, SHARE = 8.0, 0.12
+GROSS_SCALE = 10.0
+#: gross errors expected in a session that has any
+EXPECTED_GROSS = 8.0
+#: share of a session's readings that are gross errors, at most
+MAX_GROSS_SHARE = 0.12
 #: noise with heavy tails
-TAILS = (StudentT(4.0), StudentT(6.0), StudentT(10.0))
+HEAVY_TAILS = (StudentT(4.0), StudentT(6.0), StudentT(10.0))
 #: normal coordinates of the noise's scale over which it is integrated
-_SCALES = np.linspace(-3.0, 8.0, 23)
+_SCALE_COORDINATES = np.linspace(-3.0, 8.0, 23)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +437,7 @@ class OutlierOdds:
     @property
     def share(self) -> float:
         """Share of gross errors in a session that has any."""
-        return min(SHARE, EXPECTED / self.prediction.count)
+        return min(MAX_GROSS_SHARE, EXPECTED_GROSS / self.prediction.count)
 
     @property
     def log_prior(self) -> float:
@@ -174,7 +452,7 @@ class OutlierOdds:
         All sets of up to MOST readings compete; beside more suspects, the sets in which
         one of them is exchanged for another reading.
         """
-        if len(members) > MOST:
+        if len(members) > MAX_SET:
             return {one: self._exchange_odds(members, one) for one in members}
         sets, weights = self._weighted_sets(members)
         odds = {}
@@ -191,7 +469,7 @@ class OutlierOdds:
         """Readings any of which could be the one, itself among them, the likeliest first."""
         weights = self._exchange_weights(members, one)
         ranked = np.argsort(-weights, kind="stable")
-        likely = weights[ranked] > weights.max() - np.log(LOCATED)
+        likely = weights[ranked] > weights.max() - np.log(LOCATED_ODDS)
         return tuple(int(k) for k in ranked[likely])
 
     def _exchange_odds(self, members: Sequence[int], one: int) -> float:
@@ -221,7 +499,7 @@ class OutlierOdds:
         weights: list[Array] = [np.zeros(1)]
         for solutions in solve_sets(self.prediction, members):
             sets += [tuple(map(int, one)) for one in solutions.sets]
-            scale = GROSS * self.prediction.noise.sigma[solutions.values]
+            scale = GROSS_SCALE * self.prediction.noise.sigma[solutions.values]
             density = special.voigt_profile(solutions.shift, solutions.sd, scale)
             count = solutions.values.shape[1]
             log_weight = 0.5 * (solutions.gain - solutions.log_determinant)
@@ -244,7 +522,7 @@ class OutlierOdds:
         if rest_fits and self.student is None:
             odds = _odds_beside_normal_noise(errors, self.share)
         else:
-            tails = TAILS if self.student is None else (StudentT(self.student),)
+            tails = HEAVY_TAILS if self.student is None else (StudentT(self.student),)
             odds = _odds_beside_heavy_tails(errors, self.share, tails)
         return dict(zip(members, map(float, odds), strict=True))
 
@@ -275,7 +553,7 @@ class OutlierOdds:
 def log_weights_of_shifts(gradient: Array, precision: Array, sigma: Array) -> Array:
     """Log weight (N,) of a shift of each value alone, without the share of such errors."""
     shift, sd = gradient / precision, precision**-0.5
-    density = special.voigt_profile(shift, sd, GROSS * sigma)
+    density = special.voigt_profile(shift, sd, GROSS_SCALE * sigma)
     return np.asarray(
         0.5 * gradient * shift + np.log(np.sqrt(2.0 * np.pi) * sd * density)
     )
@@ -317,9 +595,9 @@ def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
     without = _log_sum(
         (weights[..., None] + np.log1p(-share) + far - mixed).reshape(-1, len(gross))
     )
-    density, prior = _noise_densities(errors.core, TAILS)
+    density, prior = _noise_densities(errors.core, HEAVY_TAILS)
     weights = prior + errors.freedom * density.sum(axis=2)
-    weights += _noise_densities(errors.far, TAILS)[0].sum(axis=2)
+    weights += _noise_densities(errors.far, HEAVY_TAILS)[0].sum(axis=2)
     return with_gross - np.logaddexp(without, _log_sum(weights.ravel()))
 
 
@@ -337,8 +615,8 @@ def _odds_beside_heavy_tails(
 
 def _noise_densities(x: Array, tails: Sequence[ErrorDensity]) -> tuple[Array, Array]:
     """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K)."""
-    scale = scale_over_stated(_SCALES)
-    prior = -0.5 * _SCALES**2
+    scale = scale_over_stated(_SCALE_COORDINATES)
+    prior = -0.5 * _SCALE_COORDINATES**2
     prior -= _log_sum(prior) + np.log(len(tails))
     scaled = x / scale[:, None]
     densities = [tail.log_density(scaled) for tail in tails]
@@ -348,7 +626,7 @@ def _noise_densities(x: Array, tails: Sequence[ErrorDensity]) -> tuple[Array, Ar
 
 def _density_of_gross(x: Array, sd: Array, sigma: Array) -> Array:
     """Density (N,) of a gross error at errors x (N,), in the sd (N,) of predicting them."""
-    return np.asarray(special.voigt_profile(x, 1.0, GROSS * sigma / sd))
+    return np.asarray(special.voigt_profile(x, 1.0, GROSS_SCALE * sigma / sd))
 
 
 def _log_sum(values: Array) -> Array:

@@ -21,25 +21,26 @@ import numpy as np
 from scipy import special
 
 from oed.base import Array, Index
-from oed.checks.far_reading import (
+from oed.checks.fit import Fit, fit, goodness
+from oed.checks.outlier_odds import (
+    GROSS_ODDS,
+    LOCATED_ODDS,
+    MAX_GROSS_SHARE,
     FarReading,
     LeaveOneOut,
+    OutlierOdds,
     alike_readings,
+    best_set,
     measure,
     predict_from_others,
 )
-from oed.checks.fit import Fit, fit
-from oed.checks.goodness import goodness
-from oed.checks.outlier_odds import LOCATED, PROVEN, SHARE, OutlierOdds, best_set
 from oed.checks.session import SessionReadings
 from oed.mechanism import AssemblyError
 
 #: probability that a correct session has a reading beyond the limit
-FALSE_ALARM = 1e-4
-#: rounds of fit and search
-ROUNDS = 5
+OUTLIER_FALSE_ALARM = 1e-4
 #: median of a standard normal variable's absolute value
-MEDIAN = float(-special.ndtri(0.25))
+MEDIAN_SIZE = float(-special.ndtri(0.25))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,8 +64,8 @@ def far_readings(
     """
     readings = sorted({int(k) for k in suspects})
     solution = fit(session.without(readings))
-    for _ in range(ROUNDS):
-        whole = None if solution is None else _on_all(session, solution)
+    for _ in range(5):
+        whole = None if solution is None else _extend_to_all(session, solution)
         if whole is None or solution is None:
             return None
         prediction = predict_from_others(whole)
@@ -83,7 +84,7 @@ def far_readings(
     return FarSearch(readings, solution, prediction, exhausted)
 
 
-def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
+def _extend_to_all(session: SessionReadings, solution: Fit) -> Fit | None:
     """The model of a fit at its solution, for all readings of the session.
 
     None where the fitted machine cannot take the poses that were left out of the fit.
@@ -133,7 +134,7 @@ def _search(
 
 def _limit(prediction: LeaveOneOut) -> float:
     """Pull beyond which a reading counts as an outlier."""
-    return float(-special.ndtri(0.5 * FALSE_ALARM / len(prediction.reading)))
+    return float(-special.ndtri(0.5 * OUTLIER_FALSE_ALARM / len(prediction.reading)))
 
 
 def _pulls(prediction: LeaveOneOut, removed: list[int], *, robust: bool) -> Array:
@@ -143,14 +144,12 @@ def _pulls(prediction: LeaveOneOut, removed: list[int], *, robust: bool) -> Arra
     if not robust:
         return pulls
     others = ~np.isin(prediction.reading, removed)
-    scatter = float(np.median(np.abs(pulls[others]))) / MEDIAN
+    scatter = float(np.median(np.abs(pulls[others]))) / MEDIAN_SIZE
     return pulls / max(scatter, 1.0)
 
 
-#: readings of a small session that can be outliers
-LEAST = 3
 #: probability of larger residuals from which on the other readings fit the stated noise
-SOUND = 0.01
+SOUND_PROBABILITY = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,7 +194,7 @@ def find_outliers(
     without it they do so only where too many deviate.
     """
     count = 1 + int(session.reading_of_value[-1])
-    most = min(max(LEAST, int(SHARE * count)), count // 4)
+    most = min(max(3, int(MAX_GROSS_SHARE * count)), count // 4)
     if len(suspects) > most:
         suspects = suspects[:0]
     search = far_readings(session, suspects, most, robust=robust)
@@ -228,7 +227,7 @@ def _judged(
     far = measure(search.prediction, search.readings, search.readings)
     alike = alike_readings(session, far)
     suspects = [k for k in search.readings if k not in alike]
-    rest_fits = noise_is_a_guess or fitted.p_high >= SOUND
+    rest_fits = noise_is_a_guess or fitted.p_high >= SOUND_PROBABILITY
     gross, doubtful, lost = _kinds(odds, suspects, rest_fits=rest_fits)
     if fitted.is_bad(noise_is_a_guess=noise_is_a_guess):
         # what spoils the rest may be what is the matter with them
@@ -273,8 +272,10 @@ def _kinds(
     while gross:
         where = odds.of_location(gross)
         what = odds.of_gross_error(gross, rest_fits=rest_fits)
-        newly_lost = [k for k in gross if where[k] < np.log(LOCATED)]
-        noise = [k for k in gross if what[k] < np.log(PROVEN) and k not in newly_lost]
+        newly_lost = [k for k in gross if where[k] < np.log(LOCATED_ODDS)]
+        noise = [
+            k for k in gross if what[k] < np.log(GROSS_ODDS) and k not in newly_lost
+        ]
         if not newly_lost and not noise:
             break
         lost += newly_lost

@@ -12,23 +12,31 @@ l_i the eigenvalues of H^T H, b the components of H^T r; its maximum over s coun
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from oed.base import Array, Index, Mask
-from oed.checks.mistakes.given import Given
+from oed.checks.fit import Fit
+from oed.checks.mistakes.suspect import Suspect
 from oed.checks.mistakes.trial import MistakeTrial
+from oed.checks.session import SessionReadings
 from oed.linear_algebra import explained_energy
-from oed.noise import Noise
-from oed.noise_law import log_prior_of_scale
+from oed.measurement import reading_structure
+from oed.noise import Laws, Noise, ReadingStructure
+from oed.noise_law import NoisePrior, ResidualModel, log_prior_of_scale
+from oed.trust import GUESS_RATIO
 
-#: least scale of the noise over the stated one, and factor between scales
-LEAST_SCALE, SCALE_STEP = 0.5, 1.5
+#: least scale of the noise over the stated one
+MIN_SCALE = 0.5
+#: factor between scales of the noise
+SCALE_STEP = 1.5
 #: scale over the largest one that sums of squares resolve
-RESOLVED = 1e-6
+RESOLVED_SHARE = 1e-6
 #: log of the range of sizes that an amount may have: a factor of 10^5 is as good as all
-LOG_SIZES = float(np.log(np.log(1e5)))
+LOG_SIZE_RANGE = float(np.log(np.log(1e5)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,12 +82,12 @@ IMPOSSIBLE = Score(-np.inf, 1.0)
 class Screening:
     """Log evidences of trials in the linear model, up to a common constant."""
 
-    def __init__(self, given: Given) -> None:
-        session = given.session
-        self.given = given
+    def __init__(self, data: Suspect) -> None:
+        session = data.session
+        self.data = data
         self.noise: Noise = session.measurement.noise(session.series)
-        self._white = spectrum(self.noise.whiten(given.slopes))
-        self._residual = self.noise.whiten(session.y - given.predicted)
+        self._white = spectrum(self.noise.whiten(data.slopes))
+        self._residual = self.noise.whiten(session.y - data.predicted)
         self.scales = scales_of_noise(self._residual)
         setups = session.measurement.setups.values()
         is_assumed = all(setup.statement.is_assumed for setup in setups)
@@ -96,29 +104,31 @@ class Screening:
         alone = {k: y for k, y in enumerate(values_of) if y is not None}
         if alone:
             values = np.column_stack(list(alone.values()))
-            white = self.noise.whiten(values - self.given.predicted[:, None])
+            white = self.noise.whiten(values - self.data.predicted[:, None])
             for k, score in zip(alone, self._scores_of(white), strict=True):
                 result[k] = score
         for k in sorted(set(range(len(trials))) - set(alone)):
             one = trials[k]
             if one.columns is None:
-                result[k] = self._of_any(one)
+                result[k] = self._any_score(one)
             else:
-                result[k] = self._with_columns(one, one.columns)
+                result[k] = self._columns_score(one, one.columns)
         return [s.plus(t.log_scale) for s, t in zip(result, trials, strict=True)]
 
     # -- one residual under all scales -------------------------------------------------
 
     def _scores_of(self, white: Array) -> list[Score]:
         """Scores of whitened residuals (N, m) with the slopes as given."""
-        by_scale = self._by_scale(self._white, white, len(white))
+        by_scale = self._densities_by_scale(self._white, white, len(white))
         return [self._best(column) for column in by_scale.T]
 
     def _best(self, by_scale: Array) -> Score:
         k = int(np.argmax(by_scale))
         return Score(float(by_scale[k]), float(self.scales[k]))
 
-    def _by_scale(self, of: ResidualSpectrum, white: Array, count: int) -> Array:
+    def _densities_by_scale(
+        self, of: ResidualSpectrum, white: Array, count: int
+    ) -> Array:
         """Log evidences (S, m), by scale, of whitened residuals (N, m) of `count` values."""
         density = log_density_by_scale(
             of.values, of.components(white).T ** 2, (white**2).sum(axis=0), self.scales
@@ -128,12 +138,14 @@ class Screening:
 
     # -- amounts in the readings -------------------------------------------------------
 
-    def _with_columns(self, trial: MistakeTrial, columns: Array) -> Score:
+    def _columns_score(self, trial: MistakeTrial, columns: Array) -> Score:
         """Score with amounts of unknown size, of columns (N, k)."""
         both = np.column_stack([self._residual, self.noise.whiten(columns)])
         components = self._white.components(both)
         whole = both.T @ both
-        alone = self._by_scale(self._white, self._residual[:, None], len(both))[:, 0]
+        alone = self._densities_by_scale(
+            self._white, self._residual[:, None], len(both)
+        )[:, 0]
         square = self.scales[:, None, None] ** 2
         weights = 1.0 / (self._white.values + square)
         grams = (whole - (components.T * weights) @ components) / square
@@ -143,15 +155,15 @@ class Screening:
 
     # -- other poses, missing values, several machines ---------------------------------
 
-    def _of_any(self, trial: MistakeTrial) -> Score:
-        given = self.given
-        y = given.session.y if trial.y is None else trial.y
-        predicted, slopes = given.predicted, given.slopes
+    def _any_score(self, trial: MistakeTrial) -> Score:
+        data = self.data
+        y = data.session.y if trial.y is None else trial.y
+        predicted, slopes = data.predicted, data.slopes
         if trial.table is not None:
-            at = trial.scope.values(given.session)
-            predicted = np.where(at, trial.table.predicted, predicted)
-            slopes = np.where(at[:, None], trial.table.slopes, slopes)
-            amount = np.where(at[:, None], trial.table.by_amount, 0.0)
+            inside = trial.scope.values(data.session)
+            predicted = np.where(inside, trial.table.predicted, predicted)
+            slopes = np.where(inside[:, None], trial.table.slopes, slopes)
+            amount = np.where(inside[:, None], trial.table.by_amount, 0.0)
             slopes = np.hstack([slopes, amount])
         if not (np.isfinite(predicted).all() and np.isfinite(slopes).all()):
             return IMPOSSIBLE
@@ -159,30 +171,32 @@ class Screening:
         slopes = self.noise.whiten(slopes)
         if trial.noise is not None:
             white, slopes = white / trial.noise, slopes / trial.noise[:, None]
-            score = self._of_rows(white, slopes, np.ones(len(y), dtype=bool))
+            score = self._rows_score(white, slopes, np.ones(len(y), dtype=bool))
             return score.plus(-float(np.log(trial.noise).sum()))
         if trial.parts is not None:
             sides = (trial.parts, ~trial.parts)
-            one, other = (self._of_rows(white, slopes, side) for side in sides)
+            one, other = (self._rows_score(white, slopes, side) for side in sides)
             return dataclasses.replace(one, scale=other.scale).plus(other.log_evidence)
         if trial.missing is None:
-            return self._of_rows(white, slopes, np.ones(len(y), dtype=bool))
+            return self._rows_score(white, slopes, np.ones(len(y), dtype=bool))
         missing = trial.missing
         log_density = trial.log_missing
         if log_density is None:
-            log_density = log_density_of_any(given, np.flatnonzero(missing))
+            log_density = log_density_of_any(data, np.flatnonzero(missing))
         # the evidence leaves out the constants that the density has
-        constants = np.log(given.sigma[missing]) + 0.5 * np.log(2.0 * np.pi)
-        score = self._of_rows(white, slopes, ~missing)
+        constants = np.log(data.sigma[missing]) + 0.5 * np.log(2.0 * np.pi)
+        score = self._rows_score(white, slopes, ~missing)
         return score.plus(log_density + float(constants.sum()))
 
-    def _of_rows(self, white: Array, slopes: Array, rows: Mask) -> Score:
+    def _rows_score(self, white: Array, slopes: Array, rows: Mask) -> Score:
         """Score of some rows; 0 for none."""
         count = int(rows.sum())
         if not count:
             return Score(0.0, 1.0)
         part = spectrum(slopes[rows])
-        return self._best(self._by_scale(part, white[rows, None], count)[:, 0])
+        return self._best(
+            self._densities_by_scale(part, white[rows, None], count)[:, 0]
+        )
 
 
 def scales_of_noise(residual: Array) -> Array:
@@ -191,7 +205,7 @@ def scales_of_noise(residual: Array) -> Array:
     Sums of squares are known to rounding alone: smaller scales cannot be resolved.
     """
     largest = 2.0 * float(np.sqrt(np.mean(residual**2))) + 2.0
-    least = max(LEAST_SCALE, RESOLVED * largest)
+    least = max(MIN_SCALE, RESOLVED_SHARE * largest)
     count = int(np.ceil(np.log(largest / least) / np.log(SCALE_STEP)))
     return np.asarray(least * SCALE_STEP ** np.arange(max(count, 4)))
 
@@ -230,14 +244,14 @@ def gains_of_amounts(grams: Array) -> tuple[Array, Array]:
     inner = 1.0 + size[:, None] * np.maximum(values, 0.0)
     gain = 0.5 * size * (along**2 / inner).sum(axis=1) - 0.5 * np.log(inner).sum(axis=1)
     is_large = size > 1.0
-    gain = np.where(is_large, gain, 0.0) - LOG_SIZES
+    gain = np.where(is_large, gain, 0.0) - LOG_SIZE_RANGE
     return gain, np.where(is_large[:, None], amounts / unit, 0.0)
 
 
-def log_density_of_any(given: Given, values: Index) -> float:
+def log_density_of_any(data: Suspect, values: Index) -> float:
     """Log density, SI, of values that may be anything: heavy-tailed about nominal."""
-    width = 3.0 * given.spread[values]
-    away = (given.session.y[values] - given.predicted[values]) / width
+    width = 3.0 * data.spread[values]
+    away = (data.session.y[values] - data.predicted[values]) / width
     return float(-(np.log(np.pi * width) + np.log1p(away**2)).sum())
 
 
@@ -245,3 +259,140 @@ def _values_alone(trial: MistakeTrial) -> Array | None:
     """The values (N,) of a trial that changes values alone; None for another one."""
     others = (trial.table, trial.missing, trial.columns, trial.parts, trial.noise)
     return trial.y if all(one is None for one in others) else None
+
+
+# Log evidence of readings: parameters, noise law and tolerances integrated out.
+#
+# At the most probable parameters the readings are linear in them. Their density is that of
+# normal errors of each of a grid of laws (a scale, an error of a run, one that is carried
+# along it), with the prior of the laws as weight, and of rivals that no law holds:
+# tolerances that are too narrow, and more noise in one channel of several.
+
+#: coordinates of the laws that are looked at: error of a run, carried share and reach
+LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)
+#: prior probability of no rival
+NO_RIVAL_PROBABILITY = 0.6
+#: prior probability of all rivals together
+RIVAL_PROBABILITY = 0.4
+#: factor between sizes of a rival
+SIZE_STEP = 4.0
+
+
+def linear_readings(solution: Fit) -> ResidualModel:
+    """Readings linear at a fit, about the prior's middle."""
+    session = solution.session
+    measurement, series = session.measurement, session.series
+    structure = reading_structure(measurement, series, solution.theta)
+    jacobian = measurement.jacobian(series, solution.theta)
+    slopes = structure.standardise(jacobian @ session.prior_root())
+    y = session.y - measurement.readings(series, solution.theta)
+    residual = structure.standardise(y) + slopes @ solution.departure
+    return ResidualModel(structure, residual, slopes, 0.0 * solution.departure)
+
+
+def log_evidence(
+    linear: ResidualModel, session: SessionReadings, *, with_rivals: bool
+) -> float:
+    """Log density of the readings, SI; with rivals that no law holds, or without."""
+    structure = linear.structure
+    laws, weights = law_grid(structure)
+    scales = scales_of_noise(linear.residual)
+    alone = _log_marginal(linear, linear.slopes, laws, weights, scales)
+    terms = [float(np.log(NO_RIVAL_PROBABILITY)) + alone]
+    few = _few(laws, weights)
+    rivalling = rivals(session) if with_rivals else []
+    for rival in rivalling:
+        log_share = float(np.log(RIVAL_PROBABILITY / len(rivalling)))
+        terms.append(log_share + _rival_density(linear, rival, *few, scales))
+    constant = structure.log_unit + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
+    return float(special.logsumexp(terms)) - constant
+
+
+def rivals(session: SessionReadings) -> list[Mask | None]:
+    """Values (N,) that may have more noise: one channel of several.
+
+    None stands for tolerances that are too narrow.
+    """
+    channel = session.values.groupby(["setup", "channel"], sort=False).ngroup()
+    number = channel.to_numpy()
+    groups = np.unique(number)
+    return [None, *(number == g for g in groups if len(groups) > 1)]
+
+
+def _rival_density(
+    linear: ResidualModel,
+    noisier: Mask | None,
+    laws: Laws,
+    weights: Array,
+    scales: Array,
+) -> float:
+    """Log density with a rival of unknown size: a factor on tolerances, or on noise."""
+    largest = 100.0
+    if noisier is not None:
+        largest = 3.0 * float(np.sqrt(np.mean(linear.residual**2))) + SIZE_STEP
+    count = max(1, int(np.log(largest) / np.log(SIZE_STEP)))
+    values = []
+    for size in SIZE_STEP ** np.arange(1, count + 1):
+        slopes = size * linear.slopes
+        factor = np.ones(len(linear.residual))
+        if noisier is not None:
+            factor[noisier] = 1.0 / size
+            slopes = factor[:, None] * linear.slopes
+        one = dataclasses.replace(linear, residual=factor * linear.residual)
+        most = GUESS_RATIO * float(factor.min())
+        log_density = _log_marginal(one, slopes, laws, weights, scales, most)
+        values.append(log_density + float(np.log(factor).sum()))
+    return float(special.logsumexp(values)) - float(np.log(len(values)))
+
+
+def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
+    """Laws (L,) of unit scale, and log prior weights (L,)."""
+    # What a course takes up is a finding of these checks, not their noise.
+    prior = NoisePrior.of(structure).without(NoisePrior.COURSE)
+    axes: list[tuple[float, ...]] = [(0.0,)] * prior.dimensions
+    for name, values in (
+        (NoisePrior.RUN, LEVELS),
+        (NoisePrior.CORRELATED, SHARES),
+        (NoisePrior.REACH, REACHES),
+    ):
+        if name in prior.names:
+            axes[prior.names.index(name)] = values
+    u = np.array(list(itertools.product(*axes)))
+    log_prior = -0.5 * (u**2).sum(axis=1)
+    return prior.laws(u), log_prior - special.logsumexp(log_prior)
+
+
+def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
+    """The likeliest of some laws: a rival stands for what the others hold."""
+    best = np.argsort(-weights)[:4]
+    some = laws.take([int(k) for k in best])
+    return some, weights[best] - special.logsumexp(weights[best])
+
+
+def _log_marginal(
+    linear: ResidualModel,
+    slopes: Array,
+    laws: Laws,
+    weights: Array,
+    scales: Array,
+    most: float = GUESS_RATIO,
+) -> float:
+    """Log density over the unit, by laws of every scale.
+
+    most  error of a run over the stated noise: beyond that is a mistake, and no noise
+    """
+    whitening = laws.whitening(linear.structure)
+    gram = whitening.gram(np.column_stack([linear.residual, slopes]))
+    values, vectors = np.linalg.eigh(gram[:, 1:, 1:])
+    squares = np.einsum("lij,li->lj", vectors, gram[:, 1:, 0]) ** 2
+    log_density = log_density_by_scale(
+        np.maximum(values, 0.0), squares, gram[:, 0, 0], scales
+    )
+    log_density -= 0.5 * whitening.log_determinant[:, None]
+    log_density -= len(linear.residual) * np.log(scales)
+    is_assumed = linear.structure.statement.is_assumed
+    prior = log_prior_of_scale(scales, is_assumed=is_assumed)
+    prior = prior - special.logsumexp(prior)
+    is_noise = laws.level[:, None] * scales <= most
+    log_density += weights[:, None] + prior
+    return float(special.logsumexp(log_density[is_noise]))

@@ -14,12 +14,12 @@ from scipy import spatial
 
 from oed.base import Array, Index
 from oed.checks.session import SessionReadings
-from oed.dataset.file_rows import Row
+from oed.dataset import Row
 
-#: fewest common poses of two runs, and share of steps that must agree
-LEAST, AGREE = 4, 0.75
+#: share of steps that must agree
+AGREEING_SHARE = 0.75
 #: joints are equal to so much of their largest difference
-SAME = 1e-6
+JOINT_TOLERANCE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,20 +77,20 @@ def _relative_sense(one: Array, other: Array) -> float:
     -1 in the opposite one; 0 where that cannot be said.
     """
     size = max(float(np.ptp(one, axis=0).max()), 1e-12)
-    near = _pairs_within(one, other, SAME * size)
+    near = _pairs_within(one, other, JOINT_TOLERANCE * size)
     count_one = np.bincount(near[:, 0], minlength=len(one))
     count_other = np.bincount(near[:, 1], minlength=len(other))
     unique = (count_one[near[:, 0]] == 1) & (count_other[near[:, 1]] == 1)
-    at = near[unique]
-    if len(at) < LEAST:
+    poses = near[unique]
+    if len(poses) < 4:
         return 0.0
-    rank = np.argsort(np.argsort(at[:, 1]))
+    rank = np.argsort(np.argsort(poses[:, 1]))
     steps = np.diff(rank) % len(rank)
     forward = float(np.mean(steps == 1))
     backward = float(np.mean(steps == len(rank) - 1))
-    if forward >= AGREE:
+    if forward >= AGREEING_SHARE:
         return 1.0
-    return -1.0 if backward >= AGREE else 0.0
+    return -1.0 if backward >= AGREEING_SHARE else 0.0
 
 
 def _pairs_within(one: Array, other: Array, size: float) -> Index:

@@ -10,25 +10,21 @@ from oed import text
 from oed.base import Index
 from oed.checks.copies import CoarseReadings, EqualReadings, coarse_columns
 from oed.checks.explain import Explanation
-from oed.checks.far_reading import FarReading, other_number
-from oed.checks.findings import NAMED, CheckFinding, Severity, listing
-from oed.checks.goodness import Goodness
-from oed.checks.outlier_odds import LOCATED, PROVEN
+from oed.checks.findings import MAX_LISTED_ROWS, CheckFinding, Severity, listing
+from oed.checks.fit import Goodness
+from oed.checks.outlier_odds import GROSS_ODDS, LOCATED_ODDS, FarReading, other_number
 from oed.checks.outliers import OutlierSearch
-from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
-from oed.checks.session import SessionReadings
-from oed.dataset.file_rows import Row
+from oed.checks.session import Ranges, SessionReadings
+from oed.dataset import Row
 from oed.result import GoodnessSection
 from oed.text import capitalised
 from oed.trust import GUESS_RATIO
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
-TIE = 10.0
-#: factors between units of noise, and within which a misfit is such a factor
-STEPS_OF_UNITS, NEAR = (1e3, 3600.0, 1e6), 1.5
-#: residual over noise beyond which its decimals say nothing
-LARGE = 100.0
+TIE_RATIO = 10.0
+#: factor within which a misfit is such a factor
+UNIT_FACTOR_TOLERANCE = 1.5
 
 
 def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
@@ -36,10 +32,14 @@ def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
     if not explanations:
         return []
     best = explanations[0]
-    alike = [k for k in explanations[1:NAMED] if TIE * k.probability > best.probability]
+    alike = [
+        k
+        for k in explanations[1:MAX_LISTED_ROWS]
+        if TIE_RATIO * k.probability > best.probability
+    ]
     tie = "".join(f"; or {one.what} ({_percent(one)})" for one in alike)
     cannot = ". These readings cannot tell which" if alike else ""
-    others = [k for k in explanations[1:NAMED] if k not in alike]
+    others = [k for k in explanations[1:MAX_LISTED_ROWS] if k not in alike]
     also = "; or ".join(f"{one.what} ({_percent(one)})" for one in others)
     also = f" Also possible: {also}." if also else ""
     sentence = (
@@ -51,11 +51,11 @@ def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
 
 def misfits(before: float, after: float) -> str:
     """Misfit as given and with a mistake undone, over the stated noise."""
-    given = "cannot be fitted as given"
+    as_given = "cannot be fitted as given"
     if np.isfinite(before):
-        given = f"misfit as given: {_times(before)} the stated noise"
+        as_given = f"misfit as given: {_times(before)} the stated noise"
     undone = f"; with this undone: {_times(after)}" if np.isfinite(after) else ""
-    return f"{given}{undone}"
+    return f"{as_given}{undone}"
 
 
 def _percent(one: Explanation) -> str:
@@ -102,8 +102,8 @@ def too_large(
 
 def _other_unit(ratio: float) -> str:
     """That the noise may be stated in another unit, where the residuals look like it."""
-    for factor in STEPS_OF_UNITS:
-        if factor / NEAR < ratio < factor * NEAR:
+    for factor in (1e3, 3600.0, 1e6):
+        if factor / UNIT_FACTOR_TOLERANCE < ratio < factor * UNIT_FACTOR_TOLERANCE:
             return (
                 f"the noise may be stated in another unit ({factor:g} times it would fit);"
                 " or "
@@ -121,7 +121,7 @@ def _one_of(rows: Sequence[Row]) -> str:
     listed = ", ".join(map(str, rows))
     return (
         f"Without any one of the rows {listed} the others fit, and the readings cannot"
-        f" tell which one is wrong (posterior odds below {LOCATED:.0f}): none is set"
+        f" tell which one is wrong (posterior odds below {LOCATED_ODDS:.0f}): none is set"
         " aside. Take these readings again, and more of them."
     )
 
@@ -197,10 +197,10 @@ def doubled(session: SessionReadings, groups: Sequence[EqualReadings]) -> CheckF
     """Rows with readings equal to the last digit."""
     rows = tuple(k for one in groups for k in session.rows(one.readings))
     pairs = [
-        " and ".join(str(k) for k in session.rows(one.readings)[:NAMED])
-        for one in groups[:NAMED]
+        " and ".join(str(k) for k in session.rows(one.readings)[:MAX_LISTED_ROWS])
+        for one in groups[:MAX_LISTED_ROWS]
     ]
-    more = ", ..." if len(groups) > NAMED else ""
+    more = ", ..." if len(groups) > MAX_LISTED_ROWS else ""
     poses = "at the same pose" if all(g.same_pose for g in groups) else "at other poses"
     sentence = (
         f"Readings are equal to the last digit {poses}, more often than chance allows:"
@@ -272,7 +272,7 @@ def outliers(
     for one in found_rows.doubtful:
         sentence = (
             f"{_contradiction(session, one)}. It may be a gross error or noise of heavy"
-            f" tails (posterior odds below {PROVEN:.0f}): the row stays in the fit. Take"
+            f" tails (posterior odds below {GROSS_ODDS:.0f}): the row stays in the fit. Take"
             " this reading again."
         )
         row = session.rows([one.reading])
@@ -326,7 +326,7 @@ def _count(rows: Sequence[Row]) -> str:
 
 
 def _times(ratio: float) -> str:
-    return f"{ratio:.3g} times" if ratio >= LARGE else f"{ratio:.2g} times"
+    return f"{ratio:.3g} times" if ratio >= 100.0 else f"{ratio:.2g} times"
 
 
 def _probability(p: float) -> str:

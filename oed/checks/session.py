@@ -13,19 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from oed import units
-from oed.base import Array, Index, Mask
-from oed.dataset.columns import (
-    ReadingsColumn,
-    column_name,
-    is_covariate,
-    parse_column,
-    written,
-)
-from oed.dataset.data import consecutive
-from oed.dataset.file_rows import Row, named_rows
-from oed.measurement import Measurement, Series, reading_structure
+from oed.base import Array, Index, Mask, consecutive_slices
+from oed.dataset import ReadingsColumn, Row, named_rows, written
+from oed.measurement import Measurement, Series, draw_parameters, reading_structure
 from oed.noise import Laws, Noise, ReadingStructure
 
 
@@ -72,10 +65,6 @@ class CheckedLaw:
         return float(ratio.max())
 
 
-#: fine units from which a difference is shown in the unit of its column
-LARGE = 1000.0
-
-
 @dataclasses.dataclass(frozen=True)
 class SessionReadings:
     """Readings to check.
@@ -103,7 +92,9 @@ class SessionReadings:
     @functools.cached_property
     def spans(self) -> tuple[slice, ...]:
         """Where the values of each series are in y."""
-        return consecutive([len(s) * self.channel_count(s.setup) for s in self.series])
+        return consecutive_slices(
+            [len(s) * self.channel_count(s.setup) for s in self.series]
+        )
 
     @functools.cached_property
     def reading_of_value(self) -> Index:
@@ -147,15 +138,15 @@ class SessionReadings:
 
     def take(self, readings: Index) -> SessionReadings:
         """The session with these readings only, by number, in ascending order."""
-        wanted = np.zeros(1 + int(self.reading_of_value[-1]), dtype=bool)
-        wanted[readings] = True
+        chosen = np.zeros(1 + int(self.reading_of_value[-1]), dtype=bool)
+        chosen[readings] = True
         sizes = [len(s) for s in self.series]
         series = [
-            s.take(np.flatnonzero(wanted[span]))
-            for s, span in zip(self.series, consecutive(sizes), strict=True)
-            if wanted[span].any()
+            s.take(np.flatnonzero(chosen[span]))
+            for s, span in zip(self.series, consecutive_slices(sizes), strict=True)
+            if chosen[span].any()
         ]
-        used = wanted[self.reading_of_value]
+        used = chosen[self.reading_of_value]
         values = self.values[used].reset_index(drop=True)
         return dataclasses.replace(
             self, series=tuple(series), y=self.y[used], values=values
@@ -171,6 +162,10 @@ class SessionReadings:
         row, reading = self.values["row"].to_numpy(), self.reading_of_value
         first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))
         return tuple(row[first].tolist())
+
+    def file_of(self, value: int) -> str:
+        """The file of a value, by number; empty where there is one alone."""
+        return getattr(self.values["row"].iloc[value], "file", "")
 
     def with_y(self, y: Array) -> SessionReadings:
         """The session with other values (N,), SI."""
@@ -213,7 +208,7 @@ class SessionReadings:
         """Column of a channel, as in the file."""
         if channel in self.columns:
             return self.columns[channel]
-        return parse_column(column_name(channel, self.unit(channel)))
+        return ReadingsColumn.of(channel, self.unit(channel))
 
     def unit(self, channel: str) -> str:
         """SI unit of a channel."""
@@ -232,13 +227,13 @@ class SessionReadings:
         """A difference of readings, SI, in the fine unit of its channel, if it is small."""
         si = self.unit(channel)
         number = units.number(value, units.FINE[si])
-        if abs(number) < LARGE:
+        if abs(number) < 1000.0:
             return f"{number:.3g} {units.FINE[si]}"
         number, unit = written(value, si)
         return f"{number:.4g} {unit}"
 
 
-def session(
+def session_readings(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
@@ -275,4 +270,75 @@ def session(
 
 def _is_used(name: str) -> bool:
     """Whether checks look at a column of the covariates."""
-    return name == "order" or is_covariate(name)
+    return name == "order" or ReadingsColumn.of_covariate(name) is not None
+
+
+# Predicted range of every reading under the tolerances and the stated noise.
+#
+# The range is linear about the nominal machine where the exact closure of a few drawn
+# machines agrees with the slopes; else many machines are drawn through the closure.
+
+#: machines that test linearity
+N_TRIAL_MACHINES = 24
+#: machines drawn where it fails
+N_MACHINES = 400
+#: values that are predicted at once, a reading of a machine each
+VALUES_AT_ONCE = 1_000_000
+#: share of the linear standard deviation that curvature may have
+MAX_CURVATURE = 0.05
+#: probability that one reading of a correct session lies outside its range
+RANGE_FALSE_ALARM = 1e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class Ranges:
+    """Predicted ranges of N values, SI.
+
+    nominal  (N,) readings of the nominal machine
+    middle  (N,) mean of the prediction
+    sd      (N,) its standard deviation, noise included
+    factor  half width of a range in standard deviations
+    """
+
+    nominal: Array
+    middle: Array
+    sd: Array
+    factor: float
+
+    @property
+    def lower(self) -> Array:
+        """Lower ends (N,)."""
+        return self.middle - self.factor * self.sd
+
+    @property
+    def upper(self) -> Array:
+        """Upper ends (N,)."""
+        return self.middle + self.factor * self.sd
+
+    def outside(self, y: Array) -> Index:
+        """Values, by number, that lie outside."""
+        return np.flatnonzero(np.abs(y - self.middle) > self.factor * self.sd)
+
+
+def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges:
+    """Ranges of a session's readings. Raises AssemblyError at the nominal machine."""
+    measurement, series = session.measurement, session.series
+    nominal = measurement.nominal
+    middle = measurement.readings(series, nominal)
+    noise = measurement.sigma(series)
+    slopes = measurement.jacobian(series, nominal)
+    spread = np.linalg.norm(measurement.in_prior_units(slopes), axis=1)
+    factor = float(-special.ndtri(0.5 * RANGE_FALSE_ALARM / len(middle)))
+    machines = draw_parameters(measurement, rng, N_TRIAL_MACHINES)
+    exact = measurement.try_readings(series, machines)
+    linear = middle + (machines - nominal) @ slopes.T
+    curved = np.sqrt(np.mean((exact - linear) ** 2, axis=0))
+    if (curved <= MAX_CURVATURE * spread + noise).all():
+        return Ranges(middle, middle, np.hypot(spread, noise), factor)
+    machines = draw_parameters(measurement, rng, N_MACHINES)
+    few = max(VALUES_AT_ONCE // len(middle), 1)
+    parts = np.split(machines, range(few, N_MACHINES, few))
+    exact = np.vstack([measurement.try_readings(series, part) for part in parts])
+    drawn = np.nanstd(exact, axis=0)
+    mean, sd = np.nanmean(exact, axis=0), np.hypot(drawn, noise)
+    return Ranges(middle, mean, sd, factor)

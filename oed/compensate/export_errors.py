@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.accuracy.maps import Reference, components_against
+from oed.accuracy import Reference, components_against
 from oed.base import Array
 from oed.compensate import (
     FurtherAxes,

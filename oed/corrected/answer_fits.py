@@ -28,8 +28,7 @@ from oed.corrected.fit import CorrectedEstimate, EffectReadings, estimate_with_e
 from oed.effect_model import Effect
 from oed.effects import ExpectedColumns
 from oed.estimation import Discrepancy, Estimate, IdentificationError, identify
-from oed.gap.cause.hypothesis import PRIOR
-from oed.gap.data.diagnosis import AnswerContent
+from oed.gap import UNSEEN_SHARE, AnswerContent
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.posterior import OutOfBoundsError
@@ -170,8 +169,6 @@ MIN_PROBABILITY = 0.02
 MIN_DRAWS = 300
 #: probability from which an answer is fitted with small effects as well
 MIN_SPLIT_PROBABILITY = 0.1
-#: prior probability that small effects act, where nothing shows them
-SMALL_EFFECTS_PRIOR = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -412,7 +409,7 @@ def _share_beside(candidate: _Candidate, estimate: Estimate) -> float:
     """Probability of a fit with what else acts, against the one without."""
     if candidate.unknown or estimate.effects is None:
         return 1.0
-    log_odds = special.logit(SMALL_EFFECTS_PRIOR) + estimate.effects.log_evidence
+    log_odds = special.logit(UNSEEN_SHARE) + estimate.effects.log_evidence
     return float(special.expit(log_odds))
 
 

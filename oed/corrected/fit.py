@@ -19,16 +19,14 @@ from oed.corrected.forms import (
 from oed.effect_model import Effect, State
 from oed.effects import ActingForm, ExpectedColumns, SessionStates
 from oed.estimation import Discrepancy, Estimate, identify
-from oed.gap.data import problem as problems
-from oed.gap.data import signature as signatures
-from oed.gap.data.linearisation import ActingEffectForm, settle
-from oed.gap.data.state import DOWN
+from oed.gap import DOWN, ActingEffectForm, GapProblem, assemble, exact_readings, settle
 from oed.instrument import TakenReadings
 from oed.measurement import Measurement, Series
 from oed.model import Parameter
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 #: name of a coefficient in theta: `effect: coefficient`
 SEPARATOR = ": "
@@ -133,9 +131,9 @@ class EffectReadings:
     covariates: pd.DataFrame
     gravity: tuple[float, float, float] = DOWN
 
-    def problem(self, theta: Array) -> problems.GapProblem:
+    def problem(self, theta: Array) -> GapProblem:
         """Residuals and states at theta (n,)."""
-        return problems.assemble(
+        return assemble(
             self.measurement,
             self.series,
             self.covariates,
@@ -345,7 +343,7 @@ def _same_constants(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> b
 
 def _linearised(
     readings: EffectReadings,
-    problem: problems.GapProblem,
+    problem: GapProblem,
     forms: Sequence[ChosenForm],
     sizes: Array,
     beta: Array,
@@ -364,8 +362,6 @@ def _linearised(
         acting.append((form.effect, form.constants, factors))
         start += len(coefficients)
     gradients = np.hstack(columns)
-    exact = signatures.exact_readings(
-        base, problem.series, theta, problem.states, acting
-    )
+    exact = exact_readings(base, problem.series, theta, problem.states, acting)
     offset = exact - base.readings(problem.series, theta) - gradients @ beta
     return MeasurementWithEffects(base, problem.series, names, sizes, gradients, offset)

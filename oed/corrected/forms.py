@@ -2,7 +2,7 @@
 
 With prior N(0, 1) on the coefficients and a free noise level, the log evidence of
 columns U is -1/2 log |A| - N/2 log(r^T M r - b^T A^-1 b), A = 1 + U^T M U, b = U^T M r;
-M takes out what the machine's parameters can explain (`oed.gap.data.metric`).
+M takes out what the machine's parameters can explain (`oed.gap.data.problem`).
 
 A joint estimate shows the sizes of effects and of their groups. A group is what belongs
 together: the coefficients of one leg, say. They are N(0, t^2). An estimate made with some
@@ -26,9 +26,7 @@ from scipy import linalg, special
 
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, FAR_SHARE, Effect
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
-from oed.gap.data.signature import Signature
+from oed.gap import GapProblem, Metric, Signature
 
 #: constants beyond which textbook forms alone are scanned
 MAX_FULL_GRID = 64

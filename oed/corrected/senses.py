@@ -17,7 +17,7 @@ import numpy as np
 from oed.base import Array, Index, Mask
 from oed.corrected.fit import CorrectedEstimate
 from oed.corrected.forms import FormEvidence, form_evidence
-from oed.gap.data.problem import GapProblem, with_reversed_runs
+from oed.gap import GapProblem
 
 #: least gain of the log evidence
 MIN_GAIN = 20.0
@@ -48,8 +48,7 @@ def find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:
     readings, theta = corrected.readings, corrected.estimate.theta
     theta = theta[: corrected.parameters]
     as_stated = readings.problem(theta)
-    reversed_rows = with_reversed_runs(readings.covariates)
-    other_way = dataclasses.replace(readings, covariates=reversed_rows).problem(theta)
+    other_way = as_stated.with_reversed_runs()
     search = _Search(
         form_evidence(as_stated),
         as_stated.residual,

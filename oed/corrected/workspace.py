@@ -14,15 +14,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.accuracy import prediction
-from oed.accuracy.budget import Budget, budget_model, budget_of
-from oed.accuracy.maps import (
+from oed.accuracy import (
+    Budget,
     ErrorMaps,
+    Prediction,
     Reference,
+    Spread,
+    budget_model,
     driven_errors,
     error_maps,
+    predict,
+    spread_after,
 )
-from oed.accuracy.prediction import Prediction, Spread
 from oed.base import Array, Index
 from oed.corrected.fit import CorrectedEstimate
 from oed.noise import LawNoise
@@ -88,7 +91,7 @@ def predict_corrected(
         before = driven_errors(kinematics, command, theta[:count], reference)
         before = before + of_effects.raw @ mean[count:]
 
-    compensated = prediction.predict(
+    compensated = predict(
         both,
         prior,
         covariance,
@@ -102,7 +105,7 @@ def predict_corrected(
     by_effects = of_effects.raw @ mean[count:]
     known_errors = maps.remaining @ mean[:count] + by_effects
     spreads = functools.partial(
-        prediction.spread_after, both, covariance, rng, draws=changes, worth=worth
+        spread_after, both, covariance, rng, draws=changes, worth=worth
     )
     parameters_only, of_plain = spreads(known_errors), {}
     if plain is not None:
@@ -126,8 +129,7 @@ def _budget(
         coefficients=len(corrected.scales),
     )
     spreads = predicted.fully_corrected
-    return budget_of(
-        model,
+    return model.budget(
         maps,
         estimated=estimate.covariance[np.ix_(used, used)],
         predicted=np.array([spreads[name].rms ** 2 for name in predicted.names]),

@@ -12,33 +12,241 @@ effect further out by the joint change that is worth L - L0.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from oed.base import Array, Index, Mask
-from oed.dataset import checks, sessions, table
+from oed.dataset import columns, table
 from oed.dataset.columns import (
+    REQUIRED,
+    SIGMA,
     ReadingsColumn,
-    column_name,
-    is_covariate,
+    column_meanings,
+    column_names,
     sigma_units,
+    temperature_body,
     tension_columns,
 )
-from oed.dataset.data import Dataset, column_layouts
-from oed.dataset.file_rows import FILE_COLUMN, short_names
+from oed.dataset.data import FILE_COLUMN, Dataset, column_layouts, short_names
 from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
-from oed.dataset.table_checks import ORDER_REMEDY
-from oed.instrument import Instrument
+from oed.dataset.table import ORDER_REMEDY, cell_remedy
+from oed.instrument import Instrument, Setup
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
-from oed.model import Machine
+from oed.model import Coordinate, Machine
+from oed.text import suggest
 
-#: most passes, and the change of a joint after which no further one follows, m or rad;
-#: each pass lowers the stretch's error by about the strain
-MOST_PASSES, SETTLED = 20, 1e-12
+# A readings table checked against the machine and its set-ups.
+#
+# Every check raises ReadingsError for the first problem, with row, column and remedy.
+
+#: SI amount by which a value may exceed its coordinate's range
+RANGE_SLACK = 1e-9
+#: names that a remedy lists
+MAX_LISTED = 24
+
+
+def expected_columns(measurement: Measurement) -> dict[str, str]:
+    """SI unit of every stem that a column may have, temperatures aside."""
+    instruments = [s.instrument for s in measurement.setups.values()]
+    channels = [c for instrument in instruments for c in instrument.channels]
+    return columns.expected_columns(measurement.machine, channels)
+
+
+def pose_groups(measurement: Measurement) -> list[list[str]]:
+    """Stems that only together give a pose: the commands, and the joints."""
+    machine = measurement.machine
+    return [[c.name for c in machine.command], [c.name for c in machine.joints]]
+
+
+def check_columns(table: ReadingsFile, measurement: Measurement) -> None:
+    """Refuse columns that are unknown, or in a unit of another kind."""
+    expected = expected_columns(measurement)
+    for stem, column in table.columns.items():
+        if stem in REQUIRED:
+            continue
+        unit = "K" if temperature_body(stem) else expected.get(stem)
+        if unit is None:
+            names = [ReadingsColumn.of(n, u).name for n, u in expected.items()]
+            names.append("temp_<body>_C")
+            problem, remedy = (
+                "unknown column",
+                suggest(column.name, names, "known", MAX_LISTED),
+            )
+        elif column.unit != unit:
+            names = column_names(stem, unit) or [ReadingsColumn.of(stem, unit).name]
+            problem, remedy = "the unit does not fit", f"write {', '.join(names)}"
+        else:
+            continue
+        raise ReadingsError(problem, remedy, file=table.file, row=1, column=column.name)
+
+
+def check_setups(table: ReadingsFile, measurement: Measurement) -> None:
+    """Refuse rows of unknown set-ups, and readings that an instrument does not take."""
+    setups = measurement.setups
+    names = table.frame["setup"]
+    for row in np.flatnonzero(~names.isin(setups).to_numpy())[:1]:
+        remedy = suggest(names[row], setups, "known", MAX_LISTED)
+        raise table.error("no such set-up", remedy, int(row), "setup")
+    channels = {c.name for s in setups.values() for c in s.instrument.channels}
+    for name, setup in setups.items():
+        rows = np.flatnonzero((names == name).to_numpy())
+        if rows.size:
+            _check_channels(table, setup, rows, channels)
+
+
+def _check_channels(
+    table: ReadingsFile, setup: Setup, rows: Index, channels: set[str]
+) -> None:
+    """Check the rows of one set-up; `channels` are those of all set-ups."""
+    stems = [c.name for c in setup.instrument.channels]
+    for channel in setup.instrument.channels:
+        implied = setup.instrument.implied is not None
+        if channel.name not in table.columns and not implied:
+            column = ReadingsColumn.of(channel.name, channel.unit).name
+            problem = f"{setup.name} reads {channel.name}, which has no column"
+            remedy = f"add {column}, or give the set-up the channels that were read"
+            raise table.error(problem, remedy, int(rows[0]), column)
+    others = channels - set(stems)
+    others |= {f"{SIGMA}{name}" for name in others}
+    for other in sorted(others & set(table.columns)):
+        values = table.frame[other].to_numpy()[rows]
+        for row in rows[np.isfinite(values)][:1]:
+            reads = f"{setup.name} ({setup.instrument.name}) reads {', '.join(stems)}"
+            remedy = "leave this cell empty, or correct the set-up"
+            raise table.error(reads, remedy, int(row), other)
+
+
+def check_range(
+    table: ReadingsFile,
+    coordinates: Sequence[Coordinate],
+    values: Array,
+    rows: Index,
+    name: str,
+) -> None:
+    """Refuse values (n, k) of table rows (n,) outside the range called `name`."""
+    for k, coordinate in enumerate(coordinates):
+        lower, upper = coordinate.lower, coordinate.upper
+        below = values[:, k] < lower - RANGE_SLACK
+        above = values[:, k] > upper + RANGE_SLACK
+        for i in np.flatnonzero(below | above)[:1]:
+            factor = table.columns[coordinate.name].factor
+            remedy = (
+                f"{coordinate.name} goes from {lower / factor:.6g} to"
+                f" {upper / factor:.6g} in this column's unit"
+                f"{_other_meaning(table, coordinate, values[:, k])}"
+            )
+            raise table.error(
+                f"outside the {name}", remedy, int(rows[i]), coordinate.name
+            )
+
+
+def _other_meaning(table: ReadingsFile, coordinate: Coordinate, values: Array) -> str:
+    """Other meanings of a column, with which all its values are in the range, in words."""
+    lower, upper = coordinate.lower - RANGE_SLACK, coordinate.upper + RANGE_SLACK
+    name = table.columns[coordinate.name].name
+    fitting = [
+        phrase.format(name)
+        for phrase, meant in column_meanings(coordinate, values).items()
+        if ((lower <= meant(values)) & (meant(values) <= upper)).all()
+    ]
+    return f". All fit if {', or if '.join(fitting[:2])}" if fitting else ""
+
+
+def filled_columns(
+    table: ReadingsFile, stems: Sequence[str], rows: Index
+) -> Array | None:
+    """Columns (n, k) of table rows (n,); None where all are empty.
+
+    Raises ReadingsError where only some are filled.
+    """
+    present = [stem for stem in stems if stem in table.columns]
+    values: Array = table.frame.loc[rows, present].to_numpy(dtype=float)
+    finite = np.isfinite(values)
+    if not finite.any():
+        return None
+    remedy = cell_remedy(stems[0], [stems])
+    if len(present) < len(stems):
+        absent = next(stem for stem in stems if stem not in present)
+        problem = f"there is no column for {absent}"
+        raise table.error(problem, remedy, int(rows[0]), absent)
+    for i, k in np.argwhere(~finite)[:1]:
+        raise table.error("the cell is empty", remedy, int(rows[i]), present[k])
+    return values
+
+
+# Tables of several sessions as those of one: run names of their own, and one clock.
+
+
+@dataclasses.dataclass(frozen=True)
+class JoinedSessions:
+    """Tables of all sessions in order.
+
+    restarted  numbers of the sessions, from 1, whose clock starts again
+    """
+
+    tables: tuple[ReadingsFile, ...]
+    restarted: tuple[int, ...]
+
+
+def join(sessions: Sequence[Sequence[ReadingsFile]]) -> JoinedSessions:
+    """Tables of sessions, the earliest first, as those of one session.
+
+    A run whose name an earlier session uses in its set-up gets the number of its session.
+    A clock that starts again counts on from the end of the session before.
+    """
+    joined: list[ReadingsFile] = []
+    restarted: list[int] = []
+    runs: set[tuple[str, str]] = set()
+    end = -np.inf
+    for number, tables in enumerate(sessions, start=1):
+        start, last = _extent(tables)
+        delay = 0.0
+        if start <= end:
+            delay = end + 1.0 - start
+            restarted.append(number)
+        renamed = [_renamed_later(one, runs, number, delay) for one in tables]
+        runs |= {key for one in renamed for key in _distinct_runs(one.frame)}
+        end = max(end, last + delay)
+        joined += renamed
+    return JoinedSessions(tuple(joined), tuple(restarted))
+
+
+def _extent(tables: Sequence[ReadingsFile]) -> tuple[float, float]:
+    """First and last time of a session, s; (inf, -inf) where none is known."""
+    clocks = [one.frame["time"] for one in tables if "time" in one.frame]
+    times = np.concatenate([np.empty(0), *clocks])
+    finite = times[np.isfinite(times)]
+    return float(finite.min(initial=np.inf)), float(finite.max(initial=-np.inf))
+
+
+def _distinct_runs(frame: pd.DataFrame) -> set[tuple[str, str]]:
+    """Set-up and run of the rows."""
+    distinct = frame[["setup", "run"]].drop_duplicates()
+    return set(zip(distinct["setup"], distinct["run"], strict=True))
+
+
+def _renamed_later(
+    one: ReadingsFile, runs: set[tuple[str, str]], number: int, delay: float
+) -> ReadingsFile:
+    """A table of a later session; `runs` are those of earlier ones."""
+    frame = one.frame
+    if runs & _distinct_runs(frame):
+        names = [
+            f"{run} (session {number})" if (setup, run) in runs else run
+            for setup, run in zip(frame["setup"], frame["run"], strict=True)
+        ]
+        frame = frame.assign(run=names)
+    if "time" in frame:
+        frame = frame.assign(time=frame["time"] + delay)
+    return dataclasses.replace(one, frame=frame)
+
+
+#: change of a joint after which no further pass follows, m or rad
+JOINT_TOLERANCE = 1e-12
 
 
 def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
@@ -58,11 +266,25 @@ def load_sessions(
     The second result are the numbers of sessions whose clock starts again. Raises as
     `load` does.
     """
-    expected = checks.expected_columns(measurement)
-    poses = checks.pose_groups(measurement)
+    expected = expected_columns(measurement)
+    poses = pose_groups(measurement)
     tables = [[table.read(p, expected, poses) for p in paths] for paths in files]
-    joined = sessions.join(tables)
+    joined = join(tables)
     return from_tables(joined.tables, measurement), joined.restarted
+
+
+def from_rows(
+    rows: Sequence[Mapping[str, str]], name: str, measurement: Measurement
+) -> Dataset:
+    """Make a dataset of rows, cells by column; numbered as the lines of a file.
+
+    Raises ReadingsError.
+    """
+    header = list(dict.fromkeys(column for row in rows for column in row))
+    lines: list[tuple[int, list[str]]] = [(1, header)]
+    for number, row in enumerate(rows, start=2):
+        lines.append((number, [row.get(column, "") for column in header]))
+    return from_tables([table.from_rows(lines, name)], measurement)
 
 
 def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
@@ -71,10 +293,10 @@ def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dat
     Raises ReadingsError.
     """
     for one in tables:
-        checks.check_columns(one, measurement)
+        check_columns(one, measurement)
     merged = _merge(tables)
     _check_size(merged, measurement)
-    checks.check_setups(merged, measurement)
+    check_setups(merged, measurement)
     names = merged.frame["setup"].to_numpy()
     used = [name for name in measurement.setups if (names == name).any()]
     parts = [_setup_readings(merged, measurement, name) for name in used]
@@ -103,7 +325,7 @@ def _check_size(merged: ReadingsFile, measurement: Measurement) -> None:
     }
     present = [name for name in channels if name in merged.frame]
     count = int(merged.frame[present].notna().to_numpy().sum())
-    if max(count, len(merged.frame)) > table.MOST_READINGS:
+    if max(count, len(merged.frame)) > table.MAX_READINGS:
         raise table.too_many(max(count, len(merged.frame)), "readings", merged.file)
 
 
@@ -152,7 +374,7 @@ def _setup_readings(
     taken = np.isfinite(values).all(axis=1) & ~reference
     series = None
     if taken.any():
-        used = _with_references(frame["run"], taken, reference)
+        used = _add_references(frame["run"], taken, reference)
         series = _series(merged, measurement, name, rows[used])
         sigma = _sigma(frame[taken], instrument)
         series = dataclasses.replace(series, sigma=sigma)
@@ -212,7 +434,7 @@ def _check_runs_have_readings(
         raise merged.error(problem, remedy, int(rows[k]), "run")
 
 
-def _with_references(run: pd.Series, taken: Mask, reference: Mask) -> Index:
+def _add_references(run: pd.Series, taken: Mask, reference: Mask) -> Index:
     """Rows with a reading, and the references of runs that have readings."""
     in_use = run.isin(run[taken].unique()).to_numpy()
     return np.flatnonzero(taken | (reference & in_use))
@@ -221,7 +443,7 @@ def _with_references(run: pd.Series, taken: Mask, reference: Mask) -> Index:
 def _covariates(rows: pd.DataFrame, files: pd.Series) -> pd.DataFrame:
     """Covariates of some rows, with the file of each where there are several."""
     columns = ["setup", "run", "order"]
-    columns += [c for c in rows.columns if is_covariate(str(c))]
+    columns += [c for c in rows.columns if ReadingsColumn.of_covariate(str(c))]
     selected = rows[[*columns, ROW]].rename(columns={ROW: "row"})
     every = list(map(str, files.unique()))
     if len(every) > 1:
@@ -238,14 +460,14 @@ def _series(
     machine = measurement.machine
     run = [str(label) for label in merged.frame["run"].iloc[rows]]
     stems = [c.name for c in machine.joints]
-    joints = checks.filled_columns(merged, stems, rows)
+    joints = filled_columns(merged, stems, rows)
     tension = _tensions(merged, machine, rows)
     try:
         if joints is None:
             command = _commands(merged, measurement, name, rows)
             series = measurement.series(name, command, run)
         else:
-            checks.check_range(merged, machine.joints, joints, rows, "joint range")
+            check_range(merged, machine.joints, joints, rows, "joint range")
             series = measurement.series_from_joints(name, joints, run)
         return with_stretch(measurement, series, tension)
     except AssemblyError as error:
@@ -264,7 +486,7 @@ def _tensions(merged: ReadingsFile, machine: Machine, rows: Index) -> Array:
     """
     tension = np.full((len(rows), len(machine.joints)), np.nan)
     for k, stem in enumerate(tension_columns(machine)):
-        values = checks.filled_columns(merged, [stem], rows)
+        values = filled_columns(merged, [stem], rows)
         if values is not None:
             tension[:, k] = values[:, 0]
     return tension
@@ -275,9 +497,9 @@ def _commands(
 ) -> Array:
     """Commands (n, n_dof) of rows of the table, within the workspace."""
     machine = measurement.machine
-    command = checks.filled_columns(merged, [c.name for c in machine.command], rows)
+    command = filled_columns(merged, [c.name for c in machine.command], rows)
     if command is None:
-        columns = [column_name(c.name, c.unit) for c in machine.command]
+        columns = [ReadingsColumn.of(c.name, c.unit).name for c in machine.command]
         remedy = f"fill {', '.join(columns)}, or the joints"
         raise merged.error("no pose is given", remedy, int(rows[0]), columns[0])
     tool = measurement.setups[name].tool
@@ -287,8 +509,8 @@ def _commands(
         at_reference = measurement.kinematics.at_reference_tool(
             command[outside], np.array(tool)
         )
-        place = f"workspace of {machine.name}"
-        checks.check_range(merged, machine.command, at_reference, rows[outside], place)
+        name_of_range = f"workspace of {machine.name}"
+        check_range(merged, machine.command, at_reference, rows[outside], name_of_range)
     return command
 
 
@@ -310,11 +532,11 @@ def with_stretch(measurement: Measurement, series: Series, tension: Array) -> Se
     taught = np.repeat(strain[:1], len(series.q) - len(strain), axis=0)
     strain = np.vstack([strain, taught])
     x, q = series.start, series.q
-    for _ in range(MOST_PASSES):
+    for _ in range(20):
         base, platform, per_length = kinematics.struts(x, q, machine.nominal)
         length = np.linalg.norm(platform - base, axis=-1)
         before, q = q, series.q + per_length * length * strain / (1.0 + strain)
         x = kinematics.forward(q, machine.nominal, x)
-        if np.abs(q - before).max() < SETTLED:
+        if np.abs(q - before).max() < JOINT_TOLERANCE:
             break
     return dataclasses.replace(series, q=q, start=x)

@@ -8,16 +8,9 @@ from typing import Any
 import numpy as np
 
 from oed import csv_text
-from oed.base import Array
-from oed.dataset.columns import (
-    REQUIRED,
-    SIGMA,
-    cell,
-    column_name,
-    covariate_unit,
-    is_covariate,
-)
-from oed.dataset.data import ColumnLayout, Dataset, consecutive
+from oed.base import Array, consecutive_slices
+from oed.dataset.columns import REQUIRED, SIGMA, ReadingsColumn, cell
+from oed.dataset.data import ColumnLayout, Dataset
 from oed.dataset.dialect import commented
 from oed.measurement import Series
 
@@ -33,7 +26,7 @@ def to_csv(
     comments  lines above the header, from the names of the columns
     """
     rows: list[dict[str, str]] = []
-    lines = consecutive([len(s) for s in dataset.series])
+    lines = consecutive_slices([len(s) for s in dataset.series])
     for s, span, line in zip(dataset.series, dataset.spans, lines, strict=True):
         values = dataset.y[span].reshape(len(s), -1)
         covariates = dataset.covariates.iloc[line].to_dict("records")
@@ -62,26 +55,26 @@ def _rows(
         row = _labels(series.setup, run, order)
         row |= _pose(series, series.index[i, 0], layout)
         for stem, value in covariate.items():
-            if is_covariate(stem):
-                unit = covariate_unit(stem)
-                row[column_name(stem, unit)] = cell(value, unit)
+            column = ReadingsColumn.of_covariate(stem)
+            if column is not None:
+                row[column.name] = cell(value, column.unit)
         if layout.implied and np.isnan(values[i]).all():
             row = _joint_cells(layout) | row
             yield row
             continue
         for k, channel in enumerate(layout.channels):
-            row[column_name(channel.name, channel.unit)] = cell(
+            row[ReadingsColumn.of(channel.name, channel.unit).name] = cell(
                 values[i, k], channel.unit
             )
             if series.sigma is not None and np.isfinite(series.sigma[:, k]).any():
-                name = column_name(f"{SIGMA}{channel.name}", channel.unit)
+                name = ReadingsColumn.of(f"{SIGMA}{channel.name}", channel.unit).name
                 row[name] = cell(series.sigma[i, k], channel.unit)
         yield row
 
 
 def _joint_cells(layout: ColumnLayout) -> dict[str, str]:
     """Empty cells for the joints, which are recorded where a constraint holds."""
-    return {column_name(c.name, c.unit): "" for c in layout.joints}
+    return {ReadingsColumn.of(c.name, c.unit).name: "" for c in layout.joints}
 
 
 def _labels(setup: str, run: str, order: int) -> dict[str, str]:
@@ -94,7 +87,7 @@ def _pose(series: Series, k: int, layout: ColumnLayout) -> dict[str, str]:
     if np.isnan(values).any():
         coordinates, values = layout.joints, series.q[k]
     return {
-        column_name(c.name, c.unit): cell(value, c.unit)
+        ReadingsColumn.of(c.name, c.unit).name: cell(value, c.unit)
         for c, value in zip(coordinates, values, strict=True)
     }
 
@@ -103,11 +96,14 @@ def _rank(name: str, dataset: Dataset) -> tuple[int, int]:
     """Place of a column in the contract's order: labels, pose, covariates, readings."""
     pose, channels = [], []
     for layout in dataset.layouts.values():
-        pose += [column_name(c.name, c.unit) for c in (*layout.command, *layout.joints)]
+        pose += [
+            ReadingsColumn.of(c.name, c.unit).name
+            for c in (*layout.command, *layout.joints)
+        ]
         for c in layout.channels:
             names = c.name, f"{SIGMA}{c.name}"
-            channels += [column_name(name, c.unit) for name in names]
-    stems = [stem for stem in dataset.covariates.columns if is_covariate(stem)]
-    covariates = [column_name(stem, covariate_unit(stem)) for stem in stems]
+            channels += [ReadingsColumn.of(name, c.unit).name for name in names]
+    stated = map(ReadingsColumn.of_covariate, dataset.covariates.columns)
+    covariates = [column.name for column in stated if column is not None]
     groups = [list(REQUIRED), pose, covariates, channels]
     return next((i, g.index(name)) for i, g in enumerate(groups) if name in g)

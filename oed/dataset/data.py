@@ -3,16 +3,119 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+import hashlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
-from oed.base import Array
+from oed.base import Array, consecutive_slices
 from oed.dataset.columns import ReadingsColumn
 from oed.instrument import Channel, Setup
 from oed.measurement import Measurement, Series
 from oed.model import Coordinate, Machine
+
+# A digest of each reading, by which a session is known again in any order of rows and columns.
+
+#: share of the smaller of two sessions that is equal in both where they are the same
+SAME_SHARE = 0.9
+#: bytes of a digest: two of a million readings share one by chance in 0.2 % of sessions
+DIGEST_BYTES = 6
+
+
+def reading_digests(
+    series: Sequence[Series], y: Array, setups: Mapping[str, Setup]
+) -> list[str]:
+    """Sorted digests of readings y (N,), SI, that were taken.
+
+    A digest is of the pose, or of the joints where these were recorded, of the channel
+    and of its value, to nine digits. Names of set-ups and runs, order, time and other
+    covariates have no part in it, since a second file of a session may have others.
+    """
+    distinct: set[str] = set()
+    start = 0
+    for s in series:
+        channels = [c.name for c in setups[s.setup].instrument.channels]
+        end = start + len(s) * len(channels)
+        distinct.update(_series_digests(s, y[start:end].reshape(len(s), -1), channels))
+        start = end
+    return sorted(distinct)
+
+
+def _series_digests(
+    series: Series, values: Array, channels: Sequence[str]
+) -> Iterator[str]:
+    """Digests of values (n, channels) of one series."""
+    pairs = zip(series.command, series.q, strict=True)
+    poses = [_text(q if np.isnan(command).any() else command) for command, q in pairs]
+    for index, row in zip(series.index, values, strict=True):
+        text_of_poses = ";".join(poses[k] for k in index)
+        for channel, value in zip(channels, row, strict=True):
+            if np.isfinite(value):
+                key = f"{text_of_poses}|{channel}|{_text([value])}"
+                yield hashlib.blake2b(
+                    key.encode(), digest_size=DIGEST_BYTES
+                ).hexdigest()
+
+
+def _text(values: Sequence[float] | Array) -> str:
+    """Numbers to nine digits; zero has no sign."""
+    return ",".join(f"{value + 0.0:.9g}" for value in values)
+
+
+def is_counted(readings: Collection[str], others: Collection[str]) -> bool:
+    """Whether two sets of digests are of the same session, or one is part of the other."""
+    return shared(readings, others) >= SAME_SHARE
+
+
+def shared(readings: Collection[str], others: Collection[str]) -> float:
+    """Share of the smaller of two sets of digests that both have; 0 for an empty one."""
+    smaller = min(len(readings), len(others))
+    return len(set(readings) & set(others)) / smaller if smaller else 0.0
+
+
+# Rows of readings files: a number, and the file where there are several.
+
+#: column of the covariates that states the file of each reading, where there are several
+FILE_COLUMN = "file"
+
+
+@dataclasses.dataclass(frozen=True, order=True, slots=True)
+class FileRow:
+    """A row of one of several files, in their order; as text it names the file."""
+
+    place: int
+    row: int
+    file: str
+
+    def __int__(self) -> int:
+        return self.row
+
+    def __str__(self) -> str:
+        return f"{self.row} of {self.file}"
+
+
+#: a row of the only file, or of one of several
+Row = int | FileRow
+
+
+def named_rows(covariates: pd.DataFrame) -> Array:
+    """The row (n,) of each reading, with its file where covariates state several."""
+    rows = covariates["row"].to_numpy()
+    if FILE_COLUMN not in covariates:
+        return np.asarray(rows)
+    files = pd.Categorical(covariates[FILE_COLUMN])
+    named = [
+        FileRow(int(number), int(row), str(file))
+        for number, row, file in zip(files.codes, rows, files, strict=True)
+    ]
+    return np.array(named, dtype=object)
+
+
+def short_names(files: Sequence[str]) -> list[str]:
+    """The files' names without their folders, where these differ."""
+    names = [file.replace("\\", "/").rpartition("/")[2] for file in files]
+    return names if len({*names}) == len(files) else list(files)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -75,15 +178,15 @@ class Dataset:
     @property
     def spans(self) -> tuple[slice, ...]:
         """Where the readings of each series are in y."""
-        return consecutive(self._sizes())
+        return consecutive_slices(self._sizes())
 
     def take(self, setups: Iterable[str]) -> Dataset:
         """The readings of these set-ups, in this dataset's order.
 
         Raises KeyError for a set-up without readings.
         """
-        wanted = set(setups)
-        absent = wanted - set(self.setups)
+        names = set(setups)
+        absent = names - set(self.setups)
         if absent:
             raise KeyError(
                 f"there are no readings of {sorted(absent)}; there are"
@@ -91,10 +194,10 @@ class Dataset:
             )
         series, values = [], [np.empty(0)]
         for s, span in zip(self.series, self.spans, strict=True):
-            if s.setup in wanted:
+            if s.setup in names:
                 series.append(s)
                 values.append(self.y[span])
-        rows = self.covariates["setup"].isin(wanted)
+        rows = self.covariates["setup"].isin(names)
         return dataclasses.replace(
             self,
             series=tuple(series),
@@ -106,12 +209,6 @@ class Dataset:
     def _sizes(self) -> list[int]:
         """Number of values of each series."""
         return [len(s) * len(self.layouts[s.setup].channels) for s in self.series]
-
-
-def consecutive(sizes: Sequence[int]) -> tuple[slice, ...]:
-    """Slices of these sizes, one after the other."""
-    ends = np.cumsum(sizes, dtype=int).tolist()
-    return tuple(slice(end - size, end) for size, end in zip(sizes, ends, strict=True))
 
 
 def column_layout(machine: Machine, setup: Setup) -> ColumnLayout:
@@ -149,7 +246,7 @@ def from_series(
     The order counts within each run. Where several series of one set-up use a run name,
     the later ones get a number.
     """
-    series = _with_distinct_runs(series)
+    series = _distinct_runs(series)
     layouts = column_layouts(measurement, series)
     frames = []
     for s in series:
@@ -165,7 +262,7 @@ def from_series(
     return Dataset(series=series, y=values, covariates=rows, layouts=layouts)
 
 
-def _with_distinct_runs(series: Sequence[Series]) -> tuple[Series, ...]:
+def _distinct_runs(series: Sequence[Series]) -> tuple[Series, ...]:
     """Series with a number added to run names that an earlier series uses."""
     used: set[tuple[str, str]] = set()
     distinct = []

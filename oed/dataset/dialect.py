@@ -46,6 +46,21 @@ class SplitText:
     text: str
     comments: int = 0
 
+    @classmethod
+    def of(cls, text: str) -> SplitText:
+        """The table of a text. A header without the known columns counts as commas."""
+        stated = SEPARATOR_LINE.match(text)
+        if stated is not None and stated[1] in SEPARATORS:
+            table, comments = _skip_comments(text[stated.end() :])
+            return cls(stated[1], table, comments)
+        table, comments = _skip_comments(text)
+        header = table.lstrip().partition("\n")[0]
+        for separator in SEPARATORS:
+            names = {name.strip(' \t\r"') for name in header.split(separator)}
+            if names.issuperset(REQUIRED):
+                return cls(separator, table, comments)
+        return cls(SEPARATORS[0], table, comments)
+
     def rows(self) -> Iterator[Row]:
         """Numbered rows that are not blank. Raises csv.Error."""
         # a StringIO would have four bytes a character
@@ -72,41 +87,31 @@ def commented(lines: Iterable[str]) -> str:
     return "".join(f"{COMMENT} {line}\n" for line in lines)
 
 
-def split(text: str) -> SplitText:
-    """The table of a text. A header without the known columns counts as commas."""
-    stated = SEPARATOR_LINE.match(text)
-    if stated is not None and stated[1] in SEPARATORS:
-        table, comments = _without_comments(text[stated.end() :])
-        return SplitText(stated[1], table, comments)
-    table, comments = _without_comments(text)
-    header = table.lstrip().partition("\n")[0]
-    for separator in SEPARATORS:
-        names = {name.strip(' \t\r"') for name in header.split(separator)}
-        if names.issuperset(REQUIRED):
-            return SplitText(separator, table, comments)
-    return SplitText(SEPARATORS[0], table, comments)
-
-
-def _without_comments(text: str) -> tuple[str, int]:
+def _skip_comments(text: str) -> tuple[str, int]:
     """The text below the comments that open it, and their number, blank lines included.
 
     A spreadsheet may have put them in quotes.
     """
-    count, start, place, number = 0, 0, 0, 0
-    while place < len(text):
-        end = text.find("\n", place) + 1 or len(text)
-        content = text[place:end].strip().lstrip('"')
+    count, start, position, number = 0, 0, 0, 0
+    while position < len(text):
+        end = text.find("\n", position) + 1 or len(text)
+        content = text[position:end].strip().lstrip('"')
         if content and not content.startswith(COMMENT):
             break
-        place, number = end, number + 1
+        position, number = end, number + 1
         if content:
-            count, start = number, place
+            count, start = number, position
     return text[start:], count
+
+
+def is_remark(name: str) -> bool:
+    """Whether a column is of text for the reader alone."""
+    return REMARK.fullmatch(name) is not None
 
 
 def is_unread(name: str) -> bool:
     """Whether a column is a remark, or has no name at all."""
-    return not name or REMARK.fullmatch(name) is not None
+    return not name or is_remark(name)
 
 
 def with_decimal_points(cells: Sequence[str], separator: str) -> list[str]:

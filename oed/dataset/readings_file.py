@@ -13,10 +13,12 @@ from oed.dataset.columns import (
 )
 from oed.text import shorten
 
-#: columns of a frame that no column of a file can have: the row's file and number
-FILE, ROW = "#file", "#row"
+#: column of a frame, which no file can have: the row's file
+FILE = "#file"
+#: column of a frame, which no file can have: the row's number in its file
+ROW = "#row"
 #: characters of a name or value in an error
-SHOWN: Final = 40
+MAX_SHOWN: Final = 40
 
 
 class ReadingsError(ValueError):
@@ -38,11 +40,11 @@ class ReadingsError(ValueError):
         if row:
             where.append(f"row {row}")
         if column:
-            where.append(f"column {shorten(column, SHOWN)}")
+            where.append(f"column {shorten(column, MAX_SHOWN)}")
         self.where = ", ".join(where)
         subject = self.where
         if value and subject:
-            subject = f"{subject} = {shorten(value, SHOWN)}"
+            subject = f"{subject} = {shorten(value, MAX_SHOWN)}"
         message = ": ".join(part for part in (file, subject, problem) if part)
         super().__init__(f"{message}; {remedy}.")
 
@@ -62,13 +64,13 @@ class ReadingsFile:
     frame: pd.DataFrame
     columns: dict[str, ReadingsColumn]
 
-    def error(self, problem: str, remedy: str, at: int, stem: str) -> ReadingsError:
-        """The error to raise for row `at` of the frame (from 0) and a column."""
-        row = self.frame.iloc[at]
+    def error(self, problem: str, remedy: str, index: int, stem: str) -> ReadingsError:
+        """The error to raise for row `index` of the frame (from 0) and a column."""
+        row = self.frame.iloc[index]
         name, value = stem, ""
         if stem in self.columns:
             column = self.columns[stem]
-            name, value = column.name, _as_written(row[stem], column)
+            name, value = column.name, _written_cell(row[stem], column)
         return ReadingsError(
             problem,
             remedy,
@@ -79,7 +81,7 @@ class ReadingsFile:
         )
 
 
-def _as_written(cell: object, column: ReadingsColumn) -> str:
+def _written_cell(cell: object, column: ReadingsColumn) -> str:
     """A cell of the frame as it stands in the file; empty where it is not finite."""
     if not isinstance(cell, float):
         return str(cell)

@@ -7,34 +7,219 @@ spreadsheet shows them. Remarks, and lines with # above the header, are not read
 from __future__ import annotations
 
 import csv
+import dataclasses
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import itertools
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from oed import units
-from oed.base import Array, Index
-from oed.dataset import dialect, table_cells
+from oed import csv_text, units
+from oed.base import Array, Index, Mask
+from oed.dataset import dialect
 from oed.dataset.columns import (
     LABELS,
     REQUIRED,
+    SIGMA,
+    TENSION,
     UNITLESS,
     ReadingsColumn,
     column_names,
-    parse_column,
 )
 from oed.dataset.dialect import Row, SplitText
 from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
-from oed.dataset.table_checks import check_rows
+
+# What no table of readings may have: labels, orders and signs that contradict.
+
+ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
+#: least value of a covariate
+MIN_COVARIATES: Final = {"time": 0, "feed": 0, "repeat": 1}
+#: least and largest standard deviation of a reading, SI
+SIGMA_RANGE: Final = (1e-12, 1e3)
+#: orders stay below this
+MAX_ORDER: Final = 1e15
+
+
+def check_rows(table: ReadingsFile) -> None:
+    """Raises ReadingsError for the first row that contradicts itself."""
+    _check_labels(table)
+    _check_order(table)
+    _check_direction(table)
+    _check_not_negative(table)
+    _check_sigma(table)
+
+
+def _check_labels(table: ReadingsFile) -> None:
+    for stem in LABELS:
+        empty = (table.frame[stem] == "").to_numpy()
+        remedy = f"name the {stem} of every row"
+        _refuse_first(table, empty, "the cell is empty", remedy, stem)
+
+
+def _check_order(table: ReadingsFile) -> None:
+    order = table.frame["order"].to_numpy()
+    whole = (order >= 0) & (order < MAX_ORDER) & (order == np.round(order))
+    _refuse_first(
+        table, ~whole, "order is no whole number from 0 on", ORDER_REMEDY, "order"
+    )
+
+
+def _check_direction(table: ReadingsFile) -> None:
+    if "direction" not in table.frame:
+        return
+    direction = table.frame["direction"].to_numpy()
+    is_valid = np.isnan(direction) | (np.abs(direction) == 1.0)
+    remedy = "write 1 or -1, or leave it empty"
+    _refuse_first(table, ~is_valid, "direction is +1 or -1", remedy, "direction")
+
+
+def _check_not_negative(table: ReadingsFile) -> None:
+    """Times count from the session's start, feeds are speeds, cables do not push."""
+    least_values = dict(MIN_COVARIATES)
+    least_values |= {s: 0 for s in table.columns if s.startswith(TENSION)}
+    for stem, least in least_values.items():
+        if stem in table.frame:
+            below = table.frame[stem].to_numpy() < least
+            remedy = "correct it, or leave the cell empty where it is unknown"
+            problem = f"{stem} is at least {least}"
+            _refuse_first(table, below, problem, remedy, stem)
+
+
+def _check_sigma(table: ReadingsFile) -> None:
+    """Standard deviations of readings are above 0, and of a size that readings have."""
+    least, most = SIGMA_RANGE
+    for stem in table.columns:
+        if stem.startswith(SIGMA):
+            values = table.frame[stem].to_numpy(dtype=float)
+            bad = np.isfinite(values) & ~((values >= least) & (values <= most))
+            problem = "no reading has such a standard deviation"
+            remedy = (
+                "give a number above 0 in the column's unit, or leave the cell empty: then"
+                " that of [noise] holds"
+            )
+            _refuse_first(table, bad, problem, remedy, stem)
+
+
+def _refuse_first(
+    table: ReadingsFile, bad: Mask, problem: str, remedy: str, stem: str
+) -> None:
+    """Raise ReadingsError for the first bad row, if there is one."""
+    rows = np.flatnonzero(bad)
+    if rows.size:
+        raise table.error(problem, remedy, int(rows[0]), stem)
+
+
+# Cells of a table in columns, from rows of text, converted block by block.
+#
+# Text cells take some forty bytes each, however short they are; numbers take eight.
+
+#: rows whose cells are in memory as text at once
+ROWS_AT_ONCE: Final = 10_000
+#: size of a number in a cell beyond which it is a slip
+MAX_NUMBER: Final = 1e12
+
+#: SI values (n,) of cells of a column, by its stem, with the numbers (n,) of their rows
+Convert = Callable[[str, Sequence[str], Index], Array]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TableCells:
+    """Cells of a table.
+
+    rows     number (n,) of each row in its file
+    columns  by stem: labels, or SI values (n,), NaN where a cell is empty
+    """
+
+    rows: Index
+    columns: Mapping[str, Sequence[str] | Array]
+
+
+def by_column(
+    rows: Iterable[Row], places: Mapping[str, int], convert: Convert
+) -> TableCells:
+    """Columns of numbered rows of cells; `places` are those of stems in a row.
+
+    Rows are all read before the first cell that `convert` refuses is reported, in the
+    order of the columns. Raises ReadingsError.
+    """
+    numbers: list[Index] = []
+    labels: dict[str, list[str]] = {stem: [] for stem in places if stem in LABELS}
+    parts: dict[str, list[Array]] = {stem: [] for stem in places if stem not in LABELS}
+    refused: dict[str, ReadingsError] = {}
+    for block in _blocks(rows):
+        numbers.append(np.array([number for number, _ in block], dtype=np.intp))
+        for stem, k in places.items():
+            text = [csv_text.plain(cells[k].strip()) for _, cells in block]
+            if stem in labels:
+                labels[stem] += map(sys.intern, text)
+            elif stem not in refused:
+                try:
+                    parts[stem].append(convert(stem, text, numbers[-1]))
+                except ReadingsError as error:
+                    refused[stem] = error
+    for stem in places:
+        if stem in refused:
+            raise refused[stem]
+    every = np.concatenate([np.zeros(0, dtype=np.intp), *numbers])
+    values = {stem: np.concatenate([np.empty(0), *p]) for stem, p in parts.items()}
+    return TableCells(every, {stem: (labels | values)[stem] for stem in places})
+
+
+def _blocks(rows: Iterable[Row]) -> Iterator[list[Row]]:
+    remaining = iter(rows)
+    while block := list(itertools.islice(remaining, ROWS_AT_ONCE)):
+        yield block
+
+
+def numbers_of(
+    column: ReadingsColumn,
+    text: Sequence[str],
+    rows: Index,
+    file: str,
+    remedy: str,
+) -> Array:
+    """SI values (n,) of a column, NaN where the cell is empty. Raises ReadingsError."""
+    cells = pd.Series(text, dtype=object)
+    parsed = pd.to_numeric(cells, errors="coerce")
+    values = parsed.to_numpy(dtype=float, na_value=np.nan)
+    filled = (cells != "").to_numpy()
+    bad = np.flatnonzero(filled & ~np.isfinite(values))
+    if bad.size:
+        k = int(bad[0])
+        if "," in text[k] and "." in text[k]:
+            remedy = "write one decimal sign, and no sign between thousands"
+        elif "," in text[k]:
+            remedy = "write decimals with a point"
+        raise ReadingsError(
+            "not a finite number",
+            remedy,
+            file=file,
+            row=int(rows[k]),
+            column=column.name,
+            value=text[k],
+        )
+    huge = np.flatnonzero(filled & (np.abs(values) > MAX_NUMBER))
+    if huge.size:
+        k = int(huge[0])
+        raise ReadingsError(
+            "no number of a session is so large",
+            remedy,
+            file=file,
+            row=int(rows[k]),
+            column=column.name,
+            value=text[k],
+        )
+    return np.asarray(values * column.factor)
+
 
 MAX_BYTES: Final = 64_000_000
 #: readings of one session, each a value of a channel: with these a check takes about a
 #: gigabyte, and a diagnosis some four
-MOST_READINGS: Final = 50_000
-MAX_COLUMNS: Final = 200
+MAX_READINGS: Final = 50_000
 HEADER_REMEDY: Final = (
     "the first line names the columns: setup,run,order, then a pose and a reading such"
     " as z_mm,length_mm"
@@ -53,9 +238,14 @@ def read(
     that only together give a pose: they make remedies exact. Raises ReadingsError for
     the first problem, OSError where the file is not there.
     """
-    split = dialect.split(_text(path))
+    split = SplitText.of(_text(path))
     rows = _rows(split, str(path))
     return from_rows(rows, str(path), expected, split.separator, poses)
+
+
+def count_rows(path: Path) -> int:
+    """The number of rows of a file, which is checked. Raises as `read` does."""
+    return len(read(path).frame)
 
 
 def from_rows(
@@ -81,9 +271,9 @@ def from_rows(
     def convert(stem: str, text: Sequence[str], numbers: Index) -> Array:
         points = dialect.with_decimal_points(text, separator)
         remedy = cell_remedy(stem, poses)
-        return table_cells.numbers_of(columns[stem], points, numbers, file, remedy)
+        return numbers_of(columns[stem], points, numbers, file, remedy)
 
-    cells = table_cells.by_column(rows, places, convert)
+    cells = by_column(rows, places, convert)
     if not len(cells.rows):
         raise ReadingsError(
             "there are no readings below the header", "add one row a reading", file=file
@@ -119,9 +309,9 @@ def _text(path: Path) -> str:
 
 def too_many(count: int, what: str, file: str) -> ReadingsError:
     """The error for `count` readings, or rows of them, which are too many."""
-    step = -(-count // MOST_READINGS)
+    step = -(-count // MAX_READINGS)
     return ReadingsError(
-        f"about {count} {what} are too many: a session has at most {MOST_READINGS}"
+        f"about {count} {what} are too many: a session has at most {MAX_READINGS}"
         " readings, counted by channel",
         f"keep one row in {step} of each run, or check and fit the runs in parts",
         file=file,
@@ -134,12 +324,12 @@ def _rows(split: SplitText, file: str) -> Iterator[Row]:
     count = 0
     try:
         for number, cells in split.rows():
-            if count > MOST_READINGS:
+            if count > MAX_READINGS:
                 raise too_many(split.text.count("\n") - 1, "rows", file)
             if not count:
                 names = [name.strip() for name in cells]
             elif len(cells) != len(names) or "" in names:
-                cells = _in_columns(cells, names, number, file)
+                cells = _cells_in_columns(cells, names, number, file)
             yield number, cells
             count += 1
     except csv.Error:
@@ -148,7 +338,7 @@ def _rows(split: SplitText, file: str) -> Iterator[Row]:
         raise ReadingsError(problem, HEADER_REMEDY, file=file, row=row) from None
 
 
-def _in_columns(
+def _cells_in_columns(
     cells: Sequence[str], names: Sequence[str], number: int, file: str
 ) -> Sequence[str]:
     """One cell a column. Only remarks may be missing at the end, or empty cells follow.
@@ -194,7 +384,7 @@ def _header(
             row=row,
             column=missing[0],
         )
-    if len(names) > MAX_COLUMNS:
+    if len(names) > 200:
         problem = f"{len(names)} columns are too many"
         raise ReadingsError(problem, HEADER_REMEDY, file=file, row=row)
     columns: dict[str, ReadingsColumn] = {}
@@ -214,7 +404,7 @@ def _column(
     name: str, file: str, row: int, expected: Mapping[str, str]
 ) -> ReadingsColumn:
     try:
-        return parse_column(name)
+        return ReadingsColumn.parse(name)
     except units.UnitError:
         raise ReadingsError(
             "no known unit in the name",
@@ -230,7 +420,7 @@ def _unit_remedy(name: str, expected: Mapping[str, str]) -> str:
     for stem in (name, name.rpartition("_")[0]):
         if stem in expected:
             return f"write {', '.join(column_names(stem, expected[stem]))}"
-    near = difflib.get_close_matches(name, (*UNITLESS, *LABELS), n=1, cutoff=0.7)
+    near = difflib.get_close_matches(name, UNITLESS, n=1, cutoff=0.7)
     if near:
         return f"did you mean {near[0]}?"
     return f"end it in a known unit: {', '.join(units.UNITS)}"

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.accuracy.maps import ErrorMaps, Reference
+from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index, Mask
 from oed.effect_model import Effect, State
 from oed.effects.effect_maps import (
@@ -24,10 +24,9 @@ from oed.effects.effect_maps import (
     in_session,
     workspace_state,
 )
+from oed.effects.unknown_effects import unknown_effects
 from oed.estimation import Discrepancy
-from oed.gap.data.problem import GapProblem
-from oed.gap.data.signature import Signature
-from oed.gap.forms.unknown import unknown_effects
+from oed.gap import GapProblem, Signature
 from oed.mechanism import NO_TOOL
 
 #: most values of an effect's constants that stand side by side

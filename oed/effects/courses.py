@@ -23,17 +23,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.accuracy.maps import Reference
+from oed import gap
+from oed.accuracy import Reference
 from oed.base import Array, Index, Mask
 from oed.effect_model import Effect, State
 from oed.effects.columns import ExpectedColumns
 from oed.effects.effect_maps import SessionStates
-from oed.gap.data import state as states_of
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem
 from oed.measurement import Series
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 #: limits of the time constant with which a body warms, s
 WARM_UP_TIMES = (600.0, 3600.0)
@@ -53,7 +54,7 @@ class Course:
 
     def of(self, problem: GapProblem) -> GapProblem:
         """The readings of a problem in this course."""
-        states = states_of.states(
+        states = gap.states(
             problem.measurement,
             problem.series,
             self.covariates,

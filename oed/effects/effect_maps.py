@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.accuracy.maps import ErrorMaps, Reference, error_maps
+from oed import gap
+from oed.accuracy import ErrorMaps, Reference, error_maps
 from oed.base import Array
 from oed.effect_model import Column, Effect, State
-from oed.gap.data import state as states_of
 from oed.measurement import Measurement, Series
 from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model
 from oed.model import Machine
@@ -28,7 +28,7 @@ from oed.model import Machine
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oed.gap.data.problem import GapProblem
+    from oed.gap import GapProblem
 
 
 #: a parameter moves by a tolerance where this takes such a share of the error before
@@ -135,7 +135,7 @@ def workspace_state(
     rows = session.draw(len(q), rng)
     rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))
     rows.iloc[-1] = _first_row(session.covariates, rows)
-    (state,) = states_of.states(
+    (state,) = gap.states(
         measurement,
         (series,),
         rows.reset_index(drop=True),

@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.accuracy.budget.model import BudgetModel
-from oed.accuracy.maps import ErrorMaps, Reference
+from oed.accuracy import BudgetModel, ErrorMaps, Reference
 from oed.base import Array
 from oed.effect_model import Effect, State
 from oed.effects.effect_maps import (
@@ -28,8 +27,7 @@ from oed.effects.effect_maps import (
     effect_maps,
     workspace_state,
 )
-from oed.gap.data.problem import GapProblem
-from oed.gap.data.signature import untestable
+from oed.gap import GapProblem, untestable
 
 #: points of an effect's constants that are tried
 N_CONSTANTS = 5

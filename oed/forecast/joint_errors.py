@@ -20,7 +20,7 @@ import functools
 
 import numpy as np
 
-from oed.accuracy.maps import Reference, error_maps
+from oed.accuracy import Reference, error_maps
 from oed.base import Array
 from oed.mechanism import NO_TOOL, Kinematics
 from oed.model import Component

@@ -9,36 +9,130 @@ import numpy as np
 
 from oed.base import Array
 from oed.effect_model import Effect
-from oed.gap.cause import advice, answers, closure, withheld
-from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
-from oed.gap.cause.explained import explain, nearest_effects
-from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause import answers, closure, locations, withheld
+from oed.gap.cause.compare import (
+    MAX_RIVAL_SIZE,
+    Comparison,
+    compare_expanded,
+    posterior_mean,
+    probabilities,
+)
+from oed.gap.cause.locations import LikelyForms, ReversedForms
 from oed.gap.cause.scatter import (
     excess_scatter,
     rough_scatter,
     unstated_scatter,
     with_roughness,
 )
-from oed.gap.cause.search import Search
+from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.cause.searches import searches, searches_under
-from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, AnswerContent, Diagnosis
-from oed.gap.data.problem import GapProblem
-from oed.gap.forms.carriers import JOINTS, READINGS, part_in_words
+from oed.gap.data.diagnosis import NO_EFFECT, AnswerContent, Diagnosis, Explained, Size
+from oed.gap.data.evidence import WhitenedColumns
+from oed.gap.data.problem import GapProblem, Metric
+from oed.gap.forms.discrepancy import JOINTS, READINGS, part_in_words
 from oed.gap.forms.library import Library
-from oed.gap.places import place
-from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.noise import NoiseLaw
-from oed.result import PlaceRecord
+from oed.result import UNKNOWN, CoefficientRecord, PlaceRecord
 
-#: forms that an unknown remainder is reported to be like, at most, and the least
-#: probability of each
-LIKE, LEAST_LIKE = 3, 0.03
+# What the best hypothesis explains of the residual: coefficients, sizes, remainder.
+
+
+def explain(
+    problem: GapProblem, search: Search, h: Hypothesis, named: Collection[str]
+) -> Explained:
+    """Parts of the residual by a hypothesis.
+
+    Effects that are not `named` count with what is unknown. `problem` has the
+    residuals with their outliers, `search` without.
+    """
+    metric, library = Metric(problem, search.law), search.library
+    residual, level = search.problem.residual, search.noise_level(h)
+    columns = h.columns(library, search.processes)
+    mean, precision = metric.posterior(columns, residual)
+    sd = level * np.sqrt(np.diag(np.linalg.inv(precision)))
+    by_effects = np.zeros(len(problem))
+    constants, coefficients, sizes, start = {}, [], [], 0
+    stated = Metric(search.problem, search.problem.stated_law)
+    for effect, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
+        rows = library.atoms[atom].columns
+        columns_of = slice(start, start + len(rows))
+        start = columns_of.stop
+        if effect not in named:
+            continue
+        constants[effect] = library.atoms[atom].constants
+        signal = columns[:, columns_of] @ mean[columns_of]
+        by_effects = by_effects + signal
+        unit = size * library.scales[rows]
+        for c, value, of_value in zip(
+            rows, mean[columns_of] * unit, sd[columns_of] * unit, strict=True
+        ):
+            record = CoefficientRecord(
+                effect=effect,
+                name=library.names[c],
+                label=library.labels[c],
+                value=float(value),
+                sd=float(of_value),
+                unit="SI",
+                prior_sd=None,
+            )
+            coefficients.append(record)
+        energy = float(metric.gram(signal[:, None], signal[:, None])[0, 0])
+        detectability = float(np.sqrt(max(energy, 0.0))) / level
+        rms = _rms_by_channel(problem, signal)
+        remaining = _rms_by_channel(problem, stated.after_fit(signal))
+        sizes.append(Size(effect, rms, remaining, detectability))
+    outlying = problem.residual - residual
+    before = stated.after_fit(residual) + outlying
+    after = stated.after_fit(residual - by_effects) + outlying
+    return Explained(
+        constants=constants,
+        coefficients=tuple(coefficients),
+        sizes=tuple(sizes),
+        explained=by_effects * problem.sigma,
+        unexplained=(columns @ mean - by_effects) * problem.sigma,
+        before=before * problem.sigma,
+        after=after * problem.sigma,
+    )
+
+
+def nearest_effects(search: Search, h: Hypothesis) -> tuple[str, ...]:
+    """Effects that explain most of an unknown remainder, the nearest first.
+
+    With s what the remainder changes, an effect's share is the largest s^T M G (G^T M G
+    + 1 / t^2)^-1 G^T M s / s^T M s of its forms G, at the largest usual size t.
+    """
+    if h.process is None:
+        return ()
+    problem, library = search.problem, search.library
+    metric = Metric(problem, search.law)
+    columns = h.columns(library, search.processes)
+    coefficients, _ = metric.posterior(columns, problem.residual)
+    of_process = len(search.processes.atoms[h.process].columns)
+    change = columns[:, -of_process:] @ coefficients[-of_process:]
+    grams = WhitenedColumns(
+        problem.with_residual(change), metric, library.columns
+    ).grams()
+    shares: dict[str, float] = {}
+    for atom in library.atoms:
+        mean = posterior_mean(grams, atom.columns, MAX_RIVAL_SIZE)
+        share = float(grams.b[atom.columns] @ mean) / grams.energy
+        shares[atom.effect] = max(share, shares.get(atom.effect, 0.0))
+    near = [name for name, share in shares.items() if share >= 0.5]
+    return tuple(sorted(near, key=lambda name: -shares[name])[:4])
+
+
+def _rms_by_channel(problem: GapProblem, signal: Array) -> dict[str, float]:
+    """Root mean square, SI, of a change of the readings in each channel."""
+    values = signal * problem.sigma
+    channels = problem.rows["channel"].to_numpy()
+    return {
+        str(name): float(np.sqrt(np.mean(values[channels == name] ** 2)))
+        for name in dict.fromkeys(channels)
+    }
+
+
 #: ways of holding readings out
 SPLITS: tuple[closure.Split, ...] = ("within", "whole")
-#: share from which a form counts where the gap is located
-LEAST_SHARE = 0.01
-#: part of an unknown alone from which it is rough rather than smooth
-EVEN = 0.5
 
 
 def diagnose(
@@ -136,7 +230,7 @@ def conclude(
     groups = answers.group(searched, hypotheses, shares)
     ranked, leading = answers.rank(groups)
     first, best, verdict = ranked[0], leading[0], answers.verdict(ranked[0])
-    is_rough = verdict == "unknown" and rough > EVEN
+    is_rough = verdict == "unknown" and rough > 0.5
     if is_rough:
         best = next(h for h in hypotheses if not h.is_gap)
     search = searched[best.law]
@@ -170,7 +264,7 @@ def conclude(
         closure=(),
         not_testable=untested,
         confusable=tuple(dict.fromkeys(c for c in first.classes if len(c) > 1)),
-        next=advice.advise(
+        next=answers.advise(
             ranked, effects, untested, scatter=scatter, unstated=unstated
         ),
         effective_laws=None if is_law_known else best.effective_laws,
@@ -219,8 +313,8 @@ def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:
             of, atom, _ = h.forms(search.library, search.processes)[-1]
             about = _described(of, atom)
             by_form[about] = by_form.get(about, 0.0) + share
-    likeliest = sorted(by_form.items(), key=lambda item: -item[1])[:LIKE]
-    return {form: share for form, share in likeliest if share > LEAST_LIKE}
+    likeliest = sorted(by_form.items(), key=lambda item: -item[1])[:3]
+    return {form: share for form, share in likeliest if share > 0.03}
 
 
 def _described(of: Library, atom: int) -> str:
@@ -261,6 +355,6 @@ def _locate(
         likely(share, h)
         for part in range(len(best.effects) + best.unknown)
         for share, h in search.forms(best, part)
-        if share > LEAST_SHARE
+        if share > 0.01
     ]
-    return place.locate(search.problem, law, models, rng)
+    return locations.locate(search.problem, law, models, rng)

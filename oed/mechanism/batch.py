@@ -12,6 +12,7 @@ ten times as long on conversions.
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -93,49 +94,63 @@ class BatchedFunction:
                 function.run([a[chunk] for a in inputs], [a[chunk] for a in outputs])
         return [_shaped(a, *s) for a, s in zip(outputs, self._shapes, strict=True)]
 
-    def compiled_newton(
-        self, n: int, unknown: int, angles: Sequence[int] = ()
-    ) -> Newton | None:
-        """Newton's method as `solve` has it, compiled; None while it is not worth it.
-
-        n  number of points that it would solve now
-        """
-        newton: Newton | None = self._compiled_job(
-            Newton, n, lambda graph: Newton.job(graph, unknown, angles)
-        )
-        return newton
-
     def solve(
         self,
         inputs: Sequence[Array],
         unknown: int,
         step_tolerance: float,
         longest: float,
-        angles: Sequence[int] = (),
     ) -> SolvedSystems:
-        """Solve value = 0 at n points by Newton's method, where the batch is large.
+        """Solve value = 0 by Newton's method, where the batch is large.
 
-        The outputs are value (k,) and slope (k, k) over the first `unknown` inputs,
-        which start the iteration. See `ArrayNewton` for `angles` and the limits. In
-        small batches nothing is solved.
+        inputs  (n, entries) or (m, n, entries); the first `unknown` of them start the
+                iteration
+
+        The outputs are value (k,) and slope (k, k) over these inputs. See `ArrayNewton`
+        for the limits. In small batches nothing is solved.
         """
-        values = [np.array(a, dtype=float) for a in inputs[:unknown]]
-        n = len(values[0])
-        solutions = SolvedSystems(
-            values, np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-        )
+        shape = inputs[0].shape[:-1]
+        n = math.prod(shape)
+        newton = self._compiled_job(Newton, n, lambda graph: Newton.job(graph, unknown))
+        if newton is not None:
+            solved_systems: SolvedSystems = newton.solve(
+                inputs, unknown, step_tolerance, longest
+            )
+            return solved_systems
+        rows = [a.reshape(n, a.shape[-1]) for a in inputs]
+        values = [np.array(a, dtype=float) for a in rows[:unknown]]
+        solved = np.zeros(n, dtype=bool)
+        near = np.zeros(n, dtype=bool)
         graph = self._graph_of_many(n)
-        if graph is None:
-            return solutions
-        for size, chunk in _chunks(n):
+        if graph is not None:
+            self._solve_chunks(
+                graph,
+                rows,
+                (step_tolerance, longest),
+                SolvedSystems(values, solved, near),
+            )
+        return SolvedSystems(
+            [a.reshape(*shape, -1) for a in values],
+            solved.reshape(shape),
+            near.reshape(shape),
+        )
+
+    def _solve_chunks(
+        self,
+        graph: Graph,
+        inputs: Sequence[Array],
+        limits: tuple[float, float],
+        out: SolvedSystems,
+    ) -> None:
+        """Solve at points (n, entries) in chunks, written to `out`."""
+        unknown = len(out.values)
+        for size, chunk in _chunks(len(out.solved)):
             if size not in self._newton:
-                self._newton[size] = ArrayNewton(graph, size, unknown, angles)
-            points = [a[chunk] for a in inputs]
-            part = self._newton[size].solve(points, step_tolerance, longest)
-            solutions.solved[chunk], solutions.near[chunk] = part.solved, part.near
-            for every, some in zip(values, part.values, strict=True):
+                self._newton[size] = ArrayNewton(graph, size, unknown)
+            part = self._newton[size].solve([a[chunk] for a in inputs], *limits)
+            out.solved[chunk], out.near[chunk] = part.solved, part.near
+            for every, some in zip(out.values, part.values, strict=True):
                 every[chunk] = some
-        return solutions
 
     def pull_back(
         self, inputs: Sequence[Array], right: Array, scale: Array

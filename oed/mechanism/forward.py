@@ -2,9 +2,6 @@
 
 Many poses are solved together, entry by entry (`oed.mechanism.tape`). Where its steps do
 not show that a pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
-
-Poses of many parameter vectors often share their starts. Newton's first step is then
-almost linear in the parameters, and one factorisation at the nominal ones serves all.
 """
 
 from __future__ import annotations
@@ -16,10 +13,8 @@ import numpy as np
 
 from oed.base import Array, Index, Mask
 from oed.mechanism import newton
-from oed.mechanism.batch import MIN_ARRAY_POINTS, BatchedFunction
-from oed.mechanism.compiled.lanes import Newton
+from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.expressions import MachineExpressions
-from oed.mechanism.twist import twist_slopes
 from oed.model import Machine
 
 #: error (m, rad) that the last step of poses near known ones may leave
@@ -40,20 +35,9 @@ class ForwardKinematics:
 
     def __init__(self, machine: Machine, e: MachineExpressions) -> None:
         self.machine, self._expressions = machine, e
-        self._nominal = machine.nominal
         balance, inputs = e.balance, [e.x, e.q, e.p]
         by_x = ca.jacobian(balance, e.x)
         self.equations = BatchedFunction("forward", inputs, [balance, by_x])
-
-    @functools.cached_property
-    def _over_twist(self) -> tuple[BatchedFunction, tuple[int, ...]]:
-        """The equations with slopes over the platform's twist, and the angles."""
-        e = self._expressions
-        twist = twist_slopes(self.machine, e.balance, e)
-        if twist is None:
-            return self.equations, ()
-        outputs = [e.balance, twist.slope, twist.change]
-        return BatchedFunction("twist", [e.x, e.q, e.p], outputs), twist.angles
 
     @functools.cached_property
     def slopes(self) -> BatchedFunction:
@@ -75,15 +59,6 @@ class ForwardKinematics:
         """Value (n, nx) of the equations."""
         e = self._expressions
         return BatchedFunction("balance", [e.x, e.q, e.p], [e.balance])
-
-    @functools.cached_property
-    def _at_nominal(self) -> BatchedFunction:
-        """Value and slopes over pose and parameters, at the nominal parameters."""
-        e, nominal = self._expressions, ca.DM(self._nominal)
-        balance = e.balance
-        slopes = [ca.jacobian(balance, over) for over in (e.x, e.p)]
-        outputs = [ca.substitute(ca.SX(f), e.p, nominal) for f in (balance, *slopes)]
-        return BatchedFunction("at_nominal", [e.x, e.q], outputs)
 
     @functools.cached_property
     def adjoint(self) -> BatchedFunction:
@@ -110,62 +85,30 @@ class ForwardKinematics:
         `wanted` (m, n) are not solved, and count as failed.
         """
         m, (n, nq), nx = len(vectors), q.shape[-2:], start.shape[-1]
-        near = starts = np.broadcast_to(start, (m, n, nx))
+        starts = np.broadcast_to(start, (m, n, nx))
         every_q = np.broadcast_to(q, (m, n, nq))
         every_p = np.broadcast_to(vectors[:, None], (m, n, vectors.shape[1]))
-        compiled = self._compiled(m * n)
-        alike = q.ndim == start.ndim == 2 and m > 1
-        if alike and m * n >= MIN_ARRAY_POINTS and compiled is None:
-            near = starts + self._first_step(q, vectors, start)
         if wanted is None:
-            inputs = near, every_q, every_p
-            return self._solve(inputs, starts, step_tolerance, compiled)
+            inputs = starts, every_q, every_p
+            return self.solve(inputs, starts, step_tolerance)
         rows = np.nonzero(wanted)
         x, failed = np.full((m, n, nx), np.nan), np.ones((m, n), dtype=bool)
-        inputs = near[rows], every_q[rows], every_p[rows]
-        x[rows], failed[rows] = self._solve(
-            inputs, starts[rows], step_tolerance, compiled
-        )
+        inputs = starts[rows], every_q[rows], every_p[rows]
+        x[rows], failed[rows] = self.solve(inputs, starts[rows], step_tolerance)
         return x, failed
 
     def solve(
         self, inputs: tuple[Array, Array, Array], start: Array, step_tolerance: float
     ) -> tuple[Array, Mask]:
-        """Poses (n, nx), and the mask (n,) of those that failed.
+        """Poses (n, nx) or (m, n, nx), and the mask of those that failed.
 
-        inputs  poses nearby (n, nx), joints and parameters, one a pose
-        start   (n, nx) from which careful steps start where others do not arrive
+        inputs  poses nearby, joints and parameters, one a pose
+        start   as the poses, from which careful steps start where others do not arrive
         """
-        compiled = self._compiled(len(inputs[1]))
-        return self._solve(inputs, start, step_tolerance, compiled)
-
-    def _compiled(self, count: int) -> Newton | None:
-        """Newton's method, compiled, for so many poses; None while it is not worth it."""
-        equations, angles = self._over_twist
-        return equations.compiled_newton(count, 1, angles)
-
-    def _solve(
-        self,
-        inputs: tuple[Array, Array, Array],
-        start: Array,
-        step_tolerance: float,
-        compiled: Newton | None,
-    ) -> tuple[Array, Mask]:
-        """As `solve`, of poses (n, nx) or (m, n, nx)."""
         _, q, p = inputs
         shape = q.shape[:-1]
         longest = newton.longest_step(self.machine.lever)
-        if compiled is not None:
-            (x,), solved, near = compiled.solve(inputs, 1, step_tolerance, longest)
-        else:
-            rows = [a.reshape(-1, a.shape[-1]) for a in inputs]
-            many = len(rows[0]) >= MIN_ARRAY_POINTS
-            equations, angles = self._over_twist if many else (self.equations, ())
-            (x,), solved, near = equations.solve(
-                rows, 1, step_tolerance, longest, angles
-            )
-            x = x.reshape(*shape, -1)
-            solved, near = solved.reshape(shape), near.reshape(shape)
+        (x,), solved, near = self.equations.solve(inputs, 1, step_tolerance, longest)
         failed = np.zeros(shape, dtype=bool)
         rest = np.nonzero(~solved)
         if rest[0].size:
@@ -179,25 +122,6 @@ class ForwardKinematics:
                 at, first, step_tolerance, longest=longest
             )
         return x, failed
-
-    def _first_step(self, q: Array, vectors: Array, start: Array) -> Array:
-        """Newton's first step (m, n, nx), with the slopes at the nominal parameters.
-
-        It is 0 where it is longer than a step may be, and where it is not defined.
-        """
-        value, by_x, by_p = self._at_nominal(start, q)
-        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
-        inverse = newton.solve_linear(by_x, identity)
-        offset = (inverse @ value[:, :, None]).ravel()
-        slopes = (inverse @ by_p).reshape(offset.size, -1)
-        change = vectors - self._nominal
-        longest = newton.longest_step(self.machine.lever)
-        with np.errstate(all="ignore"):
-            step = -(offset + change @ slopes.T).reshape(len(vectors), *start.shape)
-            size = np.abs(step)
-            if not size.max() <= longest:
-                step[~(size.max(axis=2) <= longest)] = 0.0
-        return step
 
 
 class NearbyPoses:

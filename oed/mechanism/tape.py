@@ -294,19 +294,14 @@ class ArrayNewton:
 
     graph    of value (k,) and slope (k, k)
     unknown  number of leading inputs to solve for, of k entries together
-    angles   numbers of three unknowns in whose place slopes are over turns; a third
-             output (3, 3) is then their change for turns (`oed.mechanism.twist`)
     """
 
-    def __init__(
-        self, graph: Graph, size: int, unknown: int, angles: Sequence[int] = ()
-    ) -> None:
+    def __init__(self, graph: Graph, size: int, unknown: int) -> None:
         rows = len(graph.outputs[0])
         self._tape = ArrayTape(graph, size, range(unknown))
         self._slope = self._tape.outputs[1].reshape(rows, rows, size).swapaxes(0, 1)
         self._elimination = Elimination(rows, size, np.float32)
         self._unknown = self._tape.inputs[:unknown]
-        self._angles = list(angles)
 
     def solve(
         self, inputs: Sequence[Array], step_tolerance: float, longest: float
@@ -351,10 +346,6 @@ class ArrayNewton:
     def _step(self) -> Array:
         """Step with the slopes at hand; its size, the largest entry, at each point."""
         step = self._elimination.solve(self._tape.outputs[0])
-        if self._angles:
-            change = self._tape.outputs[2].reshape(3, 3, -1)  # column by column
-            with np.errstate(all="ignore"):  # of systems without a solution
-                step[self._angles] = (change * step[self._angles, None]).sum(axis=0)
         first = 0
         for unknown in self._unknown:
             unknown -= step[first : first + len(unknown)]

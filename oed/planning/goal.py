@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from oed.accuracy.prediction import ErrorMaps
+from oed.accuracy import ErrorMaps
 from oed.base import Array
 from oed.design import CRITERIA, Criterion
 from oed.measurement import Measurement

@@ -32,7 +32,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.accuracy import prediction
+from oed.accuracy import ErrorMaps, Reference, error_maps, relative_to_reference
 from oed.base import Array, Index, Mask
 from oed.estimation import IdentificationError, identify, minimise
 from oed.identifiability import posterior_covariance
@@ -379,14 +379,14 @@ class WorkspaceErrors:
 
     kinematics: Kinematics
     tolerance: Array
-    maps: prediction.ErrorMaps
+    maps: ErrorMaps
     model: ErrorModel
     home: ErrorModel
-    reference: prediction.Reference
+    reference: Reference
 
     @classmethod
     def of(
-        cls, measurement: Measurement, command: Array, reference: prediction.Reference
+        cls, measurement: Measurement, command: Array, reference: Reference
     ) -> WorkspaceErrors:
         """Errors of a measurement's machine at commands (n, n_dof), SI."""
         kinematics = measurement.kinematics
@@ -394,7 +394,7 @@ class WorkspaceErrors:
         return cls(
             kinematics=kinematics,
             tolerance=measurement.tolerance[: len(machine.parameters)],
-            maps=prediction.error_maps(kinematics, command, reference),
+            maps=error_maps(kinematics, command, reference),
             model=error_model(kinematics, command),
             home=error_model(kinematics, machine.home_command[None]),
             reference=reference,
@@ -462,7 +462,7 @@ class WorkspaceErrors:
         lever = self.kinematics.machine.alignment_lever
         errors = []
         for (twist, model), (home_twist, home) in zip(poses, at_home, strict=True):
-            referenced = prediction.relative_to_reference(
+            referenced = relative_to_reference(
                 twist, home_twist, model, home, self.reference, lever
             )
             errors.append(
@@ -548,7 +548,7 @@ def propagate(
     machines: int,
     rng: np.random.Generator,
     *,
-    reference: prediction.Reference = "home",
+    reference: Reference = "home",
     compensated: bool = True,
     start: Array | None = None,
     progress: Callable[[float], None] | None = None,

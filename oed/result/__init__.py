@@ -27,6 +27,12 @@ if TYPE_CHECKING:
         RunCurve,
     )
     from oed.result.gap import (
+        DATA_SHEET,
+        DOUBT_PROBABILITY,
+        GO_AHEAD,
+        MAX_CLASS_NAMES,
+        SURE_PROBABILITY,
+        UNKNOWN,
         AnswerRecord,
         ChosenRun,
         ChosenRuns,
@@ -50,6 +56,7 @@ if TYPE_CHECKING:
         SizeRecord,
         Spot,
         Trace,
+        probability_of,
     )
     from oed.result.plan import (
         AllowedEffects,

@@ -6,12 +6,26 @@ residuals are in the fine unit of their channel. A number that is not known is n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final
 
 import msgspec
 
 from oed.result.prediction import PredictionSection
 from oed.result.record import Point, Probability, Record, Size
+
+#: an effect of an answer whose form no known effect has
+UNKNOWN = "unknown"
+#: probability from which an answer, or an effect, is sure
+SURE_PROBABILITY = 0.8
+#: probability of effects that show from which one is not excluded
+DOUBT_PROBABILITY = 0.05
+#: members of a class, at most, that are named each
+MAX_CLASS_NAMES = 4
+#: what the scatter of readings is compared with, where they were not taken again
+DATA_SHEET = "data sheet"
+#: what to do where no effect is reported
+GO_AHEAD = "Nothing beyond the geometry and the noise is seen: compensate the geometry."
 
 
 class CompensationName:
@@ -484,3 +498,8 @@ class GapSection(Record, frozen=True):
         One that is less likely is a reason to read again, and none to correct it.
         """
         return self.effect_reported and self.visible_probability > self.EVEN_PROBABILITY
+
+
+def probability_of(effect: str, answers: Sequence[AnswerRecord]) -> float:
+    """That an effect acts at a size that the readings show, whatever is beside it."""
+    return sum(answer.visible for answer in answers if effect in answer.effects)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from oed import trust, units
-from oed.accuracy.maps import driven_errors, error_maps
+from oed.accuracy import driven_errors, error_maps
 from oed.base import Array
 from oed.identifiability import assess
 from oed.mechanism import begin_job

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from oed import units
-from oed.accuracy import conformity
-from oed.accuracy.acceptance import Promise
+from oed.acceptance import Promise, measured_rms_within, parameter_within, rms_within
 from oed.base import Array
 from oed.certificate import (
     Certificate,
@@ -284,7 +283,7 @@ def _probability_by_geometry(
     slopes = promise.maps[:, k]
     size = np.linalg.norm(slopes @ root) / np.sqrt(len(slopes))
     scaled = root * (promise.rms[k] / size)
-    return conformity.rms_within(remaining, slopes, scaled, largest, rng)
+    return rms_within(remaining, slopes, scaled, largest, rng)
 
 
 def _measured_conformity(
@@ -294,7 +293,7 @@ def _measured_conformity(
     if verified is None or plan is None or name not in verified.components:
         return
     verdict, scale = verified.components[name], units.factor(plan.components[name].unit)
-    p = conformity.measured_rms_within(
+    p = measured_rms_within(
         verdict.rms * scale,
         plan.components[name].uncertainty * scale,
         len(plan.poses),
@@ -309,7 +308,7 @@ def _parameter_conformity(
 ) -> Conformity:
     p = section.parameters[name]
     scale = units.factor(p.unit)
-    probability = conformity.parameter_within(
+    probability = parameter_within(
         (p.value - p.nominal) * scale, p.sd * scale, -largest, largest
     )
     quantity = f"{name}, departure from nominal"

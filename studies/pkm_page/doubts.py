@@ -10,9 +10,8 @@ import numpy as np
 
 from oed import checks
 from oed.base import Array
-from oed.checks import CheckFinding, Severity
-from oed.checks.ranges import predict_ranges
-from oed.dataset.columns import written
+from oed.checks import CheckFinding, Severity, predict_ranges
+from oed.dataset import written
 from oed.measurement import Measurement, Series
 from oed.trust import GUESS_RATIO
 from pkm_page import typed
@@ -20,7 +19,7 @@ from pkm_studies.base import Stream
 from pkm_studies.sessions import Adviser, FittedReadings
 
 #: half width of an interval in standard deviations: one good reading in ten thousand
-#: lies outside, as `oed.checks.ranges.FALSE_ALARM` says
+#: lies outside, as `oed.checks.session.RANGE_FALSE_ALARM` says
 FACTOR: Final = 3.89
 #: degrees of freedom from which on the residuals say how large the noise is
 LEAST_DOF: Final = 5
@@ -46,7 +45,7 @@ def interval(
     if fitted is None:
         measurement = adviser.base.measurement
         nothing = np.zeros(len(measurement.sigma(one)))
-        session = checks.session(measurement, one, nothing)
+        session = checks.session_readings(measurement, one, nothing)
         ranges = predict_ranges(session, adviser.base.rng(Stream.CHECKS))
         return ReadingInterval(ranges.middle, ranges.factor * ranges.sd)
     measurement, estimate = fitted.state.measurement, fitted.estimate

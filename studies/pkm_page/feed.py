@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from oed import units
-from oed.dataset.columns import parse_column
+from oed.dataset import ReadingsColumn
 from pkm_page import typed
 from pkm_studies.base import InputError
 
@@ -113,7 +113,7 @@ def _compiled(pattern: str) -> re.Pattern[str] | None:
     try:
         compiled = re.compile(pattern)
         for name in compiled.groupindex:
-            parse_column(name)
+            ReadingsColumn.parse(name)
     except (re.error, units.UnitError) as error:
         raise InputError(
             str(error),
@@ -136,7 +136,7 @@ def _si_values(cells: dict[str, str | None]) -> dict[str, float]:
     values = {}
     for name, cell in cells.items():
         try:
-            column = parse_column(name)
+            column = ReadingsColumn.parse(name)
             values[column.stem] = typed.read(cell or "", name) * column.factor
         except (InputError, units.UnitError):
             return {}

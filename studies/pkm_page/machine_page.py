@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import msgspec
 
-from oed.dataset.columns import column_name, parse_column
+from oed.dataset import ReadingsColumn
 from pkm_page import render, rows, show
 from pkm_page.feed import Feed, Offer
 from pkm_page.job import BackgroundCommand
@@ -133,7 +133,7 @@ class MachinePage:
         for c in columns:
             if c.name not in offer.values:
                 return None
-            factor = parse_column(column_name(c.name, c.unit)).factor
+            factor = ReadingsColumn.of(c.name, c.unit).factor
             texts.append(f"{offer.values[c.name] / factor:.10g}")
         return {"number": offer.number, "entries": texts}
 

@@ -18,9 +18,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from oed import csv_text
-from oed.dataset import dialect
-from oed.dataset.columns import parse_column
-from oed.dataset.table import MAX_BYTES
+from oed.dataset import DECIMAL_COMMA, MAX_BYTES, ReadingsColumn, SplitText, decode
 from pkm_studies import files
 from pkm_studies.base import InputError
 
@@ -98,7 +96,7 @@ class FileContent:
     def _number(self, cell: str) -> str:
         """A number with the decimal sign of the file."""
         commas = self.separator != "," and any(
-            dialect.DECIMAL_COMMA.fullmatch(c.strip()) for r in self.rows[1:] for c in r
+            DECIMAL_COMMA.fullmatch(c.strip()) for r in self.rows[1:] for c in r
         )
         try:
             float(cell)
@@ -111,8 +109,8 @@ def parse(data: bytes) -> FileContent:
     """The content of a file's bytes. Raises InputError where it is no table."""
     version = files.digest(data)[:DIGITS]
     try:
-        text = dialect.decode(data)
-        split = dialect.split(text)
+        text = decode(data)
+        split = SplitText.of(text)
         lines = csv.reader(
             io.StringIO(split.text, newline=""), delimiter=split.separator, strict=True
         )
@@ -138,7 +136,7 @@ class ReadingsLog:
             with self.path.open("rb") as file:
                 data = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
-            return FileContent(ABSENT, "", dialect.SEPARATORS[0], ())
+            return FileContent(ABSENT, "", ",", ())
         if len(data) > MAX_BYTES:
             raise InputError(
                 "the file is too large", "name another", file=str(self.path)
@@ -163,7 +161,7 @@ class ReadingsLog:
 def _stem(name: str) -> str:
     """Stem of a column's name; the name itself where it has no known unit."""
     try:
-        return parse_column(name).stem
+        return ReadingsColumn.parse(name).stem
     except ValueError:
         return name
 
@@ -176,7 +174,9 @@ def _cells_in_columns(
     for name, cell in row.items():
         column = stems.get(_stem(name), name)
         if column != name and cell:
-            factor = parse_column(name).factor / parse_column(column).factor
+            factor = (
+                ReadingsColumn.parse(name).factor / ReadingsColumn.parse(column).factor
+            )
             cell = f"{float(cell) * factor:.15g}"
         placed[column] = cell
     return placed

@@ -14,8 +14,7 @@ import numpy as np
 
 from oed import dataset
 from oed.base import Array
-from oed.dataset import dialect
-from oed.dataset.columns import column_name, parse_column
+from oed.dataset import ReadingsColumn, commented
 from oed.measurement import Measurement, Series
 from oed.model import Coordinate
 from pkm_page.readings_log import REMARK, UNDONE, FileContent
@@ -61,7 +60,7 @@ def sent_cells(measurement: Measurement, series: Series, row: int) -> Series:
 
 def _rounded(value: float, coordinate: Coordinate) -> float:
     """A command with `DECIMALS` decimals in the unit of its column, within its range."""
-    factor = parse_column(column_name(coordinate.name, coordinate.unit)).factor
+    factor = ReadingsColumn.of(coordinate.name, coordinate.unit).factor
     step = 10.0**-DECIMALS
     number = round(value / factor, DECIMALS)
     if number * factor > coordinate.upper:
@@ -98,7 +97,7 @@ def reading_rows(
     rows = list(csv.DictReader(io.StringIO(planned, newline="")))
     columns = entry_columns(measurement, series.setup)
     for c, value in zip(columns, values, strict=True):
-        rows[-1][column_name(c.name, c.unit)] = f"{value:.15g}"
+        rows[-1][ReadingsColumn.of(c.name, c.unit).name] = f"{value:.15g}"
     if len(rows) == 1:
         return [rows[0] | {"order": str(_next_order(content, rows[0]))}]
     run = _run_from(content, rows[0])
@@ -167,7 +166,7 @@ def skipped_rows(
     columns = entry_columns(measurement, series.setup)
     fresh = dataclasses.replace(content, rows=())
     new = reading_rows(measurement, series, row, [0.0] * len(columns), fresh)
-    names = {column_name(c.name, c.unit) for c in columns}
+    names = {ReadingsColumn.of(c.name, c.unit).name for c in columns}
     new[-1] |= dict.fromkeys(names, "")
     cleaned = clean_remark(reason)
     new[-1][REMARK] = f"{SKIPPED}: {cleaned}" if cleaned else SKIPPED
@@ -205,7 +204,7 @@ def add_clock(content: FileContent, measurement: Measurement) -> FileContent:
     if not fresh or _STARTED.search(content.above):
         return content
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    above = content.above + dialect.commented([f"{STARTED} {now}"])
+    above = content.above + commented([f"{STARTED} {now}"])
     return FileContent(content.version, above, content.separator, content.rows)
 
 
@@ -235,7 +234,7 @@ def _is_number(cell: str) -> bool:
 
 def _stem(name: str) -> str:
     try:
-        return parse_column(name).stem
+        return ReadingsColumn.parse(name).stem
     except ValueError:
         return name
 
@@ -256,7 +255,7 @@ def _next_order(content: FileContent, row: Mapping[str, str]) -> int:
 def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
     """A run of the file that begins at a reference's pose."""
     pose = {
-        _stem(name): float(cell) * parse_column(name).factor
+        _stem(name): float(cell) * ReadingsColumn.parse(name).factor
         for name, cell in reference.items()
         if cell and name not in ("setup", "run", "order")
     }
@@ -278,7 +277,7 @@ def _is_at(cells: Mapping[str, str], pose: Mapping[str, float]) -> bool:
     for name, cell in cells.items():
         if _stem(name) in pose and cell.strip():
             number = float(cell.replace(",", "."))
-            values[_stem(name)] = number * parse_column(name).factor
+            values[_stem(name)] = number * ReadingsColumn.parse(name).factor
     return values.keys() == pose.keys() and all(
         abs(values[stem] - value) < 1e-9 for stem, value in pose.items()
     )

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from oed.base import Array
-from oed.dataset.columns import column_name, parse_column
+from oed.dataset import ReadingsColumn
 from oed.estimation import IdentificationError
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
@@ -137,7 +137,7 @@ class MachineSession:
             columns = rows.entry_columns(measurement, pose.series.setup)
             if len(entries) != len(columns):
                 raise InputError("not as many numbers as columns", "type all of them")
-            names = [column_name(c.name, c.unit) for c in columns]
+            names = [ReadingsColumn.of(c.name, c.unit).name for c in columns]
             values = [typed.read(e, n) for e, n in zip(entries, names, strict=True)]
             sign = approach.cell(direction, self.next_approach(content, pose))
             content = rows.add_clock(content, measurement)
@@ -327,7 +327,7 @@ class MachineSession:
         columns = rows.entry_columns(measurement, setup.name)
         si = np.array(
             [
-                value * parse_column(column_name(c.name, c.unit)).factor
+                value * ReadingsColumn.of(c.name, c.unit).factor
                 for c, value in zip(columns, values, strict=True)
             ]
         )

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.dataset.columns import column_name, written
+from oed.dataset import ReadingsColumn, written
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 from pkm_page import approach, doubts, known, rows
@@ -111,7 +111,7 @@ def _fields(
 ) -> list[EntryField]:
     measurement, series, row = session.measurement, pose.series, pose.row
     columns = rows.entry_columns(measurement, series.setup)
-    names = [text.split_unit(column_name(c.name, c.unit)) for c in columns]
+    names = [text.split_unit(ReadingsColumn.of(c.name, c.unit).name) for c in columns]
     if measurement.setups[series.setup].instrument.implied is not None:
         q = series.q[series.index[row, 0]]
         shown = [written(float(v), c.unit)[0] for v, c in zip(q, columns, strict=True)]

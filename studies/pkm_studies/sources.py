@@ -7,7 +7,6 @@ from pathlib import Path
 
 from oed import dataset
 from oed.dataset import Dataset, ReadingsError
-from oed.dataset import table as readings_table
 from oed.measurement import Measurement
 from oed.text import suggest
 from pkm_studies.base import InputError, SourceAbsentError
@@ -61,7 +60,7 @@ def check_text(path: Path) -> int:
     Raises InputError for columns, numbers and orders that are wrong.
     """
     try:
-        return len(readings_table.read(path).frame)
+        return dataset.count_rows(path)
     except ReadingsError as error:
         raise _input_error(error) from error
     except OSError as error:
@@ -125,12 +124,7 @@ def _source_rows(
 
 def _build(rows: Sequence[Row], name: str, measurement: Measurement) -> Dataset:
     """Readings from rows of text; numbered as the lines of a readings file."""
-    header = list(dict.fromkeys(column for row in rows for column in row))
-    lines = [(1, header)]
-    for number, row in enumerate(rows, start=2):
-        lines.append((number, [row.get(column, "") for column in header]))
     try:
-        table = readings_table.from_rows(lines, name)
-        return dataset.from_tables([table], measurement)
+        return dataset.from_rows(rows, name, measurement)
     except ReadingsError as error:
         raise _input_error(error) from error

@@ -17,7 +17,7 @@ import pytest
 from lxml import etree
 from scipy import stats
 
-from oed.accuracy import conformity
+from oed.acceptance import measured_rms_within, parameter_within, rms_within
 from oed.certificate import Certificate
 from oed.result import StudyResult, VerdictRecord, VerificationSection
 from pkm_certificate import certify
@@ -226,19 +226,19 @@ def test_a_public_reader_reads_the_values_back(folder: Path, oed: Run) -> None:
 def test_probabilities_against_other_code(rng: np.random.Generator) -> None:
     normal = stats.norm(0.3, 0.2)
     inside = normal.cdf(0.5) - normal.cdf(-0.5)
-    assert conformity.parameter_within(0.3, 0.2, -0.5, 0.5) == pytest.approx(inside)
+    assert parameter_within(0.3, 0.2, -0.5, 0.5) == pytest.approx(inside)
     # one pose, one parameter: |b + s d| <= t
-    p = conformity.rms_within(np.array([0.3]), np.eye(1), 0.2 * np.eye(1), 0.5, rng)
+    p = rms_within(np.array([0.3]), np.eye(1), 0.2 * np.eye(1), 0.5, rng)
     assert p == pytest.approx(inside, abs=0.01)
     # independent errors of one size: chi-squared
-    p = conformity.rms_within(np.zeros(4), np.eye(4), np.eye(4), 1.1, rng)
+    p = rms_within(np.zeros(4), np.eye(4), np.eye(4), 1.1, rng)
     assert p == pytest.approx(stats.chi2(4).cdf(4 * 1.21), abs=0.01)
     # measured errors: drawn about the readings
     measured = rng.normal(0.0, 1.0, 9)
     rms = np.sqrt(np.mean(measured**2))
     true = measured + 0.4 * rng.standard_normal((200_000, 9))
     share = np.mean(np.sqrt(np.mean(true**2, axis=1)) <= 1.05 * rms)
-    p = conformity.measured_rms_within(rms, 0.4, 9, 1.05 * rms)
+    p = measured_rms_within(rms, 0.4, 9, 1.05 * rms)
     assert p == pytest.approx(share, abs=0.005)
 
 

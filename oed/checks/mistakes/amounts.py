@@ -18,9 +18,8 @@ from scipy import linalg
 from oed import units
 from oed.base import Array, Index, Mask
 from oed.checks.findings import rounded
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import AGAIN, mounted_again, with_moved
-from oed.checks.mistakes.scope import LEAST_PART, Scope, rows_scope
+from oed.checks.mistakes.moved import AGAIN_SUFFIX, mounted_again, with_moved
+from oed.checks.mistakes.suspect import MIN_PART, Scope, Suspect, rows_scope
 from oed.checks.mistakes.trial import (
     MistakeTrial,
     Words,
@@ -33,53 +32,58 @@ from oed.instrument import InnerReading
 from oed.measurement import Series, source_gradients
 
 #: log prior of another factor in part of a set-up: it belongs to the instrument
-SELDOM = -3.0
+PART_LOG_PRIOR = -3.0
 #: tolerances to which that of a number is widened which may be wrong
-WIDER = 50.0
+WIDENING = 50.0
 #: words of a reading that is below and above what it should be, by SI unit
-WAYS = {"m": ("short", "long"), "rad": ("small", "large")}
+SIZE_WORDS = {"m": ("short", "long"), "rad": ("small", "large")}
 #: stretches of rows inside a run, the likeliest of each channel, that are tried
-STRETCHES = 5
+N_STRETCHES = 5
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Zeros, offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
-    yield from _zeros(given)
-    yield from in_values(given, partial(_offset, given))
-    yield from in_values(given, partial(_scale, given))
-    yield from in_values(given, partial(_offsets_of_runs, given))
-    yield from _offsets_of_stretches(given)
-    scopes = [*given.scopes, *given.parts]
-    yield from filter(None, (_moved_setup(given, scope) for scope in scopes))
-    yield from _sizes(given)
+    yield from _zeros(data)
+    yield from in_values(data, partial(_offset, data))
+    yield from in_values(data, partial(_scale, data))
+    yield from in_values(data, partial(_offsets_of_runs, data))
+    yield from _offsets_of_stretches(data)
+    scopes = [*data.scopes, *data.parts]
+    yield from filter(None, (_moved_setup(data, scope) for scope in scopes))
+    yield from _sizes(data)
 
 
 # -- readings --------------------------------------------------------------------------
 
 
-def _subject(given: Given, scope: Scope, values: Mask) -> str:
+def _subject(data: Suspect, scope: Scope, values: Mask) -> str:
     if scope.level == "instrument":
         return f"all readings{scope.of} are"
-    return f"all readings of {given.names(values)}{scope.within} are"
+    return f"all readings of {data.names(values)}{scope.within} are"
 
 
-def _has_one(given: Given, scope: Scope, values: Mask) -> bool:
+def _has_one(data: Suspect, scope: Scope, values: Mask) -> bool:
     """Whether one instrument reads all values, in one channel."""
-    return scope.level == "instrument" or len(set(given.channel[values])) == 1
+    return scope.level == "instrument" or len(set(data.channel[values])) == 1
 
 
 def _off_by(
-    given: Given, kind: str, scope: Scope, words: Words, columns: Array, family: str
+    data: Suspect,
+    kind: str,
+    scope: Scope,
+    text: Words,
+    columns: Array,
+    family: str,
 ) -> MistakeTrial:
     """Values that are off by columns (N, k) times amounts."""
-    session = given.session
+    session = data.session
     size = np.abs(columns)
-    noise = np.broadcast_to(given.sigma[:, None], size.shape)
+    noise = np.broadcast_to(data.sigma[:, None], size.shape)
     step = float((noise[size > 0.0] / size[size > 0.0]).min())
     return MistakeTrial(
         kind=kind,
         scope=scope,
-        words=words,
+        text=text,
         session=session,
         change=lambda amounts: [session.with_y(session.y - columns @ amounts)],
         amounts=np.zeros(columns.shape[1]),
@@ -89,46 +93,46 @@ def _off_by(
     )
 
 
-def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
-    if not _has_one(given, scope, values):
+def _offset(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
+    if not _has_one(data, scope, values):
         return None
-    session, channel = given.session, str(given.channel[values][0])
+    session, channel = data.session, str(data.channel[values][0])
     kind, cause = "offset", "the bar length or the zero of the instrument is wrong"
     if scope.is_part:
         kind, cause = "run", "the set-up moved or was zeroed again"
 
-    def words(amounts: Array, sd: Array) -> str:
+    def text(amounts: Array, sd: Array) -> str:
         size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
-        subject = _subject(given, scope, values)
+        subject = _subject(data, scope, values)
         return f"{subject} off by {size} (sd {error}): {cause}"
 
     column = np.asarray(values, dtype=float)[:, None]
-    family = "offset" if len(set(given.channel)) == 1 else f"offset {channel}"
-    return _off_by(given, kind, scope, words, column, family)
+    family = "offset" if len(set(data.channel)) == 1 else f"offset {channel}"
+    return _off_by(data, kind, scope, text, column, family)
 
 
-def _offsets_of_stretches(given: Given) -> Iterator[MistakeTrial]:
+def _offsets_of_stretches(data: Suspect) -> Iterator[MistakeTrial]:
     """Rows inside a run that are off by an amount: the likeliest of each channel.
 
     With the precision P of the readings r about the linear model, an offset c of unknown
     size lessens their misfit by (c^T P r)^2 / c^T P c.
     """
-    covariance = given.slopes @ given.slopes.T + np.diag(given.sigma**2)
+    covariance = data.slopes @ data.slopes.T + np.diag(data.sigma**2)
     precision = linalg.inv(covariance)
-    pull = precision @ (given.session.y - given.predicted)
-    for channel in dict.fromkeys(given.channel[given.shown]):
+    pull = precision @ (data.session.y - data.predicted)
+    for channel in dict.fromkeys(data.channel[data.shown]):
         gains: list[tuple[float, Index]] = []
-        for run in given.runs:
-            at = (given.channel == channel) & run.values(given.session)
-            places = np.flatnonzero(at)
+        for run in data.runs:
+            inside = (data.channel == channel) & run.values(data.session)
+            places = np.flatnonzero(inside)
             gains += _gains(pull[places], precision[np.ix_(places, places)], places)
         gains.sort(key=lambda one: -one[0])
-        for _, places in gains[:STRETCHES]:
-            readings = given.session.reading_of_value[places]
+        for _, places in gains[:N_STRETCHES]:
+            readings = data.session.reading_of_value[places]
             values = np.isin(np.arange(len(pull)), places)
-            one = _offset(given, rows_scope(given.session, readings), values)
+            one = _offset(data, rows_scope(data.session, readings), values)
             if one is not None:
-                share = float(np.log(STRETCHES / len(gains)))
+                share = float(np.log(N_STRETCHES / len(gains)))
                 yield dataclasses.replace(one, log_prior=min(share, 0.0))
 
 
@@ -138,57 +142,55 @@ def _gains(pull: Array, precision: Array, places: Index) -> list[tuple[float, In
     sums = np.append(0.0, np.cumsum(pull))
     block = np.pad(precision.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     gains = []
-    for i in range(1, count - LEAST_PART):
-        for j in range(i + LEAST_PART, count):
+    for i in range(1, count - MIN_PART):
+        for j in range(i + MIN_PART, count):
             size = block[j, j] - block[i, j] - block[j, i] + block[i, i]
             gains.append((float((sums[j] - sums[i]) ** 2 / size), places[i:j]))
     return gains
 
 
-def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
+def _offsets_of_runs(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     """Each run of a file or a set-up off by an amount of its own."""
-    parts = [run.values(given.session) & values for run in given.runs]
+    parts = [run.values(data.session) & values for run in data.runs]
     columns = np.column_stack([p for p in parts if p.any()]).astype(float)
-    is_one = _has_one(given, scope, values)
+    is_one = _has_one(data, scope, values)
     if not is_one or scope.is_part or columns.shape[1] < 2:
         return None
-    channel = str(given.channel[values][0])
+    channel = str(data.channel[values][0])
 
-    def words(amounts: Array, sd: Array) -> str:
-        least, most = (
-            given.session.fine(channel, f(amounts)) for f in (np.min, np.max)
-        )
+    def text(amounts: Array, sd: Array) -> str:
+        least, most = (data.session.fine(channel, f(amounts)) for f in (np.min, np.max))
         return (
-            f"{_subject(given, scope, values)} off by an amount of each run, {least} to"
+            f"{_subject(data, scope, values)} off by an amount of each run, {least} to"
             f" {most}: the instrument was not zeroed at each run, or moved between them"
         )
 
-    return _off_by(given, "run", scope, words, columns, f"offsets {channel}")
+    return _off_by(data, "run", scope, text, columns, f"offsets {channel}")
 
 
-def _scale(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
+def _scale(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     """Values of one unit times 1 / (1 - a), with the amount a."""
-    session, count = given.session, int(values.sum())
+    session, count = data.session, int(values.sum())
     is_of_one = len(set(session.values["setup"][values])) == 1
-    is_of_one &= len(set(given.unit[values])) == 1
-    if not is_of_one and not _has_one(given, scope, values):
+    is_of_one &= len(set(data.unit[values])) == 1
+    if not is_of_one and not _has_one(data, scope, values):
         return None
 
-    def words(amounts: Array, sd: Array) -> str:
+    def text(amounts: Array, sd: Array) -> str:
         rest = 1.0 - float(amounts[0])
         size, error = 100.0 * float(amounts[0]) / rest, 100.0 * float(sd[0]) / rest**2
         return (
-            f"{_subject(given, scope, values)} {rounded(abs(size), error)} %"
+            f"{_subject(data, scope, values)} {rounded(abs(size), error)} %"
             f" (sd {error:.2g} %) too {'large' if size > 0.0 else 'small'}: the scale or"
             " conversion factor of the instrument is wrong"
         )
 
     column = np.where(values, session.y, 0.0)[:, None]
-    family = f"factor {given.names(values)}"
+    family = f"factor {data.names(values)}"
     return dataclasses.replace(
-        _off_by(given, "factor", scope, words, column, family),
+        _off_by(data, "factor", scope, text, column, family),
         steps=np.array([1e-6]),
-        log_prior=SELDOM if scope.is_part else 0.0,
+        log_prior=PART_LOG_PRIOR if scope.is_part else 0.0,
         scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
     )
 
@@ -200,42 +202,46 @@ def _log_size(factor: float) -> float:
 # -- set-ups that moved ----------------------------------------------------------------
 
 
-def _moved_setup(given: Given, scope: Scope) -> MistakeTrial | None:
+def _moved_setup(data: Suspect, scope: Scope) -> MistakeTrial | None:
     """The unknowns of a set-up anew in one run, or in the first or last rows."""
-    names = given.session.values["setup"].to_numpy()
-    at = scope.values(given.session)
-    setup = str(names[at][0])
-    is_part = scope.level in ("run", "rows") and ((names == setup) & ~at).any()
-    free = _unknowns(given, setup)
-    if not is_part or (names[at] != setup).any() or _is_an_offset(given, free, at):
+    names = data.session.values["setup"].to_numpy()
+    inside = scope.values(data.session)
+    setup = str(names[inside][0])
+    is_part = scope.level in ("run", "rows") and ((names == setup) & ~inside).any()
+    free = _unknowns(data, setup)
+    if (
+        not is_part
+        or (names[inside] != setup).any()
+        or _is_an_offset(data, free, inside)
+    ):
         return None
-    if not 0 < 2 * free.size <= at.sum():
+    if not 0 < 2 * free.size <= inside.sum():
         return None
     return MistakeTrial(
         kind="run",
         scope=scope,
-        words=lambda amounts, sd: (
+        text=lambda amounts, sd: (
             f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
             " up again"
         ),
-        session=given.session,
-        change=lambda amounts: [_set_up_again(given.session, scope.readings, setup)],
+        session=data.session,
+        change=lambda amounts: [_set_up_again(data.session, scope.readings, setup)],
         family=f"moved {scope.name}",
-        columns=np.where(at[:, None], given.slopes[:, free], 0.0),
+        columns=np.where(inside[:, None], data.slopes[:, free], 0.0),
     )
 
 
-def _unknowns(given: Given, setup: str) -> Index:
+def _unknowns(data: Suspect, setup: str) -> Index:
     """Free unknowns of a set-up, among the free parameters."""
-    measurement = given.session.measurement
+    measurement = data.session.measurement
     free = [measurement.names[k] for k in np.flatnonzero(measurement.free)]
     places = [k for k, name in enumerate(free) if name.startswith(f"{setup}.")]
     return np.array(places, dtype=np.intp)
 
 
-def _is_an_offset(given: Given, free: Index, at: Mask) -> bool:
+def _is_an_offset(data: Suspect, free: Index, inside: Mask) -> bool:
     """Whether the only unknown of a set-up moves all its readings alike."""
-    slopes = given.slopes[np.ix_(at, free)]
+    slopes = data.slopes[np.ix_(inside, free)]
     return free.size == 1 and bool(np.ptp(slopes) <= 1e-9 * np.abs(slopes).max())
 
 
@@ -246,8 +252,8 @@ def _set_up_again(
     measurement = mounted_again(
         session.measurement, [setup], lambda one: {"station": ""}
     )
-    again = measurement.setups[setup + AGAIN]
-    unknowns = {f"{again.name}.{n.name}": WIDER for n in again.nuisances}
+    again = measurement.setups[setup + AGAIN_SUFFIX]
+    unknowns = {f"{again.name}.{n.name}": WIDENING for n in again.nuisances}
     wider = dataclasses.replace(session, measurement=measurement, wider=unknowns)
 
     def moved(series: Series) -> Series:
@@ -259,19 +265,19 @@ def _set_up_again(
 # -- sizes far from nominal ------------------------------------------------------------
 
 
-def _sizes(given: Given) -> Iterator[MistakeTrial]:
+def _sizes(data: Suspect) -> Iterator[MistakeTrial]:
     """Each free parameter far outside its tolerance."""
-    measurement = given.session.measurement
+    measurement = data.session.measurement
     for column, k in enumerate(np.flatnonzero(measurement.free)):
-        if given.slopes[:, column].any():
-            yield _size(given, int(k), column)
+        if data.slopes[:, column].any():
+            yield _size(data, int(k), column)
 
 
-def _size(given: Given, k: int, column: int) -> MistakeTrial:
-    parameter = given.session.measurement.parameters[k]
-    wider = dataclasses.replace(given.session, wider={parameter.name: WIDER})
+def _size(data: Suspect, k: int, column: int) -> MistakeTrial:
+    parameter = data.session.measurement.parameters[k]
+    wider = dataclasses.replace(data.session, wider={parameter.name: WIDENING})
 
-    def words(amounts: Array, sd: Array) -> str:
+    def text(amounts: Array, sd: Array) -> str:
         size = amount(amounts[0], sd[0], units.display(parameter.unit))
         tolerances = abs(float(amounts[0])) / parameter.tolerance
         return (
@@ -281,30 +287,30 @@ def _size(given: Given, k: int, column: int) -> MistakeTrial:
 
     return MistakeTrial(
         kind="size",
-        scope=given.file,
-        words=words,
+        scope=data.file,
+        text=text,
         session=wider,
         estimated=lambda solution: solution.parameter(parameter.name),
         family=f"size {parameter.name}",
-        columns=(WIDER * given.slopes[:, column])[:, None],
+        columns=(WIDENING * data.slopes[:, column])[:, None],
     )
 
 
 # -- zeros inside an instrument --------------------------------------------------------
 
 
-def _zeros(given: Given) -> Iterator[MistakeTrial]:
+def _zeros(data: Suspect) -> Iterator[MistakeTrial]:
     """Each inner reading off by an amount: in the file, a set-up, a run and in rows."""
-    setups = given.session.measurement.setups.values()
+    setups = data.session.measurement.setups.values()
     inner = {one.name: one for s in setups for one in s.instrument.inner}
     for one in inner.values():
-        off = partial(_zero, given, one, _slopes(given, one.name))
-        yield from in_scopes([*given.scopes, *given.parts], off)
+        off = partial(_zero, data, one, _slopes(data, one.name))
+        yield from in_scopes([*data.scopes, *data.parts], off)
 
 
-def _slopes(given: Given, name: str) -> Array:
+def _slopes(data: Suspect, name: str) -> Array:
     """Slopes (N,) of the values over an inner reading; 0 where there is none."""
-    session = given.session
+    session = data.session
     slopes = np.zeros(len(session))
     for series, span in zip(session.series, session.spans, strict=True):
         setup = session.measurement.setups[series.setup]
@@ -318,19 +324,22 @@ def _slopes(given: Given, name: str) -> Array:
 
 
 def _zero(
-    given: Given, inner: InnerReading, every: Array, scope: Scope
+    data: Suspect, inner: InnerReading, every: Array, scope: Scope
 ) -> MistakeTrial | None:
     """An inner reading off by an amount, by slopes (N,) over it."""
-    slopes = np.where(scope.values(given.session), every, 0.0)
+    slopes = np.where(scope.values(data.session), every, 0.0)
     if not slopes.any():
         return None
     kind, cause = "offset", f"{inner.zero} is wrong"
     if scope.is_part:
         kind, cause = "run", "the instrument was zeroed again"
 
-    def words(amounts: Array, sd: Array) -> str:
-        unit, way = units.display(inner.unit), WAYS[inner.unit][int(amounts[0] > 0.0)]
+    def text(amounts: Array, sd: Array) -> str:
+        unit, way = (
+            units.display(inner.unit),
+            SIZE_WORDS[inner.unit][int(amounts[0] > 0.0)],
+        )
         size = amount(abs(amounts[0]), sd[0], unit, with_sd=True)
         return f"every {inner.name}{scope.within} is {size} too {way}: {cause}"
 
-    return _off_by(given, kind, scope, words, slopes[:, None], f"zero {inner.name}")
+    return _off_by(data, kind, scope, text, slopes[:, None], f"zero {inner.name}")

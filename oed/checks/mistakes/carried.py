@@ -15,17 +15,14 @@ from scipy import linalg
 
 from oed.base import Array, Index
 from oed.checks.findings import rounded
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 from oed.checks.session import SessionReadings
 
-#: readings of a group up to which they may hold parts of others, and fewest
-MOST, LEAST = 400, 3
-#: condition number from which on a matrix has no inverse here
-SINGULAR = 1e4
-#: share of the reading before, for differences, and largest one
-STEP, LARGEST = 1e-4, 0.98
+#: step of the share of the reading before, for differences
+SHARE_STEP = 1e-4
+#: share of the reading before, at most
+MAX_SHARE = 0.98
 
 
 def _chain(count: int, rest: float = 1.0, before: float = 0.0) -> Array:
@@ -55,92 +52,93 @@ LAGS: dict[str, Callable[[int, float], Array]] = {
 }
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings of each run, of one and of the whole file that hold parts of others."""
     for each in (True, False):
-        scopes = [given.file] if each and len(given.runs) > 1 else given.scopes
-        for words in FIXED:
-            yield from in_scopes(scopes, partial(_fixed, given, words, each))
-        for words in LAGS:
-            yield from in_scopes(scopes, partial(_lagging, given, words, each))
+        scopes = [data.file] if each and len(data.runs) > 1 else data.scopes
+        for text in FIXED:
+            yield from in_scopes(scopes, partial(_fixed, data, text, each))
+        for text in LAGS:
+            yield from in_scopes(scopes, partial(_lagging, data, text, each))
 
 
-def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
+def _groups(data: Suspect, scope: Scope, *, each: bool) -> list[Index]:
     """Values of each channel in the order in which they were read, by run or all."""
-    session = given.session
-    parts = given.runs_in(scope) if each or scope.level == "runs" else [scope]
+    session = data.session
+    parts = data.runs_in(scope) if each or scope.level == "runs" else [scope]
     groups = []
     for part in parts:
-        at = part.values(session) & given.shown
+        inside = part.values(session) & data.shown
         groups += [
-            np.flatnonzero(at & (given.channel == c)) for c in set(given.channel[at])
+            np.flatnonzero(inside & (data.channel == c))
+            for c in set(data.channel[inside])
         ]
-    return groups if all(LEAST <= len(group) <= MOST for group in groups) else []
+    return groups if all(3 <= len(group) <= 400 for group in groups) else []
 
 
-def _where(given: Given, scope: Scope, *, each: bool) -> str:
+def _where(data: Suspect, scope: Scope, *, each: bool) -> str:
     if scope.name:
         return scope.of
-    return " of each run" if each and len(given.runs) > 1 else ""
+    return " of each run" if each and len(data.runs) > 1 else ""
 
 
 def _without(
-    given: Given, groups: list[Index], matrix: Callable[[int], Array]
+    data: Suspect, groups: list[Index], matrix: Callable[[int], Array]
 ) -> Array:
     """Values (N,) without what they hold of others."""
-    y = given.session.y.copy()
+    y = data.session.y.copy()
     for group in groups:
         y[group] = np.linalg.solve(matrix(len(group)), y[group])
     return y
 
 
-def _fixed(given: Given, words: str, each: bool, scope: Scope) -> MistakeTrial | None:
-    groups = _groups(given, scope, each=each)
-    matrices = [FIXED[words](len(group)) for group in groups]
-    if not groups or any(np.linalg.cond(q) > SINGULAR for q in matrices):
+def _fixed(data: Suspect, text: str, each: bool, scope: Scope) -> MistakeTrial | None:
+    groups = _groups(data, scope, each=each)
+    matrices = [FIXED[text](len(group)) for group in groups]
+    if not groups or any(np.linalg.cond(q) > 1e4 for q in matrices):
         return None
-    y = _without(given, groups, FIXED[words])
+    y = _without(data, groups, FIXED[text])
     log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
-    sentence = f"the readings{_where(given, scope, each=each)} are {words}"
-    return value_trial(
-        given.session, "carried", scope, sentence, y, log_scale=log_scale
-    )
+    sentence = f"the readings{_where(data, scope, each=each)} are {text}"
+    return value_trial(data.session, "carried", scope, sentence, y, log_scale=log_scale)
 
 
-def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial | None:
-    session, where = given.session, _where(given, scope, each=each)
-    groups = _groups(given, scope, each=each)
+def _lagging(
+    data: Suspect, shown_part: str, each: bool, scope: Scope
+) -> MistakeTrial | None:
+    session, where = data.session, _where(data, scope, each=each)
+    groups = _groups(data, scope, each=each)
     if not groups:
         return None
     count = sum(len(group) - 1 for group in groups)
 
     def without(share: float) -> Array:
-        return _without(given, groups, lambda n: LAGS[held](n, share))
+        return _without(data, groups, lambda n: LAGS[shown_part](n, share))
 
     def undo(amounts: Array) -> list[SessionReadings]:
-        if not 0.0 <= amounts[0] <= LARGEST:
+        if not 0.0 <= amounts[0] <= MAX_SHARE:
             raise ValueError("a reading holds a part of the one before")
         return [session.with_y(without(float(amounts[0])))]
 
-    def words(amounts: Array, sd: Array) -> str:
+    def text(amounts: Array, sd: Array) -> str:
         share, error = (100.0 * float(v[0]) for v in (amounts, sd))
         return (
             f"the readings{where} hold {rounded(share, error)} % (sd {error:.2g} %)"
-            f" {held}: read before they had settled, or through a filter"
+            f" {shown_part}: read before they had settled, or through a filter"
         )
 
     def scaling(amounts: Array) -> float:
-        return -count * float(np.log1p(-np.clip(amounts[0], -LARGEST, LARGEST)))
+        return -count * float(np.log1p(-np.clip(amounts[0], -MAX_SHARE, MAX_SHARE)))
 
     return MistakeTrial(
         kind="carried",
         scope=scope,
-        words=words,
+        text=text,
         session=session,
         change=undo,
         amounts=np.zeros(1),
-        steps=np.array([STEP]),
+        steps=np.array([SHARE_STEP]),
         scaling=scaling,
-        family=f"lag {held} {each} {scope.name}",
-        columns=((session.y - without(STEP)) / STEP)[:, None],
+        family=f"lag {shown_part} {each} {scope.name}",
+        columns=((session.y - without(SHARE_STEP)) / SHARE_STEP)[:, None],
     )

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.base import Index
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import (
     MistakeTrial,
     log_density_of_known,
@@ -19,58 +18,58 @@ from oed.checks.mistakes.trial import (
     value_trial,
 )
 
-#: readings that a part has at least, and of which copies are looked for
-LEAST, LEAST_COPIED = 6, 3
+#: readings of a part, at least
+MIN_PART = 6
 #: readings of a session up to which it is divided at every one
-MOST_CUT = 300
+MAX_CUT = 300
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """The session in two parts, and without each run and set-up: it may be anything, or
     equal another one to the last digit.
     """
-    yield from _divisions(given)
+    yield from _divisions(data)
     for level in ("run", "set-up"):
-        scopes = [s for s in given.scopes if s.level == level]
+        scopes = [s for s in data.scopes if s.level == level]
         for one, other in itertools.permutations(scopes, 2):
-            if _equal(given, one.readings, other.readings):
-                yield _copied(given, one, other)
-    for scope in given.scopes:
+            if _equal(data, one.readings, other.readings):
+                yield _copied(data, one, other)
+    for scope in data.scopes:
         if scope.level in ("run", "set-up"):
             sentence = (
                 f"the readings{scope.of} contradict all others, and no usual mistake"
                 " explains how"
             )
-            missing = scope.values(given.session)
+            missing = scope.values(data.session)
             yield value_trial(
-                given.session, "contradiction", scope, sentence, missing=missing
+                data.session, "contradiction", scope, sentence, missing=missing
             )
 
 
 # -- copies ----------------------------------------------------------------------------
 
 
-def _equal(given: Given, one: Index, other: Index) -> bool:
-    if len(one) != len(other) or len(one) < LEAST_COPIED:
+def _equal(data: Suspect, one: Index, other: Index) -> bool:
+    if len(one) != len(other) or len(one) < 3:
         return False
-    y, session = given.session.y, given.session
+    y, session = data.session.y, data.session
     first, second = (members(session, r) for r in (one, other))
     if len(first) != len(second):
         return False
-    recorded = given.shown[first].all()
+    recorded = data.shown[first].all()
     return bool(recorded and np.array_equal(y[first], y[second]) and np.ptp(y[first]))
 
 
-def _copied(given: Given, one: Scope, other: Scope) -> MistakeTrial:
+def _copied(data: Suspect, one: Scope, other: Scope) -> MistakeTrial:
     """The session without readings that are given already as those of another scope.
 
     They are certain then: their density is that of a value known to its last digit.
     """
-    missing = one.values(given.session)
-    log_missing = log_density_of_known(given, missing, missing)
+    missing = one.values(data.session)
+    log_missing = log_density_of_known(data, missing, missing)
     sentence = f"the readings{one.of} are those{other.of}, copied"
     return value_trial(
-        given.session,
+        data.session,
         "copied",
         one,
         sentence,
@@ -82,34 +81,36 @@ def _copied(given: Given, one: Scope, other: Scope) -> MistakeTrial:
 # -- two parts that fit alone ----------------------------------------------------------
 
 
-def _divisions(given: Given) -> Iterator[MistakeTrial]:
+def _divisions(data: Suspect) -> Iterator[MistakeTrial]:
     """The session divided at every reading, or at the ends of runs where it is long."""
-    count = 1 + int(given.session.reading_of_value[-1])
-    places = list(range(LEAST, count - LEAST + 1))
-    if count > MOST_CUT:
-        ends = [int(run.readings[0]) for run in given.runs]
-        places = [k for k in ends if LEAST <= k <= count - LEAST]
-    for place in places:
-        yield _divided(given, place, count)
+    count = 1 + int(data.session.reading_of_value[-1])
+    places = list(range(MIN_PART, count - MIN_PART + 1))
+    if count > MAX_CUT:
+        ends = [int(run.readings[0]) for run in data.runs]
+        places = [k for k in ends if MIN_PART <= k <= count - MIN_PART]
+    for cut in places:
+        yield _divided(data, cut, count)
 
 
-def _divided(given: Given, place: int, count: int) -> MistakeTrial:
-    session, every = given.session, np.arange(count, dtype=np.intp)
-    last, first = session.rows(every[place - 1 : place + 1])
-    before, after = (_of_run(given, part) for part in (every[:place], every[place:]))
+def _divided(data: Suspect, cut: int, count: int) -> MistakeTrial:
+    session, every = data.session, np.arange(count, dtype=np.intp)
+    last, first = session.rows(every[cut - 1 : cut + 1])
+    before, after = (
+        _run_in_brackets(data, part) for part in (every[:cut], every[cut:])
+    )
     sentence = (
         f"the readings up to row {last}{before} and those from row {first}{after} fit"
         " alone but not together: another machine, or something moved between them"
     )
-    parts = session.reading_of_value >= place
+    parts = session.reading_of_value >= cut
     return value_trial(
-        session, "change", given.file, sentence, family="change", parts=parts
+        session, "change", data.file, sentence, family="change", parts=parts
     )
 
 
-def _of_run(given: Given, readings: Index) -> str:
+def _run_in_brackets(data: Suspect, readings: Index) -> str:
     """The run whose readings these are, in brackets; empty where they are of several."""
-    for run in given.runs:
+    for run in data.runs:
         if np.array_equal(run.readings, readings):
             return f" ({run.name})"
     return ""

@@ -23,18 +23,14 @@ import numpy as np
 from scipy.spatial import transform
 
 from oed.base import Array, Mask, Orientation, rotation
-from oed.checks.mistakes.driven import Change, commanded, permuted
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import moved_trials
-from oed.checks.mistakes.pose import SLACK
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.moved import Change, commanded, moved_trials, permuted
+from oed.checks.mistakes.pose import RANGE_SLACK
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 
 #: places (n, 3) and rotations (n, 3, 3) without a mistake, of those with it
 Unframed = Callable[[Array, Array], tuple[Array, Array]]
 AXES = "xyz"
-#: channels of one unit that are permuted, at most
-MOST_CHANNELS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,25 +40,25 @@ class FrameMistake:
     matrices  rotations (n, 3, 3) of angles by name, where it is not that of their columns
     """
 
-    words: str
+    text: str
     undo: Unframed
     matrices: Callable[[Mapping[str, Array]], Array] | None = None
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Columns of one unit in any order and with any signs, and poses in another frame."""
     by_unit: dict[str, list[str]] = {}
-    for channel in dict.fromkeys(given.channel[given.shown]):
-        by_unit.setdefault(given.session.unit(channel), []).append(str(channel))
+    for channel in dict.fromkeys(data.channel[data.shown]):
+        by_unit.setdefault(data.session.unit(channel), []).append(str(channel))
     for names in (few for some in by_unit.values() for few in _groups(some)):
         for order in itertools.permutations(names):
             for signs in itertools.product((1.0, -1.0), repeat=len(names)):
                 if order == tuple(names) and sum(signs) > len(names) - 4.0:
                     continue  # the sign of one alone: see `values`
-                on = partial(_exchanged, given, names, order, signs)
-                yield from in_scopes(given.scopes, on)
-    yield from _read(given)
-    yield from _driven(given)
+                on = partial(_exchanged, data, names, order, signs)
+                yield from in_scopes(data.scopes, on)
+    yield from _read(data)
+    yield from _driven(data)
 
 
 # -- columns ---------------------------------------------------------------------------
@@ -70,31 +66,31 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
 
 def _groups(names: list[str]) -> list[list[str]]:
     """Channels that are permuted together: pairs alone where there are many."""
-    if len(names) <= MOST_CHANNELS:
+    if len(names) <= 3:
         return [names]
     return [list(pair) for pair in itertools.combinations(names, 2)]
 
 
 def _exchanged(
-    given: Given,
+    data: Suspect,
     names: list[str],
     order: tuple[str, ...],
     signs: tuple[float, ...],
     scope: Scope,
 ) -> MistakeTrial | None:
     """The session with each channel of `names` taken from that of `order`."""
-    session = given.session
+    session = data.session
     sources = [names.index(name) for name in order]
     turned = permuted(sources, signs)
-    y = _mapped(given, names, scope.values(session) & given.shown, turned)
+    y = _mapped(data, names, scope.values(session) & data.shown, turned)
     if y is None or np.array_equal(y, session.y):
         return None
     column = {name: session.column(name).name for name in names}
     moved = [(a, b) for a, b in zip(names, order, strict=True) if a != b]
     if min(signs) > 0.0:
         exchanged = [column[a] for a, _ in moved]
-        words = f"{', '.join(exchanged[:-1])} and {exchanged[-1]}"
-        sentence = f"the columns {words} are exchanged{scope.within}"
+        text = f"{', '.join(exchanged[:-1])} and {exchanged[-1]}"
+        sentence = f"the columns {text} are exchanged{scope.within}"
     else:
         triples = zip(names, order, signs, strict=True)
         axes = [
@@ -105,15 +101,15 @@ def _exchanged(
 
 
 def _mapped(
-    given: Given, names: Sequence[str], at: Mask, change: Change
+    data: Suspect, names: Sequence[str], inside: Mask, change: Change
 ) -> Array | None:
     """Values (N,) with those of some channels (n, k) changed together; None where not
     each of them has as many.
     """
-    masks = [at & (given.channel == name) for name in names]
+    masks = [inside & (data.channel == name) for name in names]
     if len({int(mask.sum()) for mask in masks}) > 1 or not masks[0].any():
         return None
-    y = given.session.y.copy()
+    y = data.session.y.copy()
     changed = change(np.column_stack([y[mask] for mask in masks]))
     for mask, values in zip(masks, changed.T, strict=True):
         y[mask] = values
@@ -129,7 +125,7 @@ def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
             turn = np.zeros((3, 3))
             turn[range(3), order] = signs
             if not np.array_equal(turn, np.eye(3)):
-                yield from _of_axes(turn)
+                yield from _axes_mistakes(turn)
     yield FrameMistake(
         "have angles of the inverse rotation (passive for active)",
         lambda p, r: (p, np.swapaxes(r, 1, 2)),
@@ -139,12 +135,12 @@ def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
         lambda p, r: (-np.einsum("nij,nj->ni", r, p), np.swapaxes(r, 1, 2)),
     )
     for other in _conventions(orientation):
-        words = f"have angles in another order: {other.formula}"
-        yield FrameMistake(words, lambda p, r: (p, r), other.matrices)
+        text = f"have angles in another order: {other.formula}"
+        yield FrameMistake(text, lambda p, r: (p, r), other.matrices)
     yield FrameMistake(
         f"have {', '.join(orientation.names)} of one rotation vector",
         lambda p, r: (p, r),
-        partial(_of_vectors, orientation.names),
+        partial(_vector_rotations, orientation.names),
     )
 
 
@@ -160,13 +156,13 @@ def _conventions(orientation: Orientation) -> list[Orientation]:
     return [o for o in dict.fromkeys(others) if o != orientation]
 
 
-def _of_vectors(names: Sequence[str], angles: Mapping[str, Array]) -> Array:
+def _vector_rotations(names: Sequence[str], angles: Mapping[str, Array]) -> Array:
     """Rotations (n, 3, 3) by the vectors that some angles are."""
     vectors = np.column_stack([angles[name] for name in names])
     return np.asarray(transform.Rotation.from_rotvec(vectors).as_matrix())
 
 
-def _of_axes(turn: Array) -> Iterator[FrameMistake]:
+def _axes_mistakes(turn: Array) -> Iterator[FrameMistake]:
     """Axes of both frames as in G (3, 3), and of one of them where it is a rotation."""
     axes = ", ".join(
         f"{AXES[k]} is {'-' if row.sum() < 0.0 else ''}{AXES[int(np.argmax(np.abs(row)))]}"
@@ -200,41 +196,44 @@ def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> 
 # -- poses that are read ---------------------------------------------------------------
 
 
-def _read(given: Given) -> Iterator[MistakeTrial]:
-    setups = given.session.measurement.setups
-    of = {s.setup: setups[s.setup].instrument.orientation for s in given.session.series}
+def _read(data: Suspect) -> Iterator[MistakeTrial]:
+    setups = data.session.measurement.setups
+    of = {s.setup: setups[s.setup].instrument.orientation for s in data.session.series}
     for orientation in dict.fromkeys(of.values()):
         if orientation is None or orientation.axis_only or len(orientation.names) != 3:
             continue
         for mistake in _mistakes(orientation):
-            on = partial(_read_otherwise, given, orientation, mistake)
-            yield from in_scopes(given.scopes, on)
+            on = partial(_read_otherwise, data, orientation, mistake)
+            yield from in_scopes(data.scopes, on)
 
 
 def _read_otherwise(
-    given: Given, orientation: Orientation, mistake: FrameMistake, scope: Scope
+    data: Suspect,
+    orientation: Orientation,
+    mistake: FrameMistake,
+    scope: Scope,
 ) -> MistakeTrial | None:
     names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
-    at = scope.values(given.session)
-    y = _mapped(given, names, at, partial(_unframed, orientation, mistake))
+    inside = scope.values(data.session)
+    y = _mapped(data, names, inside, partial(_unframed, orientation, mistake))
     if y is None:
         return None
-    sentence = f"the poses that were read{scope.within} {mistake.words}"
-    return value_trial(given.session, "frame", scope, sentence, y)
+    sentence = f"the poses that were read{scope.within} {mistake.text}"
+    return value_trial(data.session, "frame", scope, sentence, y)
 
 
 # -- poses that are commanded ----------------------------------------------------------
 
 
-def _driven(given: Given) -> Iterator[MistakeTrial]:
+def _driven(data: Suspect) -> Iterator[MistakeTrial]:
     """Commands of all six coordinates; those out of the workspace were never given."""
-    machine = given.session.measurement.machine
+    machine = data.session.measurement.machine
     orientation = machine.command_orientation
     names = [c.name for c in machine.command]
     if orientation is None or names != [*AXES, *orientation.names]:
         return
     for mistake in _mistakes(orientation):
         change = partial(_unframed, orientation, mistake)
-        moved = commanded(given.session.measurement, change, slack=SLACK)
-        sentence = f"the commanded poses{{within}} {mistake.words}"
-        yield from moved_trials(given, "frame", sentence, moved)
+        moved = commanded(data.session.measurement, change, slack=RANGE_SLACK)
+        sentence = f"the commanded poses{{within}} {mistake.text}"
+        yield from moved_trials(data, "frame", sentence, moved)

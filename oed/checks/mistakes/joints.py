@@ -9,30 +9,26 @@ from functools import partial
 import numpy as np
 
 from oed.base import Array
-from oed.checks.mistakes.driven import exchanged, jointed, of_column, permuted
-from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import (
     Moved,
     SoughtAmount,
     displaced_trials,
+    exchanged,
+    jointed,
     moved_trials,
+    of_column,
+    permuted,
 )
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, amount
 
-#: joints of which every order is tried
-EVERY_ORDER = 3
 #: log prior of another numbering in part of a file alone: it belongs to the machine
-SELDOM = -3.0
-#: standard deviations from which on a reading is far off
-FAR = 4.0
-#: step of a stop for differences, and spread about where it is sought, SI
-STEP, SPREAD = 1e-5, 5e-3
+PART_LOG_PRIOR = -3.0
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """The likely orders of the joints, for the file, each set-up and each run."""
-    measurement = given.session.measurement
+    measurement = data.session.measurement
     joints = measurement.machine.joints
     for order in likely_orders(len(joints)):
         if any(joints[a].unit != joints[b].unit for a, b in enumerate(order)):
@@ -40,43 +36,45 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         legs = ", ".join(str(k + 1) for k in order)
         sentence = f"the legs are numbered otherwise: 1 to {len(order)} are {legs}"
         moved = jointed(measurement, permuted(order))
-        yield from moved_trials(given, "joints", f"{sentence}{{within}}", moved, SELDOM)
+        yield from moved_trials(
+            data, "joints", f"{sentence}{{within}}", moved, PART_LOG_PRIOR
+        )
     for k, joint in enumerate(joints):
         if joint.lower < 0.0 < joint.upper:
             moved = jointed(measurement, of_column(k, np.negative))
             sentence = f"the sign of {joint.name} is reversed{{within}}"
-            yield from moved_trials(given, "joints", sentence, moved, SELDOM)
+            yield from moved_trials(data, "joints", sentence, moved, PART_LOG_PRIOR)
         for sign in (1.0, -1.0):
-            yield from _stopped(given, k, sign)
+            yield from _stopped(data, k, sign)
 
 
 # -- joints at a stop ------------------------------------------------------------------
 
 
-def _stopped(given: Given, k: int, sign: float) -> Iterator[MistakeTrial]:
+def _stopped(data: Suspect, k: int, sign: float) -> Iterator[MistakeTrial]:
     """A joint that went no further than a stop, where readings are far off beyond it."""
 
     def moved(end: float) -> Moved:
         stop = np.minimum if sign > 0.0 else np.maximum
         change = of_column(k, lambda values: stop(values, end))
-        return jointed(given.session.measurement, change)
+        return jointed(data.session.measurement, change)
 
-    words = partial(_stop_words, given, k, sign)
-    for stop in _likely_stops(given, k, sign):
-        sought = SoughtAmount(stop, SPREAD, STEP)
-        family, scopes = f"stop {k} {sign:g}", [given.file]
+    text = partial(_stop_words, data, k, sign)
+    for stop in _likely_stops(data, k, sign):
+        sought = SoughtAmount(stop, spread=5e-3, step=1e-5)
+        family, scopes = f"stop {k} {sign:g}", [data.file]
         yield from displaced_trials(
-            given, "stop", words, moved, sought, family, scopes=scopes, is_blind=True
+            data, "stop", text, moved, sought, family, scopes=scopes, is_blind=True
         )
 
 
-def _likely_stops(given: Given, k: int, sign: float) -> list[float]:
+def _likely_stops(data: Suspect, k: int, sign: float) -> list[float]:
     """Values of a joint, SI, beyond which all readings that are far off lie."""
-    joints = sign * given.session.joints[:, k]
-    misfit = np.abs(given.session.y - given.predicted) / given.spread
+    joints = sign * data.session.joints[:, k]
+    misfit = np.abs(data.session.y - data.predicted) / data.spread
     worst = np.zeros(len(joints))
-    np.maximum.at(worst, given.session.reading_of_value, misfit)
-    far = worst > FAR
+    np.maximum.at(worst, data.session.reading_of_value, misfit)
+    far = worst > 4.0
     if not far.any() or far.sum() > len(far) // 3:
         return []
     order = np.argsort(-joints)
@@ -88,14 +86,19 @@ def _likely_stops(given: Given, k: int, sign: float) -> list[float]:
 
 
 def _stop_words(
-    given: Given, k: int, sign: float, scope: Scope, amounts: Array, sd: Array
+    data: Suspect,
+    k: int,
+    sign: float,
+    scope: Scope,
+    amounts: Array,
+    sd: Array,
 ) -> str:
-    joint = given.session.measurement.machine.joints[k]
+    joint = data.session.measurement.machine.joints[k]
     unit, way = "mm", "longer" if sign > 0.0 else "shorter"
     if joint.unit == "rad":
         unit, way = "deg", "further"
-    is_beyond = sign * given.session.joints[:, k] > sign * amounts[0]
-    rows = given.session.rows(np.flatnonzero(is_beyond))
+    is_beyond = sign * data.session.joints[:, k] > sign * amounts[0]
+    rows = data.session.rows(np.flatnonzero(is_beyond))
     return (
         f"{joint.name} went no {way} than {amount(amounts[0], sd[0], unit, with_sd=True)}:"
         f" it stood at its stop in the rows {', '.join(str(row) for row in rows)}"
@@ -105,7 +108,7 @@ def _stop_words(
 def likely_orders(count: int) -> list[tuple[int, ...]]:
     """Orders of joints but the first: turned, the other way round, two exchanged."""
     places = tuple(range(count))
-    if count <= EVERY_ORDER:
+    if count <= 3:
         return [o for o in itertools.permutations(places) if o != places]
     orders = set()
     for turn in range(count):

@@ -9,22 +9,23 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
-from oed.base import Array, Index
+from oed.base import Array, Index, Mask
 from oed.checks.fit import CANNOT_BE, NO_AMOUNTS
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
 from oed.checks.session import SessionReadings
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
+from oed.model import Machine
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]
 
 #: what the name of a set-up ends in that some readings have anew
-AGAIN = " again"
+AGAIN_SUFFIX = " again"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +43,7 @@ class SoughtAmount:
 
 
 def moved_trials(
-    given: Given,
+    data: Suspect,
     kind: str,
     sentence: str,
     moved: Moved,
@@ -54,20 +55,20 @@ def moved_trials(
     sentence  in which `{of}` or `{within}` is the scope
     seldom    log prior in part of a file
     """
-    some = given.scopes if scopes is None else scopes
+    some = data.scopes if scopes is None else scopes
 
-    def words(scope: Scope, amounts: Array, sd: Array) -> str:
+    def text(scope: Scope, amounts: Array, sd: Array) -> str:
         return sentence.format(of=scope.of, within=scope.within)
 
     yield from displaced_trials(
-        given, kind, words, lambda by: moved, None, scopes=some, seldom=seldom
+        data, kind, text, lambda by: moved, None, scopes=some, seldom=seldom
     )
 
 
 def displaced_trials(
-    given: Given,
+    data: Suspect,
     kind: str,
-    words: Callable[[Scope, Array, Array], str],
+    text: Callable[[Scope, Array, Array], str],
     moved: Callable[[float], Moved],
     sought: SoughtAmount | None,
     family: str = "",
@@ -81,26 +82,26 @@ def displaced_trials(
     """
     amounts, steps = NO_AMOUNTS, NO_AMOUNTS
     if sought is None:
-        table = pose_table(given, moved(0.0))
+        table = pose_table(data, moved(0.0))
     else:
         amounts, steps = np.array([sought.amount]), np.array([sought.step])
         near = moved(sought.amount + sought.step)
         spread = sought.spread / sought.step
-        table = pose_table(given, moved(sought.amount), near, spread)
+        table = pose_table(data, moved(sought.amount), near, spread)
         family = f"{family} {sought.basin}"
-    if table is None or same(given, table):
+    if table is None or same(data, table):
         return
 
     def on(scope: Scope) -> MistakeTrial:
         def undo(amounts: Array) -> list[SessionReadings]:
             displaced = moved(float(amounts.sum()))
-            return [with_moved(given.session, scope.readings, displaced)]
+            return [with_moved(data.session, scope.readings, displaced)]
 
         return MistakeTrial(
             kind=kind,
             scope=scope,
-            words=partial(words, scope),
-            session=given.session,
+            text=partial(text, scope),
+            session=data.session,
             change=undo,
             amounts=amounts,
             steps=steps,
@@ -113,10 +114,10 @@ def displaced_trials(
     yield from in_scopes(scopes, on)
 
 
-def same(given: Given, table: PoseTable) -> bool:
+def same(data: Suspect, table: PoseTable) -> bool:
     """Whether nothing is read or known otherwise, as after a turn of 360 deg."""
-    predicted = np.allclose(table.predicted, given.predicted, rtol=0.0, atol=1e-12)
-    return predicted and np.allclose(table.slopes, given.slopes, rtol=1e-9, atol=1e-15)
+    predicted = np.allclose(table.predicted, data.predicted, rtol=0.0, atol=1e-12)
+    return predicted and np.allclose(table.slopes, data.slopes, rtol=1e-9, atol=1e-15)
 
 
 def by_run(series: Series) -> list[Index]:
@@ -156,22 +157,25 @@ def _try(series: Series, moved: Moved) -> Series | None:
 
 
 def pose_table(
-    given: Given, moved: Moved, near: Moved | None = None, spread: float = 1.0
+    data: Suspect,
+    moved: Moved,
+    near: Moved | None = None,
+    spread: float = 1.0,
 ) -> PoseTable | None:
     """What the nominal machine reads of moved series; None where no pose is reached.
 
     near    series moved by a step of an amount more
     spread  of the amount, over the step
     """
-    session, measurement = given.session, given.session.measurement
-    theta = measurement.nominal if given.at is None else given.at.theta
+    session, measurement = data.session, data.session.measurement
+    theta = measurement.nominal if data.at is None else data.at.theta
     predicted = np.full(len(session), np.nan)
-    slopes = np.full(given.slopes.shape, np.nan)
+    slopes = np.full(data.slopes.shape, np.nan)
     by_amount = np.zeros((len(session), 0 if near is None else 1))
     for series, span in zip(session.series, session.spans, strict=True):
         count = session.channel_count(series.setup)
         reached = moved_rows(series, moved)
-        values = None if reached is None else _linear(given, reached[1])
+        values = None if reached is None else _linear(data, reached[1])
         if reached is None or values is None:
             continue
         rows = reached[0]
@@ -186,10 +190,10 @@ def pose_table(
     )
 
 
-def _linear(given: Given, series: Series) -> tuple[Array, Array] | None:
+def _linear(data: Suspect, series: Series) -> tuple[Array, Array] | None:
     """What the linear model reads of a series, and its slopes."""
     try:
-        return given.linear([series])
+        return data.linear([series])
     except CANNOT_BE:
         return None
 
@@ -203,7 +207,7 @@ def mounted_again(
     again = []
     for name in setups:
         one = measurement.setups[name]
-        again.append(dataclasses.replace(one, name=name + AGAIN, **changed(one)))
+        again.append(dataclasses.replace(one, name=name + AGAIN_SUFFIX, **changed(one)))
     return measurement.with_setups([*measurement.setups.values(), *again])
 
 
@@ -228,21 +232,148 @@ def with_moved(
             if changed is None:
                 raise AssemblyError("a pose cannot be reached", numbers[is_moved])
             parts.append((changed, numbers[is_moved]))
-    return _of_parts(session, parts)
+    return _join_parts(session, parts)
 
 
-def _of_parts(
+def _join_parts(
     session: SessionReadings, parts: list[tuple[Series, Index]]
 ) -> SessionReadings:
     """A session of series with the numbers of their readings in another one."""
     number = session.reading_of_value
     places = [np.flatnonzero(np.isin(number, numbers)) for _, numbers in parts]
     frames = []
-    for (series, _), place in zip(parts, places, strict=True):
-        frames.append(session.values.iloc[place].assign(setup=series.setup))
+    for (series, _), rows in zip(parts, places, strict=True):
+        frames.append(session.values.iloc[rows].assign(setup=series.setup))
     return dataclasses.replace(
         session,
         series=tuple(series for series, _ in parts),
         y=session.y[np.concatenate(places)],
         values=pd.concat(frames, ignore_index=True),
     )
+
+
+# Series driven to other poses: other commands in the file's rows, other joints.
+
+#: a full turn, rad
+FULL_TURN = 2.0 * np.pi
+#: share of a coordinate's range that rounding may exceed
+RANGE_TOLERANCE = 1e-9
+#: commands or joints (n, k) in place of others
+Change = Callable[[Array], Array]
+
+
+def commanded(
+    measurement: Measurement, change: Change, *, rows: str = "file", slack: float = 0.0
+) -> Moved:
+    """Change the commands (n, n_dof) of a series that recorded them.
+
+    rows   `file` for those in the file's rows, `teach` for the teach pose, `all`
+    slack  share of a coordinate's range by which it may be exceeded; commands outside
+           the workspace were never given, but a machine may have stood there
+    """
+    machine = measurement.machine
+
+    def moved(series: Series) -> Series | None:
+        setup = measurement.setups[series.setup]
+        if not np.isfinite(series.command).all():
+            return None
+        changed = _rows(series, rows, is_taught=setup.teach is not None)
+        if not changed.any():
+            return None
+        command = series.command.copy()
+        command[changed] = wrapped(change(command[changed]), machine)
+        if not inside(command[changed], machine, setup.tool, slack):
+            return None
+        x, q = measurement.kinematics.sent(command, np.array(setup.tool))
+        return dataclasses.replace(series, q=q, start=x, command=command)
+
+    return moved
+
+
+def inside(
+    command: Array, machine: Machine, tool: Sequence[float], slack: float
+) -> bool:
+    """Whether no command is outside the workspace by more than a share of it."""
+    for value, coordinate in zip(command.T, machine.workspace(tool), strict=True):
+        span = coordinate.upper - coordinate.lower
+        room = (slack + RANGE_TOLERANCE) * span if np.isfinite(span) else 0.0
+        below, above = coordinate.lower - value.min(), value.max() - coordinate.upper
+        if max(below, above) > room:
+            return False
+    return True
+
+
+def _rows(series: Series, rows: str, *, is_taught: bool) -> Mask:
+    """Poses (m,) that are commanded in the file's rows, the teach pose, or all."""
+    of_file = in_file(series, is_taught=is_taught)
+    if rows == "teach":
+        return ~of_file
+    return of_file if rows == "file" else np.ones_like(of_file)
+
+
+def in_file(series: Series, *, is_taught: bool) -> Mask:
+    """Poses (m,) that are commanded in the file's rows."""
+    of_file = np.ones(len(series.command), dtype=bool)
+    if is_taught:
+        of_file[:] = False
+        of_file[series.index[:, 0]] = True
+    return of_file
+
+
+def jointed(measurement: Measurement, change: Change) -> Moved:
+    """Series whose joints (m, nq) are changed; their poses are followed from home."""
+    kinematics = measurement.kinematics
+
+    def moved(series: Series) -> Series | None:
+        q = change(series.q)
+        x = kinematics.start_poses(q, patient=False)
+        return dataclasses.replace(series, q=q, start=x)
+
+    return moved
+
+
+def wrapped(command: Array, machine: Machine) -> Array:
+    """Commands (n, n_dof) with angles that turn freely brought into their range."""
+    turned = command.copy()
+    for k, coordinate in enumerate(machine.command):
+        if coordinate.unit == "rad" and turns_freely(
+            coordinate.lower, coordinate.upper
+        ):
+            turned[:, k] -= FULL_TURN * np.floor(
+                (turned[:, k] - coordinate.lower) / FULL_TURN
+            )
+    return turned
+
+
+def turns_freely(lower: float, upper: float) -> bool:
+    """Whether an angle's range is a full turn."""
+    span = upper - lower
+    return bool(np.isfinite(span) and span >= FULL_TURN * (1.0 - RANGE_TOLERANCE))
+
+
+def of_column(k: int, meant: Change) -> Change:
+    """Column k (n,) changed. NaN, which is no pose, raises ValueError later on."""
+
+    def change(values: Array) -> Array:
+        changed = values.copy()
+        changed[:, k] = meant(values[:, k])
+        return changed
+
+    return change
+
+
+def shifted(k: int, amount: float) -> Change:
+    """Column k plus an amount, SI."""
+    return of_column(k, lambda values: values + amount)
+
+
+def exchanged(count: int, one: int, other: int) -> tuple[int, ...]:
+    """The order of some columns with two of them exchanged."""
+    order = list(range(count))
+    order[one], order[other] = other, one
+    return tuple(order)
+
+
+def permuted(order: Sequence[int], signs: ArrayLike = 1.0) -> Change:
+    """Columns in another order, with signs."""
+    return lambda values: values[:, list(order)] * np.asarray(signs)

@@ -14,70 +14,63 @@ import numpy as np
 from scipy import special
 
 from oed.base import Array, Mask
-from oed.checks.mistakes.driven import commanded, shifted
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import pose_table
-from oed.checks.mistakes.pose import SLACK
-from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import (
-    MistakeTrial,
-    in_scopes,
-    in_values,
-    value_trial,
-)
-from oed.dataset.columns import parse_column
+from oed.checks.mistakes.moved import commanded, pose_table, shifted
+from oed.checks.mistakes.pose import RANGE_SLACK
+from oed.checks.mistakes.suspect import Scope, Suspect
+from oed.checks.mistakes.trial import MistakeTrial, in_scopes, in_values, value_trial
+from oed.dataset import ReadingsColumn
 
 #: decimals that a column has where it is rounded, from tens on
 DECIMALS = range(-1, 4)
 #: values of which a rounded column has more than so many
-LEAST_VALUES = 4
+MIN_VALUES = 4
 #: share of a rounding step that is looked at for slopes
-STEP = 1e-3
+STEP_SHARE = 1e-3
 #: error of rounding, over the noise, from which on it matters
-MATTERS = 3.0
+MIN_ROUNDING_ERROR = 3.0
 #: log prior: most columns of whole numbers were driven so
-SELDOM = -2.0
+ROUNDING_LOG_PRIOR = -2.0
 #: noise over that which is stated: another unit, by SI unit
 OTHER_NOISE = {"m": (1e3, 1e-3, 1e6, 1e-6), "rad": (3600.0, 1.0 / 3600.0, 1e3, 1e-3)}
 #: level at which residuals depend on the pose, so that they are no noise
-TREND = 1e-4
+TREND_LEVEL = 1e-4
 #: log prior of another unit: misfits of an effect look like noise as well
-SELDOM_OTHER = -3.0
+UNIT_LOG_PRIOR = -3.0
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Each column of whole numbers, or of few decimals, whose decimals were lost, and noise
     in another unit.
     """
-    yield from noise_trials(given)
-    measurement = given.session.measurement
-    for k, (name, values) in enumerate(given.columns.items()):
+    yield from noise_trials(data)
+    measurement = data.session.measurement
+    for k, (name, values) in enumerate(data.columns.items()):
         decimals = _decimals(values)
         if decimals is None:
             continue
         step = 10.0**-decimals
-        change = shifted(k, STEP * step * parse_column(name).factor)
-        table = pose_table(given, commanded(measurement, change, slack=SLACK))
+        change = shifted(k, STEP_SHARE * step * ReadingsColumn.parse(name).factor)
+        table = pose_table(data, commanded(measurement, change, slack=RANGE_SLACK))
         if table is None:
             continue
-        slope = np.nan_to_num(table.predicted - given.predicted) / STEP
+        slope = np.nan_to_num(table.predicted - data.predicted) / STEP_SHARE
         error = np.abs(slope) / np.sqrt(12.0)
-        if (error > MATTERS * given.sigma).any():
-            words = f"{name}{{}} is rounded to {step:g}: finer numbers were driven"
-            on = partial(_rounded, given, words, error)
-            yield from in_scopes(given.scopes, on)
+        if (error > MIN_ROUNDING_ERROR * data.sigma).any():
+            text = f"{name}{{}} is rounded to {step:g}: finer numbers were driven"
+            on = partial(_rounded, data, text, error)
+            yield from in_scopes(data.scopes, on)
 
 
-def noise_trials(given: Given) -> Iterator[MistakeTrial]:
+def noise_trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Noise that is stated in another unit."""
     for si, factors in OTHER_NOISE.items():
         for factor in factors:
-            yield from in_values(given, partial(_other_noise, given, si, factor))
+            yield from in_values(data, partial(_other_noise, data, si, factor))
 
 
 def _decimals(values: Array) -> int | None:
     """Decimals of a column (n,) in its unit; None where it has many, or few values."""
-    if not np.isfinite(values).all() or len(np.unique(values)) <= LEAST_VALUES:
+    if not np.isfinite(values).all() or len(np.unique(values)) <= MIN_VALUES:
         return None
     for decimals in DECIMALS:
         if np.allclose(values, np.round(values, decimals), rtol=0.0, atol=1e-9):
@@ -85,12 +78,17 @@ def _decimals(values: Array) -> int | None:
     return None
 
 
-def _rounded(given: Given, words: str, error: Array, scope: Scope) -> MistakeTrial:
-    at = scope.values(given.session)
-    factor = np.where(at, np.hypot(1.0, error / given.sigma), 1.0)
-    sentence = words.format(scope.within)
+def _rounded(data: Suspect, text: str, error: Array, scope: Scope) -> MistakeTrial:
+    inside = scope.values(data.session)
+    factor = np.where(inside, np.hypot(1.0, error / data.sigma), 1.0)
+    sentence = text.format(scope.within)
     return value_trial(
-        given.session, "rounded", scope, sentence, noise=factor, log_prior=SELDOM
+        data.session,
+        "rounded",
+        scope,
+        sentence,
+        noise=factor,
+        log_prior=ROUNDING_LOG_PRIOR,
     )
 
 
@@ -98,45 +96,45 @@ def _rounded(given: Given, words: str, error: Array, scope: Scope) -> MistakeTri
 
 
 def _other_noise(
-    given: Given, si: str, factor: float, scope: Scope, values: Mask
+    data: Suspect, si: str, factor: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:
     """All readings of a unit with another noise than stated."""
-    session = given.session
-    of_unit = given.shown & (given.unit == si)
+    session = data.session
+    of_unit = data.shown & (data.unit == si)
     if scope.level != "file" or not np.array_equal(values, of_unit):
         return None
-    if factor > 1.0 and _depends_on_pose(given, values, factor):
+    if factor > 1.0 and _depends_on_pose(data, values, factor):
         return None
-    channel = str(given.channel[values][0])
-    stated = float(np.median(given.sigma[values]))
+    channel = str(data.channel[values][0])
+    stated = float(np.median(data.sigma[values]))
     sentence = (
-        f"the noise of {given.names(values)} is stated in another unit: {factor:g} times"
+        f"the noise of {data.names(values)} is stated in another unit: {factor:g} times"
         f" the {session.fine(channel, stated)} that are stated explain the readings"
     )
     factors = np.where(values, factor, 1.0)
     return value_trial(
-        session, "noise", scope, sentence, noise=factors, log_prior=SELDOM_OTHER
+        session, "noise", scope, sentence, noise=factors, log_prior=UNIT_LOG_PRIOR
     )
 
 
-def _depends_on_pose(given: Given, values: Mask, factor: float) -> bool:
+def _depends_on_pose(data: Suspect, values: Mask, factor: float) -> bool:
     """Whether what a fit with more noise leaves is a smooth function of the commands.
 
     An F test of second-order polynomials, channel by channel: noise has no such part.
     """
-    base = given.bases(values).get("the nominal machine")
+    base = data.bases(values).get("the nominal machine")
     if base is None:
         return False
-    sigma = factor * given.sigma[values]
-    white = given.slopes[values] / sigma[:, None]
-    away = (given.session.y - base)[values] / sigma
+    sigma = factor * data.sigma[values]
+    white = data.slopes[values] / sigma[:, None]
+    away = (data.session.y - base)[values] / sigma
     precision = np.eye(white.shape[1]) + white.T @ white
     residual = away - white @ np.linalg.solve(precision, white.T @ away)
-    channels = given.channel[values]
-    commands = given.command[given.session.reading_of_value[values]]
+    channels = data.channel[values]
+    commands = data.command[data.session.reading_of_value[values]]
     return any(
-        _trend_p_value(commands[at], residual[at]) < TREND
-        for at in (channels == name for name in dict.fromkeys(channels))
+        _trend_p_value(commands[of_channel], residual[of_channel]) < TREND_LEVEL
+        for of_channel in (channels == name for name in dict.fromkeys(channels))
     )
 
 

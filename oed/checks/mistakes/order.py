@@ -9,17 +9,12 @@ from functools import partial
 import numpy as np
 
 from oed.base import Array, Index
-from oed.checks.mistakes.driven import exchanged
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope, several_runs
+from oed.checks.mistakes.moved import exchanged
+from oed.checks.mistakes.suspect import Scope, Suspect, several_runs
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, members, value_trial
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
-#: readings of a run up to which every shift is tried that puts the last ones first
-MOST_TURNED = 60
-#: runs of one length up to which every exchange of them is tried
-MOST_PERMUTED = 5
 #: readings of a group in another order
 Turn = Callable[[Index], Index]
 #: orders of readings that were taken backward, in words
@@ -29,32 +24,32 @@ BACKWARD: dict[str, Turn] = {
 }
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings reversed and shifted, in each run, in one of them, and in the file."""
     for each in (True, False):
-        scopes = [given.file] if each else given.scopes
-        for words, turn in {**BACKWARD, **_column_orders(given)}.items():
-            on = partial(_turned_round, given, words, turn, each)
+        scopes = [data.file] if each else data.scopes
+        for text, turn in {**BACKWARD, **_column_orders(data)}.items():
+            on = partial(_turned_round, data, text, turn, each)
             yield from in_scopes(scopes, on)
         for shift in SHIFTS:
-            parts = given.parts if not each and abs(shift) == 1 else []
-            on = partial(_late, given, shift, each)
+            parts = data.parts if not each and abs(shift) == 1 else []
+            on = partial(_late, data, shift, each)
             yield from in_scopes([*scopes, *parts], on)
         for scope in scopes:
             if scope.level != "set-up":
-                yield from filter(None, _turned(given, scope, each))
-    yield from filter(None, itertools.chain(_interleaved(given), _relabelled(given)))
+                yield from filter(None, _turned(data, scope, each))
+    yield from filter(None, itertools.chain(_interleaved(data), _relabelled(data)))
 
 
-def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
+def _groups(data: Suspect, scope: Scope, *, each: bool) -> list[Index]:
     """Readings of a scope in groups that are reordered: its runs, or all together.
 
     None of a file of one run, whose readings are reordered as those of each run.
     """
-    if len(given.runs) == 1 and scope.level == "file" and not each:
+    if len(data.runs) == 1 and scope.level == "file" and not each:
         return []
     if each or scope.level == "runs":
-        return [run.readings for run in given.runs_in(scope)]
+        return [run.readings for run in data.runs_in(scope)]
     return [scope.readings]
 
 
@@ -64,22 +59,24 @@ def _subject(scope: Scope, *, each: bool) -> str:
     return f"the readings{scope.of}" if scope.name else "the readings of the file"
 
 
-def _column_orders(given: Given) -> dict[str, Turn]:
+def _column_orders(data: Suspect) -> dict[str, Turn]:
     """Orders of rows by a column: as a directory or a spreadsheet sorts them, and those
     of a meander, whose lines are those in which a command stays.
     """
-    number = given.session.values["order"].to_numpy()[given.session.firsts]
-    columns = {n: v for n, v in given.columns.items() if np.isfinite(v).all()}
+    number = data.session.values["order"].to_numpy()[data.session.firsts]
+    columns = {n: v for n, v in data.columns.items() if np.isfinite(v).all()}
     turns: dict[str, Turn] = {}
     for name, values in {"number": number, **columns}.items():
         key = np.round(values, 6)
         as_text = np.array([f"{value:g}" for value in key])
-        words = f"the order of their {name}"
-        turns[f"{words} as text (1, 10, 2, ...)"] = partial(_unsorted, as_text)
-        turns[words] = partial(_unsorted, key)
-        for place, first in enumerate(("first", "second")):
-            words = f"the order of a meander: every other line of one {name} backward"
-            turns[f"{words}, from the {first} on"] = partial(_to_and_fro, key, place)
+        text = f"the order of their {name}"
+        turns[f"{text} as text (1, 10, 2, ...)"] = partial(_unsorted, as_text)
+        turns[text] = partial(_unsorted, key)
+        for number_of_line, first in enumerate(("first", "second")):
+            text = f"the order of a meander: every other line of one {name} backward"
+            turns[f"{text}, from the {first} on"] = partial(
+                _turn_lines, key, number_of_line
+            )
     return turns
 
 
@@ -90,7 +87,7 @@ def _unsorted(key: Array, rows: Index) -> Index:
     return sources
 
 
-def _to_and_fro(key: Array, first: int, rows: Index) -> Index:
+def _turn_lines(key: Array, first: int, rows: Index) -> Index:
     """Rows with every other line of one key (n,) turned round, where there are several."""
     lines = np.split(rows, np.flatnonzero(np.diff(key[rows])) + 1)
     if len(lines) == 1:
@@ -101,22 +98,22 @@ def _to_and_fro(key: Array, first: int, rows: Index) -> Index:
 
 
 def _turned_round(
-    given: Given, words: str, turn: Turn, each: bool, scope: Scope
+    data: Suspect, text: str, turn: Turn, each: bool, scope: Scope
 ) -> MistakeTrial | None:
-    order = _reordered(given, _groups(given, scope, each=each), turn)
-    sentence = f"{_subject(scope, each=each)} are in {words}"
-    return _reordering(given, scope, sentence, order)
+    order = _reordered(data, _groups(data, scope, each=each), turn)
+    sentence = f"{_subject(scope, each=each)} are in {text}"
+    return _reordering(data, scope, sentence, order)
 
 
-def _late(given: Given, shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
+def _late(data: Suspect, shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
     """Readings that stand some rows too late, put back; those pushed out are lost."""
-    groups = _groups(given, scope, each=each)
+    groups = _groups(data, scope, each=each)
     if min((len(rows) for rows in groups), default=0) <= 2 * abs(shift):
         return None
-    order = _reordered(given, groups, partial(np.roll, shift=-shift))
+    order = _reordered(data, groups, partial(np.roll, shift=-shift))
     lost = [rows[-shift:] if shift > 0 else rows[:-shift] for rows in groups]
     sentence = _stand(scope, shift, each=each)
-    return _reordering(given, scope, sentence, order, np.concatenate(lost))
+    return _reordering(data, scope, sentence, order, np.concatenate(lost))
 
 
 def _stand(scope: Scope, shift: int, *, each: bool) -> str:
@@ -128,26 +125,26 @@ def _stand(scope: Scope, shift: int, *, each: bool) -> str:
     return f"{subject} stand {'in each run ' if each else where}{count} too {way}"
 
 
-def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
+def _turned(data: Suspect, scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
     """Readings that stand some rows too late, the last ones first."""
-    groups = _groups(given, scope, each=each)
+    groups = _groups(data, scope, each=each)
     sizes = [len(rows) for rows in groups]
-    if not sizes or max(sizes) > MOST_TURNED:
+    if not sizes or max(sizes) > 60:
         return
     for shift in range(1, min(sizes)):
-        order = _reordered(given, groups, partial(np.roll, shift=-shift))
+        order = _reordered(data, groups, partial(np.roll, shift=-shift))
         least = min(shift, shift - max(sizes), key=abs)
         sentence = _stand(scope, least, each=each)
         pushed_out = f"{sentence}, with those pushed out at the other end"
-        yield _reordering(given, scope, pushed_out, order)
+        yield _reordering(data, scope, pushed_out, order)
 
 
-def _interleaved(given: Given) -> Iterator[MistakeTrial | None]:
+def _interleaved(data: Suspect) -> Iterator[MistakeTrial | None]:
     """Readings taken point by point of several runs that stand run by run, or reversely."""
-    pairs = [several_runs(two) for two in itertools.pairwise(given.runs)]
-    blocks = {scope.readings.tobytes(): scope for scope in [*pairs, *given.scopes]}
+    pairs = [several_runs(two) for two in itertools.pairwise(data.runs)]
+    blocks = {scope.readings.tobytes(): scope for scope in [*pairs, *data.scopes]}
     for scope in blocks.values():
-        groups = [run.readings for run in given.runs_in(scope)]
+        groups = [run.readings for run in data.runs_in(scope)]
         count = len(groups)
         if count < 2 or len({len(rows) for rows in groups}) > 1:
             continue
@@ -156,20 +153,20 @@ def _interleaved(given: Given) -> Iterator[MistakeTrial | None]:
             ("point by point", "run by run", (-1, count)),
             ("run by run", "point by point", (count, -1)),
         ):
-            order = _every(given)
+            order = _every(data)
             order[places] = places.reshape(shape).T.ravel()
             sentence = (
                 f"the readings{scope.of} are interleaved: taken {taken} of {count} runs,"
                 f" they stand {stand}"
             )
-            yield _reordering(given, scope, sentence, order)
+            yield _reordering(data, scope, sentence, order)
 
 
-def _relabelled(given: Given) -> Iterator[MistakeTrial | None]:
+def _relabelled(data: Suspect) -> Iterator[MistakeTrial | None]:
     """Readings of runs, or set-ups, of one length under the names of others: two, or any."""
     by_size: dict[tuple[str, int], list[Scope]] = {}
-    setups = [scope for scope in given.scopes if scope.level == "set-up"]
-    for part in [*given.runs, *setups]:
+    setups = [scope for scope in data.scopes if scope.level == "set-up"]
+    for part in [*data.runs, *setups]:
         by_size.setdefault((part.level, len(part.readings)), []).append(part)
     for runs in by_size.values():
         count = len(runs)
@@ -177,21 +174,21 @@ def _relabelled(given: Given) -> Iterator[MistakeTrial | None]:
             exchanged(count, *two) for two in itertools.combinations(range(count), 2)
         ]
         others = [(*range(1, count), 0), (count - 1, *range(count - 1))]
-        if count <= MOST_PERMUTED:
+        if count <= 5:
             others = list(itertools.permutations(range(count)))
         for sources in dict.fromkeys([*pairs, *others]):
-            yield _with_runs_of(given, runs, sources)
+            yield _relabelled_runs(data, runs, sources)
 
 
-def _with_runs_of(
-    given: Given, parts: Sequence[Scope], sources: Sequence[int]
+def _relabelled_runs(
+    data: Suspect, parts: Sequence[Scope], sources: Sequence[int]
 ) -> MistakeTrial | None:
     """Each run, or set-up, with the readings that stand under another one."""
     count, level = len(parts), parts[0].level
     moved = [k for k in range(count) if sources[k] != k]
     if not moved:
         return None
-    order = _every(given)
+    order = _every(data)
     for part, source in zip(parts, sources, strict=True):
         order[part.readings] = parts[source].readings
     names = [part.name.removeprefix(f"{level} ") for part in parts]
@@ -207,23 +204,23 @@ def _with_runs_of(
         sentence = f"the readings of each {level} stand under the {way} {level}"
     runs = several_runs([parts[k] for k in moved])
     scope = runs if level == "run" else parts[moved[0]]
-    return _reordering(given, scope, sentence, order)
+    return _reordering(data, scope, sentence, order)
 
 
-def _every(given: Given) -> Index:
-    return np.arange(1 + int(given.session.reading_of_value[-1]), dtype=np.intp)
+def _every(data: Suspect) -> Index:
+    return np.arange(1 + int(data.session.reading_of_value[-1]), dtype=np.intp)
 
 
-def _reordered(given: Given, groups: Sequence[Index], turn: Turn) -> Index:
+def _reordered(data: Suspect, groups: Sequence[Index], turn: Turn) -> Index:
     """Readings to take, by number, with those of each group turned."""
-    order = _every(given)
+    order = _every(data)
     for rows in groups:
         order[rows] = turn(rows)
     return order
 
 
 def _reordering(
-    given: Given,
+    data: Suspect,
     scope: Scope,
     sentence: str,
     order: Index,
@@ -233,10 +230,10 @@ def _reordering(
 
     Nothing where readings of other channels would meet, or nothing changes.
     """
-    session = given.session
+    session = data.session
     taken = members(session, order)
-    same = np.array_equal(given.channel[taken], given.channel)
-    if not same or not given.shown.all():
+    same = np.array_equal(data.channel[taken], data.channel)
+    if not same or not data.shown.all():
         return None
     y: Array = session.y[taken]
     dropped = [] if lost is None else [int(k) for k in lost]

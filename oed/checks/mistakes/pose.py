@@ -16,77 +16,80 @@ from functools import partial
 import numpy as np
 
 from oed.base import Array, Mask
-from oed.checks.mistakes.driven import (
+from oed.checks.mistakes.moved import (
     Change,
+    Moved,
+    SoughtAmount,
     commanded,
+    displaced_trials,
     exchanged,
     in_file,
     inside,
+    moved_trials,
     of_column,
     permuted,
+    pose_table,
+    same,
     shifted,
     turns_freely,
 )
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import (
-    Moved,
-    SoughtAmount,
-    displaced_trials,
-    moved_trials,
-    pose_table,
-    same,
-)
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, amount
-from oed.dataset.columns import column_name
-from oed.dataset.notations import notations
+from oed.dataset import ReadingsColumn, column_meanings
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.model import Coordinate
 
-#: where an amount is sought first: shares of a coordinate's range, and steps of a turn
-SHARES, TURNS = (0.003, 0.01, 0.03, 0.1, 0.3), 24
+#: shares of a coordinate's range where an amount is sought first
+RANGE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3)
+#: steps of a full turn where it is sought first
+TURN_STEPS = 24
 #: spread of an amount about where it is sought, over its distance from nothing
-NEARBY = 0.5
+RELATIVE_SPREAD = 0.5
 #: share of the workspace by which a machine may have stood outside
-SLACK = 0.1
+RANGE_SLACK = 0.1
 #: step for differences over an amount, over its spread
-STEP = 1e-3
-#: commands of a machine from which on a length leaves many programs open
-MOST_COMMANDS = 3
-#: Newton steps to the pose with the same reading, step for differences, closeness, SI
-ROUNDS, DIFFERENCE, CLOSE = 12, 1e-5, 1e-10
+RELATIVE_STEP = 1e-3
+#: Newton steps to the pose with the same reading
+MAX_STEPS = 12
+#: step of a command for differences, SI
+COMMAND_STEP = 1e-5
 #: widths of the workspace outside of it beyond which Newton steps do not come back
-FAR_OUTSIDE = 2.0
+MAX_WIDTHS_OUTSIDE = 2.0
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """All commands of the file, of a set-up and of a run with each change undone."""
-    measurement = given.session.measurement
-    for sentence, change in _changes(given):
+    measurement = data.session.measurement
+    for sentence, change in _changes(data):
         moved = commanded(measurement, change)
-        yield from moved_trials(given, "pose", f"{sentence}{{within}}", moved)
-    if not given.with_amounts:
+        yield from moved_trials(data, "pose", f"{sentence}{{within}}", moved)
+    if not data.with_amounts:
         return
     for k, coordinate in enumerate(measurement.machine.command):
         for sought in sought_amounts(coordinate):
-            yield from _displaced(given, k, sought)
-    yield from _programs(given)
+            yield from _displaced(data, k, sought)
+    yield from _programs(data)
 
 
 def sought_amounts(coordinate: Coordinate) -> Iterator[SoughtAmount]:
     """Amounts by which a coordinate is displaced first."""
     lower, upper = coordinate.lower, coordinate.upper
     if _turns(coordinate):
-        spread = NEARBY * 2.0 * np.pi / TURNS
-        for k in range(1, TURNS):
-            turn = (k if k <= TURNS // 2 else k - TURNS) * 2.0 * np.pi / TURNS
-            yield SoughtAmount(turn, spread, STEP * spread, str(k))
+        spread = RELATIVE_SPREAD * 2.0 * np.pi / TURN_STEPS
+        for k in range(1, TURN_STEPS):
+            turn = (
+                (k if k <= TURN_STEPS // 2 else k - TURN_STEPS)
+                * 2.0
+                * np.pi
+                / TURN_STEPS
+            )
+            yield SoughtAmount(turn, spread, RELATIVE_STEP * spread, str(k))
     elif np.isfinite(upper - lower):
-        for share, sign in itertools.product(SHARES, (1.0, -1.0)):
+        for share, sign in itertools.product(RANGE_SHARES, (1.0, -1.0)):
             away = share * (upper - lower)
-            spread = NEARBY * away
-            yield SoughtAmount(sign * away, spread, STEP * spread)
+            spread = RELATIVE_SPREAD * away
+            yield SoughtAmount(sign * away, spread, RELATIVE_STEP * spread)
 
 
 def _turns(coordinate: Coordinate) -> bool:
@@ -94,12 +97,12 @@ def _turns(coordinate: Coordinate) -> bool:
     return coordinate.unit == "rad" and turns_freely(*ends)
 
 
-def _changes(given: Given) -> Iterator[tuple[str, Change]]:
-    command = given.session.measurement.machine.command
-    names = list(given.columns)
+def _changes(data: Suspect) -> Iterator[tuple[str, Change]]:
+    command = data.session.measurement.machine.command
+    names = list(data.columns)
     for k, coordinate in enumerate(command):
-        for words, meant in notations(coordinate, given.command[:, k]).items():
-            yield words.format(names[k]), of_column(k, meant)
+        for text, meant in column_meanings(coordinate, data.command[:, k]).items():
+            yield text.format(names[k]), of_column(k, meant)
     for j, k in itertools.combinations(range(len(command)), 2):
         if command[j].unit != command[k].unit:
             continue
@@ -108,42 +111,42 @@ def _changes(given: Given) -> Iterator[tuple[str, Change]]:
             signs = np.ones(len(command))
             signs[[j, k]] = pair
             first, second = ("-" if sign < 0.0 else "" for sign in pair)
-            words = (
+            text = (
                 f"the axes of the poses stand otherwise: {names[j]} is {first}{names[k]},"
                 f" {names[k]} is {second}{names[j]}"
             )
             if min(pair) > 0.0:
-                words = f"the columns {names[j]} and {names[k]} are exchanged"
-            yield words, permuted(order, signs)
+                text = f"the columns {names[j]} and {names[k]} are exchanged"
+            yield text, permuted(order, signs)
 
 
-def _displaced(given: Given, k: int, sought: SoughtAmount) -> Iterator[MistakeTrial]:
+def _displaced(data: Suspect, k: int, sought: SoughtAmount) -> Iterator[MistakeTrial]:
     """One coordinate of the file's rows, of the teach poses, or of all, by an amount."""
-    measurement = given.session.measurement
-    taught = any(measurement.setups[s.setup].teach for s in given.session.series)
-    wholes = [scope for scope in given.scopes if not scope.is_part]
-    for rows in _rows(given, k, sought.spread) if taught else ("file",):
+    measurement = data.session.measurement
+    taught = any(measurement.setups[s.setup].teach for s in data.session.series)
+    wholes = [scope for scope in data.scopes if not scope.is_part]
+    for rows in _rows(data, k, sought.spread) if taught else ("file",):
 
         def moved(by: float, rows: str = rows) -> Moved:
-            return commanded(measurement, shifted(k, -by), rows=rows, slack=SLACK)
+            return commanded(measurement, shifted(k, -by), rows=rows, slack=RANGE_SLACK)
 
         yield from displaced_trials(
-            given,
+            data,
             "pose" if rows == "file" else "teach",
             partial(_displacement, measurement.machine.command[k], rows),
             moved,
             sought,
             f"{k} {rows}",
-            scopes=given.scopes if rows == "file" else wholes,
+            scopes=data.scopes if rows == "file" else wholes,
         )
 
 
-def _rows(given: Given, k: int, spread: float) -> tuple[str, ...]:
+def _rows(data: Suspect, k: int, spread: float) -> tuple[str, ...]:
     """Which commands may be displaced; not the teach pose where nothing depends on it."""
     change = shifted(k, spread)
-    moved = commanded(given.session.measurement, change, rows="teach", slack=SLACK)
-    table = pose_table(given, moved)
-    is_used = table is None or not same(given, table)
+    moved = commanded(data.session.measurement, change, rows="teach", slack=RANGE_SLACK)
+    table = pose_table(data, moved)
+    is_used = table is None or not same(data, table)
     return ("file", "teach", "all") if is_used else ("file",)
 
 
@@ -152,7 +155,7 @@ def high_or_low(
 ) -> tuple[str, str]:
     """The column of a coordinate somewhere, and how much it is too high or too low."""
     unit = "deg" if coordinate.unit == "rad" else "mm"
-    name = column_name(coordinate.name, coordinate.unit)
+    name = ReadingsColumn.of(coordinate.name, coordinate.unit).name
     way = "high" if amounts[0] > 0.0 else "low"
     return f"{name}{where}", f"{amount(abs(amounts[0]), sd[0], unit)} too {way}"
 
@@ -161,7 +164,7 @@ def _displacement(
     coordinate: Coordinate, rows: str, scope: Scope, amounts: Array, sd: Array
 ) -> str:
     if _turns(coordinate) and rows == "file":
-        name = column_name(coordinate.name, coordinate.unit)
+        name = ReadingsColumn.of(coordinate.name, coordinate.unit).name
         start = amount(amounts[0], sd[0], "deg")
         return f"{name} starts {start} from where it should{scope.within}"
     where = {
@@ -175,56 +178,56 @@ def _displacement(
 # -- another program of a fixed length -------------------------------------------------
 
 
-def _programs(given: Given) -> Iterator[MistakeTrial]:
+def _programs(data: Suspect) -> Iterator[MistakeTrial]:
     """Each coordinate displaced in the file, a set-up and a run, with each that follows."""
-    command = given.session.measurement.machine.command
-    if len(command) > MOST_COMMANDS or not np.isfinite(given.length).any():
+    command = data.session.measurement.machine.command
+    if len(command) > 3 or not np.isfinite(data.length).any():
         return
     straight = [k for k, c in enumerate(command) if not turns_freely(c.lower, c.upper)]
     for k, follower in itertools.permutations(straight, 2):
-        yield from _with_follower(given, k, follower)
+        yield from _follower_trials(data, k, follower)
     for follower in straight:
-        yield from _constant_joint(given, follower)
+        yield from _constant_joint(data, follower)
 
 
-def _with_follower(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
-    measurement = given.session.measurement
+def _follower_trials(data: Suspect, k: int, follower: int) -> Iterator[MistakeTrial]:
+    measurement = data.session.measurement
     displaced, following = (measurement.machine.command[i] for i in (k, follower))
-    other = column_name(following.name, following.unit)
+    other = ReadingsColumn.of(following.name, following.unit).name
 
     def moved(by: float) -> Moved:
         return program(measurement, k, follower, -by)
 
-    def words(scope: Scope, amounts: Array, sd: Array) -> str:
+    def text(scope: Scope, amounts: Array, sd: Array) -> str:
         away = " is ".join(high_or_low(displaced, scope.within, amounts, sd))
         return f"{away}, with {other} as this program has it: another one was driven"
 
     for sought in sought_amounts(displaced):
         yield from displaced_trials(
-            given,
+            data,
             "pose",
-            words,
+            text,
             moved,
             sought,
             f"{k} with {follower}",
-            scopes=given.scopes,
+            scopes=data.scopes,
             is_blind=True,
         )
 
 
-def _constant_joint(given: Given, follower: int) -> Iterator[MistakeTrial]:
+def _constant_joint(data: Suspect, follower: int) -> Iterator[MistakeTrial]:
     """One coordinate as the instrument's length asks, whatever the file has: it may be
     rounded, or written otherwise.
     """
-    measurement = given.session.measurement
+    measurement = data.session.measurement
     coordinate = measurement.machine.command[follower]
-    name = column_name(coordinate.name, coordinate.unit)
+    name = ReadingsColumn.of(coordinate.name, coordinate.unit).name
     moved = program(measurement, follower, follower, 0.0, keeps_length=True)
     sentence = (
         f"{name}{{within}} is not what was driven: it is rounded, or has another unit or"
         " origin, as the length of the instrument asks for other values"
     )
-    yield from moved_trials(given, "pose", sentence, moved)
+    yield from moved_trials(data, "pose", sentence, moved)
 
 
 def program(
@@ -267,23 +270,23 @@ def _solved(
     rows = in_file(series, is_taught=setup.teach is not None)
     command = series.command.copy()
     command[rows, k] += amount
-    place = _place_of_rows(series, rows)
-    for _ in range(ROUNDS):
+    reading = _place_of_rows(series, rows)
+    for _ in range(MAX_STEPS):
         here = _first_channel(measurement, _at(measurement, series, command)) - goal
-        if np.abs(here).max() < CLOSE:
+        if np.abs(here).max() < 1e-10:
             break
         nearby = command.copy()
-        nearby[rows, follower] += DIFFERENCE
+        nearby[rows, follower] += COMMAND_STEP
         there = _first_channel(measurement, _at(measurement, series, nearby)) - goal
         change = there - here
         if not np.all(np.abs(change) > 0.0):  # also where a reading is not finite
             return None
-        step = -here * DIFFERENCE / change
-        command[rows, follower] += step[place]
+        step = -here * COMMAND_STEP / change
+        command[rows, follower] += step[reading]
         _check_distance(command, follower, measurement)
     else:
         return None
-    if not inside(command[rows], measurement.machine, setup.tool, SLACK):
+    if not inside(command[rows], measurement.machine, setup.tool, RANGE_SLACK):
         return None
     return _at(measurement, series, command)
 
@@ -294,7 +297,7 @@ def _check_distance(command: Array, follower: int, measurement: Measurement) -> 
     The kinematics would follow them from home in hundreds of steps before it gave up.
     """
     coordinate = measurement.machine.command[follower]
-    room = FAR_OUTSIDE * (coordinate.upper - coordinate.lower)
+    room = MAX_WIDTHS_OUTSIDE * (coordinate.upper - coordinate.lower)
     value = command[:, follower]
     is_far = (value < coordinate.lower - room) | (value > coordinate.upper + room)
     if is_far.any():

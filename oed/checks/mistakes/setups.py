@@ -11,54 +11,51 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from oed.base import Index
-from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, by_run, moved_trials
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement import Measurement, Series
 
 #: readings of a run whose pose may be the reference, of so many
-PLACES: dict[str, Callable[[int], int]] = {
+REFERENCE_POSES: dict[str, Callable[[int], int]] = {
     "last": lambda count: count - 1,
     "middle": lambda count: (count - 1) // 2,
     "second": lambda count: 0,
 }
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Each set-up, or run, taken for each other one with the same channels, and the last,
     middle and second pose of each run as its reference.
     """
-    measurement = given.session.measurement
-    used = list(dict.fromkeys(s.setup for s in given.session.series))
+    measurement = data.session.measurement
+    used = list(dict.fromkeys(s.setup for s in data.session.series))
     for name, other in itertools.product(used, measurement.setups):
         if name != other and _alike(measurement, name, other):
             moved = in_other_setup(measurement, {name: other})
-            scopes = [scope for scope in given.scopes if _is_of(given, scope, name)]
+            scopes = [scope for scope in data.scopes if _is_of(data, scope, name)]
             sentence = f"the readings{{of}} are of set-up {other}"
-            yield from moved_trials(given, "setups", sentence, moved, scopes=scopes)
+            yield from moved_trials(data, "setups", sentence, moved, scopes=scopes)
     for name, other in itertools.combinations(used, 2):
         if _alike(measurement, name, other):
             sentence = f"the set-ups {name} and {other} are exchanged"
             moved = in_other_setup(measurement, {name: other, other: name})
-            yield from moved_trials(
-                given, "setups", sentence, moved, scopes=[given.file]
-            )
+            yield from moved_trials(data, "setups", sentence, moved, scopes=[data.file])
 
     setups = measurement.setups
     if any(setups[name].instrument.reference == "run" for name in used):
-        for name, place in PLACES.items():
-            moved = _differences_from(given, place)
+        for name, reference in REFERENCE_POSES.items():
+            moved = _differences_from(data, reference)
             sentence = (
                 f"the readings{{of}} are differences from the {name} pose of each run"
             )
-            yield from moved_trials(given, "reference", sentence, moved)
+            yield from moved_trials(data, "reference", sentence, moved)
 
 
-def _is_of(given: Given, scope: Scope, setup: str) -> bool:
+def _is_of(data: Suspect, scope: Scope, setup: str) -> bool:
     """Whether a scope is a set-up, or one of its runs; the file where it is alone."""
-    values = scope.values(given.session)
-    return bool((given.session.values["setup"][values] == setup).all())
+    values = scope.values(data.session)
+    return bool((data.session.values["setup"][values] == setup).all())
 
 
 def _alike(measurement: Measurement, name: str, other: str) -> bool:
@@ -91,15 +88,15 @@ def in_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:
     return moved
 
 
-def _differences_from(given: Given, place: Callable[[int], int]) -> Moved:
-    setups = given.session.measurement.setups
+def _differences_from(data: Suspect, reference: Callable[[int], int]) -> Moved:
+    setups = data.session.measurement.setups
 
     def moved(series: Series) -> Series | None:
         if setups[series.setup].instrument.reference != "run":
             return series
         index: Index = series.index.copy()
         for rows in by_run(series):
-            index[rows, 1] = series.index[rows[place(len(rows))], 0]
+            index[rows, 1] = series.index[rows[reference(len(rows))], 0]
         if np.array_equal(index, series.index):
             return None
         return dataclasses.replace(series, index=index)

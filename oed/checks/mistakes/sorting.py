@@ -14,62 +14,53 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base import Array, Index
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import (
-    MistakeTrial,
-    members,
-    value_trial,
-)
+from oed.checks.mistakes.suspect import Scope, Suspect
+from oed.checks.mistakes.trial import MistakeTrial, members, value_trial
 
-#: readings that are sorted at least, and at most where their order is unknown
-LEAST, MOST = 5, 400
-#: turns of prediction and order
-TURNS = 6
-UNKNOWN = "in another order than their poses"
+UNKNOWN_ORDER = "in another order than their poses"
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """The file, each set-up, each run and all runs, by rows and by columns."""
-    runs = [run.readings for run in given.runs]
-    for scope in given.scopes:
-        yield from _in_scope(given, scope, [scope.readings], f"readings{scope.of}")
-    if len(runs) > 1 and _order(given, [np.arange(len(given.session))]) == UNKNOWN:
-        yield from _in_scope(given, given.file, runs, "readings of each run")
+    runs = [run.readings for run in data.runs]
+    for scope in data.scopes:
+        yield from _scope_trials(data, scope, [scope.readings], f"readings{scope.of}")
+    if len(runs) > 1 and _order(data, [np.arange(len(data.session))]) == UNKNOWN_ORDER:
+        yield from _scope_trials(data, data.file, runs, "readings of each run")
 
 
-def _in_scope(
-    given: Given, scope: Scope, groups: list[Index], subject: str
+def _scope_trials(
+    data: Suspect, scope: Scope, groups: list[Index], subject: str
 ) -> Iterator[MistakeTrial]:
     sizes = [len(g) for g in groups]
-    if min(sizes) < LEAST or max(sizes) > MOST or not given.shown.all():
+    if min(sizes) < 5 or max(sizes) > 400 or not data.shown.all():
         return
-    channels = list(dict.fromkeys(given.channel[scope.values(given.session)]))
-    tables = [_table(given, group, channels) for group in groups]
-    known = [table for table in tables if table is not None]
-    if len(known) < len(tables):
+    channels = list(dict.fromkeys(data.channel[scope.values(data.session)]))
+    tables = [_table(data, group, channels) for group in groups]
+    complete = [table for table in tables if table is not None]
+    if len(complete) < len(tables):
         return
     if len(channels) == 1:
-        yield from _ordered(given, scope, known, f"the {subject}", is_alone=True)
+        yield from _ordered(data, scope, complete, f"the {subject}", is_alone=True)
         return
     for k, channel in enumerate(channels):
-        whose = f"the {subject} of {given.session.column(str(channel)).name}"
-        yield from _ordered(given, scope, [t[:, k : k + 1] for t in known], whose)
-    yield from _ordered(given, scope, known, f"the rows of {subject}")
+        whose = f"the {subject} of {data.session.column(str(channel)).name}"
+        yield from _ordered(data, scope, [t[:, k : k + 1] for t in complete], whose)
+    yield from _ordered(data, scope, complete, f"the rows of {subject}")
 
 
-def _table(given: Given, group: Index, channels: list[str]) -> Index | None:
+def _table(data: Suspect, group: Index, channels: list[str]) -> Index | None:
     """Values (n, c) of a group of readings; None where channels differ."""
-    places = members(given.session, group)
+    places = members(data.session, group)
     if len(places) != len(group) * len(channels):
         return None
     table = places.reshape(len(group), len(channels))
-    same = (given.channel[table] == np.array(channels)).all()
+    same = (data.channel[table] == np.array(channels)).all()
     return table if same else None
 
 
 def _ordered(
-    given: Given,
+    data: Suspect,
     scope: Scope,
     tables: list[Index],
     subject: str,
@@ -80,27 +71,27 @@ def _ordered(
 
     `is_alone` says whether they are all that their readings have.
     """
-    session, y = given.session, given.session.y.copy()
-    for _ in range(TURNS):
-        predicted = _predicted(given, y, np.concatenate(tables).ravel())
+    session, y = data.session, data.session.y.copy()
+    for _ in range(6):
+        predicted = _predicted(data, y, np.concatenate(tables).ravel())
         before = y.copy()
         for table in tables:
-            spread = given.spread[table].max(axis=0)
+            spread = data.spread[table].max(axis=0)
             source = _matching(predicted[table] / spread, session.y[table] / spread)
             y[table] = session.y[table[source]]
         if np.array_equal(y, before):
             break
     columns = [[table[:, k] for table in tables] for k in range(tables[0].shape[1])]
-    sorted_by = [w for c in columns if (w := _order(given, c)) != UNKNOWN]
-    words = f"{subject} are {(sorted_by or [UNKNOWN])[0]}"
+    sorted_by = [w for c in columns if (w := _order(data, c)) != UNKNOWN_ORDER]
+    text = f"{subject} are {(sorted_by or [UNKNOWN_ORDER])[0]}"
     if not np.array_equal(y, session.y):
         kind = "sorting" if sorted_by else "disorder"
-        trial = value_trial(session, kind, scope, words, y)
+        trial = value_trial(session, kind, scope, text, y)
         orders = sum(special.gammaln(1.0 + len(table)) for table in tables)
         log_prior = 0.0 if sorted_by else -float(orders)
         yield dataclasses.replace(trial, log_prior=log_prior)
     if sorted_by and is_alone:
-        yield _without_places(given, scope, tables, words)
+        yield _distribution_alone(data, scope, tables, text)
 
 
 def _matching(expected: Array, values: Array) -> Index:
@@ -113,21 +104,21 @@ def _matching(expected: Array, values: Array) -> Index:
     return np.asarray(optimize.linear_sum_assignment(cost)[1])
 
 
-def _order(given: Given, groups: list[Index]) -> str:
+def _order(data: Suspect, groups: list[Index]) -> str:
     """Whether all groups of values are sorted, and how."""
-    y = given.session.y
-    for words, key in (
+    y = data.session.y
+    for text, key in (
         ("sorted by size", y),
         ("sorted by size, the largest first", -y),
         ("sorted by size without their sign", np.abs(y)),
     ):
         steps = [np.diff(key[places]) for places in groups]
         if all((step >= 0.0).all() for step in steps) and any(s.any() for s in steps):
-            return words
-    return UNKNOWN
+            return text
+    return UNKNOWN_ORDER
 
 
-def _predicted(given: Given, y: Array, places: Index) -> Array:
+def _predicted(data: Suspect, y: Array, places: Index) -> Array:
     """Values (N,) predicted by those that are not in `places`; by all where these are
     most.
     """
@@ -135,27 +126,27 @@ def _predicted(given: Given, y: Array, places: Index) -> Array:
     used[places] = False
     if used.sum() < len(places):
         used[:] = True
-    white = (y - given.predicted) / given.sigma
-    slopes = given.slopes / given.sigma[:, None]
+    white = (y - data.predicted) / data.sigma
+    slopes = data.slopes / data.sigma[:, None]
     part = slopes[used]
     precision = part.T @ part + np.eye(part.shape[1])
     z = np.linalg.solve(precision, part.T @ white[used])
-    return given.predicted + given.slopes @ z
+    return data.predicted + data.slopes @ z
 
 
-def _without_places(
-    given: Given, scope: Scope, tables: list[Index], sentence: str
+def _distribution_alone(
+    data: Suspect, scope: Scope, tables: list[Index], sentence: str
 ) -> MistakeTrial:
     """Sorted values of which nothing but the distribution is used: a normal one."""
-    missing = np.isin(np.arange(len(given.session)), np.concatenate(tables))
+    missing = np.isin(np.arange(len(data.session)), np.concatenate(tables))
     log_density = 0.0
     for table in tables:
-        y, count = given.session.y[table], len(table)
-        sd = max(float(np.std(y)), float(np.median(given.sigma[table])))
+        y, count = data.session.y[table], len(table)
+        sd = max(float(np.std(y)), float(np.median(data.sigma[table])))
         log_density += float(special.gammaln(1.0 + count))
         log_density -= count * (np.log(sd) + 0.5 * np.log(2.0 * np.pi) + 0.5)
     return value_trial(
-        given.session,
+        data.session,
         "sorting",
         scope,
         sentence,

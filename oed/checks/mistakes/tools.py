@@ -17,48 +17,44 @@ import numpy as np
 
 from oed.base import Array
 from oed.checks.fit import CANNOT_BE
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import AGAIN, Moved, mounted_again, with_moved
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.moved import AGAIN_SUFFIX, Moved, mounted_again, with_moved
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, PoseTable, amount, in_scopes
 from oed.checks.session import SessionReadings
 from oed.measurement import Measurement, Series
 
 #: step of the tool's length for differences, m
-STEP = 1e-4
-#: standard deviations from zero, and share of the largest one, from which on an amount is
-#: named beside others
-SURE, MINOR = 3.0, 0.01
+LENGTH_STEP = 1e-4
 #: the axis of the tool alone, those beside it, and all three together
-AXES = ((2,), (0,), (1,), (0, 1, 2))
-READ = "the point that is read"
+AXIS_SETS = ((2,), (0,), (1,), (0, 1, 2))
+POINT_READ = "the point that is read"
 #: what has another tool point than stated, and whether it is read, driven to the
 #: commands, or driven so that home stays where it is
-POINTS = {
-    READ + "{of} is": {"read"},
+POINT_USES = {
+    POINT_READ + "{of} is": {"read"},
     "the controller drives a point to the commands{of},": {"driven"},
     "the controller turns the platform{of} about a point": {"driven", "home"},
     "the machine had another tool{of} than the study, its point": {"read", "driven"},
 }
 
 
-def trials(given: Given) -> Iterator[MistakeTrial]:
+def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Each tool point elsewhere in the file and each set-up; that which is read in runs."""
-    session = given.session
+    session = data.session
     if not any(c.unit == "rad" for c in session.measurement.machine.command):
         return  # without rotation, the tool moves every reading alike
     tools = {session.measurement.setups[s.setup].tool for s in session.series}
     measured = functools.cache(partial(_measured, session))
-    wholes = [scope for scope in given.scopes if not scope.is_part]
-    for (words, uses), axes in itertools.product(POINTS.items(), AXES):
-        scopes = given.scopes if uses == {"read"} else wholes
+    wholes = [scope for scope in data.scopes if not scope.is_part]
+    for (text, uses), axes in itertools.product(POINT_USES.items(), AXIS_SETS):
+        scopes = data.scopes if uses == {"read"} else wholes
         shift = _shifts(session, measured, uses, axes)
         starts = {0.0, *(-2.0 * tool[axes[0]] for tool in tools if len(axes) == 1)}
         for start in sorted(starts, key=abs):
             amounts = np.full(len(axes), start)
-            table = _table(given, partial(shift, given.file), amounts)
+            table = _table(data, partial(shift, data.file), amounts)
             if table is not None:
-                on = partial(_elsewhere, given, shift, words, axes, amounts, table)
+                on = partial(_elsewhere, data, shift, text, axes, amounts, table)
                 yield from in_scopes(scopes, on)
 
 
@@ -67,29 +63,29 @@ Shift = Callable[[Scope, Array], list[SessionReadings]]
 
 
 def _elsewhere(
-    given: Given,
+    data: Suspect,
     shift: Shift,
-    words: str,
+    text: str,
     axes: Sequence[int],
     start: Array,
     table: PoseTable,
     scope: Scope,
 ) -> MistakeTrial | None:
     """A tool point elsewhere: near the stated one, or where it has the other sign."""
-    at = scope.values(given.session)
-    columns = np.where(at[:, None], table.by_amount, 0.0)
+    inside = scope.values(data.session)
+    columns = np.where(inside[:, None], table.by_amount, 0.0)
     if not columns.any():
         return None
     of = scope.within if scope.is_part else scope.of.replace(" set-up ", " ")
-    what = words.format(of=of)
+    what = text.format(of=of)
     return MistakeTrial(
         kind="tool",
         scope=scope,
-        words=partial(_words, what, axes),
-        session=given.session,
+        text=partial(_words, what, axes),
+        session=data.session,
         change=partial(shift, scope),
         amounts=start,
-        steps=np.full(len(axes), STEP),
+        steps=np.full(len(axes), LENGTH_STEP),
         family=f"{what} {axes} {start}",
         table=table if start.any() else None,
         columns=None if start.any() else columns,
@@ -97,7 +93,9 @@ def _elsewhere(
 
 
 def _table(
-    given: Given, shift: Callable[[Array], list[SessionReadings]], start: Array
+    data: Suspect,
+    shift: Callable[[Array], list[SessionReadings]],
+    start: Array,
 ) -> PoseTable | None:
     """Readings, and slopes over the amounts, from a start on; None where there are none."""
 
@@ -107,13 +105,15 @@ def _table(
 
     try:
         first = read(start)
-        steps = STEP * np.eye(len(start))
-        slopes = np.column_stack([(read(start + s) - first) / STEP for s in steps])
+        steps = LENGTH_STEP * np.eye(len(start))
+        slopes = np.column_stack(
+            [(read(start + s) - first) / LENGTH_STEP for s in steps]
+        )
     except CANNOT_BE:
         return None
-    spread = np.maximum(0.1 * np.abs(start), STEP) if start.any() else 1.0
-    first = first + given.predicted - given.nominal
-    return PoseTable(first, given.slopes, slopes * spread)
+    spread = np.maximum(0.1 * np.abs(start), LENGTH_STEP) if start.any() else 1.0
+    first = first + data.predicted - data.nominal
+    return PoseTable(first, data.slopes, slopes * spread)
 
 
 def _measured(session: SessionReadings, read: tuple[float, ...]) -> Measurement:
@@ -138,7 +138,7 @@ def _shifts(
 
     def moved_by(away: Array) -> Moved:
         def moved(series: Series) -> Series:
-            again = series.setup + AGAIN
+            again = series.setup + AGAIN_SUFFIX
             if "driven" not in uses:
                 return dataclasses.replace(series, setup=again)
             if not np.isfinite(series.command).all():
@@ -165,14 +165,14 @@ def _shifts(
 def _words(what: str, axes: Sequence[int], amounts: Array, sd: Array) -> str:
     """A tool point elsewhere, along the axes that matter."""
     sizes = dict(zip(axes, zip(amounts, sd, strict=True), strict=True))
-    least = MINOR * float(np.abs(amounts).max())
+    least = 0.01 * float(np.abs(amounts).max())
     sizes = {
-        k: (a, e) for k, (a, e) in sizes.items() if abs(a) >= max(SURE * e, least)
+        k: (a, e) for k, (a, e) in sizes.items() if abs(a) >= max(3.0 * e, least)
     } or sizes
-    if what.startswith(READ) and list(sizes) == [2]:
+    if what.startswith(POINT_READ) and list(sizes) == [2]:
         value, error = sizes[2]
         way = "longer" if value > 0.0 else "shorter"
-        of = what.removeprefix(READ).removesuffix(" is")
+        of = what.removeprefix(POINT_READ).removesuffix(" is")
         size = amount(abs(value), error, "mm", with_sd=True)
         return f"the tool{of} is {size} {way} than stated"
     parts = [

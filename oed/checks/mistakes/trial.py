@@ -13,15 +13,14 @@ from oed.base import Array, Index, Mask
 from oed.checks.copies import resolution
 from oed.checks.findings import rounded
 from oed.checks.fit import NO_AMOUNTS, Fit, Undo
-from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.session import SessionReadings
 
 #: the mistake of amounts (k,) with standard deviations (k,), without a full stop
 Words = Callable[[Array, Array], str]
 
 #: step of readings with more digits than are looked at, in their noise
-FINEST = 1e-6
+FINEST_STEP = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,7 +43,7 @@ class MistakeTrial:
 
     kind       of mistake: the module that makes the trial
     scope      the part of the session that it concerns
-    words      the mistake in words
+    text       the mistake in words
     session    as given
     change     the session without it; None where values, order and noise say so
     amounts    (k,) where the search of its unknown amounts begins, SI
@@ -75,7 +74,7 @@ class MistakeTrial:
 
     kind: str
     scope: Scope
-    words: Words
+    text: Words
     session: SessionReadings
     change: Undo | None = None
     amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
@@ -130,21 +129,21 @@ def in_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[MistakeTrial]:
             yield dataclasses.replace(trial, on=on)
 
 
-def in_values(given: Given, make: OnValues) -> Iterator[MistakeTrial]:
+def in_values(data: Suspect, make: OnValues) -> Iterator[MistakeTrial]:
     """One mistake of all values, of a unit and of a channel, in the file, set-ups, runs
     and rows, and in what one instrument may have read.
     """
-    for k, places in enumerate(given.places):
+    for k, places in enumerate(data.places):
 
         def on(scope: Scope, k: int = k) -> MistakeTrial | None:
-            values = given.values_in(scope, k)
+            values = data.values_in(scope, k)
             return None if values is None else make(scope, values)
 
         for scope, values in places:
             trial = make(scope, values)
             if trial is not None:
                 yield dataclasses.replace(trial, on=on)
-    for scope, values in given.instruments:
+    for scope, values in data.instruments:
         trial = make(scope, values)
         if trial is not None:
             yield trial
@@ -171,16 +170,14 @@ def value_trial(
     **more: Any,
 ) -> MistakeTrial:
     """A trial with other values y (N,) at the same poses, without some, or other noise."""
-    words = plain(sentence)
-    return MistakeTrial(
-        kind=kind, scope=scope, words=words, session=session, y=y, **more
-    )
+    text = plain(sentence)
+    return MistakeTrial(kind=kind, scope=scope, text=text, session=session, y=y, **more)
 
 
-def log_density_of_known(given: Given, values: Mask, digits: Mask) -> float:
+def log_density_of_known(data: Suspect, values: Mask, digits: Mask) -> float:
     """Log density, SI, of some values (N,) that are certain to the last digit of others."""
-    step = resolution(given.session, np.flatnonzero(digits))
-    size = np.maximum(step, FINEST * given.sigma[values])
+    step = resolution(data.session, np.flatnonzero(digits))
+    size = np.maximum(step, FINEST_STEP * data.sigma[values])
     return -float(np.log(size).sum())
 
 

@@ -2,7 +2,7 @@
 
 A, c, I: t = tr(W M^-1), phi = 1 / t. W = F^T F is the identity for A and one row c for c.
 For I it is the mean of J^T J over workspace poses, with J (k, n) the gradients of the
-pose components of interest (home-referenced, absolute or best-fit, `oed.accuracy.prediction`).
+pose components of interest (home-referenced, absolute or best-fit, `oed.accuracy`).
 With S = M^-1 W M^-1 / t,
 
     d log phi / dw_i = tr(S A_i) = g_i,

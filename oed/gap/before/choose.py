@@ -15,24 +15,244 @@ import dataclasses
 import functools
 import itertools
 import math
+from collections.abc import Mapping, Sequence
 
+import msgspec
 import numpy as np
+import pandas as pd
+from scipy import linalg
 
-from oed.base import Index
+from oed.base import Array, Index
 from oed.design import Rules
-from oed.gap.before.separation import SHARP, Separation, SeparationEvaluator
+from oed.effect_model import Effect
+from oed.gap.before.detect import Form, effect_forms, in_words
+from oed.gap.before.separation import (
+    SMOOTHING_LEVELS,
+    Separation,
+    SeparationEvaluator,
+    Target,
+)
+from oed.gap.data import state
+from oed.gap.data.problem import GapProblem, assemble
+from oed.measurement import Measurement, Series
+from oed.noise import NoiseLaw
 from oed.result import SeparationRecord
 
+# Candidate runs as readings, and as a pool with the targets that they are to separate.
+#
+# A run is a circle or a line under one condition.
+
+#: covariates that a condition may state
+CONDITIONS = ("time", "direction", "feed", "payload")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run that could be taken: poses in order, under one condition.
+
+    name         unique in its set-up
+    setup        name of the set-up
+    command      (n, n_dof) poses, SI, in the order of direction +1; with direction -1
+                 they are taken in reverse
+    condition    {covariate: value}, SI: `direction`, `feed`, `payload`, and `time` at
+                 which it starts
+    seconds      that it takes
+    """
+
+    name: str
+    setup: str
+    command: Array
+    condition: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def direction(self) -> int:
+        """+1, or -1 where the poses are taken in reverse."""
+        return int(self.condition.get("direction", 1.0))
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.condition) - set(CONDITIONS))
+        if unknown:
+            raise ValueError(
+                f"run {self.name}: no condition {unknown}; there are {list(CONDITIONS)}"
+            )
+        if self.condition.get("direction", 1.0) not in (-1.0, 1.0):
+            raise ValueError(
+                f"run {self.name}: direction is +1 or -1, not"
+                f" {self.condition['direction']:g}"
+            )
+        if len(self.command) < 2:
+            raise ValueError(
+                f"run {self.name}: a run has at least 2 poses, not {len(self.command)}"
+            )
+
+
+def lay_out(
+    measurement: Measurement, runs: Sequence[Run]
+) -> tuple[tuple[Series, ...], pd.DataFrame]:
+    """Series of all runs, one a set-up, and one row of covariates a reading.
+
+    Raises ValueError for runs of one name in a set-up, AssemblyError for poses out of
+    reach.
+    """
+    keys = [(r.setup, r.name) for r in runs]
+    if len(set(keys)) < len(keys):
+        twice = sorted({key[1] for key in keys if keys.count(key) > 1})
+        raise ValueError(
+            f"runs need names of their own in a set-up: {twice} are used twice"
+        )
+    series, rows = [], []
+    for setup in dict.fromkeys(r.setup for r in runs):
+        of_setup = [r for r in runs if r.setup == setup]
+        labels = [r.name for r in of_setup for _ in range(len(r.command))]
+        command = np.vstack([r.command[:: r.direction] for r in of_setup])
+        series.append(measurement.series(setup, command, labels))
+        instrument = measurement.setups[setup].instrument
+        skipped = 1 if instrument.reference == "run" else 0
+        rows += [_covariates(r, skipped) for r in of_setup]
+    return tuple(series), pd.concat(rows, ignore_index=True)
+
+
+def _covariates(run: Run, skipped: int) -> pd.DataFrame:
+    """One row a reading.
+
+    `skipped` poses at the start are a reference and not a reading.
+    """
+    order = np.arange(skipped, len(run.command))
+    stated = {c: v for c, v in run.condition.items() if c != "time"}
+    table = pd.DataFrame(
+        {"setup": run.setup, "run": run.name, "order": order, **stated}
+    )
+    if "time" in run.condition:
+        since_start = order * run.seconds / len(run.command)
+        table["time"] = run.condition["time"] + since_start
+    return table
+
+
+def problem_of_runs(
+    measurement: Measurement,
+    runs: Sequence[Run],
+    *,
+    gravity: tuple[float, float, float] = state.DOWN,
+) -> tuple[GapProblem, tuple[Index, ...]]:
+    """The problem of all candidate runs as if taken, and each run's rows in it."""
+    series, covariates = lay_out(measurement, runs)
+    problem = assemble(measurement, series, covariates, gravity=gravity)
+    return problem, rows_of_runs(problem, runs)
+
+
+def rows_of_runs(
+    problem: GapProblem, runs: Sequence[Run], first: int = 0
+) -> tuple[Index, ...]:
+    """Readings of each run of a problem, of which they are those from `first` on."""
+    later = problem.rows.iloc[first:].reset_index(drop=True)
+    rows = later.groupby(["setup", "run"], sort=False).indices
+    return tuple(np.asarray(rows[r.setup, r.name], dtype=np.intp) + first for r in runs)
+
+
+def pool_runs(
+    problem: GapProblem,
+    law: NoiseLaw,
+    rows: Sequence[Index],
+    wanted: Sequence[Effect],
+    rivals: Sequence[Effect] = (),
+) -> Separation:
+    """The separation of effects by candidate runs, as a function of their weights.
+
+    problem    holds all candidates (`problem_of_runs`)
+    rows       (C,) readings of each run
+    wanted     effects that are separated from each other and from the rivals
+    rivals     further effects
+
+    Of each wanted effect the coefficients of all legs alike, and each alone, are
+    separated from each form of a rival. Its own constants are the middle ones of its
+    grid. Raises ValueError for effects that no candidate can test.
+    """
+    effects = list({e.name: e for e in (*wanted, *rivals)}.values())
+    forms = effect_forms(problem, effects, most=6)
+    for name, why in forms.reasons.items():
+        raise ValueError(f"{name} cannot be tested by these candidates: {why}")
+    targets: list[Target] = []
+    for effect in wanted:
+        for name, rival_forms in forms.by_effect.items():
+            if name != effect.name:
+                targets += _targets(forms.by_effect[effect.name], rival_forms)
+    if not targets:
+        raise ValueError("there is nothing to tell apart: give two effects at least")
+    return separation(problem, law, rows, forms.columns, targets)
+
+
+def separation(
+    problem: GapProblem,
+    law: NoiseLaw,
+    rows: Sequence[Index],
+    columns: Array,
+    targets: Sequence[Target],
+    taken: Index | None = None,
+) -> Separation:
+    """The separation of targets among columns (N, K) by candidate runs.
+
+    rows   (C,) readings of each run
+    taken  readings that any plan has
+    """
+    n, values = problem.slopes.shape[1], np.hstack([problem.slopes, columns])
+    prior = np.eye(n, values.shape[1])
+    white = [law.factor(problem.structure, members).whiten(values) for members in rows]
+    base_rows = prior
+    if taken is not None:
+        base_rows = np.vstack(
+            [prior, law.factor(problem.structure, taken).whiten(values)]
+        )
+    change, log_scale = _convenient_coordinates(np.vstack([*white, base_rows]), n)
+    changed = [x @ change for x in white]
+    return Separation(
+        grams=np.array([x.T @ x for x in changed]),
+        base=(base_rows @ change).T @ (base_rows @ change),
+        size=n,
+        targets=tuple(targets),
+        log_scale=log_scale,
+    )
+
+
+def _convenient_coordinates(whole: Array, n: int) -> tuple[Array, float]:
+    """Change (m, m) to coordinates in which rounding does little harm.
+
+    In these all rows (., m) together have unit information on the n parameters, and
+    what the parameters can absorb of the effects is taken out. The second result is the
+    log determinant that the parameters' information loses.
+    """
+    count = whole.shape[1] - n
+    root = np.linalg.qr(whole[:, :n], mode="r")
+    turned = linalg.solve_triangular(root, np.eye(n))
+    absorbed = turned @ (turned.T @ (whole[:, :n].T @ whole[:, n:]))
+    change = np.block([[turned, -absorbed], [np.zeros((count, n)), np.eye(count)]])
+    return change, 2.0 * float(np.log(np.abs(np.diag(root))).sum())
+
+
+def _targets(forms: Sequence[Form], rivals: Sequence[Form]) -> list[Target]:
+    """Combinations of an effect's coefficients, each from each form of a rival."""
+    middle, targets = forms[len(forms) // 2], []
+    signature = middle.signature
+    kinds: dict[str, list[str]] = {}
+    for k in np.flatnonzero(~signature.shape):
+        name = signature.names[k]
+        kind = name.removeprefix(signature.labels[k])
+        kinds.setdefault(kind, []).append(name)
+    # all legs alike, for each kind of textbook coefficient, and each one alone
+    alike = [kind for kind in kinds.values() if len(kind) > 1]
+    for members in alike + [[name] for kind in kinds.values() for name in kind]:
+        shares = np.isin(signature.names, members).astype(float)
+        phrase = in_words(dict.fromkeys(members, 1.0))
+        targets += [Target(middle, shares, phrase, rival) for rival in rivals]
+    return targets
+
+
 #: share of D in the compound
-SHARE = 0.1
+VOLUME_SHARE = 0.1
 #: plans up to which all of them are tried, so that the best is proven
-ENUMERATED = 20_000
-#: plans that are computed at once
-CHUNK = 256
-#: times that targets may join a search
-JOINS = 4
+MAX_ENUMERATED = 20_000
 #: gap of the relaxation that is good enough, in log lambda
-GAP = 1e-3
+BOUND_TOLERANCE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,9 +281,92 @@ class RunChoice:
     proven: bool
 
     @property
+    def before(self) -> float | None:
+        """The least separation before; None where one of them is not known."""
+        separations = [pair.before for pair in self.pairs if pair.before is not None]
+        return min(separations) if len(separations) == len(self.pairs) else None
+
+    @property
     def efficiency(self) -> float:
         """exp(value - above), at most 1."""
         return float(np.exp(min(self.value - self.above, 0.0)))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunsWanted:
+    """What runs are to be chosen for.
+
+    runs      candidates, all in set-ups of one measurement
+    retained  numbers of those that any plan has
+    wanted    effects that are separated from each other and from the rivals
+    rivals    further effects
+    share     of D in the compound
+    rounds    of the search
+    """
+
+    runs: Sequence[Run]
+    retained: Sequence[int]
+    wanted: Sequence[Effect]
+    rivals: Sequence[Effect]
+    share: float
+    rounds: int
+
+    def pool(self, problem: GapProblem, rows: Sequence[Index]) -> Separation:
+        """The separation of the effects in a problem by its runs, of some rows each."""
+        law = problem.stated_law
+        return pool_runs(problem, law, rows, self.wanted, self.rivals)
+
+
+def choose_runs(
+    measurement: Measurement,
+    request: RunsWanted,
+    rules: Rules,
+    planned: GapProblem,
+    rng: np.random.Generator,
+) -> tuple[RunChoice, tuple[Series, ...], pd.DataFrame]:
+    """The runs that separate wanted effects best, retained ones among them.
+
+    planned  other planned readings, whose separation is that before
+
+    The further results are the series of these runs, and one row of covariates a reading.
+
+    Raises ValueError where no run shows the effects or the rules allow no plan,
+    AssemblyError for poses out of reach.
+    """
+    candidates, rows = problem_of_runs(
+        measurement, request.runs, gravity=planned.gravity
+    )
+    choice = choose(
+        request.pool(candidates, rows),
+        rules,
+        rng,
+        share=request.share,
+        fixed=np.array(request.retained, dtype=np.intp),
+        rounds=request.rounds,
+    )
+    choice = dataclasses.replace(choice, pairs=_add_earlier(choice, planned, request))
+    selected = [request.runs[k] for k in choice.runs]
+    return choice, *lay_out(measurement, selected)
+
+
+def _add_earlier(
+    choice: RunChoice, planned: GapProblem, request: RunsWanted
+) -> list[SeparationRecord]:
+    """Pairs with their separation in other planned readings, where these test it."""
+    try:
+        pool = request.pool(planned, planned.members)
+    except ValueError:
+        return choice.pairs
+    earlier = {
+        (pair.effect, pair.rival, pair.words): pair.separation
+        for pair in pool.pairs(np.arange(pool.count))
+    }
+    return [
+        msgspec.structs.replace(
+            pair, before=earlier.get((pair.effect, pair.rival, pair.words))
+        )
+        for pair in choice.pairs
+    ]
 
 
 def choose(
@@ -71,11 +374,11 @@ def choose(
     rules: Rules,
     rng: np.random.Generator,
     *,
-    share: float = SHARE,
+    share: float = VOLUME_SHARE,
     fixed: Index | None = None,
     rounds: int = 12,
 ) -> RunChoice:
-    """Choose runs of a pool (`oed.gap.before.runs`) in addition to the `fixed` ones.
+    """Choose runs of a pool (`oed.gap.before.choose`) in addition to the `fixed` ones.
 
     rules     number of runs, or a budget; set-ups
     share     of D in the compound: 0 only separates effects, 1 is D alone
@@ -100,7 +403,7 @@ def choose(
     everything = dataclasses.replace(everything, share=share)
     rest = dataclasses.replace(everything, base=everything.of(fixed)).subset(free)
     size = rules.sole_size
-    proven = size is not None and math.comb(len(free), size) <= ENUMERATED
+    proven = size is not None and math.comb(len(free), size) <= MAX_ENUMERATED
     if size is not None and proven:
         selected, above, log_least = _enumerate(rest, size)
     else:
@@ -127,7 +430,7 @@ def _enumerate(separation: Separation, size: int) -> tuple[Index, float, float]:
     places = itertools.combinations(range(separation.count), size)
     plans = np.array(list(places), dtype=np.intp)
     values, log_least = [], []
-    for chunk in np.array_split(plans, -(-len(plans) // CHUNK)):
+    for chunk in np.array_split(plans, -(-len(plans) // 256)):
         m = separation.base + separation.grams[chunk].sum(axis=1)
         values.append(separation.worth(m))
         log_least.append(np.log(separation.lambdas(m).min(axis=0)))
@@ -147,10 +450,10 @@ def _search(
     """
     count = everything.count
     numbers = everything.hardest(np.arange(count))
-    for _ in range(JOINS):
+    for _ in range(4):
         separation = everything.with_targets(numbers)
         slack = functools.partial(_slack, separation)
-        relaxed = rules.relax(count, separation.smoothed, SHARP, slack)
+        relaxed = rules.relax(count, separation.smoothed, SMOOTHING_LEVELS, slack)
         evaluator = SeparationEvaluator(separation)
         runs = rules.search(evaluator, relaxed, rng, rounds)
         joined = sorted({*numbers, *everything.hardest(runs)})
@@ -159,10 +462,10 @@ def _search(
         numbers = joined
     alone = dataclasses.replace(everything.with_targets(numbers), share=0.0)
     slack = functools.partial(_slack, alone)
-    bound = rules.relax(count, alone.smoothed, SHARP, slack).bound
+    bound = rules.relax(count, alone.smoothed, SMOOTHING_LEVELS, slack).bound
     return runs, relaxed.bound, bound
 
 
 def _slack(separation: Separation, sharp: float) -> float:
     """Gap that is good enough: the smoothed minimum is off by the second part."""
-    return GAP + math.log(len(separation.targets)) / sharp
+    return BOUND_TOLERANCE + math.log(len(separation.targets)) / sharp

@@ -16,27 +16,314 @@ Atkinson and Fedorov 1975 (T-optimality); Bjorck and Golub 1973 (principal angle
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize, sparse
+from scipy.sparse import csgraph
 
 from oed import units
-from oed.base import Array, Index
+from oed.base import Array, Index, Mask
 from oed.effect_model import Effect
-from oed.gap.before.confusion import SAME, effect_rival, indistinguishable
-from oed.gap.before.forms import Form, effect_forms
-from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
+from oed.gap.data.evidence import separated
+from oed.gap.data.problem import GapProblem, Metric, Signature, untestable
+from oed.linear_algebra import by_size, canonical_rows, eigenvectors, first_largest
 from oed.measurement import Measurement
 from oed.noise import NoiseLaw
-from oed.result import DetectabilityRecord, DetectabilityTable
+from oed.result import (
+    DetectabilityRecord,
+    DetectabilityTable,
+    RivalRecord,
+    SharedRecord,
+)
+
+# Forms of effects, one for each value of their constants, as columns of readings.
+
+#: prior standard deviations that a rival's textbook coefficients may go to
+RIVAL_SD = 100.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ColumnSet:
+    """Columns of one explanation among those of all.
+
+    effect     what it explains the readings by
+    at         (k,) numbers of its columns
+    precision  (k,) prior precision of its coefficients as a rival's
+    """
+
+    effect: str
+    at: Index
+    precision: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Form(ColumnSet):
+    """An effect at one set of constants, with the signature that its columns are of."""
+
+    signature: Signature
+
+    @property
+    def textbook(self) -> Index:
+        """Which of its columns are textbook columns; all where it has none."""
+        plain = np.flatnonzero(np.logical_not(self.signature.shape))
+        return plain if plain.size else np.arange(len(self.at))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EffectForms:
+    """Forms of all testable effects.
+
+    by_effect    {effect: its forms}
+    reasons      {effect: why the readings cannot test it}
+    columns      (N, K) of all forms, in units of the stated noise
+    """
+
+    by_effect: dict[str, list[Form]]
+    reasons: dict[str, str]
+    columns: Array
+
+
+def effect_forms(
+    problem: GapProblem, effects: Sequence[Effect], most: int | None = None
+) -> EffectForms:
+    """Forms over the grids of the effects' constants that change a reading.
+
+    `most` is the number of constants, evenly spaced in the grid, that stand for it.
+    """
+    by_effect: dict[str, list[Form]] = {}
+    reasons: dict[str, str] = {}
+    blocks, start = [np.zeros((len(problem), 0))], 0
+    for effect in effects:
+        reason = untestable(effect, problem.states)
+        grid = effect.constant_grid() if reason is None else []
+        if most is not None and len(grid) > most:
+            places = np.linspace(0, len(grid) - 1, most).round().astype(int)
+            grid = [grid[k] for k in np.unique(places)]
+        every = [problem.signature(effect, constants) for constants in grid]
+        for signature in every:
+            if signature.names:
+                columns = np.arange(start, start + len(signature.names))
+                precision = np.where(signature.shape, 1.0, RIVAL_SD**-2)
+                form = Form(effect.name, columns, precision, signature)
+                by_effect.setdefault(effect.name, []).append(form)
+                blocks.append(problem.in_noise_units(signature.columns))
+                start += len(columns)
+        if effect.name not in by_effect:
+            reasons[effect.name] = reason or "it changes none of these readings"
+    return EffectForms(by_effect, reasons, np.hstack(blocks))
+
+
+# Power of a test that finds a gap: the noncentral chi-square.
+
+#: probability that a test finds a gap which is none
+FALSE_ALARM = 0.01
+#: probability that a test finds a gap, from which on the gap is found
+POWER = 0.90
+
+
+def power(lam: float, columns: int) -> float:
+    """Probability that a test with `columns` degrees of freedom finds a gap of lambda."""
+    from scipy import stats  # takes half a second to import
+
+    level = stats.chi2.isf(FALSE_ALARM, columns)
+    return float(stats.ncx2.sf(level, columns, lam))
+
+
+@functools.cache
+def needed_lambda(columns: int) -> float:
+    """Least lambda that a test with `columns` degrees of freedom finds with `POWER`.
+
+    It is 14.9 for 1 degree of freedom, 28.6 for 12.
+    """
+
+    def excess(lam: float) -> float:
+        return power(lam, columns) - POWER
+
+    return float(optimize.brentq(excess, 1e-6, 1e4))
+
+
+# Confusion of effects: principal angles, imitated combinations, classes.
+#
+# `gram` is the Gram matrix (K, K) of the columns of all forms, after calibration has
+# absorbed what it can (`oed.gap.before.detect`).
+#
+# Combinations of an effect's coefficients are put into words, in prior standard deviations.
+
+#: sqrt(lambda_k|j) below which the two cannot be distinguished
+MIN_SEPARATION = 5.0
+#: share of lambda_k that a rival must absorb to count as one
+RIVAL_SHARE = 0.5
+#: principal angle, deg, below which a combination of one effect is a combination of the
+#: other to these readings
+SAME_ANGLE = 1.0
+#: share of the mean by which coefficients that are common may differ
+COMMON_TOLERANCE = 0.1
+
+
+def effect_rival(
+    gram: Array, forms: Sequence[Form], rivals: Sequence[Form]
+) -> RivalRecord:
+    """How well an effect is distinguished from a rival at its most absorbing constants.
+
+    `forms` are the effect's, `rivals` are the rival's. The separation is a mean over
+    the effect's forms, the angle the smallest of all. Combinations are those of the
+    form that is absorbed most.
+    """
+    rest = [[np.trace(_left(gram, f, r)) for r in rivals] for f in forms]
+    remaining = np.array(rest)
+    least = remaining.min(axis=1)
+    hardest = int(np.argmin(least))
+    nearest = int(np.argmin(remaining[hardest]))
+    return RivalRecord(
+        name=rivals[0].signature.effect,
+        separation=max(float(least.mean()), 0.0) ** 0.5,
+        angle_deg=_smallest_angle(gram, forms, rivals),
+        shared=_shared(gram, forms[hardest], rivals[nearest]),
+    )
+
+
+def _left(gram: Array, form: Form, rival: Form) -> Array:
+    return separated(gram, form.at, rival.at, rival.precision)
+
+
+def _smallest_angle(
+    gram: Array, forms: Sequence[Form], rivals: Sequence[Form]
+) -> float:
+    """Smallest principal angle, deg, of any form with any rival; 90 without any."""
+    columns_of, rival_at = (
+        [form.at[form.textbook] for form in several] for several in (forms, rivals)
+    )
+    roots = [_visible_root(gram, columns) for columns in columns_of]
+    rival_roots = [_visible_root(gram, columns) for columns in rival_at]
+    largest = 0.0
+    for columns, root in zip(columns_of, roots, strict=True):
+        for others, other in zip(rival_at, rival_roots, strict=True):
+            cross = root.T @ gram[np.ix_(columns, others)] @ other
+            cosine = np.linalg.svd(cross, compute_uv=False)
+            largest = max(largest, float(cosine.max(initial=0.0)))
+    return float(np.rad2deg(np.arccos(min(largest, 1.0))))
+
+
+def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
+    """Principal angles (r,), deg ascending, of the textbook columns.
+
+    The second result are the combinations (k, r) of unit length.
+    """
+    columns, rival_columns = form.at[form.textbook], rival.at[rival.textbook]
+    root, rival_root = _visible_root(gram, columns), _visible_root(gram, rival_columns)
+    cross = root.T @ gram[np.ix_(columns, rival_columns)] @ rival_root
+    u, cosine, _ = np.linalg.svd(cross)
+    missing = np.zeros(u.shape[1] - len(cosine))
+    cosine = np.append(np.minimum(cosine, 1.0), missing)
+    vectors = root @ canonical_rows(u.T, cosine).T
+    lengths = np.linalg.norm(vectors, axis=0)
+    return np.rad2deg(np.arccos(cosine)), vectors / lengths
+
+
+def _visible_root(gram: Array, columns: Index) -> Array:
+    """R (k, r) with R^T A R = 1 over the directions that can be seen.
+
+    These have the energy of the noise at a prior standard deviation, or a hundredth of
+    the largest.
+    """
+    block = gram[np.ix_(columns, columns)]
+    return inverse_root(block, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
+
+
+def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
+    """Combinations of the textbook coefficients that the rival imitates.
+
+    They are visible and not distinguished from it, or the same as its.
+    """
+    angles, vectors = _principal_angles(gram, form, rival)
+    columns, block = form.at[form.textbook], np.ix_(form.textbook, form.textbook)
+    inner, separated = gram[np.ix_(columns, columns)], _left(gram, form, rival)[block]
+    names = [form.signature.names[k] for k in form.textbook]
+    shared = []
+    for angle, v in zip(angles, vectors.T, strict=True):
+        whole = float(v @ inner @ v)
+        distinct = float(max(v @ separated @ v, 0.0))
+        visible = whole >= needed_lambda(1)
+        imitated = distinct < min(MIN_SEPARATION**2, RIVAL_SHARE * whole)
+        if angle < SAME_ANGLE or (visible and imitated):
+            shares = v / v[first_largest(v)]
+            combination = dict(zip(names, shares.tolist(), strict=True))
+            record = SharedRecord(
+                words=in_words(combination),
+                combination=combination,
+                detectability=float(np.sqrt(whole)),
+                separation=float(np.sqrt(distinct)),
+                angle_deg=float(angle),
+            )
+            shared.append(record)
+    return shared
+
+
+def indistinguishable(
+    names: Sequence[str], separation: Array, visible: Mask
+) -> tuple[list[list[str]], list[list[str]]]:
+    """Connected groups of visible effects, and pairs (k, j) of k absorbed by j.
+
+    separation    (K, K) sqrt(lambda_k|j), sqrt(lambda_k) on the diagonal
+
+    A rival counts where it absorbs half of lambda_k at least: what is hardly seen is
+    near every rival.
+    """
+    detectability = np.diag(separation)[:, None]
+    least = np.minimum(MIN_SEPARATION, np.sqrt(RIVAL_SHARE) * detectability)
+    others = ~np.eye(len(names), dtype=bool)
+    both_visible = visible[:, None] & visible[None, :]
+    close = (separation < least) & both_visible & others
+    _, label = csgraph.connected_components(sparse.csr_matrix(close), directed=False)
+    groups: dict[int, list[str]] = {}
+    for name, number in zip(names, label, strict=True):
+        groups.setdefault(int(number), []).append(name)
+    classes = [members for members in groups.values() if len(members) > 1]
+    return classes, [[names[k], names[j]] for k, j in np.argwhere(close)]
+
+
+# -- root ------------------------------------------------------------------------------
+
+
+def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
+    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k).
+
+    Directions of less energy than `least`, a function of the largest energy, are left
+    out.
+    """
+    values, vectors = eigenvectors(gram)
+    visible = values > least(float(values.max(initial=0.0)))
+    return vectors[:, visible] / np.sqrt(values[visible])
+
+
+def in_words(combination: Mapping[str, float]) -> str:
+    """A combination of coefficients, its largest share 1, in words."""
+    values = np.array(list(combination.values()))
+    names = list(combination)
+    if len(values) == 1:
+        return names[0]
+    mean = values.mean()
+    if np.all(np.abs(values - mean) < COMMON_TOLERANCE * abs(mean)):
+        return f"common to {', '.join(names[:-1])} and {names[-1]}"
+    terms = []
+    for k in by_size(values):
+        if abs(values[k]) >= 0.2:
+            terms.append(_term(float(values[k]), names[k]))
+    return " ".join(terms).removeprefix("+ ")
+
+
+def _term(value: float, name: str) -> str:
+    """A term with its sign; a factor of 1 is not written."""
+    sign = "-" if value < 0 else "+"
+    size = f"{abs(value):.2g}"
+    return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"
+
 
 #: draws from an effect's prior for its median least size
-DRAWS = 400
-#: sizes from here on are not given: nothing physical is so large
-UNBOUNDED = 1e6
+PRIOR_DRAWS = 400
 
 
 def detect(
@@ -47,12 +334,12 @@ def detect(
 ) -> DetectabilityTable:
     """What planned readings (`oed.gap.data.problem.assemble`) could find.
 
-    Sizes of readings are in the fine unit of their channel (`fine_units`). Raises
+    Sizes of readings are in the fine unit of their channel (`_fine_units`). Raises
     ValueError for no effect, or effects of one name.
     """
-    given = [effect.name for effect in effects]
-    if not given or len(set(given)) < len(given):
-        raise ValueError(f"give at least one effect, each once, not {given}")
+    names_of_effects = [effect.name for effect in effects]
+    if not names_of_effects or len(set(names_of_effects)) < len(names_of_effects):
+        raise ValueError(f"give at least one effect, each once, not {names_of_effects}")
     forms = effect_forms(problem, effects)
     metric = Metric(problem, law)
     white = metric.whiten(forms.columns)
@@ -75,7 +362,7 @@ def detect(
             separation[k, j], angles[k, j] = rival.separation, rival.angle_deg
     visible = np.array([record.visible for record in testable], dtype=bool)
     classes, absorbed = indistinguishable(names, separation, visible)
-    same = np.argwhere(np.triu(angles < SAME, 1))
+    same = np.argwhere(np.triu(angles < SAME_ANGLE, 1))
     return DetectabilityTable(
         readings=len(problem),
         effects=records,
@@ -88,7 +375,7 @@ def detect(
     )
 
 
-def fine_units(measurement: Measurement) -> dict[str, str]:
+def _fine_units(measurement: Measurement) -> dict[str, str]:
     """Fine unit of each channel, in which the sizes of readings are given."""
     fine: dict[str, str] = {}
     for setup in measurement.setups.values():
@@ -138,10 +425,10 @@ def _record(
     columns = max(len(g) for g in grams)
     needed, mean = needed_lambda(columns), float(traces.mean())
     detectability = float(np.sqrt(mean))
-    count = -(-DRAWS // len(forms))
+    count = -(-PRIOR_DRAWS // len(forms))
     draws = [rng.standard_normal((len(g), count)) for g in grams]
     signature, least, median = {}, {}, {}
-    fine = fine_units(problem.measurement)
+    fine = _fine_units(problem.measurement)
     for channel, rows in problem.rows.groupby("channel", sort=False).indices.items():
         spreads = [_spread(form, rows) for form in forms]
         mean_square = np.mean([np.trace(spread) for spread in spreads])
@@ -227,4 +514,4 @@ def _least_sizes(
 
 def _bounded(size: float) -> float | None:
     """A size; None where no reading could bound it."""
-    return size if size < UNBOUNDED else None
+    return size if size < 1e6 else None

@@ -27,16 +27,16 @@ from scipy import special
 
 from oed.base import Array, Index
 from oed.design import Objective, PlanEvaluator, Tangent
-from oed.gap.before.forms import ColumnSet
+from oed.gap.before.detect import ColumnSet
 from oed.gap.data.evidence import separated
 from oed.result import SeparationRecord
 
 #: least lambda that counts: its logarithm must stay finite
-LEAST = 1e-9
+MIN_LAMBDA = 1e-9
 #: how sharply the smoothed minimum takes the least targets, from level to level
-SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
+SMOOTHING_LEVELS = (2.0, 8.0, 32.0, 128.0, 512.0)
 #: the same at the levels of an exchange search, which ends with the minimum itself
-SHARPNESS = (SHARP[0], np.inf)
+EXCHANGE_LEVELS = (SMOOTHING_LEVELS[0], np.inf)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Separation(Objective):
     targets: tuple[Target, ...]
     log_scale: float
     share: float = 0.0
-    sharp: float = SHARP[-1]
+    sharp: float = SMOOTHING_LEVELS[-1]
 
     @property
     def count(self) -> int:
@@ -110,7 +110,7 @@ class Separation(Objective):
         for t in self.targets:
             left = separated(profiled, t.form.at, t.rival.at, t.rival.precision)
             lambdas.append(np.einsum("k,...kl,l->...", t.shares, left, t.shares))
-        return np.maximum(lambdas, LEAST)
+        return np.maximum(lambdas, MIN_LAMBDA)
 
     def log_det(self, m: Array) -> Array:
         """log det (...) of the parameters' information, prior included."""
@@ -150,8 +150,8 @@ class Separation(Objective):
         records = []
         for k in self.hardest(chosen):
             target = self.targets[k]
-            at = target.form.at
-            energy = target.shares @ profiled[np.ix_(at, at)] @ target.shares
+            columns = target.form.at
+            energy = target.shares @ profiled[np.ix_(columns, columns)] @ target.shares
             record = SeparationRecord(
                 *target.key,
                 detectability=max(float(energy), 0.0) ** 0.5,
@@ -227,7 +227,7 @@ class Separation(Objective):
             inverse = np.linalg.inv(inner)
             v = target.copy()
             v[nuisance] -= inverse @ (m[nuisance] @ target)
-            lam = max(float(target @ m @ v), LEAST)
+            lam = max(float(target @ m @ v), MIN_LAMBDA)
             moved = grams @ v
             slope = np.asarray(moved @ v / lam)
             u = moved[:, nuisance]
@@ -272,14 +272,14 @@ class SeparationEvaluator(PlanEvaluator):
     def regularised_value(self, chosen: Index, level: int) -> float:
         """The compound at a level."""
         m = self.separation.of(chosen)
-        return float(self.separation.worth(m, SHARPNESS[level]))
+        return float(self.separation.worth(m, EXCHANGE_LEVELS[level]))
 
     def values_after_adding(
         self, chosen: Index, level: int, ridge: float | None = None
     ) -> Array:
         """The compound at a level, of the plan with each candidate (C,) added."""
         m = self.separation.of(chosen) + self.separation.grams
-        return self.separation.worth(m, SHARPNESS[level])
+        return self.separation.worth(m, EXCHANGE_LEVELS[level])
 
     def subset(self, pool: Index) -> SeparationEvaluator:
         """Over some of the candidates."""

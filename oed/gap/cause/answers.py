@@ -10,26 +10,255 @@ and counts a set of named effects once, with or without a remainder.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
 
 from oed.base import Array
+from oed.effect_model import Effect
 from oed.gap.cause.compare import equivalent_effects
-from oed.gap.cause.hypothesis import PRIOR, Hypothesis
-from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import UNKNOWN, Verdict
-from oed.result import AnswerRecord, GapSection
+from oed.gap.cause.search import PRIOR, UNSEEN_SHARE, Hypothesis, Search
+from oed.gap.data.diagnosis import AGAIN, ExcessScatter, Verdict
+from oed.gap.data.problem import LACKING
+from oed.result import (
+    DATA_SHEET,
+    DOUBT_PROBABILITY,
+    GO_AHEAD,
+    MAX_CLASS_NAMES,
+    SURE_PROBABILITY,
+    UNKNOWN,
+    AnswerRecord,
+    GapSection,
+    probability_of,
+)
+from oed.text import join_words
+
+# Advice: the physical remedy, or the reading that distinguishes the members of a class.
+
+#: probability of noise alone from which a gap is read again before anything else
+REPEAT_PROBABILITY = 0.1
+
+
+def advise(
+    answers: Sequence[AnswerRecord],
+    effects: Sequence[Effect],
+    not_testable: Mapping[str, str],
+    *,
+    scatter: ExcessScatter | None = None,
+    unstated: float | None = None,
+) -> tuple[str, ...]:
+    """Sentences, the most useful first, for the leading answer.
+
+    Where it is not sure, they also consider its likeliest rival.
+
+    scatter   of readings beyond their instrument, which nothing explains
+    unstated  scatter of a reading over the stated one, where it is beyond a data sheet
+    """
+    by_name = {e.name: e for e in effects}
+    first = answers[0]
+    if scatter is not None:
+        return (_scatter_advice(scatter),)
+    sentences = (
+        _answer_advice(answers, by_name)
+        if first.effects
+        else _no_effect_advice(answers, unstated)
+    )
+    if not is_sure(answers):
+        rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
+        sentences = _add_rivals(sentences, first, rivals, by_name)
+    missing = _missing_covariates(not_testable)
+    if missing and not first.effects:
+        sentences.append(
+            "These readings cannot test all effects. Record with the next ones, and"
+            f" vary: {join_words(missing)}."
+        )
+    elif missing and UNKNOWN in first.effects:
+        sentences.append(
+            "What acts may be what these readings cannot test: record and vary"
+            f" {join_words(missing)}."
+        )
+    return tuple(dict.fromkeys(sentences))
+
+
+def _add_rivals(
+    sentences: Sequence[str],
+    first: AnswerRecord,
+    rivals: Sequence[AnswerRecord],
+    by_name: Mapping[str, Effect],
+) -> list[str]:
+    """What decides comes before a remedy, which may be for another effect."""
+    rival = max(rivals, key=lambda answer: answer.visible)
+    tests = _between(first, rival, by_name)
+    if not first.effects:
+        return [*sentences, *tests]
+    noise = [a for a in rivals if not a.effects and a.visible >= REPEAT_PROBABILITY]
+    repeats = [text for answer in noise for text in _between(first, answer, by_name)]
+    beside = []
+    if set(rival.effects) == {*first.effects, UNKNOWN}:
+        beside = [
+            "Something of unknown form may act beside it: read again after a remedy."
+        ]
+    return [*repeats, *tests, *sentences, *beside]
+
+
+def is_sure(answers: Sequence[AnswerRecord]) -> bool:
+    """Whether the leading answer is sure, or no other has a size that shows.
+
+    No gap is no less sure for what is too small to be seen.
+    """
+    first, *others = answers
+    unseen = 0.0 if first.effects else sum(answer.unseen for answer in answers)
+    is_alone = not any(answer.visible > 0.0 for answer in others)
+    return is_alone or first.probability + unseen >= SURE_PROBABILITY
+
+
+def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
+    """The covariates without which effects could not be tested."""
+    missing = set()
+    for reason in not_testable.values():
+        if reason.startswith(LACKING):
+            needs = reason.removeprefix(LACKING).split(", ")
+            missing |= {re.split(r":| or ", need)[0] for need in needs}
+    return sorted(missing)
+
+
+def _answer_advice(
+    answers: Sequence[AnswerRecord], by_name: Mapping[str, Effect]
+) -> list[str]:
+    """Remedies or tests of the leading answer, those of what is sure first."""
+    answer = answers[0]
+    sentences, unsure = [], []
+    named = [e for e in answer.effects if e != UNKNOWN]
+    for effect, members in zip(named, answer.classes, strict=True):
+        if len(members) > 1:
+            sentences.append(_class_advice(members, by_name))
+        elif by_name[effect].remedy:
+            remedy = f"{effect}: {by_name[effect].remedy}."
+            if probability_of(effect, answers) >= SURE_PROBABILITY:
+                sentences.append(remedy)
+            else:
+                unsure.append(f"If it is {remedy}")
+    if answer.effects == (UNKNOWN,):
+        acts = (
+            "acts"
+            if probability_of(UNKNOWN, answers) >= SURE_PROBABILITY
+            else "may act"
+        )
+        sentences.append(
+            f"Something {acts} that no effect of the library explains: look at where it"
+            " lies, vary one condition at a time (direction, feed, payload, time) on"
+            " the runs that show it, and add an effect of your own."
+        )
+    elif UNKNOWN in answer.effects:
+        sentences.append(
+            "A remainder of unknown shape is left: look at its trace, and at where it"
+            " lies, before acting on it."
+        )
+    return [*sentences, *unsure]
+
+
+def _scatter_advice(scatter: ExcessScatter) -> str:
+    """The reading that decides what readings beyond their instrument are."""
+    if scatter.against == DATA_SHEET:
+        return (
+            "Do not compensate yet: read some poses several times without moving. What"
+            " scatters there is noise, and the instrument is worse than stated. What"
+            " repeats there is not: take the same run again, then in the other direction."
+        )
+    if scatter.against == AGAIN:
+        return (
+            "Do not compensate yet: what recurs in runs taken again is no noise. Take one"
+            " of them in the other direction, and one with half the step: they show its"
+            " form."
+        )
+    return (
+        "Do not compensate yet: take the same run again. What recurs at its poses is an"
+        " effect: take it in the other direction then. What does not is how well the"
+        " machine repeats, which no compensation improves."
+    )
+
+
+def _no_effect_advice(
+    answers: Sequence[AnswerRecord], unstated: float | None
+) -> list[str]:
+    """What to do where no effect is reported: act, and what would show more."""
+    if unstated is not None:
+        return [
+            f"A reading scatters {unstated:.2g} times as much as stated, with what its run"
+            " shares: take one run twice in a row before you compensate the geometry. What"
+            " changes between the two is noise, to be stated in [noise]; what changes over"
+            " the session alone is an effect."
+        ]
+    visible = sum(answer.visible for answer in answers if answer.effects)
+    if visible <= DOUBT_PROBABILITY:
+        return [GO_AHEAD]
+    return [
+        GO_AHEAD,
+        f"An effect is not excluded (probability {100.0 * visible:.0f} %): one run taken"
+        " again, and once in the other direction, would show it. What recurs at its poses"
+        " beyond the noise is an effect; what does not is noise, or changes with time.",
+    ]
+
+
+def _class_advice(members: Sequence[str], by_name: Mapping[str, Effect]) -> str:
+    """What would distinguish the members of a class, those of a large one unnamed."""
+    if len(members) > MAX_CLASS_NAMES:
+        tests = list(dict.fromkeys(_tests(members, by_name)))
+        return (
+            f"These readings cannot tell {len(members)} effects apart. What would:"
+            f" {'; '.join(tests)}."
+        )
+    tests = []
+    for member in members:
+        exposed_by = by_name[member].exposed_by
+        if exposed_by:
+            tests.append(f"{exposed_by} would show {member}")
+    names = join_words(members)
+    return f"These readings cannot tell {names} apart: " + "; ".join(tests) + "."
+
+
+def _between(
+    first: AnswerRecord,
+    second: AnswerRecord,
+    by_name: Mapping[str, Effect],
+) -> list[str]:
+    """What would distinguish the leading answer from the second."""
+    if not second.effects:
+        tests = _tests(first.effects, by_name)
+        shown = [effect for effect in first.effects if _tests([effect], by_name)]
+        more = (
+            f" What would show {join_words(shown)}: {join_words(tests)}."
+            if tests
+            else ""
+        )
+        chance = f"{100.0 * second.probability:.0f} %"
+        return [
+            f"Noise alone has a probability of {chance}: read again before acting on"
+            f" the gap.{more}"
+        ]
+    many = {names[0] for names in second.classes if len(names) > MAX_CLASS_NAMES}
+    others = [e for e in second.effects if e not in first.effects and e not in many]
+    sentences = []
+    for effect in others:
+        for test in _tests([effect], by_name):
+            sentences.append(f"To make sure that it is not {effect}: {test}.")
+    return sentences
+
+
+def _tests(effects: Sequence[str], by_name: Mapping[str, Effect]) -> list[str]:
+    """Measurements that expose some effects."""
+    tests = [by_name[effect].exposed_by for effect in effects if effect in by_name]
+    return [test for test in tests if test]
+
 
 #: least probability of an answer that is reported
-REPORTED = 0.002
+MIN_REPORTED = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
-ALIVE = 5.5
+RIVAL_LOG_POSTERIOR = 5.5
 #: members from which on a class with a named effect is reported as unknown
-VAGUE = 6
-#: probability that the credible set has
-COVERAGE = 0.95
+MIN_VAGUE_MEMBERS = 6
 
 #: for each effect the names that are indistinguishable from it
 Classes = Sequence[tuple[str, ...]]
@@ -74,11 +303,13 @@ def group(
     for h in hypotheses:
         if h.key not in remaining:
             continue
-        if groups and remaining[h.key] < REPORTED:
+        if groups and remaining[h.key] < MIN_REPORTED:
             continue
         members: tuple[tuple[str, ...], ...] = ()
         if h.effects:
-            members = tuple(equivalent_effects(searches[h.law], h, scores, ALIVE))
+            members = tuple(
+                equivalent_effects(searches[h.law], h, scores, RIVAL_LOG_POSTERIOR)
+            )
         total = 0.0
         for key in list(remaining):
             effects, unknown = key
@@ -86,23 +317,23 @@ def group(
                 total += remaining.pop(key)
         entry = AnswerGroup(h, members, h.unknown, float(total))
         if not h.is_gap:
-            entry, *unseen = _without_a_sign(entry, searches[h.law].library.effects)
+            entry, *unseen = _split_nothing(entry, searches[h.law].library.effects)
         groups.append(entry)
     return [*groups, *unseen]
 
 
-def _without_a_sign(nothing: AnswerGroup, names: tuple[str, ...]) -> list[AnswerGroup]:
+def _split_nothing(nothing: AnswerGroup, names: tuple[str, ...]) -> list[AnswerGroup]:
     """What may act where nothing shows: nothing, any effect, something unknown.
 
     The readings say nothing of these three, so that they keep their prior shares.
     """
-    unseen = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
     unknown = PRIOR["unknown"] / (1.0 - PRIOR["unseen"] - PRIOR["none"])
     if not names:
         unknown = 1.0
     total, alone = nothing.probability, nothing.hypothesis
-    of_unknown, of_effects = total * unseen * unknown, total * unseen * (1.0 - unknown)
-    groups = [dataclasses.replace(nothing, probability=total * (1.0 - unseen))]
+    unseen = total * UNSEEN_SHARE
+    of_unknown, of_effects = unseen * unknown, unseen * (1.0 - unknown)
+    groups = [dataclasses.replace(nothing, probability=total * (1.0 - UNSEEN_SHARE))]
     if names:
         groups.append(AnswerGroup(alone, (names,), False, of_effects, of_effects))
     groups.append(AnswerGroup(alone, (), True, of_unknown, of_unknown))
@@ -137,7 +368,7 @@ def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:
     """
     named = list(entry.members)
     if len(named) > 1:
-        clear = [m for m in named if len(m) < VAGUE]
+        clear = [m for m in named if len(m) < MIN_VAGUE_MEMBERS]
         named = clear or [min(named, key=len)]
     unknown = entry.unknown or len(named) < len(entry.members)
     names = frozenset(members[0] for members in named)
@@ -208,7 +439,7 @@ def credible_set(groups: Sequence[AnswerGroup]) -> tuple[AnswerRecord, ...]:
         unseen = sum(g.unseen for g in alike)
         answers.append(_answer(alike[0].members, unknown, total, unseen))
     answers.sort(key=lambda a: -a.probability)
-    reached = np.cumsum([a.probability for a in answers]) >= COVERAGE
+    reached = np.cumsum([a.probability for a in answers]) >= 0.95
     return tuple(answers[: int(np.argmax(reached)) + 1 if reached.any() else None])
 
 

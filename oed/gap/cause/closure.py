@@ -29,16 +29,145 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse, spatial
+from scipy.sparse import csgraph
 
 from oed.base import Array, Index
-from oed.gap.cause.folds import Paths
 from oed.gap.data.problem import GapProblem
+from oed.gap.forms import discrepancy
 from oed.noise import NoiseLaw, SharedFactor
 from oed.result import ClosureRecord
 
-#: draws of the bootstrap
-DRAWS = 2000
+# Folds of held-out readings: parts of every path, or whole runs.
+#
+# Runs that repeat one another, whichever way and however often, are held out together.
+
+#: number of folds
+N_FOLDS = 5
+#: share of a run's poses that another must have for the two to repeat each other
+REPEAT_SHARE = 0.8
+#: runs from which on the bootstrap draws whole runs; below, stretches of runs
+MIN_RUNS = 8
+#: share of the joints' extent below which a step is none
+STILL_SHARE = 1e-3
+
+
+class Paths:
+    """Which runs repeat one another, and how far along its path each reading is."""
+
+    def __init__(self, problem: GapProblem) -> None:
+        joints = [state.joints for state in problem.states]
+        self._joints = discrepancy.at_poses(problem, joints)[:, 0]
+        self._runs = problem.members
+        readings = problem.rows.groupby(["setup", "run", "order"], sort=False)
+        self._reading = readings.ngroup().to_numpy()
+        self._setup = problem.rows["setup"].to_numpy()
+        self._size = len(problem)
+
+    def within(self) -> tuple[Index, Index]:
+        """Fold (N,) of each reading, and the unit (N,) that the bootstrap draws.
+
+        A fold is a fifth of each path; a unit is a fold of one run.
+        """
+        fold = np.empty(self._size, dtype=np.intp)
+        for number, runs in enumerate(self.groups()):
+            rows = self._rows(runs)
+            longest = max((self._runs[k] for k in runs), key=len)
+            pose, count = self._along(rows, longest)
+            is_short = count < N_FOLDS
+            fold[rows] = (
+                (pose + number) % N_FOLDS if is_short else pose * N_FOLDS // count
+            )
+        fold = np.unique(fold, return_inverse=True)[1]
+        return fold, self._units(fold)
+
+    def whole(self) -> tuple[Index, Index]:
+        """As `within`, with the runs of a fold held out together.
+
+        Units are runs, or fifths of them where runs are few.
+        """
+        groups = self.groups()
+        if len(groups) == 1:
+            groups = [[k] for k in range(len(self._runs))]
+        fold = np.empty(self._size, dtype=np.intp)
+        load = np.zeros(min(N_FOLDS, len(groups)))
+        for rows in sorted(map(self._rows, groups), key=len, reverse=True):
+            least = np.argmin(load)
+            fold[rows] = least
+            load[least] += len(rows)
+        part = np.zeros(self._size, dtype=np.intp)
+        if len(self._runs) < MIN_RUNS:
+            part = self.within()[0]
+        return fold, self._units(part)
+
+    def groups(self) -> list[list[int]]:
+        """Numbers of the runs that follow the same path in the same set-up.
+
+        Direction and number of passes do not matter.
+        """
+        count = len(self._runs)
+        near = sparse.lil_matrix((count, count))
+        setups = [self._setup[members[0]] for members in self._runs]
+        for setup in dict.fromkeys(self._setup):
+            self._link([k for k in range(count) if setups[k] == setup], near)
+        groups, label = csgraph.connected_components(near, directed=False)
+        return [np.flatnonzero(label == k).tolist() for k in range(groups)]
+
+    def _rows(self, runs: Sequence[int]) -> Index:
+        """Readings of some runs."""
+        return np.concatenate([self._runs[k] for k in runs])
+
+    def _link(self, runs: list[int], near: sparse.lil_matrix) -> None:
+        """Mark pairs of runs of which one has nearly all its poses in the other."""
+        points = [np.unique(self._joints[self._runs[k]], axis=0) for k in runs]
+        count = len(runs)
+        owner = np.repeat(np.arange(count), [len(p) for p in points])
+        together = np.vstack(points)
+        tolerance = self._tolerance(runs, together)
+        tree = spatial.cKDTree(together)
+        pairs = tree.query_pairs(tolerance, output_type="ndarray")
+        pairs = np.vstack([pairs, pairs[:, ::-1]])
+        neighbours = np.column_stack([pairs[:, 0], owner[pairs[:, 1]]])
+        neighbours = np.unique(neighbours, axis=0)
+        shared = np.zeros((count, count))
+        np.add.at(shared, (owner[neighbours[:, 0]], neighbours[:, 1]), 1.0)
+        poses = np.bincount(owner)[:, None]
+        for a, b in np.argwhere(shared >= REPEAT_SHARE * poses):
+            near[runs[a], runs[b]] = 1.0
+
+    def _tolerance(self, runs: list[int], together: Array) -> float:
+        """Distance in the joints below which two poses count as the same."""
+        steps = []
+        for k in runs:
+            change = np.diff(self._joints[self._runs[k]], axis=0)
+            steps.append(np.linalg.norm(change, axis=1))
+        moved = np.concatenate(steps)
+        extent = float(np.linalg.norm(np.ptp(together, axis=0)))
+        moved = moved[moved > STILL_SHARE * extent]
+        by_step = 0.25 * float(np.median(moved)) if moved.size else 0.0
+        rounding = 1e-12 * float(np.abs(together).max())
+        return max(by_step, STILL_SHARE * extent, rounding)
+
+    def _along(self, rows: Index, longest: Index) -> tuple[Index, int]:
+        """Place of each row among the poses of the longest run, in its order.
+
+        The second result is the number of places.
+        """
+        _, first = np.unique(self._reading[longest], return_index=True)
+        template = self._joints[longest[np.sort(first)]]
+        _, nearest = spatial.cKDTree(template).query(self._joints[rows])
+        used, pose = np.unique(nearest, return_inverse=True)
+        return pose.astype(np.intp), len(used)
+
+    def _units(self, part: Index) -> Index:
+        """Number (N,) of each reading's pair of run and part (N,)."""
+        run = np.empty(self._size, dtype=np.intp)
+        for k, members in enumerate(self._runs):
+            run[members] = k
+        pairs = np.column_stack([run, part])
+        number = np.unique(pairs, axis=0, return_inverse=True)[1]
+        return number.astype(np.intp).ravel()
+
 
 Split = Literal["within", "whole"]
 #: posterior precision (n, n) of coefficients, and its product (n,) with their mean
@@ -78,9 +207,9 @@ def closure(
     pairs = zip(models, scored, strict=True)
     informations = [noise.information(model, values) for model, values in pairs]
 
-    def predict(held: Index) -> tuple[Array, Array]:
+    def predict(rows: Index) -> tuple[Array, Array]:
         errors, log_evidences, parts = [], [], []
-        innovations = noise.innovations(held, scored)
+        innovations = noise.innovations(rows, scored)
         for white, information in zip(innovations, informations, strict=True):
             mean, log_evidence = learn(information, white)
             errors.append(white[:, -1] - white[:, :-1] @ mean)
@@ -112,12 +241,12 @@ def _score(
     if len(held_out) < 2:
         nan = float("nan")
         return ClosureRecord(split, nan, -np.inf, np.inf, nan, nan, nan, 1.0, 0)
-    for held in held_out:
-        before[held], after[held] = predict(held)
+    for rows in held_out:
+        before[rows], after[rows] = predict(rows)
     gain = np.bincount(unit, before**2 - after**2)
     gap = np.bincount(unit, before**2 - 1.0)
     equal = np.full(len(gain), 1.0 / len(gain))
-    drawn = rng.multinomial(len(gain), equal, size=DRAWS).astype(float)
+    drawn = rng.multinomial(len(gain), equal, size=2000).astype(float)
     gains, gaps = drawn @ gain, drawn @ gap
     infinite = np.where(gains == 0.0, 0.0, np.copysign(np.inf, gains))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -160,9 +289,9 @@ class RunNoise:
         product = self._factor.errors.standardise(slopes).T @ scored
         return product[:, :-1] + np.eye(len(product)), product[:, -1]
 
-    def innovations(self, held: Index, scored: Sequence[Array]) -> list[Array]:
+    def innovations(self, rows: Index, scored: Sequence[Array]) -> list[Array]:
         """Innovations (h, .) of readings held out, each given the others of its run."""
-        held_out = self._factor.hold_out(held)
+        held_out = self._factor.hold_out(rows)
         return [held_out.innovations(values) for values in scored]
 
 

@@ -1,7 +1,7 @@
 """Comparison of hypotheses: evidence over noise laws, probabilities, equivalent effects.
 
 The noise law is a nuisance: the evidence of a set of effects is the sum over laws that
-stand for all (`oed.gap.data.laws`). Priors are fixed beforehand (`hypothesis.PRIOR`).
+stand for all (`oed.gap.data.evidence`). Priors are fixed beforehand (`hypothesis.PRIOR`).
 
 An equivalence class has the effects that are indistinguishable from a selected one. The
 part of the readings that effect k explains, y_k = G_k beta_k, is fitted by a rival j:
@@ -32,34 +32,31 @@ from scipy import special
 
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, Effect
-from oed.gap.cause.hypothesis import Hypothesis, Key
-from oed.gap.cause.search import Further, Search
+from oed.gap.cause.search import Further, Hypothesis, Key, Search
 from oed.gap.data.evidence import Grams
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.problem import GapProblem
 
 #: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
-DISTINCT = 5.0
+MIN_DISTINCT = 5.0
 #: share of lambda_k that a rival leaves, below which no reading of this kind
 #: distinguishes them
-EXACT = 0.002
+EXACT_SHARE = 0.002
 #: log evidence by which a rival that leaves so little may be behind: as much as the
 #: priors of sizes and forms can set two effects apart. One further behind leaves little
 #: only because its form can be any
-PLAINER = 12.0
+PRIOR_LOG_ODDS = 12.0
 #: share of sqrt(lambda) that real effects keep outside their best textbook form: half, of
 #: friction with presliding, play that is taken up, pitch errors of real screws
-DEPARTURE = 0.5
+FORM_DEPARTURE = 0.5
 #: largest size, against its expected one, that a rival may have where the effect is not
 #: larger itself
-RIVAL = EFFECT_SIZES.usual[-1]
+MAX_RIVAL_SIZE = EFFECT_SIZES.usual[-1]
 #: coefficient of a rival, in standard deviations of the largest usual size, that is usual
-USUAL = 3.0
-#: points at most about which the readings are searched again
-POINTS = 3
+MAX_USUAL_COEFFICIENT = 3.0
 #: departure from the linear model, in units of the noise over all readings, from which
 #: it counts
-DEPARTS = 1.0
+MIN_DEPARTURE = 1.0
 #: the searches of a problem, one a noise law
 SearchOf = Callable[[GapProblem], list[Search]]
 
@@ -133,22 +130,22 @@ def _class_of(
             continue
         if rival in h.effects:  # it acts as well, and no reading may tell the two apart
             distinct, whole, _ = _distinct_energy(search, search.grams, h, i, rival)
-            if distinct < EXACT * whole:
+            if distinct < EXACT_SHARE * whole:
                 members.append(rival)
             continue
         distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
-        exact = distinct < EXACT * whole and log_odds(rival) > -PLAINER
+        exact = distinct < EXACT_SHARE * whole and log_odds(rival) > -PRIOR_LOG_ODDS
         score = scores.get((frozenset({rival, *beside}), h.unknown), -np.inf)
         of_form, behind = 0.0, alive
-        is_usual = size < USUAL * RIVAL
+        is_usual = size < MAX_USUAL_COEFFICIENT * MAX_RIVAL_SIZE
         if is_usual and search.library.differ_by_form(effect, rival):
             # what a form can make that departs from its textbook, and its prior
-            of_form = DEPARTURE**2 * whole
-            behind = max(PLAINER, 0.5 * of_form)
+            of_form = FORM_DEPARTURE**2 * whole
+            behind = max(PRIOR_LOG_ODDS, 0.5 * of_form)
             if not h.unknown:
                 score = max(score, h.score + log_odds(rival))
         near = score > h.score - behind
-        if exact or (distinct < max(DISTINCT**2, of_form) and near):
+        if exact or (distinct < max(MIN_DISTINCT**2, of_form) and near):
             members.append(rival)
     return tuple(members)
 
@@ -171,7 +168,7 @@ def _distinct_energy(
     for atom in search.library.atoms_of(rival):
         form = search.columns_of(atom)
         cross = grams.gram[np.ix_(form, columns)] @ beta
-        precision = np.eye(len(form)) / max(RIVAL, h.sizes[i]) ** 2
+        precision = np.eye(len(form)) / max(MAX_RIVAL_SIZE, h.sizes[i]) ** 2
         inner = grams.gram[np.ix_(form, form)] + precision
         coefficients = np.linalg.solve(inner, cross)
         left = whole - float(cross @ coefficients)
@@ -205,7 +202,7 @@ def compare_expanded(
     first = search(problem)
     comparison = Comparison(tuple(first), tuple(compare(first)))
     tried: set[Key] = set()
-    for _ in range(POINTS):
+    for _ in range(3):
         expanded = _next_point(comparison, effects, tried)
         if expanded is None:
             break
@@ -231,7 +228,7 @@ def _next_point(
         outlying = search.problem.residual - search.given.residual
         forms = acting_forms(search, h, effects)
         settled = settle(search.given, forms, search.law, outlying)
-        if DEPARTS < settled.departure < np.inf:
+        if MIN_DEPARTURE < settled.departure < np.inf:
             return frozenset(h.effects), settled.problem
     return None
 

@@ -26,29 +26,27 @@ from scipy import linalg, special
 
 from oed.base import Array, Index
 from oed.effect_model import UNKNOWN_SIZES
-from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
-from oed.gap.data.evidence import RATE, SHAPE
+from oed.gap.cause.search import Hypothesis, Search
+from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT, ExcessScatter
+from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 from oed.noise_law import KNOWN_TO
+from oed.result import DATA_SHEET
 from oed.trust import chi2_is_large
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely
 ROUGH_SHARE = 0.5
 #: shares of the scatter of one run or leg that are tried
-SHARES = np.linspace(0.1, 0.9, 9)
+SCATTER_SHARES = np.linspace(0.1, 0.9, 9)
 #: odds over even scatter from which a run or leg is named, one of all that are tried
-CLEAR = 20.0
+MIN_ODDS = 20.0
 
 
-#: share of the scatter that is carried along from which on it is mostly so
-MOSTLY = 0.5
 #: share of the largest value of a column below which two values are the same
-ROUNDING = 1e-9
+EQUALITY_TOLERANCE = 1e-9
 #: poses that count, evenly over all of them: time and memory stay linear in the readings
-MOST = 200
+MAX_POSES = 200
 #: columns of the readings' rows that say how a pose was reached
 CONDITIONS = ("direction", "feed", "payload")
 
@@ -70,9 +68,9 @@ class Energies:
     def log_evidence(self) -> float:
         """Log evidence of errors that recur at each pose, over all sizes, over none."""
         inflation = 1.0 + UNKNOWN_SIZES.values**2
-        power = 0.5 * (self.pure_freedom + self.rest_freedom) + SHAPE
-        rough = RATE + 0.5 * (self.pure + self.rest / inflation)
-        none = RATE + 0.5 * (self.pure + self.rest)
+        power = 0.5 * (self.pure_freedom + self.rest_freedom) + LEVEL_SHAPE
+        rough = LEVEL_RATE + 0.5 * (self.pure + self.rest / inflation)
+        none = LEVEL_RATE + 0.5 * (self.pure + self.rest)
         values = -0.5 * self.rest_freedom * np.log(inflation)
         values -= power * np.log(rough / none)
         shown = np.array([float(self.rest_freedom)])
@@ -106,18 +104,18 @@ def with_roughness(
     part of an unknown alone that they are.
     """
     nothing = next(h for h in hypotheses if not h.is_gap)
-    given = searches[nothing.law].given
-    again = replicates(given)
+    problem = searches[nothing.law].given
+    again = replicates(problem)
     base, rough = [], []
     for search in searches:
         none = next((h for h in search.run() if not h.is_gap), None)
-        if none is None or search.given is not given:
+        if none is None or search.given is not problem:
             continue
         parts = energies(search.problem, search.law, again)
         base.append(none.log_evidence)
         rough.append(none.log_evidence + parts.log_evidence)
     ratio = float(special.logsumexp(rough) - special.logsumexp(base))
-    if given.statement.is_assumed and not len(again.rows):
+    if problem.statement.is_assumed and not len(again.rows):
         ratio = -np.inf  # nothing measures the noise, and nothing states it
     recurring = nothing.log_evidence + ratio + float(np.log(ROUGH_SHARE))
     share, results = 0.0, []
@@ -139,7 +137,7 @@ def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
     """
     if problem.statement.is_assumed:
         return None
-    factor = _within_runs(problem, law)
+    factor = _run_scatter(problem, law)
     freedom = float(len(problem.residual) - problem.slopes.shape[1])
     chi2 = freedom * (factor / KNOWN_TO) ** 2
     if freedom <= 0.0 or not chi2_is_large(chi2, freedom):
@@ -153,12 +151,12 @@ def unstated_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
     None where it is within what a data sheet is good for, or nothing is stated.
     """
     between_runs = law.level * float(np.hypot(law.law.level[0], law.law.seat[0]))
-    factor = float(np.hypot(_within_runs(problem, law), between_runs))
+    factor = float(np.hypot(_run_scatter(problem, law), between_runs))
     is_usual = problem.statement.is_assumed or factor <= KNOWN_TO
     return None if is_usual else factor
 
 
-def _within_runs(problem: GapProblem, law: NoiseLaw) -> float:
+def _run_scatter(problem: GapProblem, law: NoiseLaw) -> float:
     square = np.mean(np.square(law.law.scale[0, problem.channel]))
     return law.level * float(np.sqrt(square))
 
@@ -197,15 +195,15 @@ class Replicates:
         factor = law.factor(problem.structure, self.rows)
         same = np.zeros((len(problem), int(self.cell.max()) + 1))
         same[self.rows, self.cell] = 1.0
-        held = factor.whiten(np.hstack([same, problem.slopes]))
+        columns = factor.whiten(np.hstack([same, problem.slopes]))
         white = factor.whiten(problem.residual[:, None])[:, 0]
-        return energy_beyond(white, held)
+        return energy_beyond(white, columns)
 
 
-def energy_beyond(white: Array, held: Array) -> tuple[float, int]:
+def energy_beyond(white: Array, columns: Array) -> tuple[float, int]:
     """Energy of white values (k,) outside columns (k, c), and its degrees of freedom."""
-    directions, sizes, _ = linalg.svd(held, full_matrices=False, check_finite=False)
-    axes = directions[:, sizes > ROUNDING * sizes.max(initial=0.0)]
+    directions, sizes, _ = linalg.svd(columns, full_matrices=False, check_finite=False)
+    axes = directions[:, sizes > EQUALITY_TOLERANCE * sizes.max(initial=0.0)]
     outside = white - axes @ (axes.T @ white)
     return float(outside @ outside), len(white) - axes.shape[1]
 
@@ -215,7 +213,7 @@ def replicates(problem: GapProblem) -> Replicates:
     cell = pd.factorize(pd.Series(list(map(tuple, _keys(problem)))))[0]
     often = np.bincount(cell)[cell] > 1
     poses = np.unique(cell[often])
-    chosen = np.linspace(0, len(poses) - 1, min(len(poses), MOST)).astype(np.intp)
+    chosen = np.linspace(0, len(poses) - 1, min(len(poses), MAX_POSES)).astype(np.intp)
     rows = np.flatnonzero(np.isin(cell, poses[chosen]))
     numbers = np.unique(cell[rows], return_inverse=True)[1].astype(np.intp)
     run = np.empty(len(problem), dtype=np.intp)
@@ -237,14 +235,16 @@ def _keys(problem: GapProblem) -> Array:
         rows = np.repeat(_numbers(read), channels)
         parts.append(np.column_stack([np.full(len(rows), number), rows]))
     keys = [np.vstack(parts), problem.channel]
-    given = [name for name in CONDITIONS if name in problem.rows]
-    conditions = problem.rows[given].fillna(0.0).to_numpy(dtype=float)
+    recorded = [name for name in CONDITIONS if name in problem.rows]
+    conditions = problem.rows[recorded].fillna(0.0).to_numpy(dtype=float)
     return np.column_stack([*keys, _numbers(conditions)])
 
 
 def _numbers(values: Array) -> Index:
     """Number (n,) of each distinct row of values (n, c), rounding apart."""
-    unit = ROUNDING * np.maximum(np.abs(values).max(axis=0, initial=0.0), ROUNDING)
+    unit = EQUALITY_TOLERANCE * np.maximum(
+        np.abs(values).max(axis=0, initial=0.0), EQUALITY_TOLERANCE
+    )
     whole = np.round(np.nan_to_num(values) / (10.0 * unit)).astype(np.int64)
     return np.unique(whole, axis=0, return_inverse=True)[1].ravel()
 
@@ -266,9 +266,9 @@ def shape(problem: GapProblem, law: NoiseLaw) -> str:
     weights = _weights(problem)
     gains = {name: _gain(squares, weight) for name, weight in weights.items()}
     best = max(gains, key=lambda name: gains[name], default="")
-    if best and gains[best] > np.log(CLEAR * len(gains)):
+    if best and gains[best] > np.log(MIN_ODDS * len(gains)):
         return best
-    return "along the run" if law.law.correlated[0] > MOSTLY else "white"
+    return "along the run" if law.law.correlated[0] > 0.5 else "white"
 
 
 def _weights(problem: GapProblem) -> dict[str, Array]:
@@ -290,7 +290,7 @@ def _gain(squares: Array, weight: Array) -> float:
     mean = float(np.mean(weight))
     if not mean > 0.0:
         return 0.0
-    variance = 1.0 - SHARES[:, None] + SHARES[:, None] * weight / mean
+    variance = 1.0 - SCATTER_SHARES[:, None] + SCATTER_SHARES[:, None] * weight / mean
     level = np.mean(squares / variance, axis=1)
     even = np.log(np.mean(squares))
     gains = even - np.log(level) - np.mean(np.log(variance), axis=1)

@@ -11,31 +11,311 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Iterable, Sequence
+import functools
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.base import Array, Index
-from oed.effect_model import EFFECT_SIZES
-from oed.gap.cause.form_products import SIZES as UNKNOWN_SIZES
-from oed.gap.cause.form_products import FormProducts
-from oed.gap.cause.hypothesis import Hypothesis, log_prior
+from oed.effect_model import EFFECT_SIZES, UNKNOWN_SIZES
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams, WhitenedColumns
-from oed.gap.data.problem import GapProblem
+from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms.library import Library
 from oed.noise import NoiseLaw
 from oed.noise_law import Outliers
+from oed.result import UNKNOWN
+
+# Hypotheses of a diagnosis: sets of effects, with or without an unknown remainder.
+
+#: prior probabilities: nothing acts, or nothing that the readings show (two of seven
+#: sizes of a gap); one effect, two, three, an unknown alone, one or two with an unknown
+#: remainder
+PRIOR = {
+    "none": 0.34,
+    "unseen": 0.19,
+    "one": 0.17,
+    "two": 0.06,
+    "three": 0.007,
+    "unknown": 0.07,
+    "one+": 0.135,
+    "two+": 0.028,
+}
+#: prior probability that something acts that is too small to be seen, where nothing shows
+UNSEEN_SHARE = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
+#: kinds of PRIOR by the number of effects, without and with an unknown remainder
+_WITHOUT_UNKNOWN = (("none", "unseen"), ("one",), ("two",), ("three",))
+_WITH_UNKNOWN = (("unknown",), ("one+",), ("two+",), ("two+",))
+
+#: what a hypothesis says, whatever its forms: effects, whether an unknown acts
+Key = tuple[frozenset[str], bool]
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, with or without an unknown remainder, and no more that shows.
+
+    effects         names of the effects
+    unknown         whether an unknown remainder acts as well
+    atoms           number of each effect's best form in the library
+    sizes           size of each effect's best form
+    process         number of the best unknown process; None without a remainder
+    process_size    size of the best unknown process
+    log_evidence    of the readings, over all forms and sizes
+    log_prior       log prior probability
+    law             number of the noise law that suits it best
+    effective_laws  number of equally good noise laws that its evidence rests on
+    """
+
+    effects: tuple[str, ...]
+    unknown: bool
+    atoms: tuple[int, ...]
+    sizes: tuple[float, ...]
+    process: int | None
+    process_size: float
+    log_evidence: float
+    log_prior: float
+    law: int = 0
+    effective_laws: float = 1.0
+
+    @property
+    def score(self) -> float:
+        """Log posterior up to a constant."""
+        return self.log_evidence + self.log_prior
+
+    @property
+    def key(self) -> Key:
+        """What it says, whatever its forms."""
+        return frozenset(self.effects), self.unknown
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its effects, and an unknown."""
+        return (*self.effects, UNKNOWN) if self.unknown else self.effects
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether it says that there is a gap."""
+        return bool(self.effects) or self.unknown
+
+    def without(self, i: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Forms and sizes of all its effects but the i-th."""
+        return self.atoms[:i] + self.atoms[i + 1 :], self.sizes[:i] + self.sizes[
+            i + 1 :
+        ]
+
+    def with_form(self, part: int, form: int, size: float) -> Hypothesis:
+        """The same with another form of one part, an effect or the remainder."""
+        if part == len(self.effects):
+            return dataclasses.replace(self, process=form, process_size=size)
+        atoms, sizes = list(self.atoms), list(self.sizes)
+        atoms[part], sizes[part] = form, size
+        return dataclasses.replace(self, atoms=tuple(atoms), sizes=tuple(sizes))
+
+    def forms(
+        self, library: Library, processes: Library
+    ) -> list[tuple[Library, int, float]]:
+        """Library, number and size of each of its forms, the remainder's last."""
+        pairs = zip(self.atoms, self.sizes, strict=True)
+        forms = [(library, atom, size) for atom, size in pairs]
+        if self.process is not None:
+            forms.append((processes, self.process, self.process_size))
+        return forms
+
+    def columns(
+        self, library: Library, processes: Library, factor: float = 1.0
+    ) -> Array:
+        """Columns (N, k) of its forms at their sizes, times a factor."""
+        forms = self.forms(library, processes)
+        parts = [of.scaled_columns(atom, factor * size) for of, atom, size in forms]
+        return np.hstack([np.zeros((len(library.columns), 0)), *parts])
+
+
+def log_prior(count: int, unknown: bool, effects: int) -> float:
+    """Log prior of one set of `count` effects out of `effects`."""
+    kinds = _WITH_UNKNOWN if unknown else _WITHOUT_UNKNOWN
+    sets = special.comb(max(effects, 1), count)
+    probability = sum(PRIOR[kind] for kind in kinds[count])
+    return float(np.log(probability) - np.log(sets))
+
+
+# Products of all forms' columns under one noise law, computed where one is asked for.
+#
+# An unknown remainder is a process orthogonal to the selected effects.
+
+#: columns of each selected effect, with the size of its coefficients
+Selected = Sequence[tuple[Index, float]]
+_NO_COLUMNS = np.empty(0, dtype=np.intp)
+#: how large an unknown may be, against the noise
+REMAINDER_SIZES = UNKNOWN_SIZES.values
+
+
+class FormProducts:
+    """Products, remainders and priors of forms, kept until `release`."""
+
+    def __init__(
+        self,
+        problem: GapProblem,
+        library: Library,
+        processes: Library,
+        law: NoiseLaw,
+        effects: Collection[str],
+    ) -> None:
+        """Of a library's forms, and of processes; `effects` are those in question."""
+        self._problem, self._law = problem, law
+        self._library, self._processes = library, processes
+        forms = [atom.columns for atom in library.atoms if atom.effect in effects]
+        #: numbers of the columns of the effects in question
+        self._needed = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *forms]))
+
+    @functools.cached_property
+    def metric(self) -> Metric:
+        """The metric of the law."""
+        return Metric(self._problem, self._law)
+
+    @functools.cached_property
+    def effects(self) -> WhitenedColumns:
+        """Columns of the effects in question."""
+        columns = self._library.columns
+        return WhitenedColumns(self._problem, self.metric, columns, self._needed)
+
+    @functools.cached_property
+    def remainders(self) -> Remainders:
+        """The processes that an unknown remainder may be."""
+        columns = WhitenedColumns(self._problem, self.metric, self._processes.columns)
+        return Remainders(self.effects, columns, self._processes)
+
+    @functools.cached_property
+    def grams(self) -> Grams:
+        """Grams of all columns of all effects."""
+        columns = self._library.columns
+        if len(self._needed) == columns.shape[1]:
+            return self.effects.grams()
+        return WhitenedColumns(self._problem, self.metric, columns).grams()
+
+    @functools.cached_property
+    def log_prior(self) -> Array:
+        """Log prior (atoms, sizes) of each form of the effects in question."""
+        return self._log_prior(self.effects.diagonal)
+
+    @functools.cached_property
+    def log_prior_of_all(self) -> Array:
+        """The same of each form of all effects."""
+        return self._log_prior(self.grams.gram.diagonal())
+
+    def _log_prior(self, diagonal: Array) -> Array:
+        atoms = self._library.atoms
+        log_weights = np.array([atom.log_weight for atom in atoms])
+        energy = energies(diagonal, [atom.columns for atom in atoms])
+        return log_weights[:, None] + EFFECT_SIZES.log_visible_shares(energy)
+
+    def release(self) -> None:
+        """Give the memory back; what is asked for again is computed again."""
+        for name in ("metric", "effects", "remainders", "grams"):
+            self.__dict__.pop(name, None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Remainder:
+    """The best process of an unknown remainder.
+
+    process         its number
+    size            its size
+    log_evidence    of a remainder over none, over all processes and sizes
+    """
+
+    process: int
+    size: float
+    log_evidence: float
+
+
+class Remainders:
+    """The processes that an unknown remainder may be, under one noise law."""
+
+    def __init__(
+        self, effects: WhitenedColumns, columns: WhitenedColumns, processes: Library
+    ) -> None:
+        """Lay out the processes, those with as many columns together."""
+        self._effects, self._whitened = effects, columns
+        self._columns = [atom.columns for atom in processes.atoms]
+        #: numbers (a,), columns (a, d) and Gram matrices (a, d, d)
+        self._groups = [
+            (numbers, rows, columns.blocks(rows))
+            for numbers, rows in evidence.group_by_count(self._columns)
+        ]
+        log_weights = np.array([atom.log_weight for atom in processes.atoms])
+        log_share = np.log(max(len(processes.effects), 1))
+        energy = energies(columns.diagonal, self._columns)
+        log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
+        #: (processes, sizes) log prior of each
+        self.log_prior = log_weights[:, None] - log_share + log_sizes
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def log_evidences(self, alone: Grams, selected: Selected) -> Array:
+        """Log evidence (processes, sizes) of each process, over no remainder.
+
+        alone       grams of the selected columns, these in the model
+        selected    columns of each selected effect, with their size
+        """
+        table = np.empty((len(self._columns), len(REMAINDER_SIZES)))
+        taken, projected = self._taken(selected)
+        for numbers, rows, blocks in self._groups:
+            over = taken[:, rows]
+            gram = blocks - np.einsum("kad,kae->ade", over, over, optimize=True)
+            b = self._whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
+            least = evidence.ENERGY_TOLERANCE * self._whitened.whole[rows].max(axis=1)
+            gain, log_det = evidence.explained_energy(gram, b, REMAINDER_SIZES, least)
+            table[numbers] = alone.log_ratio(gain, log_det)
+        return np.asarray(table + self.log_prior)
+
+    def best(self, alone: Grams, selected: Selected) -> Remainder:
+        """The best process and size; arguments as of `log_evidences`."""
+        table = self.log_evidences(alone, selected)
+        row, column = np.unravel_index(int(np.argmax(table)), table.shape)
+        return Remainder(
+            process=int(row),
+            size=float(REMAINDER_SIZES[column]),
+            log_evidence=float(np.logaddexp.reduce(table, axis=None)),
+        )
+
+    def _taken(self, selected: Selected) -> tuple[Array, Array]:
+        """Directions that the selected effects could explain, one effect after the other.
+
+        Their products (k, P) with all processes' columns and (k,) with the residual.
+        """
+        columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
+        grams = self._effects.grams(columns)
+        cross = self._effects.with_others(columns, self._whitened)
+        taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
+        start = 0
+        for own, size in selected:
+            rows = np.arange(start, start + len(own))
+            start += len(own)
+            root = grams.visible_root(rows, size)
+            over, residual = root.T @ cross[rows], root.T @ grams.b[rows]
+            cross = cross - (grams.gram[:, rows] @ root) @ over
+            grams = grams.project_out(rows, size)
+            taken.append(over)
+            projected.append(residual)
+        return np.vstack(taken), np.concatenate(projected)
+
+
+def energies(diagonal: Array, choices: Sequence[Index]) -> Array:
+    """Energy (a,) of each choice of columns, from that of each column (K,)."""
+    return np.array([diagonal[columns].sum() for columns in choices])
+
 
 #: log evidence below the best at which sets are not taken further
-BEHIND = 14.0
+MAX_LOG_DEFICIT = 14.0
 #: number of sets that are taken further
-SETS = 8
+N_SETS = 8
 #: rounds in which the effects of a set take turns at their best forms
-ROUNDS = 4
+MAX_ROUNDS = 4
 #: sizes of effects, in expected sizes
-SIZES = EFFECT_SIZES.values
+EFFECT_SIZE_VALUES = EFFECT_SIZES.values
 _NONE = np.empty(0, dtype=np.intp)
 
 
@@ -147,10 +427,10 @@ class Search:
         """
         if part == len(h.effects):
             table = self._forms.remainders.log_evidences(*self._selected(h))
-            numbers, sizes = np.arange(len(table)), UNKNOWN_SIZES
+            numbers, sizes = np.arange(len(table)), REMAINDER_SIZES
         else:
             table = self._log_posterior(h.effects[part], *h.without(part))
-            numbers, sizes = self._atoms_of[h.effects[part]], SIZES
+            numbers, sizes = self._atoms_of[h.effects[part]], EFFECT_SIZE_VALUES
         shares = special.softmax(special.logsumexp(table, axis=1))
         best = sizes[np.argmax(table, axis=1)]
         return [
@@ -162,10 +442,12 @@ class Search:
         """Log prior of a hypothesis' forms and sizes among those that its parts can have."""
         total = 0.0
         for atom, size in zip(h.atoms, h.sizes, strict=True):
-            total += self._forms.log_prior[atom, np.searchsorted(SIZES, size)]
+            total += self._forms.log_prior[
+                atom, np.searchsorted(EFFECT_SIZE_VALUES, size)
+            ]
         if h.process is not None:
-            place = np.searchsorted(UNKNOWN_SIZES, h.process_size)
-            total += self._forms.remainders.log_prior[h.process, place]
+            number = np.searchsorted(REMAINDER_SIZES, h.process_size)
+            total += self._forms.remainders.log_prior[h.process, number]
         return float(total)
 
     # -- sets of effects ---------------------------------------------------------------
@@ -176,7 +458,9 @@ class Search:
         if not further:
             return {}
         atoms = np.sort(np.concatenate([self._atoms_of[e] for e in further]))
-        table = grams.log_evidences([self.columns_of(k) for k in atoms], SIZES)
+        table = grams.log_evidences(
+            [self.columns_of(k) for k in atoms], EFFECT_SIZE_VALUES
+        )
         posterior = table + self._forms.log_prior_of_all[atoms]
         best = {}
         for effect in further:
@@ -190,7 +474,7 @@ class Search:
         return Further(
             log_evidence=float(np.logaddexp.reduce(posterior, axis=None)),
             atom=int(atoms[row]),
-            size=float(SIZES[column]),
+            size=float(EFFECT_SIZE_VALUES[column]),
             of_best=float(
                 posterior[row, column] - self._forms.log_prior[atoms[row], column]
             ),
@@ -218,7 +502,7 @@ class Search:
             log_prior=log_prior(len(effects), False, count),
         )
         further_forms = 0.0
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             before, further_forms = h, 0.0
             for i, effect in enumerate(effects):
                 table = self._log_posterior(effect, *h.without(i))
@@ -259,7 +543,9 @@ class Search:
             grams, start = grams.select_in_order(selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
             prior = self._forms.log_prior[self._atoms_of[effect]]
-            self._posteriors[key] = grams.log_evidences(places, SIZES) + prior
+            self._posteriors[key] = (
+                grams.log_evidences(places, EFFECT_SIZE_VALUES) + prior
+            )
         return self._posteriors[key]
 
     def _selected(self, h: Hypothesis) -> tuple[Grams, list[tuple[Index, float]]]:
@@ -292,14 +578,16 @@ class Search:
     def _run(self) -> list[Hypothesis]:
         empty = self.fit((), (), ())
         singles = self._extend([empty])
-        pairs = self._extend(singles[:SETS])
-        triples = self._extend(pairs[: SETS // 2])
-        known = [empty, *singles, *pairs, *triples]
-        known.sort(key=lambda h: -h.score)
+        pairs = self._extend(singles[:N_SETS])
+        triples = self._extend(pairs[: N_SETS // 2])
+        without_unknown = [empty, *singles, *pairs, *triples]
+        without_unknown.sort(key=lambda h: -h.score)
         # an effect may show beside an unknown alone: every single one is tried with it
-        extended = [h for k, h in enumerate(known) if k < SETS or len(h.effects) < 2]
+        extended = [
+            h for k, h in enumerate(without_unknown) if k < N_SETS or len(h.effects) < 2
+        ]
         mixed = [self.add_unknown(h) for h in extended if len(self._forms.remainders)]
-        return [*known, *mixed]
+        return [*without_unknown, *mixed]
 
     def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Each base with one effect more: the best few fitted, best first."""
@@ -313,8 +601,8 @@ class Search:
                     tried[key] = (total, base, effect, further)
         ranked = sorted(tried.values(), key=lambda t: -t[0])
         if ranked and bases[0].effects:
-            least = ranked[0][0] - BEHIND
-            ranked = [t for t in ranked if t[0] > least][: 2 * SETS]
+            least = ranked[0][0] - MAX_LOG_DEFICIT
+            ranked = [t for t in ranked if t[0] > least][: 2 * N_SETS]
         fitted = []
         for _, base, effect, further in ranked:
             atoms = (*base.atoms, further.atom)

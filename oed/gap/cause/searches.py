@@ -1,7 +1,7 @@
 """Searches under noise laws that stand for all laws, without readings far off.
 
 The laws are drawn with no gap, any gap, and the best gaps in the model
-(`oed.gap.data.laws`); every hypothesis that a search prefers is evaluated under each. A
+(`oed.gap.data.evidence`); every hypothesis that a search prefers is evaluated under each. A
 large gap hides in the noise of the first laws: where that is far beyond what is stated,
 the search goes on under the laws of its best gaps. Where the evidence of a likely gap
 rests on few of the laws, more are drawn with that gap in the model.
@@ -18,12 +18,10 @@ from oed import noise_law
 from oed.base import Array
 from oed.effect_model import Effect
 from oed.gap.cause.compare import compare, probabilities
-from oed.gap.cause.hypothesis import Hypothesis, Key
-from oed.gap.cause.search import Search
-from oed.gap.data import laws
-from oed.gap.data.laws import LawPosterior
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
+from oed.gap.cause.search import Hypothesis, Key, Search
+from oed.gap.data import evidence
+from oed.gap.data.evidence import LawPosterior
+from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy, waves
 from oed.gap.forms import library as libraries
 from oed.gap.forms.discrepancy import IN_A_RUN
@@ -32,31 +30,31 @@ from oed.noise import NoiseLaw
 from oed.noise_law import Outliers
 
 #: noise level, in units of the stated one, that is beyond its prior
-LOUD = 2.0
+MAX_NOISE_LEVEL = 2.0
 #: a gap's atoms, and its process
 Forms = tuple[tuple[int, ...], int | None]
 #: hypotheses of each first search that are evaluated under all laws
-CANDIDATES = 14
-#: probability from which a hypothesis should rest on more than a few noise laws, and how
-#: many these are
-LIKELY, FEW = 0.05, 3.0
+N_CANDIDATES = 14
 #: least root mean square of each effect and process in the wide model, in units of the
 #: noise
-WIDE = 0.7
+WIDE_RMS = 0.7
 
 
 def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that stand for all."""
     nothing = np.zeros((len(problem), 0))
-    plain = laws.posterior(problem, nothing)
+    plain = evidence.posterior(problem, nothing)
     library = libraries.build(problem, effects, Metric(problem, plain.mode))
     processes = discrepancy.build(problem)
     columns = wide_model(library, processes)
-    wide = laws.posterior(problem, columns)
+    wide = evidence.posterior(problem, columns)
     outliers = _outliers(problem, library, processes, wide.mode)
     clean = without_outliers(problem, outliers)
     if outliers is not None:
-        plain, wide = laws.posterior(clean, nothing), laws.posterior(clean, columns)
+        plain, wide = (
+            evidence.posterior(clean, nothing),
+            evidence.posterior(clean, columns),
+        )
     unknown = waves.add(processes, clean, wide.mode)
     search_under = functools.partial(
         Search, clean, library, unknown, outliers=outliers, given=problem
@@ -64,20 +62,20 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     first = [search_under(p.mode, 0.0) for p in (plain, wide)]
     gaps: dict[Forms, LawPosterior] = {}
     level = _add_best_gaps(gaps, clean, first)
-    if level > LOUD:
+    if level > MAX_NOISE_LEVEL:
         further = [search_under(p.mode, 0.0) for p in gaps.values()]
         _add_best_gaps(gaps, clean, further)
         first += further
     candidates = _candidates(first)
 
-    def search_all(known: Sequence[Search]) -> list[Search]:
+    def search_all(first_searches: Sequence[Search]) -> list[Search]:
         """Searches under all laws of the posteriors; the first laws may be searched."""
-        mixture = laws.mixture(clean, [plain, wide, *gaps.values()])
-        pairs = zip(known, mixture, strict=False)
+        mixture = evidence.mixture(clean, [plain, wide, *gaps.values()])
+        pairs = zip(first_searches, mixture, strict=False)
         weighed = [search.with_weight(weight) for search, (_, weight) in pairs]
         further = [
             search_under(law, weight, candidates=candidates)
-            for law, weight in mixture[len(known) :]
+            for law, weight in mixture[len(first_searches) :]
         ]
         return [*weighed, *further]
 
@@ -137,8 +135,8 @@ def _candidates(first: Sequence[Search]) -> list[Hypothesis]:
     best: dict[Key, Hypothesis] = {}
     for search in first:
         ranked = search.run()
-        simple = [h for h in ranked[CANDIDATES:] if not h.effects]
-        for h in ranked[:CANDIDATES] + simple:
+        simple = [h for h in ranked[N_CANDIDATES:] if not h.effects]
+        for h in ranked[:N_CANDIDATES] + simple:
             if h.key not in best or best[h.key].score < h.score:
                 best[h.key] = h
     return list(best.values())
@@ -173,7 +171,7 @@ def _add_gap(
     forms = (tuple(sorted(gap.atoms)), gap.process)
     if forms not in posteriors:
         columns = gap.columns(search.library, search.processes)
-        posteriors[forms] = laws.posterior(problem, columns)
+        posteriors[forms] = evidence.posterior(problem, columns)
 
 
 def _add_scarce(
@@ -184,7 +182,7 @@ def _add_scarce(
     """Add the posteriors with the likely gaps whose evidence rests on few laws."""
     hypotheses = compare(searches)
     for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
-        if h.is_gap and share > LIKELY and h.effective_laws < FEW:
+        if h.is_gap and share > 0.05 and h.effective_laws < 3.0:
             _add_gap(posteriors, problem, searches[h.law], h)
 
 
@@ -206,7 +204,7 @@ def _middle_form(library: Library, effect: str) -> Array:
     full = [form for form in forms if len(form) == widest]
     columns = library.columns[:, full[len(full) // 2]]
     rms = np.sqrt((columns**2).sum() / len(columns))
-    return np.asarray(columns * (WIDE / rms))
+    return np.asarray(columns * (WIDE_RMS / rms))
 
 
 # -- outliers --------------------------------------------------------------------------
@@ -216,8 +214,8 @@ def detect_outliers(
     problem: GapProblem, law: NoiseLaw, columns: Array
 ) -> Outliers | None:
     """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
-    held = np.hstack([problem.slopes, columns])
-    factor = law.factor(problem.structure).widened(held)
+    nuisances = np.hstack([problem.slopes, columns])
+    factor = law.factor(problem.structure).widened(nuisances)
     return noise_law.detect_outliers(
         problem.residual, factor, statement=problem.statement
     )

@@ -31,24 +31,24 @@ from scipy import special
 
 from oed.base import Array, Index
 from oed.gap.cause import closure
+from oed.gap.cause.closure import Paths
 from oed.gap.cause.compare import probabilities
-from oed.gap.cause.folds import Paths
-from oed.gap.cause.hypothesis import Hypothesis, Key
-from oed.gap.cause.search import Search
+from oed.gap.cause.search import Hypothesis, Key, Search
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 from oed.result import ClosureRecord
 
 #: probability among the hypotheses of a gap from which one is asked of withheld runs
-ASKED = 0.002
-#: factors on the selected sizes, and likeliest forms of each effect, between which
-#: training readings choose
-FACTORS, FORMS = (1.0, 0.5, 2.0), 5
+MIN_PROBABILITY = 0.002
+#: factors on the selected sizes between which training readings choose
+SIZE_FACTORS = (1.0, 0.5, 2.0)
+#: likeliest forms of each effect between which they choose
+MAX_FORMS = 5
 #: share of the evidence in the pool, as large as that of prediction
-OF_EVIDENCE = 0.5
+EVIDENCE_SHARE = 0.5
 #: probability that a prediction is worse from which a hypothesis is refuted
-REFUTED = 0.95
+REFUTING_PROBABILITY = 0.95
 
 
 def pooled(
@@ -63,7 +63,7 @@ def pooled(
     gaps = [h for h in hypotheses if h.is_gap]
     shares = probabilities(gaps) if gaps else ()
     pairs = zip(gaps, shares, strict=True)
-    asked = [h for h, share in pairs if share > ASKED or not h.effects]
+    asked = [h for h, share in pairs if share > MIN_PROBABILITY or not h.effects]
     if len(asked) < 2:
         return list(hypotheses)
     # laws share their readings: folds are laid out once for each set of these
@@ -80,7 +80,7 @@ def pooled(
         return list(hypotheses)
     prediction = np.array([predicted[h.key] + h.log_prior for h in remaining])
     scores = np.array([h.score for h in remaining])
-    both = OF_EVIDENCE * scores + (1.0 - OF_EVIDENCE) * prediction
+    both = EVIDENCE_SHARE * scores + (1.0 - EVIDENCE_SHARE) * prediction
     both += special.logsumexp([h.score for h in asked]) - special.logsumexp(both)
     results = {h.key: h for h in hypotheses if h.key not in refuted}
     for h, score in zip(remaining, both, strict=True):
@@ -105,11 +105,13 @@ def _is_refuted(
         for (effects, unknown), density in predicted.items()
         if unknown and effects < names
     ]
-    if not rivals or max(rivals) - predicted[h.key] < special.logit(REFUTED):
+    if not rivals or max(rivals) - predicted[h.key] < special.logit(
+        REFUTING_PROBABILITY
+    ):
         return False
     law = search.law_at(search.noise_level(h))
     worse = on_withheld_runs(search, h, law, rng).p_worse
-    return worse is not None and worse >= REFUTED
+    return worse is not None and worse >= REFUTING_PROBABILITY
 
 
 def on_withheld_runs(
@@ -133,8 +135,8 @@ def models(search: Search, h: Hypothesis) -> list[Array]:
     if h.process is not None and not h.atoms:
         forms[(), ()] = h
     for i, (atom, size) in enumerate(zip(h.atoms, h.sizes, strict=True)):
-        others = [h.with_form(i, atom, factor * size) for factor in FACTORS]
-        others += [other for _, other in search.forms(h, i)[:FORMS]]
+        others = [h.with_form(i, atom, factor * size) for factor in SIZE_FACTORS]
+        others += [other for _, other in search.forms(h, i)[:MAX_FORMS]]
         forms |= {(other.atoms, other.sizes): other for other in others}
     level = search.noise_level(h)
     library, processes = search.library, search.processes

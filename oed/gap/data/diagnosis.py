@@ -7,16 +7,22 @@ from collections.abc import Mapping
 from typing import Literal
 
 from oed.base import Array
-from oed.gap.data.problem import GapProblem
+from oed.gap.data.problem import GapProblem, Metric
 from oed.noise import NoiseLaw
-from oed.result import AnswerRecord, ClosureRecord, CoefficientRecord, PlaceRecord
+from oed.result import (
+    UNKNOWN,
+    AnswerRecord,
+    ClosureRecord,
+    CoefficientRecord,
+    PlaceRecord,
+)
 
 Verdict = Literal["none", "effect", "class", "mixture", "unknown", "scatter"]
 #: verdicts without an effect: noise as stated, and more scatter than the instrument has
 NO_EFFECT: tuple[Verdict, ...] = ("none", "scatter")
-UNKNOWN = "unknown"
-#: what the scatter of readings is compared with
-DATA_SHEET, ON_THE_SPOT, AGAIN = "data sheet", "repeats on the spot", "repeated runs"
+#: what the scatter of readings is compared with, where they were taken again
+ON_THE_SPOT = "repeats on the spot"
+AGAIN = "repeated runs"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -134,3 +140,16 @@ class Diagnosis(Explained):
     shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
         default_factory=dict
     )
+
+    @property
+    def selected(self) -> tuple[str, ...]:
+        """Named effects of the best answer; none where no effect is reported."""
+        if self.verdict in NO_EFFECT or not self.answers:
+            return ()
+        return tuple(name for name in self.answers[0].effects if name != UNKNOWN)
+
+    def after_calibration(self, change: Array) -> Array:
+        """What remains of a change (N,) of the readings, SI, after fitting parameters."""
+        problem = self.problem
+        stated = Metric(problem, problem.stated_law)
+        return stated.after_fit(problem.in_noise_units(change)) * problem.sigma

@@ -25,24 +25,26 @@ from scipy import special
 from oed import linear_algebra
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
-from oed.noise import NoiseLaw
+from oed.gap.data.problem import GapProblem, Metric
+from oed.noise import Laws, NoiseLaw
+from oed.noise_law import NoisePrior, ResidualModel, draw_laws
 
 #: share of a column's energy, before anything absorbs of it, up to which what remains of
 #: it in some direction is rounding
-ROUNDING = 1e-9
+ENERGY_TOLERANCE = 1e-9
 #: energy of a direction of columns, at their sizes, that is far below the noise
-UNSEEN = 0.09
+UNSEEN_ENERGY = 0.09
 #: the largest usual size of an effect
-USUAL = EFFECT_SIZES.usual[-1]
+USUAL_SIZE = EFFECT_SIZES.usual[-1]
 #: columns that are whitened at once: more take memory and no less time
-TOGETHER = 256
+COLUMNS_AT_ONCE = 256
 #: size of a direction of columns, in units of the noise, below which `compress` drops it
-FAINT = 0.03
-#: inverse gamma prior of the squared noise level: its stated value to within a factor
-#: of about two
-SHAPE, RATE = 2.0, 2.0
+MIN_SIZE = 0.03
+#: shape of the inverse gamma prior of the squared noise level: its stated value to within
+#: a factor of about two
+LEVEL_SHAPE = 2.0
+#: rate of the same prior
+LEVEL_RATE = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Grams:
             start = stop
         return grams, start
 
-    def project_out(self, columns: Index, size: float = USUAL) -> Grams:
+    def project_out(self, columns: Index, size: float = USUAL_SIZE) -> Grams:
         """Grams without what `columns` can explain, their coefficients unbounded.
 
         Directions that coefficients of a size, or of a usual one, do not show stay.
@@ -102,7 +104,7 @@ class Grams:
     def visible_root(self, columns: Index, size: float) -> Array:
         """Combinations R (k, m) of some columns, of unit energy, that a size shows."""
         energy, axes = self._directions(columns)
-        visible = energy > UNSEEN / max(size, USUAL) ** 2
+        visible = energy > UNSEEN_ENERGY / max(size, USUAL_SIZE) ** 2
         return axes[:, visible] / np.sqrt(energy[visible])
 
     def _directions(self, columns: Index) -> tuple[Array, Array]:
@@ -112,7 +114,7 @@ class Grams:
         """
         own = self.gram[np.ix_(columns, columns)]
         energy, axes = np.linalg.eigh(own)
-        clear = energy > ROUNDING * self.whole[columns].max()
+        clear = energy > ENERGY_TOLERANCE * self.whole[columns].max()
         return energy[clear], axes[:, clear]
 
     def _without(self, columns: Index, root: Array) -> Grams:
@@ -128,8 +130,8 @@ class Grams:
 
     def log_ratio(self, gain: Array, log_det: Array) -> Array:
         """Log evidence of columns that explain `gain` of the energy, over no column."""
-        share = np.maximum(1.0 - gain / (2.0 * RATE + self.energy), 1e-300)
-        power = 0.5 * self.size + SHAPE
+        share = np.maximum(1.0 - gain / (2.0 * LEVEL_RATE + self.energy), 1e-300)
+        power = 0.5 * self.size + LEVEL_SHAPE
         return -0.5 * log_det - power * np.log(share)
 
     def log_evidences(
@@ -141,7 +143,7 @@ class Grams:
         table = np.zeros((len(choices), len(sizes)))
         for numbers, rows in group_by_count(choices):
             grams = self.gram[rows[:, :, None], rows[:, None, :]]
-            least = ROUNDING * self.whole[rows].max(axis=1, initial=0.0)
+            least = ENERGY_TOLERANCE * self.whole[rows].max(axis=1, initial=0.0)
             gain, log_det = explained_energy(grams, self.b[rows], sizes, least)
             table[numbers] = self.log_ratio(gain, log_det)
         return table
@@ -160,16 +162,16 @@ def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
     return groups
 
 
-def separated(gram: Array, at: Index, rival: Index, precision: Array) -> Array:
+def separated(gram: Array, columns: Index, rival: Index, precision: Array) -> Array:
     """What a rival leaves of some columns: A_kk - A_kj (A_jj + P)^-1 A_jk.
 
-    Grams (..., K, K); columns `at` (k,), those of the rival (j,) with their prior
+    Grams (..., K, K); columns `columns` (k,), those of the rival (j,) with their prior
     precision (j,). The result is (..., k, k).
     """
-    cross = gram[..., rival[:, None], at]
+    cross = gram[..., rival[:, None], columns]
     inner = gram[..., rival[:, None], rival] + np.diag(precision)
     absorbed = np.swapaxes(cross, -1, -2) @ np.linalg.solve(inner, cross)
-    return np.asarray(gram[..., at[:, None], at] - absorbed)
+    return np.asarray(gram[..., columns[:, None], columns] - absorbed)
 
 
 def explained_energy(
@@ -209,8 +211,8 @@ class WhitenedColumns:
         #: (K,) energy of each column before the parameters absorb
         self.whole = np.zeros(columns.shape[1])
         self._columns = np.empty((metric.size, len(needed)))
-        for start in range(0, len(needed), TOGETHER):
-            some = slice(start, start + TOGETHER)
+        for start in range(0, len(needed), COLUMNS_AT_ONCE):
+            some = slice(start, start + COLUMNS_AT_ONCE)
             white = metric.whiten(columns[:, needed[some]])
             self.whole[needed[some]] = np.einsum("nk,nk->k", white, white)
             self._columns[:, some] = metric.remaining(white)
@@ -260,14 +262,14 @@ class WhitenedColumns:
 
 def log_student(log_det: ArrayLike, energy: ArrayLike, size: int) -> Array:
     """Log density of readings with r^T C^-1 r = energy, their level integrated out."""
-    half = 0.5 * size + SHAPE
+    half = 0.5 * size + LEVEL_SHAPE
     constant = (
         special.gammaln(half)
-        - special.gammaln(SHAPE)
-        + SHAPE * np.log(RATE)
+        - special.gammaln(LEVEL_SHAPE)
+        + LEVEL_SHAPE * np.log(LEVEL_RATE)
         - 0.5 * size * np.log(2.0 * np.pi)
     )
-    log_energy = np.log(RATE + 0.5 * np.asarray(energy))
+    log_energy = np.log(LEVEL_RATE + 0.5 * np.asarray(energy))
     return np.asarray(constant - 0.5 * np.asarray(log_det) - half * log_energy)
 
 
@@ -278,7 +280,7 @@ def compress(problem: GapProblem, columns: Array) -> Array:
     """
     both = np.hstack([problem.slopes, columns])
     directions, sizes, _ = np.linalg.svd(both, full_matrices=False)
-    visible = sizes > FAINT
+    visible = sizes > MIN_SIZE
     return np.asarray(directions[:, visible] * sizes[visible])
 
 
@@ -302,5 +304,108 @@ def log_evidence(
 
 def noise_level(grams: Grams) -> float:
     """Noise level of what is not explained: the mode of s."""
-    energy = RATE + 0.5 * grams.energy
-    return float(np.sqrt(energy / (0.5 * grams.size + SHAPE)))
+    energy = LEVEL_RATE + 0.5 * grams.energy
+    return float(np.sqrt(energy / (0.5 * grams.size + LEVEL_SHAPE)))
+
+
+# Noise laws that all hypotheses share, weighted so that sums over them integrate.
+#
+# The noise law is not known before the gap is, and the evidence of a hypothesis is an
+# integral over laws u with the prior p(u) of `oed.noise.prior`:
+#
+# p(r | h) = integral p(r | h, u) p(u) du.
+#
+# Laws are drawn from the posteriors p(u | r, a) of a few models a: no gap, any gap, the
+# gaps that look best. With Z_a = p(r | a), draws u_l, l = 1 ... L, as many of each model,
+# give (Veach and Guibas 1995, balance heuristic)
+#
+# p(r | h) = sum_l W_l p(r | h, u_l),    1 / W_l = (L / A) sum_a p(r | a, u_l) / Z_a.
+#
+# It is exact for h = a alone, and the same laws serve every hypothesis. A common factor
+# on the noise is integrated over in closed form (`evidence`); the laws hold the rest.
+
+#: points of a model's posterior, by which its evidence is computed
+N_POINTS = 48
+#: coordinates beyond which a law is not looked at, in prior sd: what a run shares is
+#: below some hundred times the noise, and single readings keep some of it
+MAX_COORDINATE = 4.5
+#: laws that are drawn of each model
+DRAWS_OF_EACH = 4
+
+#: a noise law, and the log of its weight
+WeighedLaw = tuple[NoiseLaw, float]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LawPosterior:
+    """Posterior of the noise law with some columns in the model.
+
+    columns       (N, k') compressed, the parameters' slopes among them
+    mode          the most probable law
+    draws         (EACH, d) coordinates of laws drawn from it
+    log_evidence  of the readings, over all laws
+    """
+
+    columns: Array
+    mode: NoiseLaw
+    draws: Array
+    log_evidence: float
+
+
+def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
+    """The law's posterior with columns (N, k) of prior N(0, 1) in the model."""
+    compressed = compress(problem, columns)
+    prior, model = _prior(problem), linear_model(problem, compressed)
+
+    def cost(u: Array) -> Array:
+        values = log_evidences(model, _laws(problem, u))
+        log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
+        return np.asarray(-values - log_prior)
+
+    starts = prior.starts()[:, 1:]
+    drawn = draw_laws(
+        cost, starts, MAX_COORDINATE, points=N_POINTS, draws=DRAWS_OF_EACH
+    )
+    law = NoiseLaw(_laws(problem, drawn.mode[None]))
+    return LawPosterior(compressed, law, drawn.draws, drawn.log_integral)
+
+
+def mixture(
+    problem: GapProblem, posteriors: Sequence[LawPosterior]
+) -> list[WeighedLaw]:
+    """Laws drawn from several posteriors, with the logs of their weights W."""
+    laws = _laws(problem, np.vstack([p.draws for p in posteriors]))
+    table = np.column_stack(
+        [
+            log_evidences(linear_model(problem, p.columns), laws) - p.log_evidence
+            for p in posteriors
+        ]
+    )
+    each = len(laws) / len(posteriors)
+    log_weights = -special.logsumexp(table, axis=1) - np.log(each)
+    drawn = [NoiseLaw(laws.take([k])) for k in range(len(laws))]
+    return list(zip(drawn, map(float, log_weights), strict=True))
+
+
+def _prior(problem: GapProblem) -> NoisePrior:
+    """The prior of the laws; its first scale, the common factor, is kept at 1."""
+    return NoisePrior.of(problem.structure).sparse()
+
+
+def _laws(problem: GapProblem, u: Array) -> Laws:
+    """Laws at coordinates (L, d), all but the first scale's."""
+    return _prior(problem).laws(np.column_stack([np.zeros(len(u)), u]))
+
+
+def linear_model(problem: GapProblem, columns: Array) -> ResidualModel:
+    """The residual as a linear model of columns (N, k), parameters' slopes among them."""
+    structure = problem.structure
+    residual, slopes = (structure.standardise(v) for v in (problem.residual, columns))
+    return ResidualModel(structure, residual, slopes, np.zeros(columns.shape[1]))
+
+
+def log_evidences(model: ResidualModel, laws: Laws) -> Array:
+    """Log evidences (L,) of a problem's model under each law, the level integrated out."""
+    solved, structure = model.solve(laws), model.structure
+    log_det = solved.log_size + 2.0 * structure.log_unit
+    return log_student(log_det, solved.energy, len(structure))

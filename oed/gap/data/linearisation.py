@@ -17,17 +17,9 @@ import numpy as np
 
 from oed.base import Array
 from oed.effect_model import Effect
-from oed.gap.data import problem as problems
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
-from oed.gap.data.signature import exact_readings
+from oed.gap.data.problem import GapProblem, Metric, exact_readings
 from oed.mechanism import AssemblyError
 from oed.noise import NoiseLaw
-
-#: steps to the most probable point, and departure from its linear model that ends them
-STEPS, STILL = 16, 0.3
-#: halvings of a step that leads uphill
-HALVINGS = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,12 +68,12 @@ def settle(
     fit = _PointFit(problem, forms, law, outlying)
     point, departure = fit.start(), None
     try:
-        for _ in range(STEPS):
+        for _ in range(16):
             reached = fit.at(fit.most_probable(point))
             off = fit.departure(point, reached)
             departure = off if departure is None else departure
             point = fit.downhill(point, reached)
-            if off < STILL:
+            if off < 0.3:
                 coefficients = fit.sizes * point.values[fit.parameters :]
                 return Settled(point.problem, coefficients, departure)
     except AssemblyError:
@@ -149,16 +141,9 @@ class _PointFit:
 
     def at(self, values: Array) -> _LinearPoint:
         """The readings linearised about values (n + k,). Raises AssemblyError."""
-        given, split = self._problem, self.parameters
-        theta = given.measurement.nominal + self._root @ values[:split]
-        moved = problems.assemble(
-            given.measurement,
-            given.series,
-            given.covariates,
-            theta,
-            given.y,
-            gravity=given.gravity,
-        )
+        problem, split = self._problem, self.parameters
+        theta = problem.measurement.nominal + self._root @ values[:split]
+        moved = problem.about(theta)
         factors, acting = iter((self.sizes * values[split:]).tolist()), []
         for form in self._forms:
             of_form = dict(zip(form.names, factors, strict=False))
@@ -188,7 +173,7 @@ class _PointFit:
     def downhill(self, point: _LinearPoint, reached: _LinearPoint) -> _LinearPoint:
         """The point reached, or one on the way to it that is no less probable."""
         before = self._cost(point)
-        for _ in range(HALVINGS):
+        for _ in range(6):
             if self._cost(reached) <= before:
                 break
             reached = self.at(0.5 * (point.values + reached.values))

@@ -14,29 +14,182 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import pandas as pd
 
 from oed.base import Array, Index, Mask, field_modes
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers
-from oed.gap.forms.carriers import JOINTS, Carrier
-from oed.gap.forms.library import ALONE, Atom, Library
+from oed.gap.forms.library import ALONE_SHARE, Atom, Library
+from oed.measurement import Series
+
+# Carriers of a discrepancy: a channel's reading, a joint, the tool's place.
+#
+# A carrier is the change of the readings per unit of a form at each pose that they see.
+# Its unit changes the readings by about their noise, whatever the machine's size.
+
+#: names of the carriers whose columns are the joints and the channels' readings
+JOINTS = "the joints"
+READINGS = "the readings"
+
+
+@dataclasses.dataclass(frozen=True)
+class Carrier:
+    """What a discrepancy acts on.
+
+    name      in words
+    columns   (N, c, J) change of the readings, in units of the noise; J are the poses
+              that a reading sees
+    labels    (c,) the block of each of its columns; "" where they belong together
+    """
+
+    name: str
+    columns: Array
+    labels: tuple[str, ...]
+
+    @property
+    def separable(self) -> bool:
+        """Whether one of its columns may act without the others."""
+        return len(self.labels) > 1 and all(self.labels)
+
+    def parts(self) -> list[Carrier]:
+        """Each of its columns alone, or all of them where they belong together."""
+        if not self.separable:
+            return [self]
+        return [
+            Carrier(part_in_words(label), self.columns[:, k, None], (label,))
+            for k, label in enumerate(self.labels)
+        ]
+
+
+def part_in_words(label: str) -> str:
+    """A part of a carrier by its label."""
+    return label.replace("channel ", f"{READINGS} of ")
+
+
+def carriers_of(problem: GapProblem) -> tuple[Carrier, ...]:
+    """The readings, the joints, the tool's place and the tool's length."""
+    slopes = _joint_slopes(problem)
+    return (
+        readings(problem),
+        _joints(problem, slopes),
+        _tool(problem, slopes),
+        _tool_length(problem, slopes),
+    )
+
+
+def readings(problem: GapProblem) -> Carrier:
+    """The readings of each channel in each set-up, whose instruments err by themselves."""
+    return _channels_by_name(
+        problem, problem.rows["channel"] + " in " + problem.rows["setup"]
+    )
+
+
+def channels(problem: GapProblem) -> Carrier:
+    """The readings of each channel, in all set-ups alike."""
+    return _channels_by_name(problem, problem.rows["channel"])
+
+
+def _channels_by_name(problem: GapProblem, kinds: pd.Series) -> Carrier:
+    """The readings of each kind by its name."""
+    names, owner = np.unique(kinds.to_numpy(dtype=str), return_inverse=True)
+    columns = np.zeros((len(problem), len(names), _most_poses(problem)))
+    columns[np.arange(len(problem)), owner, 0] = 1.0
+    labels = tuple(f"channel {name}" for name in names)
+    return Carrier(READINGS, columns, labels)
+
+
+def _joints(problem: GapProblem, slopes: Array) -> Carrier:
+    """Each joint, from the readings' slopes (N, nq, J) over it."""
+    labels = tuple(f"leg {i + 1}" for i in problem.states[0].limbs)
+    return Carrier(JOINTS, _scaled(slopes), labels)
+
+
+def _tool(problem: GapProblem, slopes: Array) -> Carrier:
+    """The tool's place along the three axes of the base."""
+    pushing = at_poses(problem, [s.joints_per_displacement for s in problem.states])
+    columns = np.einsum("nqj,njqk->nkj", slopes, pushing)
+    return Carrier("the tool", _scaled(columns), ("", "", ""))
+
+
+def _tool_length(problem: GapProblem, slopes: Array) -> Carrier:
+    """The tool along its own axis, as of a spindle that warms."""
+    growth = at_poses(problem, [s.joints_per_extension for s in problem.states])
+    columns = np.einsum("nqj,njq->nj", slopes, growth)
+    return Carrier("the tool's length", _scaled(columns[:, None]), ("",))
+
+
+def _scaled(columns: Array) -> Array:
+    """Columns (N, c, J) with a root mean square of 1 on average."""
+    mean_square = float((columns**2).sum(axis=2).mean())
+    return np.asarray(columns / math.sqrt(mean_square)) if mean_square else columns
+
+
+def _joint_slopes(problem: GapProblem) -> Array:
+    """Slopes (N, nq, J) of the readings over the joints, over the noise, per SI unit."""
+    parts, most = [], _most_poses(problem)
+    for series, response in zip(problem.series, problem.responses, strict=True):
+        at_pose = response.joints
+        count, width = at_pose[0][..., 0].size, at_pose[0].shape[-1]
+        part = np.zeros((count, width, most))
+        for k, j in enumerate(_moving_poses(series)):
+            part[:, :, k] = at_pose[j].reshape(count, -1)
+        parts.append(part)
+    return problem.in_noise_units(np.concatenate(parts))
+
+
+def at_poses(problem: GapProblem, values: Sequence[Array]) -> Array:
+    """Values (m, ...) at the poses of each series, as the readings see them (N, J, ...).
+
+    First comes the pose read, then what it is read against. The last repeats where a
+    reading sees fewer poses than others.
+    """
+    parts, most = [], _most_poses(problem)
+    sources = zip(values, problem.series, problem.responses, strict=True)
+    for value, series, response in sources:
+        moving = _moving_poses(series)
+        padding = [moving[-1]] * (most - len(moving))
+        poses = series.index[:, [*moving, *padding]]
+        channels = response.nuisances.shape[1]
+        parts.append(np.repeat(value[poses], channels, axis=0))
+    return np.concatenate(parts)
+
+
+def apply_carrier(carrier: Array, forms: Array) -> Array:
+    """Readings (N, c, k) of forms (N, J, k) on a carrier (N, c, J)."""
+    poses = range(carrier.shape[2])
+    return np.asarray(sum(carrier[:, :, j, None] * forms[:, None, j] for j in poses))
+
+
+def _moving_poses(series: Series) -> list[int]:
+    """Columns of its index with the poses that differ among a series' readings.
+
+    A taught pose, which all readings share, is none of them.
+    """
+    places = enumerate(series.index.T)
+    return [j for j, coordinate in places if j == 0 or len(np.unique(coordinate)) > 1]
+
+
+def _most_poses(problem: GapProblem) -> int:
+    return max(len(_moving_poses(series)) for series in problem.series)
+
 
 #: reaches of the kernels: over the session and the travels, from -1 to 1, and over the
 #: unit circle of the phase
 REACHES = {"time": (0.2, 1.0), "place": (0.3, 1.0), "phase": (0.3, 1.0)}
-#: share of its variance that a term's columns hold, and the most of them a carrier has
-WHOLE, MODES = 0.98, 36
+#: share of its variance that a term's columns have
+VARIANCE_SHARE = 0.98
+#: columns of a term on one part of its carrier, at most
+MAX_MODES = 36
 #: most columns of a term, those of all parts of its carrier together
-WIDEST = 72
+MAX_COLUMNS = 72
 #: readings that a run must have to be a term by itself
-LEAST = 8
+MIN_RUN_READINGS = 8
 
-#: names of kinds: what acts in one run alone, along all runs, with their direction
-IN_A_RUN, ALONG_RUNS, WITH_DIRECTION = (
-    "in a run",
-    "along the runs",
-    "with the direction",
-)
+#: kind of what acts in one run alone
+IN_A_RUN = "in a run"
+#: kind of what acts along all runs
+ALONG_RUNS = "along the runs"
+#: kind of what acts with the direction of runs
+WITH_DIRECTION = "with the direction"
 
 #: values (N, J) or (N, J, d) of a coordinate or a factor at the poses readings see
 Values = Array
@@ -77,7 +230,7 @@ def build(problem: GapProblem) -> Library:
     columns = [np.zeros((len(problem), 0))]
     atoms: list[Atom] = []
     labels: list[str] = []
-    for kind in _by_kind(problem):
+    for kind in _terms_by_kind(problem):
         every = [(term, *_columns(term)) for term in kind]
         visible = [part for part in every if part[1].any()]
         for term, block, owner in visible:
@@ -85,9 +238,11 @@ def build(problem: GapProblem) -> Library:
             constants = {"reach": term.reach} if term.reach else {}
             for choice, share in _choices(term.carrier, owner):
                 log_weight = math.log(share) - math.log(len(visible))
-                place = start + choice
+                columns_of_atom = start + choice
                 factor = np.tile(term.reversal, len(term.carrier.labels))[choice]
-                atom = Atom(term.name, constants, place, log_weight, term.about)
+                atom = Atom(
+                    term.name, constants, columns_of_atom, log_weight, term.about
+                )
                 atoms.append(
                     dataclasses.replace(atom, timed=term.timed, reversal=factor)
                 )
@@ -140,12 +295,15 @@ def _choices(carrier: Carrier, owner: Index) -> list[tuple[Index, float]]:
     if not carrier.separable:
         return [(everything, 1.0)]
     single = [np.flatnonzero(owner == c) for c in range(parts)]
-    return [(everything, 1.0 - ALONE), *((part, ALONE / parts) for part in single)]
+    return [
+        (everything, 1.0 - ALONE_SHARE),
+        *((part, ALONE_SHARE / parts) for part in single),
+    ]
 
 
-def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
+def _terms_by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     """The terms of each kind that these readings can have."""
-    every = carriers.every(problem)
+    every = carriers_of(problem)
     session = 2.0 * _covariate(problem, "session_progress") - 1.0
     travel = _covariate(problem, "travel")
     over_session = [_Places(c, session[:, :, None]) for c in every]
@@ -156,11 +314,11 @@ def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
         for reach, forms in p.forms(REACHES["time"])
     ]
     workspace = [(p, p.forms(REACHES["place"])) for p in over_workspace]
-    for name, words, common, by_joint, timed in _factors(problem):
+    for name, ending, common, by_joint, timed in _factors(problem):
         yield [
             Term(
                 name,
-                f"an error of {p.carrier.name} over the workspace{words}",
+                f"an error of {p.carrier.name} over the workspace{ending}",
                 p.carrier,
                 _times(forms, by_joint if p.by_column else common),
                 reach,
@@ -169,8 +327,8 @@ def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
             for p, by_reach in workspace
             for reach, forms in by_reach
         ]
-    yield list(_along_runs(problem, every))
-    single = list(_in_a_run(problem, every[0]))
+    yield list(_run_terms(problem, every))
+    single = list(_single_run_terms(problem, every[0]))
     if len(single) > 1:
         yield single
 
@@ -195,7 +353,7 @@ class _Places:
     def _forms(self, reach: float) -> Array:
         columns = self.carrier.columns
         count = columns.shape[1]
-        most = min(MODES, WIDEST // count)
+        most = min(MAX_MODES, MAX_COLUMNS // count)
         acting = [np.asarray(columns[:, c].any(axis=1)) for c in range(count)]
         parts: list[Array] = []
         for c in range(count):
@@ -205,8 +363,10 @@ class _Places:
             if not acting[c].any():
                 parts.append(np.zeros((*self.at.shape[:2], 0)))
                 continue
-            at = self.at[:, :, c, None] if self.by_column else self.at
-            parts.append(_at_rows(acting[c], modes(at[acting[c]], reach, most)))
+            coordinates = self.at[:, :, c, None] if self.by_column else self.at
+            parts.append(
+                _fill_rows(acting[c], modes(coordinates[acting[c]], reach, most))
+            )
         width = max(part.shape[2] for part in parts)
         forms = np.zeros((*self.at.shape[:2], count, width))
         for c, part in enumerate(parts):
@@ -214,7 +374,7 @@ class _Places:
         return forms
 
 
-def _at_rows(rows: Mask, values: Array) -> Array:
+def _fill_rows(rows: Mask, values: Array) -> Array:
     """Values at some rows, zeros at the others."""
     every = np.zeros((len(rows), *values.shape[1:]))
     every[rows] = values
@@ -240,12 +400,12 @@ def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bo
     for body in sorted({b for s in problem.states for b in s.temperature}):
         rise = _centred(_temperature(problem, body))
         if rise.any():
-            words = f", with the temperature of {body}"
-            yield words[2:], words, rise, rise, True
+            ending = f", with the temperature of {body}"
+            yield ending[2:], ending, rise, rise, True
 
 
 def _covariate(problem: GapProblem, name: str) -> Values:
-    return carriers.at_poses(problem, [getattr(s, name) for s in problem.states])
+    return at_poses(problem, [getattr(s, name) for s in problem.states])
 
 
 def _temperature(problem: GapProblem, body: str) -> Values:
@@ -254,7 +414,7 @@ def _temperature(problem: GapProblem, body: str) -> Values:
     for state in problem.states:
         unknown = np.full(len(state), np.nan)
         values.append(state.temperature.get(body, unknown))
-    return carriers.at_poses(problem, values)
+    return at_poses(problem, values)
 
 
 def known_values(values: Array) -> Array:
@@ -264,11 +424,11 @@ def known_values(values: Array) -> Array:
 
 def _centred(values: Array) -> Array:
     """Values about the middle of their span, from -1 to 1; 0 where unknown."""
-    known = values[np.isfinite(values)]
-    if not known.size or np.ptp(known) <= 1e-9 * np.abs(known).max():
+    finite = values[np.isfinite(values)]
+    if not finite.size or np.ptp(finite) <= 1e-9 * np.abs(finite).max():
         return np.zeros_like(values)
-    middle = 0.5 * (known.min() + known.max())
-    return known_values((values - middle) / (0.5 * np.ptp(known)))
+    middle = 0.5 * (finite.min() + finite.max())
+    return known_values((values - middle) / (0.5 * np.ptp(finite)))
 
 
 def _times(forms: Array, factor: Array) -> Array:
@@ -284,7 +444,7 @@ def _circle(problem: GapProblem) -> Array:
     return np.stack([np.cos(phase), np.sin(phase)], axis=2)
 
 
-def _along_runs(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
+def _run_terms(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
     """Errors along the runs, the same both ways and with the direction."""
     circle = _circle(problem)
     sense = known_values(_covariate(problem, "direction"))
@@ -297,12 +457,12 @@ def _along_runs(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]
             yield Term(ALONG_RUNS, about, carrier, both, reach)
 
 
-def _in_a_run(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
+def _single_run_terms(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
     """An error of the readings in one run, a smooth one along it."""
     circle = _circle(problem)
     reach = REACHES["phase"][-1]
     for members in problem.members:
-        if len(members) < LEAST:
+        if len(members) < MIN_RUN_READINGS:
             continue
         inside = np.zeros(len(problem))
         inside[members] = 1.0
@@ -318,8 +478,10 @@ def _in_a_run(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
 def modes(places: Array, reach: float, most: int) -> Array:
     """Columns (N, J, k) whose products are Matern's kernel at places (N, J, d).
 
-    As many as hold `WHOLE` of the variance, `most` at most.
+    As many as hold `VARIANCE_SHARE` of the variance, `most` at most.
     """
     flat = places.reshape(-1, places.shape[-1])
-    factor = field_modes(flat, correlation_length=reach, energy_share=WHOLE, count=most)
+    factor = field_modes(
+        flat, correlation_length=reach, energy_share=VARIANCE_SHARE, count=most
+    )
     return factor.reshape(*places.shape[:2], -1)

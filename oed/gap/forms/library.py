@@ -17,26 +17,56 @@ import numpy as np
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.data import evidence
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
-from oed.gap.data.signature import Signature, untestable
-from oed.gap.forms.aliased import ALIASED, distinct_from_parameters
+from oed.gap.data.problem import GapProblem, Metric, Signature, untestable
+
+# Errors of references that these readings can tell from the free parameters.
+
+#: why an error of a reference cannot be tested that is a parameter by another name
+ALIASED_REASON = "free parameters change these readings in the same way"
+#: share of its squared norm that parameters leave of a column, up to which it is aliased
+MIN_REMAINING_SHARE = 0.002
+#: singular value, against the largest, from which parameters change the readings
+RANK_TOLERANCE = 1e-9
+
+
+def distinct_from_parameters(
+    problem: GapProblem, forms: Sequence[tuple[Signature, float]]
+) -> list[tuple[Signature, float]]:
+    """Forms, with their weights, without columns that free parameters reproduce.
+
+    Priors of the parameters do not count: a length that is off by ten times its
+    tolerance is no error of the reference.
+    """
+    axes, sizes, _ = np.linalg.svd(problem.slopes, full_matrices=False)
+    axes = axes[:, sizes > RANK_TOLERANCE * sizes.max(initial=0.0)]
+    distinct = []
+    for form, log_weight in forms:
+        columns = problem.in_noise_units(form.columns)
+        remaining = columns - axes @ (axes.T @ columns)
+        share = np.sum(remaining**2, axis=0) / np.sum(columns**2, axis=0)
+        chosen = share > MIN_REMAINING_SHARE
+        if (chosen & ~form.shape).any():
+            distinct.append((form.take(chosen), log_weight))
+    return distinct
+
 
 #: prior share of an effect's forms in which one limb alone has it
-ALONE = 0.4
+ALONE_SHARE = 0.4
 #: expected difference between limbs built alike, against what they share
-DIFFER = 0.3
+LIMB_DIFFERENCE = 0.3
 #: norm of a signature over all readings at the largest usual size, in units of the noise,
 #: below which an effect cannot be tested at all
-UNSEEN = 0.3
+MIN_NORM = 0.3
 #: limbs of a form beyond which it is not tried in all of them at once
-BLOCKS = 12
-#: names of what limbs built alike share, and of a limb's difference from it
-ALL_LEGS, APART = "all legs", " apart"
-#: number of constants' values beyond which only the best few forms stay, and how many
-MANY, BEST = 16, 8
+MAX_LIMBS = 12
+#: name of what limbs built alike share
+ALL_LEGS = "all legs"
+#: how the name of a limb's difference from it ends
+APART = " apart"
+#: forms that stay then
+N_BEST_FORMS = 8
 #: constants in a grid that is scanned in textbook forms
-LARGE = 200
+MAX_GRID = 200
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -143,9 +173,9 @@ def build(
         if effect.instruments:
             forms = distinct_from_parameters(problem, forms)
         if not forms:
-            refused[effect.name] = ALIASED
+            refused[effect.name] = ALIASED_REASON
             continue
-        for form, log_weight, halved in _with_alike(forms, effect.common_to_limbs):
+        for form, log_weight, halved in _add_alike(forms, effect.common_to_limbs):
             start = len(names)
             blocks.append(problem.in_noise_units(form.columns))
             names += form.names
@@ -181,7 +211,7 @@ def _forms(
     constants but the first have half the weight, and without a metric only these count.
     """
     grid = effect.constant_grid()
-    if len(grid) <= LARGE:
+    if len(grid) <= MAX_GRID:
         equal = ((form, 0.0) for form in _signatures(problem, effect, grid))
         forms, distinct = _best(problem, metric, equal)
         return [(form, math.log(1.0 / distinct)) for form, _ in forms]
@@ -222,7 +252,7 @@ def _signatures(
         form = problem.signature(effect, point, textbook=textbook)
         columns = problem.in_noise_units(form.columns)
         largest = EFFECT_SIZES.usual[-1] * np.linalg.norm(columns)
-        if form.names and largest > UNSEEN:
+        if form.names and largest > MIN_NORM:
             content = hashlib.sha1(form.columns.tobytes(), usedforsecurity=False)
             if content.digest() not in distinct:
                 distinct.add(content.digest())
@@ -252,13 +282,13 @@ def _best(
             for score, (number, weighted) in zip(scores, waiting, strict=True)
         )
         best.sort(key=lambda entry: (-entry[0], -entry[1]))
-        del best[BEST:]
+        del best[N_BEST_FORMS:]
         waiting.clear()
 
     number = 0
     for number, weighted in enumerate(forms, start=1):
         waiting.append((number, weighted))
-        if len(waiting) > MANY:
+        if len(waiting) > 16:
             keep_best()
     if best and waiting:
         keep_best()
@@ -286,7 +316,7 @@ def _scores(
     return scores
 
 
-def _with_alike(
+def _add_alike(
     forms: Sequence[Weighted],
     alike: bool,
 ) -> Iterator[tuple[Signature, float, bool]]:
@@ -294,7 +324,7 @@ def _with_alike(
 
     The flag says whether limbs built alike have half of the share of all limbs.
     """
-    log_share = math.log(0.5 * (1.0 - ALONE))
+    log_share = math.log(0.5 * (1.0 - ALONE_SHARE))
     for form, log_weight in forms:
         joined = _alike(form) if alike else None
         yield form, log_weight, joined is not None
@@ -311,14 +341,14 @@ def _alike(form: Signature) -> Signature | None:
     """
     kinds = _kinds(form)
     limbs = set(form.labels)
-    if not 2 <= len(limbs) <= BLOCKS or "" in limbs:
+    if not 2 <= len(limbs) <= MAX_LIMBS or "" in limbs:
         return None
     if any({form.labels[k] for k in ks} != limbs for ks in kinds.values()):
         return None
     textbook = [k for k in range(len(form.names)) if not form.shape[k]]
     first = [ks[0] for ks in kinds.values()]
     sums = [form.columns[:, ks].sum(axis=1) for ks in kinds.values()]
-    differences = DIFFER * form.columns[:, textbook]
+    differences = LIMB_DIFFERENCE * form.columns[:, textbook]
     common = [f"{ALL_LEGS} {kind}".strip() for kind in kinds]
     apart = [f"{form.names[k]}{APART}" for k in textbook]
     scales = [form.scales[k] for k in first]
@@ -328,7 +358,7 @@ def _alike(form: Signature) -> Signature | None:
         columns=np.column_stack([*sums, differences]),
         names=(*common, *apart),
         labels=("",) * len(kinds) + tuple(form.labels[k] for k in textbook),
-        scales=np.concatenate([scales, DIFFER * form.scales[textbook]]),
+        scales=np.concatenate([scales, LIMB_DIFFERENCE * form.scales[textbook]]),
         shape=np.array([*shape, *[False] * len(textbook)], dtype=bool),
     )
 
@@ -359,11 +389,16 @@ def _atoms(
     for rows, share in _choices(form, limbs, halved):
         for columns, part in _textbook_and_adapted(form, rows):
             blocks = {form.labels[c] for c in columns}
-            words = about
+            described = about
             if len(blocks) == 1 and len(limbs) > 1:
-                words = f"{about}, {blocks.pop()}"
-            at, weight = start + columns, log_weight + math.log(share * part)
-            atoms.append(Atom(form.effect, form.constants, at, weight, words))
+                described = f"{about}, {blocks.pop()}"
+            columns_of_atom, weight = (
+                start + columns,
+                log_weight + math.log(share * part),
+            )
+            atoms.append(
+                Atom(form.effect, form.constants, columns_of_atom, weight, described)
+            )
     return atoms
 
 
@@ -377,7 +412,7 @@ def _choices(
     if len(limbs) <= 1 or not all(form.labels):
         return [(everything, 1.0)]
     choices: list[tuple[Index, float]] = []
-    alone = ALONE if len(limbs) <= BLOCKS else 1.0
+    alone = ALONE_SHARE if len(limbs) <= MAX_LIMBS else 1.0
     if alone < 1.0:
         choices.append((everything, (1.0 - alone) * (0.5 if halved else 1.0)))
     for limb in limbs:

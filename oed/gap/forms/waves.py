@@ -13,38 +13,36 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import scipy  # scipy.signal takes a while to load: with its first use
+import scipy
 from scipy import special
 
 from oed import units
 from oed.base import Array
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers
+from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy as discrepancies
-from oed.gap.forms.carriers import JOINTS, Carrier
+from oed.gap.forms.discrepancy import JOINTS, Carrier
 from oed.gap.forms.library import Atom, Library
 from oed.noise import NoiseLaw
 
-IN_TIME, ALONG_TRAVEL = "a wave in time", "a wave along the travel"
+#: kinds of waves
+IN_TIME = "a wave in time"
 #: waves of each kind that stay
-PEAKS = 4
-#: frequencies a resolution cell, and the most of them in a band
-OVER, MOST = 1.5, 6000
-#: frequencies that are computed at once, and those of many readings: as many as make
-#: this number of values
-CHUNK, VALUES = 512, 1_000_000
+N_PEAKS = 4
+#: frequencies a resolution cell
+OVERSAMPLING = 1.5
+#: frequencies of a band, at most
+MAX_FREQUENCIES = 6000
+#: values that are computed at once: of many readings fewer frequencies
+VALUES_AT_ONCE = 1_000_000
 #: shortest period, in steps between readings, where these are irregular: they
 #: distinguish waves from their aliases
-BETWEEN = 0.25
-#: deviation of steps, in steps, up to which they are regular
-REGULAR = 0.05
+IRREGULAR_PERIOD = 0.25
 #: longest period along a joint's travel as a share of it
-LONG = 3.0
+LONGEST_PERIOD = 3.0
 #: readings that a clock must have for its waves to mean something
-LEAST = 16
+MIN_TICKS = 16
 #: places between two frequencies at which a peak is refined
-FINE = np.linspace(-0.8, 0.8, 9)
+REFINED_STEPS = np.linspace(-0.8, 0.8, 9)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -82,14 +80,14 @@ def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
     """
     metric = Metric(problem, law)
     by_kind: dict[str, list[Band]] = {}
-    _, *others = carriers.every(problem)
+    _, *others = discrepancies.carriers_of(problem)
     legs = next(carrier for carrier in others if carrier.name == JOINTS).parts()
-    for band in [*_in_time(problem, others), *_along_travels(problem, legs)]:
+    for band in [*_time_bands(problem, others), *_travel_bands(problem, legs)]:
         by_kind.setdefault(band.kind, []).append(band)
     for kind, bands in by_kind.items():
         waves = [wave for band in bands for wave in peaks(problem, metric, band)]
         tried = sum(len(band.frequencies) * len(band.carriers) for band in bands)
-        strongest = sorted(waves, key=lambda w: w.log_tail)[:PEAKS]
+        strongest = sorted(waves, key=lambda w: w.log_tail)[:N_PEAKS]
         discrepancy = _joined(discrepancy, kind, strongest, -math.log(tried))
     return discrepancy
 
@@ -103,12 +101,14 @@ def _joined(
     for wave in waves:
         turns = _turns(wave.band.clock, np.array([wave.frequency]))
         block = _columns(wave.carrier, turns)[:, :, 0]
-        place = len(labels) + np.arange(block.shape[1])
+        columns_of_atom = len(labels) + np.arange(block.shape[1])
         period = 1.0 / wave.frequency
         constants = {f"period_{wave.band.unit}": period}
-        about = _in_words(wave.carrier.name, wave.band.unit, period)
-        even, timed = np.ones(len(place)), kind == IN_TIME
-        atoms.append(Atom(kind, constants, place, log_weight, about, timed, even))
+        about = _wave_words(wave.carrier.name, wave.band.unit, period)
+        even, timed = np.ones(len(columns_of_atom)), kind == IN_TIME
+        atoms.append(
+            Atom(kind, constants, columns_of_atom, log_weight, about, timed, even)
+        )
         columns.append(block)
         labels += [label for label in wave.carrier.labels for _ in range(2)]
     return discrepancies.assembled(columns, atoms, labels)
@@ -121,10 +121,10 @@ def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
     heights = -_log_tails(problem, metric, band)
     for carrier, height in zip(band.carriers, heights, strict=True):
         padded = np.concatenate([[-1.0], height, [-1.0]])
-        maxima, _ = scipy.signal.find_peaks(padded, distance=int(2 * OVER))
-        order = np.argsort(-height[maxima - 1])[:PEAKS]
+        maxima, _ = scipy.signal.find_peaks(padded, distance=int(2 * OVERSAMPLING))
+        order = np.argsort(-height[maxima - 1])[:N_PEAKS]
         for k in maxima[order] - 1:
-            fine = band.frequencies[k] + step * FINE
+            fine = band.frequencies[k] + step * REFINED_STEPS
             near = dataclasses.replace(band, carriers=(carrier,), frequencies=fine)
             tails = _log_tails(problem, metric, near)[0]
             frequency = float(fine[np.argmin(tails)])
@@ -132,15 +132,15 @@ def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
     return waves
 
 
-def _in_time(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band]:
+def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band]:
     """Waves in time, or over the readings where not all times are known.
 
     They act on a channel, or on a part of the other carriers.
     """
-    times = carriers.at_poses(problem, [s.time for s in problem.states])
+    times = discrepancies.at_poses(problem, [s.time for s in problem.states])
     unit = "s"
     if not np.isfinite(times).all():
-        number = carriers.at_poses(
+        number = discrepancies.at_poses(
             problem, [s.session_progress for s in problem.states]
         )
         readings = sum(len(series) for series in problem.series)
@@ -149,22 +149,24 @@ def _in_time(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band]:
     frequencies = _frequencies(clock[:, 0], 1.0)
     if not frequencies.size:
         return
-    every = (carriers.channels(problem), *others)
+    every = (discrepancies.channels(problem), *others)
     parts = tuple(part for carrier in every for part in carrier.parts())
     yield Band(IN_TIME, unit, clock, parts, frequencies)
 
 
-def _along_travels(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band]:
+def _travel_bands(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band]:
     """Waves of a joint along its own travel."""
-    place = carriers.at_poses(problem, [s.joints for s in problem.states])
-    place = place - place.min(axis=(0, 1))
+    joints = discrepancies.at_poses(problem, [s.joints for s in problem.states])
+    joints = joints - joints.min(axis=(0, 1))
     for i, joint in enumerate(problem.measurement.machine.joints):
         if joint.unit != "m":
             continue
-        clock = place[:, :, i]
-        frequencies = _frequencies(clock[:, 0], LONG)
+        clock = joints[:, :, i]
+        frequencies = _frequencies(clock[:, 0], LONGEST_PERIOD)
         if frequencies.size:
-            yield Band(ALONG_TRAVEL, "travel_m", clock, (legs[i],), frequencies)
+            yield Band(
+                "a wave along the travel", "travel_m", clock, (legs[i],), frequencies
+            )
 
 
 def _frequencies(clock: Array, fewest: float) -> Array:
@@ -174,18 +176,18 @@ def _frequencies(clock: Array, fewest: float) -> Array:
     few steps.
     """
     ticks = np.unique(np.round(clock, 9))
-    if len(ticks) < LEAST:
+    if len(ticks) < MIN_TICKS:
         return np.zeros(0)
     span, step = float(np.ptp(ticks)), float(np.median(np.diff(ticks)))
     offsets = (ticks - ticks[0]) / step
-    regular = np.abs(offsets - np.round(offsets)).max() <= REGULAR
-    shortest = (2.0 if regular else BETWEEN) * step
-    count = max(OVER * (span / shortest - fewest), 1.0)
-    highest = min(1.0 / shortest, (fewest + MOST / OVER) / span)
-    return np.linspace(fewest / span, highest, int(min(count, MOST)))
+    regular = np.abs(offsets - np.round(offsets)).max() <= 0.05
+    shortest = (2.0 if regular else IRREGULAR_PERIOD) * step
+    count = max(OVERSAMPLING * (span / shortest - fewest), 1.0)
+    highest = min(1.0 / shortest, (fewest + MAX_FREQUENCIES / OVERSAMPLING) / span)
+    return np.linspace(fewest / span, highest, int(min(count, MAX_FREQUENCIES)))
 
 
-def _in_words(name: str, unit: str, period: float) -> str:
+def _wave_words(name: str, unit: str, period: float) -> str:
     """A wave in words, its period in a unit of usual size."""
     if unit == "s":
         size, word = _unit_of_time(period)
@@ -219,7 +221,7 @@ def _turns(clock: Array, frequencies: Array) -> Array:
 
 def _columns(carrier: Carrier, turns: Array) -> Array:
     """Columns (N, 2 c, k) of cosines and sines (N, J, 2 k) on a carrier."""
-    columns = carriers.apply_carrier(carrier.columns, turns)
+    columns = discrepancies.apply_carrier(carrier.columns, turns)
     width = turns.shape[2] // 2
     return columns.reshape(len(columns), -1, width)
 
@@ -228,7 +230,7 @@ def _log_tails(problem: GapProblem, metric: Metric, band: Band) -> Array:
     """Log tail probability (carriers, k) of what each wave explains, its phases free."""
     residual = metric.parts(problem.residual[:, None])
     tails = np.empty((len(band.carriers), len(band.frequencies)))
-    size = max(min(CHUNK, VALUES // len(problem)), 1)
+    size = max(min(512, VALUES_AT_ONCE // len(problem)), 1)
     for start in range(0, tails.shape[1], size):
         chunk = slice(start, start + size)
         turns = _turns(band.clock, band.frequencies[chunk])

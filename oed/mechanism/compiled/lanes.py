@@ -280,15 +280,13 @@ class Newton(_Lanes):
         self._rows = len(graph.outputs[0])
 
     @staticmethod
-    def job(graph: Graph, unknown: int, angles: Sequence[int]) -> LaneJob:
-        """The job on a function of value and slope; see `ArrayNewton` for the angles.
+    def job(graph: Graph, unknown: int) -> LaneJob:
+        """The job on a function of value and slope.
 
         unknown  number of leading inputs to solve for
         """
-        macros = [("ROWS", len(graph.outputs[0]))]
-        if angles:
-            macros.append(("ANGLES", angles[0]))
-        return LaneJob("newton.h", frozenset(range(unknown)), tuple(macros))
+        macros = (("ROWS", len(graph.outputs[0])),)
+        return LaneJob("newton.h", frozenset(range(unknown)), macros)
 
     def solve(
         self,

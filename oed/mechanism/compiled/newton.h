@@ -1,8 +1,7 @@
 /* Newton's method for ROWS equations in each lane.
 
-   Outputs of the function: values (ROWS,), slopes (ROWS, ROWS) over the unknowns, which
-   come first among the inputs, and where ANGLES is defined, the change of the three
-   unknowns from number ANGLES on for turns, over which the slopes then are.
+   Outputs of the function: values (ROWS,) and slopes (ROWS, ROWS) over the unknowns,
+   which come first among the inputs.
 
    Once the last steps of all lanes are short, further steps keep their slopes (the chord
    method; Ortega and Rheinboldt 1970, section 7.1): each leaves the same share of the
@@ -24,13 +23,6 @@ static vec take_step(const factors *f, const vec *out, mask moves, vec *in)
     for (int i = 0; i < ROWS; i++)
         step[i] = out[i];
     substitute(f, step);
-#ifdef ANGLES
-    const vec *change = out + ROWS + ROWS * ROWS;
-    vec turn[3] = {step[ANGLES], step[ANGLES + 1], step[ANGLES + 2]};
-    for (int i = 0; i < 3; i++)
-        step[ANGLES + i]
-            = change[i] * turn[0] + change[i + 3] * turn[1] + change[i + 6] * turn[2];
-#endif
     vec size = splat(0.0);
     for (int i = 0; i < ROWS; i++) {
         vec length = absolute(step[i]);

@@ -8,14 +8,9 @@ import msgspec
 import numpy as np
 
 from oed import csv_text, units
-from oed.accuracy.acceptance import (
-    AcceptancePlan,
-    Promise,
-    plan_acceptance,
-    state_limits,
-)
+from oed.acceptance import AcceptancePlan, Promise, plan_acceptance, state_limits
 from oed.base import Array, Index
-from oed.dataset.dialect import commented
+from oed.dataset import commented
 from oed.model import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult, finite_or_none
 from pkm_studies import describe

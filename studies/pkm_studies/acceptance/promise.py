@@ -9,17 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from oed import units
-from oed.accuracy.acceptance import Promise, smooth_functions
-from oed.accuracy.maps import ErrorMaps, Reference, driven_errors, error_maps
+from oed.acceptance import Promise, smooth_functions
+from oed.accuracy import ErrorMaps, Reference, driven_errors, error_maps
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Component, Machine
-from oed.result import (
-    CorrectedSection,
-    EstimateSection,
-    PredictionSection,
-    StudyResult,
-)
+from oed.result import CorrectedSection, EstimateSection, PredictionSection, StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.earlier_result import mixture_of

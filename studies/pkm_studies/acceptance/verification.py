@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from oed import safe_files, verdict
-from oed.accuracy.acceptance import LEAST_POWER, judge, positioning
+from oed.acceptance import MIN_POWER, judge, positioning
 from oed.base import Array, Index
 from oed.result import (
     AcceptanceSection,
@@ -309,7 +309,7 @@ def _limits(demand: PromiseRecord) -> str:
 def _confirmation(demand: PromiseRecord) -> str:
     if demand.confirms is not None:
         return ""
-    return f": below {LEAST_POWER:g} this test ends only in fail or cannot tell"
+    return f": below {MIN_POWER:g} this test ends only in fail or cannot tell"
 
 
 def verdict_sentences(section: VerificationSection) -> Iterator[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from oed import checks
-from oed.checks import Severity, blind
+from oed.checks import Severity, unseen_mistakes
 from oed.dataset import Dataset
 from oed.mechanism import AssemblyError, Kinematics
 from pkm_studies import catalogue, shipped, sources
@@ -139,10 +139,10 @@ def _unseen(study: ResolvedStudy) -> list[str]:
     measurement = study.measurement_with(plan.setups)
     series = tuple(plan.series)
     exact = measurement.readings(series, measurement.nominal)
-    session = checks.session(measurement, series, exact)
+    session = checks.session_readings(measurement, series, exact)
     everything = study.measurement_with(study.setups)
     measurement = everything
-    unseen = blind.unseen_mistakes(session, measurement, _rng(study))
+    unseen = unseen_mistakes(session, measurement, _rng(study))
     return [
         f"Readings of {plan.name} cannot reveal this mistake: {what}."
         for what in unseen

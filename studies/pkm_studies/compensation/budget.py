@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.accuracy.maps import driven_errors
+from oed.accuracy import driven_errors
 from oed.base import Array
 from oed.compensate import interpolation_errors, joint_errors
 from oed.mechanism import AssemblyError

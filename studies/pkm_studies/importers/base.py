@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 from oed import csv_text
-from oed.dataset.dialect import commented
+from oed.dataset import commented
 from pkm_studies.user_code import Consent
 
 #: cells of a row of the readings file, by column

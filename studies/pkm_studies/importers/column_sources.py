@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from oed.base import Array
-from oed.dataset.columns import LABELS, SIGMA, UNITLESS
+from oed.dataset import SIGMA, UNITLESS
 from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
@@ -128,6 +128,6 @@ def _check(name: str, source: ColumnSource, field: Location) -> None:
     if is_spread and source.offset != 0.0:
         problem = "a standard deviation has no offset"
         raise field.key("offset").error(problem, "remove it", _number(source.offset))
-    is_text = name in (*LABELS, *UNITLESS)
+    is_text = name in UNITLESS
     if is_text and source != ColumnSource(column=source.column):
         raise field.error(f"{name} has no unit", "give the column's name alone")

@@ -8,18 +8,13 @@ import msgspec
 import numpy as np
 
 from oed.base import Array
-from oed.dataset.columns import (
-    COVARIATES,
-    LABELS,
+from oed.dataset import (
+    MAX_NUMBER,
     SIGMA,
-    UNITLESS,
-    column_name,
-    is_temperature,
-    parse_column,
-    sigma_units,
-    tension_columns,
+    ReadingsColumn,
+    expected_columns,
+    temperature_body,
 )
-from oed.dataset.table_cells import LARGEST
 from oed.instrument import Instrument
 from oed.mechanism import Kinematics
 from oed.model import Machine
@@ -33,11 +28,7 @@ from pkm_studies.importers import (
     nominal_poses,
     orientations,
 )
-from pkm_studies.importers.base import (
-    ImportedSession,
-    ImportRequest,
-    Row,
-)
+from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 from pkm_studies.quantities import column as usual_column
@@ -46,6 +37,8 @@ from pkm_studies.tables import PredictionReference
 
 #: readings that a sentence lists
 MOST_LISTED = 10
+#: columns of text
+TEXTS = ("setup", "run")
 
 
 class ColumnsImporter:
@@ -158,15 +151,14 @@ def mapped_columns(
 
     What the map does not say is taken where the CSV's name is a readings column.
     """
-    unit_of = {c.name: c.unit for c in (*machine.command, *machine.joints)}
-    unit_of |= {c.name: c.unit for c in tool.channels} | dict(COVARIATES)
-    unit_of |= sigma_units(tool.channels)
-    unit_of |= dict.fromkeys(tension_columns(machine), "N")
+    unit_of = expected_columns(machine, tool.channels)
     columns = dict(mapping.columns)
     field = location.key("columns")
     for name, source in column_sources.names(columns).items():
         if not _is_known(name, unit_of):
-            possible = [column_name(stem, unit) for stem, unit in unit_of.items()]
+            possible = [
+                ReadingsColumn.of(stem, unit).name for stem, unit in unit_of.items()
+            ]
             raise field.key(name).error(
                 "no column of readings", suggest(name, possible)
             )
@@ -225,7 +217,7 @@ def rows(
     """Rows of the readings file; cells that are no numbers raise InputError."""
     cells: dict[str, list[str]] = {}
     for name, source in columns.items():
-        if name in LABELS:
+        if name in TEXTS:
             cells[name] = table.cells(column_sources.source_of(source).column)
             continue
         values = column_sources.values(source, table)
@@ -254,7 +246,7 @@ def rows(
 
 def _check_sizes(values: Array, name: str, column: str, table: CsvTable) -> None:
     """Raises InputError for values (n,) that a readings file could not have."""
-    problem, bad = "no number of a session is so large", np.abs(values) > LARGEST
+    problem, bad = "no number of a session is so large", np.abs(values) > MAX_NUMBER
     if name.startswith(SIGMA) and not bad.any():
         problem, bad = "a standard deviation is above 0", values <= 0
     if bad.any():
@@ -350,19 +342,19 @@ def _order(setups: Sequence[str], runs: Sequence[str]) -> list[str]:
 
 def _is_known(name: str, unit_of: Mapping[str, str]) -> bool:
     """Whether a readings file may have a column of this name."""
-    if name in LABELS or name in UNITLESS:
-        return True
     try:
-        column = parse_column(name)
+        column = ReadingsColumn.parse(name)
     except UnitError:
         return False
-    if is_temperature(column.stem):
+    if column.is_unitless:
+        return True
+    if temperature_body(column.stem):
         return column.unit == "K"
     return unit_of.get(column.stem) == column.unit
 
 
 def _stem(name: str) -> str:
     try:
-        return parse_column(name).stem
+        return ReadingsColumn.parse(name).stem
     except UnitError:
         return name

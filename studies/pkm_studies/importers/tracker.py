@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from oed import units
 from oed.base import Array
-from oed.dataset.columns import SIGMA
+from oed.dataset import SIGMA
 from oed.instrument import Instrument
 from oed.mechanism import Kinematics
 from pkm_studies.base import InputError, Location

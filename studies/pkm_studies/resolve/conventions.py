@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from oed import units
 from oed.base import Orientation
-from oed.dataset.columns import parse_column
+from oed.dataset import ReadingsColumn
 from oed.instrument import Channel, Instrument
 from oed.model import Component, Coordinate, Machine, Parameter, PassiveJoint
 from oed.units import UnitError
@@ -19,6 +19,7 @@ from pkm_studies.quantities import column
 if TYPE_CHECKING:
     from oed.measurement import Measurement
     from pkm_studies.study import Study
+
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
 PASSIVE, PARAMETER = "passive joint", "parameter"
@@ -153,7 +154,7 @@ def _explained(orientation: Orientation) -> str:
 def _meaning(name: str, machine: Machine, setups: Mapping[str, Instrument]) -> str:
     """What a column of readings means; empty for labels, covariates and remarks."""
     try:
-        stem = parse_column(name).stem
+        stem = ReadingsColumn.parse(name).stem
     except UnitError:
         return ""
     for c in machine.command:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from oed.dataset.digests import SAME, shared
+from oed.dataset import is_counted, shared
 from oed.result import StudyResult
 from pkm_studies.base import Location
 from pkm_studies.earlier_result import result_folder
@@ -37,8 +37,7 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
     """
     sentences = []
     for location, name, result in prior_results(study):
-        share = shared(new, result.readings)
-        if share >= SAME:
+        if is_counted(new, result.readings):
             raise location.error(
                 "the readings are among those that this result rests on: they would"
                 " count twice",
@@ -46,6 +45,7 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
                 " [prior]",
                 name,
             )
+        share = shared(new, result.readings)
         if share >= DOUBTFUL:
             sentences.append(
                 f"{share:.0%} of the readings equal some that the prior of {name} rests"

@@ -11,7 +11,7 @@ import numpy as np
 from oed.base import Array
 from oed.design import Rules
 from oed.effect_model import Effect
-from oed.gap.before.runs import Run
+from oed.gap import Run
 from oed.measurement import Measurement, Series
 from pkm_studies import catalogue
 from pkm_studies.base import Location

@@ -19,8 +19,7 @@ from oed.effects import (
     over_courses,
     planned_effects,
 )
-from oed.gap.data import problem as problems
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem, assemble
 from oed.measurement import Measurement, Series
 from pkm_studies.base import Location
 from pkm_studies.resolve.gap import GapRequest
@@ -112,7 +111,7 @@ def planned_courses(
     empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
     rows = dataset.from_series(parted, empty, measurement, None).covariates
     courses = draw_courses(rows, seconds, count, rng, bodies, last)
-    problem = problems.assemble(
+    problem = assemble(
         measurement, parted, courses[0].covariates, gravity=request.gravity
     )
     return courses[0].of(problem), courses

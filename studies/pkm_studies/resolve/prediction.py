@@ -11,8 +11,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.dataset import columns
-from oed.dataset.table_cells import LARGEST
+from oed.dataset import MAX_NUMBER, ReadingsColumn
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
 from pkm_studies import quantities
@@ -23,6 +22,7 @@ from pkm_studies.tables import PredictionTable
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 #: covariates that place a reading in its session
 FROM_THE_SESSION = ("time", "repeat")
@@ -86,7 +86,7 @@ def check_states(study: Study, covariates: pd.DataFrame) -> None:
                     "no reading was taken at a recorded value of it, so that nothing is known"
                     " of what it does",
                     "record it in the readings, or leave it out",
-                    columns.column_name(name, columns.covariate_unit(name)),
+                    _column(name),
                 )
             )
 
@@ -104,7 +104,7 @@ def _states(study: Study) -> dict[str, Array]:
     for name, value in states.items():
         column = None
         with contextlib.suppress(units.UnitError):
-            column = columns.parse_column(name)
+            column = ReadingsColumn.parse(name)
         if column is None or not _is_covariate(column):
             raise location.key(name).error(
                 "no covariate of a readings file with its unit",
@@ -131,16 +131,22 @@ def _check_values(
         raise location.error(
             "direction is +1 or -1", "give one of them, or both", listed
         )
-    if (np.abs(values) > LARGEST).any():
+    if (np.abs(values) > MAX_NUMBER).any():
         raise location.error("no state is so large", "check its unit", listed)
     if stem == "feed" and (values < 0.0).any():
         raise location.error("a feed is at least 0", "state its size", listed)
 
 
-def _is_covariate(column: columns.ReadingsColumn) -> bool:
+def _is_covariate(column: ReadingsColumn) -> bool:
     """Whether a column is a covariate in a unit of its kind."""
-    stem = column.stem
-    return columns.is_covariate(stem) and columns.covariate_unit(stem) == column.unit
+    covariate = ReadingsColumn.of_covariate(column.stem)
+    return covariate is not None and covariate.unit == column.unit
+
+
+def _column(covariate: str) -> str:
+    """A covariate as its column is called."""
+    column = ReadingsColumn.of_covariate(covariate)
+    return covariate if column is None else column.name
 
 
 def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from oed.dataset.digests import digests
+from oed.dataset import reading_digests
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
@@ -109,7 +109,7 @@ class ResolvedStudy:
         if dataset is not None:
             fitted = self.fitted(dataset)
             check_states(self.study, fitted.covariates)
-            new = digests(fitted.series, fitted.y, self.setups)
+            new = reading_digests(fitted.series, fitted.y, self.setups)
             warnings = (*warnings, *doubtful_sessions(self.study, new))
         return dataclasses.replace(self, dataset=dataset, warnings=warnings)
 

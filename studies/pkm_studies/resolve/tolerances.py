@@ -11,7 +11,7 @@ from scipy import special
 
 from oed import trust, units
 from oed.base import Array
-from oed.dataset.digests import is_counted
+from oed.dataset import is_counted
 from oed.history import MachineInformation, fleet_prior
 from oed.instrument import ParameterVector, Setup
 from oed.model import CommonTolerance, Machine, Parameter

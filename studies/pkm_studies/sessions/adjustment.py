@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from oed import csv_text, safe_files, units
-from oed.accuracy.maps import Reference
+from oed.accuracy import Reference
 from oed.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.base import Array
 from oed.mechanism import Kinematics

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oed import trust
-from oed.accuracy import prediction
+from oed.accuracy import error_maps
 from oed.base import Array
 from oed.design import Candidates
 from oed.effects import PlannedEffects
@@ -82,7 +82,7 @@ class Adviser:
                 "add [prediction] with a workspace, see `oed schema study`",
             )
         resolved = self.base.resolved
-        self.maps = prediction.error_maps(
+        self.maps = error_maps(
             resolved.measurement.kinematics, where.command, where.table.reference
         )
         self.plan: Sequence[int] = ()

@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from oed.base import Array, Mask
-from oed.dataset import dialect
-from oed.dataset.columns import column_name, parse_column
+from oed.dataset import ReadingsColumn, SplitText, decode, is_remark
 from oed.design import Candidates
 from oed.measurement import Measurement, Series
 from pkm_studies.base import InputError
@@ -32,7 +31,7 @@ SkippedPose = tuple[str, Array]
 def skipped_in_file(path: Path, measurement: Measurement) -> list[SkippedPose]:
     """Skipped poses of a file; none of one that is no table, as its readings say."""
     try:
-        split = dialect.split(dialect.decode(path.read_bytes()))
+        split = SplitText.of(decode(path.read_bytes()))
         lines = [cells for _, cells in split.rows()]
     except (UnicodeDecodeError, csv.Error):
         return []
@@ -54,7 +53,7 @@ def skipped_in_rows(
 def is_skipped(cells: Mapping[str, str], measurement: Measurement) -> bool:
     """Whether a row of a known set-up has no reading, and a remark that says skipped."""
     setup = measurement.setups.get(cells.get("setup", "").strip())
-    remarks = [cell for name, cell in cells.items() if dialect.REMARK.fullmatch(name)]
+    remarks = [cell for name, cell in cells.items() if is_remark(name)]
     if setup is None or not any(_says_skipped(remark) for remark in remarks):
         return False
     read = {c.name for c in setup.instrument.channels}
@@ -108,12 +107,12 @@ def _pose(cells: Mapping[str, str], measurement: Measurement) -> Array | None:
             number = float(cell.strip().replace(",", "."))
         except ValueError:
             return None
-        values.append(number * parse_column(name).factor)
+        values.append(number * ReadingsColumn.parse(name).factor)
     return np.array(values)
 
 
 def _factor(name: str, unit: str) -> float:
-    return parse_column(column_name(name, unit)).factor
+    return ReadingsColumn.of(name, unit).factor
 
 
 def _says_skipped(remark: str) -> bool:
@@ -122,6 +121,6 @@ def _says_skipped(remark: str) -> bool:
 
 def _stem(name: str) -> str:
     try:
-        return parse_column(name).stem
+        return ReadingsColumn.parse(name).stem
     except ValueError:
         return name

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from oed.base import Array
-from oed.dataset import Dataset
-from oed.dataset.digests import digests
+from oed.dataset import Dataset, reading_digests
 from oed.result import StudyResult
 from oed.verdict import accuracy_verdicts
 from pkm_studies import describe
@@ -234,7 +233,7 @@ def assemble_result(state: RunState) -> StudyResult:
     series = state.readings.series if isinstance(state, Scheduled) else ()
     readings: list[str] = []
     if isinstance(state, Measured):
-        readings = digests(series, state.readings.y, state.measurement.setups)
+        readings = reading_digests(series, state.readings.y, state.measurement.setups)
     return msgspec.structs.replace(
         state.result,
         seed=state.seed,

@@ -16,21 +16,11 @@ from pkm_studies.base import Progress, Silent
 from pkm_studies.results import check_claims, load_result
 from pkm_studies.stages import order, run_files
 from pkm_studies.stages.plan.earlier import stored_knowledge
-from pkm_studies.stages.run_state import (
-    RunState,
-    Scheduled,
-    start,
-)
+from pkm_studies.stages.run_state import RunState, Scheduled, start
 from pkm_studies.stages.session_files import add_sessions
-from pkm_studies.stages.steps.design import (
-    plan_stages,
-    select_design,
-)
+from pkm_studies.stages.steps.design import plan_stages, select_design
 from pkm_studies.stages.steps.forecast import forecast_errors
-from pkm_studies.stages.steps.readings import (
-    planned_series,
-    simulate_readings,
-)
+from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import Study
 
 #: sections that the diagnosis alone and the plan alone make: claims about others wait

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oed import units
-from oed.accuracy import prediction
+from oed.accuracy import error_maps
 from oed.base import Array, Mask
 from oed.effect_model import Effect
 from oed.effects import (
@@ -21,7 +21,7 @@ from oed.effects import (
     expected_columns,
     over_courses,
 )
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem
 from oed.measurement import Measurement, Series
 from oed.recording import (
     PlannedReadings,
@@ -224,9 +224,7 @@ def _readings(plan: PlanToRecord, problem: GapProblem) -> PlannedReadings:
     slopes = measurement.jacobian(problem.series, measurement.nominal)
     white = measurement.noise(problem.series).whiten(slopes * measurement.tolerance)
     where, machine = plan.prediction, measurement.machine
-    raw = prediction.error_maps(
-        measurement.kinematics, where.command, where.table.reference
-    ).raw
+    raw = error_maps(measurement.kinematics, where.command, where.table.reference).raw
     pose = np.zeros((*raw.shape[:2], len(free)))
     pose[:, :, : len(machine.parameters)] = raw
     unknowns, pieces = int(free.sum()), len(plan.information)

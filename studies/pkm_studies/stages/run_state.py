@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from oed.checks import CheckedSession
     from oed.corrected import AnswerMixture, CorrectedEstimate
     from oed.estimation import Estimate
-    from oed.gap.data.diagnosis import Diagnosis
+    from oed.gap import Diagnosis
     from oed.identifiability import Assessment
     from oed.posterior import Checkpoint, Posterior
     from pkm_studies.stages.design.select import ChosenDesign

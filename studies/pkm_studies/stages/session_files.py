@@ -7,8 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from oed.dataset import dialect
-from oed.dataset.digests import digests, is_counted
+from oed.dataset import decode, is_counted, reading_digests
 from pkm_studies import sources
 from pkm_studies.base import InputError
 from pkm_studies.results import load_result
@@ -42,7 +41,7 @@ def add_sessions(
     earlier, counted = _stored(after, resolved.machine.name)
     every = resolved.measurement_with(resolved.setups)
     further = resolved.fitted(sources.read_files(latest, every))
-    new = digests(further.series, further.y, resolved.setups)
+    new = reading_digests(further.series, further.y, resolved.setups)
     if is_counted(new, counted):
         raise InputError(
             "these readings are among those of that diagnosis: they would count twice",
@@ -100,7 +99,7 @@ def _stored(folder: Path, machine: str) -> tuple[list[list[Path]], list[str]]:
 def _texts(sessions: Sequence[Sequence[Path]]) -> dict[str, str]:
     """Text of each file by its name in the folder of a result."""
     return {
-        NAME.format(i, j): dialect.decode(path.read_bytes())
+        NAME.format(i, j): decode(path.read_bytes())
         for i, paths in enumerate(sessions, start=1)
         for j, path in enumerate(paths, start=1)
     }

@@ -11,16 +11,14 @@ from shipped_models import planar_2dof, relative
 
 from kernel import a3_plans, budget_machines
 from oed import identifiability
-from oed.accuracy import prediction
-from oed.accuracy.budget import (
+from oed.accuracy import (
     BudgetModel,
+    ErrorMaps,
     budget_model,
-    budget_of,
-    mean_products,
-    mean_variance,
+    error_maps,
     variance_over_machines,
 )
-from oed.accuracy.budget.lines import shares
+from oed.accuracy.budget import mean_products, mean_variance
 from oed.accuracy.maps import maps_by_reference
 from oed.compensate import compensated_joints
 from oed.estimation import identify
@@ -41,8 +39,8 @@ def model(plan: tuple[Measurement, Series]) -> BudgetModel:
 
 
 @pytest.fixture(scope="module")
-def maps(plan: tuple[Measurement, Series]) -> prediction.ErrorMaps:
-    return prediction.error_maps(plan[0].kinematics, a3_plans.workspace()[::5])
+def maps(plan: tuple[Measurement, Series]) -> ErrorMaps:
+    return error_maps(plan[0].kinematics, a3_plans.workspace()[::5])
 
 
 def all_errors(plan: tuple[Measurement, Series]) -> Laws:
@@ -81,14 +79,14 @@ def test_the_parts_add_up_to_the_posterior_covariance(
 
 
 def test_every_error_of_an_estimated_law_has_its_line(
-    plan: tuple[Measurement, Series], maps: prediction.ErrorMaps
+    plan: tuple[Measurement, Series], maps: ErrorMaps
 ) -> None:
     m, series = plan
     laws = all_errors(plan)
     model = budget_model(m, [series], m.nominal, laws=laws)
     estimated = 1.1 * model.covariance()
     predicted = 1.2 * mean_variance(mean_products(maps.raw), model.covariance())
-    budget = budget_of(model, maps, estimated=estimated, predicted=predicted)
+    budget = model.budget(maps, estimated=estimated, predicted=predicted)
     assert [line.source for line in budget.lines] == [
         "unknown set-up",
         "run-to-run level",
@@ -106,12 +104,12 @@ def test_every_error_of_an_estimated_law_has_its_line(
     total = np.sum([line.variance for line in budget.lines], axis=0)
     assert total == pytest.approx(budget.variance, rel=1e-6)
     assert budget.variance == pytest.approx(predicted)
-    for of_sources in shares(budget).values():
+    for of_sources in budget.shares().values():
         assert sum(of_sources.values()) == pytest.approx(1.0, abs=1e-6)
 
 
 def realised(
-    model: BudgetModel, maps: prediction.ErrorMaps, errors: np.ndarray, known: bool
+    model: BudgetModel, maps: ErrorMaps, errors: np.ndarray, known: bool
 ) -> np.ndarray:
     """Rms (k,) of ridge estimates of drawn parameters from drawn errors (d, N)."""
     rng = np.random.default_rng(7)
@@ -132,17 +130,17 @@ def realised(
 
 @pytest.mark.parametrize("source", ["all", "run", "noise", "set-up"])
 def test_without_a_source_ridge_estimates_are_as_good_as_stated(
-    source: str, model: BudgetModel, maps: prediction.ErrorMaps
+    source: str, model: BudgetModel, maps: ErrorMaps
 ) -> None:
     rng, count = np.random.default_rng(3), 6000
     single = rng.standard_normal((count, len(model.slopes)))
     level = rng.standard_normal((count, 5)).repeat(budget_machines.POINTS, axis=1)
-    lines = {line.source: line for line in budget_of(model, maps).lines}
+    lines = {line.source: line for line in model.budget(maps).lines}
     size = {"noise": 0.5, "run": 1.0}.get(source, 1.0)
     shared = 0.0 if source == "run" else budget_machines.SHARED
     errors = size * single + shared * level
     wanted = {
-        "all": np.sqrt(budget_of(model, maps).variance),
+        "all": np.sqrt(model.budget(maps).variance),
         "run": lines["error shared by a run"].without,
         "noise": lines["noise of ball_bar"].halved,
         "set-up": lines["unknown set-up"].without,
@@ -156,7 +154,7 @@ def test_variance_over_machines_is_that_about_each_of_them(
 ) -> None:
     """One drawn machine: slopes about it, of a machine that has it as its nominal."""
     m, series = plan
-    monkeypatch.setattr("oed.accuracy.budget.lines.MACHINES", 1)
+    monkeypatch.setattr("oed.accuracy.budget.N_MACHINES", 1)
     command = a3_plans.workspace()[::20]
     got = variance_over_machines(
         m, [series], command, ("home", "best_fit"), np.random.default_rng(4)
@@ -169,7 +167,7 @@ def test_variance_over_machines_is_that_about_each_of_them(
     other = Measurement(m.machine.with_parameters(shifted), list(m.setups.values()))
     covariance = budget_model(m, [series], truth).covariance()
     for reference, variance in got.items():
-        maps = prediction.error_maps(other.kinematics, command, reference)
+        maps = error_maps(other.kinematics, command, reference)
         wanted = np.einsum("nkp,pq,nkq->nk", maps.raw, covariance, maps.raw)
         assert variance == pytest.approx(wanted, rel=1e-6)
 
@@ -191,9 +189,9 @@ def test_without_a_source_machines_of_the_oracle_are_as_good_as_stated() -> None
     command, machines = a3_plans.workspace()[::3], 60
     m, series = budget_machines.measured(budget_machines.Sources())
     model = budget_model(m, [series], m.nominal)
-    maps = prediction.error_maps(m.kinematics, command)
+    maps = error_maps(m.kinematics, command)
     z = maps.names.index("z")
-    budget = budget_of(model, maps)
+    budget = model.budget(maps)
     lines = {line.source: line for line in budget.lines}
 
     def rms(sources: budget_machines.Sources) -> float:
@@ -285,8 +283,8 @@ def test_without_errors_of_runs_planar_machines_are_as_good_as_stated() -> None:
     grid = [(y, z) for y in (-1.2, -0.4, 0.4, 1.2) for z in (0.1, 0.7, 1.3)]
     command, shared = np.array(grid), 3.0
     m, series = planar_plan(shared)
-    maps = prediction.error_maps(m.kinematics, command)
-    budget = budget_of(budget_model(m, series, m.nominal), maps)
+    maps = error_maps(m.kinematics, command)
+    budget = budget_model(m, series, m.nominal).budget(maps)
     line = next(li for li in budget.lines if li.source == "error shared by a run")
     assert line.without is not None
     predicted = line.without / np.sqrt(budget.variance)

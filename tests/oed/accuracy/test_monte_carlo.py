@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.accuracy import prediction
-from oed.accuracy.prediction import error_spread
+from oed.accuracy import Spread, prediction
 
 MACHINES, POSES, SAMPLES = 2000, 5, 200
 
@@ -53,12 +52,13 @@ def test_draws_of_a_chain_are_worth_less(rng: np.random.Generator) -> None:
 def test_every_drawn_figure_of_a_spread_has_its_error(rng: np.random.Generator) -> None:
     size = np.abs(rng.standard_normal((MACHINES, 1)))
     spreads = [
-        error_spread(size * rng.standard_normal((MACHINES, POSES))) for _ in range(2)
+        Spread.of_errors(size * rng.standard_normal((MACHINES, POSES)))
+        for _ in range(2)
     ]
     for name, errors in spreads[0].monte_carlo.items():
         first, second = (np.atleast_1d(getattr(s, name)) for s in spreads)
         assert len(errors) == len(first)
         assert (np.array(errors) > 0.0).all()
         assert (np.abs(first - second) < 5.0 * np.sqrt(2.0) * np.array(errors)).all()
-    whole = error_spread(np.zeros((10, 3)))
+    whole = Spread.of_errors(np.zeros((10, 3)))
     assert set(whole.monte_carlo.values()) == {(0.0,), (0.0, 0.0)}

@@ -9,11 +9,8 @@ import pytest
 from scipy import stats
 from shipped_models import a3_head, planar_2dof, relative
 
-from oed.accuracy import maps
-from oed.accuracy.acceptance import Promise, state_limits
-from oed.accuracy.budget.lines import variance_over_machines
-from oed.accuracy.budget.model import budget_model
-from oed.accuracy.maps import driven_errors
+from oed.acceptance import Promise, state_limits
+from oed.accuracy import budget_model, driven_errors, error_maps, variance_over_machines
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
@@ -55,7 +52,7 @@ def test_exact_errors_of_small_draws_are_those_of_the_maps(
     told = driven_errors(
         kinematics, COMMAND, nominal + change, "home", believed=nominal
     )
-    by_maps = maps.error_maps(kinematics, COMMAND, "home")
+    by_maps = error_maps(kinematics, COMMAND, "home")
     linear = np.einsum("nkp,mp->mnk", by_maps.remaining, change)
     raw = np.einsum("nkp,mp->mnk", by_maps.raw, change)
     assert told == pytest.approx(raw, abs=1e-3 * np.abs(raw).max())
@@ -76,7 +73,7 @@ def test_machines_near_nominal_have_its_variance(rng: np.random.Generator) -> No
     series = [m.series("ruler", command, run=["a"] * 4)]
     drawn = variance_over_machines(m, series, command, ["home"], rng)["home"]
     covariance = budget_model(m, series, m.nominal).covariance()
-    raw = maps.error_maps(m.kinematics, command, "home").raw
+    raw = error_maps(m.kinematics, command, "home").raw
     count = len(machine.parameters)
     nominal = np.einsum("nkp,pq,nkq->nk", raw, covariance[:count, :count], raw)
     assert drawn == pytest.approx(nominal, rel=1e-2, abs=1e-3 * nominal.max())

@@ -11,7 +11,14 @@ from shipped_models import a3_head, linear_delta
 
 from kernel import a3_plans
 from oed import identifiability
-from oed.accuracy import prediction
+from oed.accuracy import (
+    ErrorMaps,
+    Prediction,
+    Spread,
+    error_maps,
+    predict,
+    relative_to_reference,
+)
 from oed.mechanism import Kinematics, error_model
 
 ARCSEC = 180 * 3600 / np.pi
@@ -36,12 +43,10 @@ def passage() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-def predicted(
-    maps: prediction.ErrorMaps, passage: tuple, **options: object
-) -> prediction.Prediction:
+def predicted(maps: ErrorMaps, passage: tuple, **options: object) -> Prediction:
     _, tolerance, covariance = passage
     prior = np.diag(tolerance[:24] ** 2)
-    return prediction.predict(
+    return predict(
         maps, prior, covariance[:24, :24], np.random.default_rng(1), **options
     )
 
@@ -51,9 +56,7 @@ def test_the_published_passage(passage: tuple) -> None:
     axis and 33.4 arcsec of spin.
     """
     command = a3_plans.workspace()
-    told = predicted(
-        prediction.error_maps(A3, command, "home"), passage
-    ).fully_corrected
+    told = predicted(error_maps(A3, command, "home"), passage).fully_corrected
     for name, um in paper.HOME_REFERENCED_UM.items():
         assert 1e6 * told[name].rms == pytest.approx(um, rel=0.01)
     home = error_model(A3, A3.machine.home_command[None])
@@ -61,7 +64,7 @@ def test_the_published_passage(passage: tuple) -> None:
     turns = np.stack(
         [
             1e6
-            * prediction.relative_to_reference(
+            * relative_to_reference(
                 1e-6 * model.raw[..., k],
                 1e-6 * home.raw[..., k],
                 model,
@@ -91,7 +94,7 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
     exact Euler angles.
     """
     command = a3_plans.workspace()[::7]
-    maps = prediction.error_maps(A3, command, "home")
+    maps = error_maps(A3, command, "home")
     q, home_q = (
         a3.inverse_nominal(*command.T),
         a3.inverse_nominal(*A3.machine.home_command),
@@ -118,7 +121,7 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
 
 @pytest.mark.parametrize("reference", ["home", "absolute"])
 def test_compensated_components_are_nulled(reference: str) -> None:
-    maps = prediction.error_maps(A3, a3_plans.workspace(), reference)
+    maps = error_maps(A3, a3_plans.workspace(), reference)
     assert maps.names == ("x", "y", "z", "psi", "theta", "phi")
     assert np.abs(maps.remaining[:, 2:5]).max() < 1e-12 * np.abs(maps.raw).max()
     assert np.abs(maps.remaining[:, [0, 1, 5]]).max() > 0.1
@@ -129,8 +132,8 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
 ):
     """Beside home, as z-x-z angles have no slopes at theta = 0."""
     near_home = A3.machine.home_command[None] + [0.0, 0.4, 1e-3]
-    home = prediction.error_maps(A3, near_home, "home")
-    absolute = prediction.error_maps(A3, near_home, "absolute")
+    home = error_maps(A3, near_home, "home")
+    absolute = error_maps(A3, near_home, "absolute")
     assert np.abs(home.raw[:, :3]).max() < 3e-3 * np.abs(absolute.raw[:, :3]).max()
     assert absolute.raw == pytest.approx(
         A3.error_components_jacobian(near_home) @ a3.linear_model(*near_home.T),
@@ -150,7 +153,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     other = rng.standard_normal((len(command), 6))
 
     def fitted(twist: np.ndarray) -> np.ndarray:
-        return prediction.relative_to_reference(
+        return relative_to_reference(
             twist, other[:1], model, home, "best_fit", A3.machine.lever
         )
 
@@ -161,7 +164,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
     assert np.linalg.norm(fitted(other) * weight) <= np.linalg.norm(
         (fitted(other) + 1e-3 * rigid) * weight
     )
-    absolute = prediction.relative_to_reference(
+    absolute = relative_to_reference(
         other, other[:1], model, home, "absolute", A3.machine.lever
     )
     assert (absolute == other).all()
@@ -171,7 +174,7 @@ def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
     """A shift of the base frame and a turn of the platform's joints about the TCP
     cannot be distinguished from a wrong zero.
     """
-    maps = prediction.error_maps(A3, a3_plans.workspace(), "home")
+    maps = error_maps(A3, a3_plans.workspace(), "home")
     names = [p.name for p in A3.machine.parameters]
     centres = np.array([a3_head._platform(i) for i in a3_head.LIMBS])
     for axis in np.eye(3):
@@ -189,7 +192,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
     own 400 draws to 12 %.
     """
     _, tolerance, covariance = passage
-    maps = prediction.error_maps(A3, a3_plans.workspace()[::5])
+    maps = error_maps(A3, a3_plans.workspace()[::5])
     told = predicted(maps, passage)
     rng, posterior = np.random.default_rng(4), covariance[:24, :24]
     prior = np.diag(tolerance[:24] ** 2)
@@ -207,7 +210,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
         )
         for k, name in enumerate(maps.names):
             want, got = (
-                prediction.error_spread(errors[..., k]),
+                Spread.of_errors(errors[..., k]),
                 getattr(told, key)[name],
             )
             assert got.rms == pytest.approx(want.rms, rel=0.04)
@@ -226,7 +229,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
 
 
 def test_a_known_variance_replaces_that_of_the_maps(passage: tuple) -> None:
-    maps = prediction.error_maps(A3, a3_plans.workspace()[::5])
+    maps = error_maps(A3, a3_plans.workspace()[::5])
     plain = predicted(maps, passage)
     linear = plain.sd_after**2
     doubled = predicted(maps, passage, variance=4.0 * linear)
@@ -240,9 +243,9 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
     """With an estimate: before = its error and the posterior's, after = what cannot be
     compensated of it.
     """
-    maps = prediction.error_maps(A3, a3_plans.workspace())
+    maps = error_maps(A3, a3_plans.workspace())
     mean = 1e-3 * np.random.default_rng(2).standard_normal(24)
-    sure = prediction.predict(
+    sure = predict(
         maps, np.eye(24), np.zeros((24, 24)), np.random.default_rng(1), mean=mean
     )
     for k, name in enumerate(maps.names):
@@ -265,13 +268,13 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
 
 
 def test_same_seed_same_prediction(passage: tuple) -> None:
-    maps = prediction.error_maps(A3, a3_plans.workspace()[::20])
+    maps = error_maps(A3, a3_plans.workspace()[::20])
     assert predicted(maps, passage).after == predicted(maps, passage).after
 
 
 def test_spread_by_hand() -> None:
     errors = np.array([[3.0, -4.0], [0.0, 0.0]])
-    spread = prediction.error_spread(errors)
+    spread = Spread.of_errors(errors)
     assert spread.rms == pytest.approx(2.5)
     assert spread.largest == pytest.approx(0.95 * 4.0)
 
@@ -286,7 +289,7 @@ def test_the_delta_is_compensated_completely() -> None:
             for z in (0.02, 0.2)
         ]
     )
-    maps = prediction.error_maps(kinematics, command, "absolute")
+    maps = error_maps(kinematics, command, "absolute")
     assert maps.names == ("x", "y", "z")
     assert np.abs(maps.remaining).max() < 1e-12
     assert np.abs(maps.raw).max() > 0.5
@@ -294,7 +297,7 @@ def test_the_delta_is_compensated_completely() -> None:
 
 def test_an_unknown_reference_is_refused() -> None:
     with pytest.raises(ValueError, match=r"reference 'bed' is none of .*home"):
-        prediction.error_maps(A3, a3_plans.workspace()[:1], "bed")
+        error_maps(A3, a3_plans.workspace()[:1], "bed")
 
 
 def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> None:
@@ -310,15 +313,11 @@ def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> N
     )
     at_home = np.r_[np.zeros(3), turn][None]
     assert (
-        np.abs(
-            prediction.relative_to_reference(carried, at_home, model, home, "home", 1.0)
-        ).max()
+        np.abs(relative_to_reference(carried, at_home, model, home, "home", 1.0)).max()
         < 1e-12
     )
     fixed = np.tile(at_home, (len(command), 1))
     assert (
-        np.abs(
-            prediction.relative_to_reference(fixed, at_home, model, home, "home", 1.0)
-        ).max()
+        np.abs(relative_to_reference(fixed, at_home, model, home, "home", 1.0)).max()
         > 0.1
     )

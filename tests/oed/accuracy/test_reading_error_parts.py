@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel import bar_circles
-from oed.accuracy.budget import reading_errors
+from oed.accuracy import reading_errors
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import NoisePrior
 

@@ -11,11 +11,7 @@ from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, ball_bar
 
 from oed import Measurement, mount
-from oed.accuracy.maps import (
-    components_against,
-    driven_errors,
-    error_maps,
-)
+from oed.accuracy import components_against, driven_errors, error_maps
 from oed.mechanism import pose_error
 
 instrument = ball_bar.instrument

@@ -14,7 +14,7 @@ from oed.checks.check import CheckedSession, _exchanged, check_session
 from oed.checks.explain import Explanation
 from oed.checks.findings import Severity
 from oed.checks.judgement import Judgement
-from oed.checks.mistakes import Given, trials
+from oed.checks.mistakes import Suspect, trials
 from oed.checks.outliers import find_outliers
 from oed.checks.session import SessionReadings
 
@@ -110,7 +110,7 @@ def test_a_mirrored_head_passes_unnoticed() -> None:
 def test_mistakes_without_amounts_are_all_there_alone() -> None:
     """Only those that need an amount of the commands are left out."""
     every, fewer = (
-        list(trials(Given(of_one_bar(), with_amounts=wanted)))
+        list(trials(Suspect(of_one_bar(), with_amounts=wanted)))
         for wanted in (True, False)
     )
     names, without = (

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from blunder_table_forms import interpolated, two_digits_exchanged
 
-from oed.checks import conditions, copies
-from oed.checks.candidates import candidates
-from oed.checks.mistakes import Given, amounts, noise, tools
+from oed.checks import check, copies
+from oed.checks.explain import candidates
+from oed.checks.mistakes import Suspect, amounts, noise, tools
 from oed.checks.screening import Screening
-from oed.dataset import ReadingsError
-from oed.dataset.notations import notations
+from oed.dataset import ReadingsError, column_meanings
 from oed.model import Coordinate
 
 DEG = np.pi / 180.0
@@ -36,7 +35,7 @@ def test_a_covariate_no_workshop_has_is_doubted_by_row(
 ) -> None:
     rows = machines.readings("a3", 0).assign(**{column: 20.0})
     rows.loc[[3, 9], column] = value
-    (finding,) = conditions.doubtful_conditions(machines.session("a3", rows))
+    (finding,) = check.doubtful_conditions(machines.session("a3", rows))
     assert finding.rows == (5, 11)
     assert words in finding.sentence
     assert column in finding.sentence
@@ -48,13 +47,13 @@ def test_usual_covariates_are_not_doubted() -> None:
         temp_base_C=-5.0, temp_platform_C=60.0, feed_mm_min=6e4, payload_N=4905.0
     )
     rows.loc[4, "temp_base_C"] = np.nan
-    assert not conditions.doubtful_conditions(machines.session("a3", rows))
+    assert not check.doubtful_conditions(machines.session("a3", rows))
 
 
 def test_notations_of_an_angle_are_those_of_a_calculator() -> None:
     theta = Coordinate("theta", "rad", 0.0, 40.0 * DEG)
     file = np.array([30.3045, 12.1530, 5.5900]) * DEG
-    meant = {words: f(file) / DEG for words, f in notations(theta, file).items()}
+    meant = {words: f(file) / DEG for words, f in column_meanings(theta, file).items()}
     of_minutes = meant["{} has minutes and seconds after its decimal point"]
     in_hand = [30 + 30 / 60 + 45 / 3600, 12 + 15 / 60 + 30 / 3600, 5 + 59 / 60]
     assert of_minutes == pytest.approx(in_hand, abs=1e-9)
@@ -68,7 +67,7 @@ def test_notations_of_an_angle_are_those_of_a_calculator() -> None:
 
 def test_no_minutes_are_read_from_more_than_sixty() -> None:
     theta = Coordinate("theta", "rad", 0.0, 40.0 * DEG)
-    meant = notations(theta, np.array([30.75, 12.15]) * DEG)
+    meant = column_meanings(theta, np.array([30.75, 12.15]) * DEG)
     assert not [words for words in meant if "minutes" in words]
 
 
@@ -105,7 +104,7 @@ def test_any_runs_of_a_set_up_may_have_one_mistake(pair: tuple[int, int]) -> Non
     names = list(dict.fromkeys(rows["run"]))
     wrong = rows["run"].isin([names[k] for k in pair])
     rows.loc[wrong, "dy_mm"] *= 0.1
-    given = Given(machines.session("planar", rows))
+    given = Suspect(machines.session("planar", rows))
     first, _ = candidates(given, Screening(given), thorough=True)
     likeliest = first[0].trial
     at = given.session.values["run"].isin([names[k] for k in pair])
@@ -116,7 +115,7 @@ def test_any_runs_of_a_set_up_may_have_one_mistake(pair: tuple[int, int]) -> Non
 def test_the_stated_noise_is_doubted_where_readings_fit_a_thousand_times_better() -> (
     None
 ):
-    given = Given(machines.session("a3", machines.readings("a3", 0)))
+    given = Suspect(machines.session("a3", machines.readings("a3", 0)))
     (trial,) = [t for t in noise.noise_trials(given) if t.noise.max() == 1e3]
     (other,) = trial.undo(trial.amounts)
     assert other.noise().sigma == pytest.approx(1e3 * given.sigma)
@@ -126,15 +125,15 @@ def test_a_rounded_command_is_noise_of_its_slope() -> None:
     """Variance of a uniform error of one degree: a twelfth, times the slope squared."""
     rows = machines.readings("a3", 0)
     rows["theta_deg"] = rows["theta_deg"].round()
-    given = Given(machines.session("a3", rows))
+    given = Suspect(machines.session("a3", rows))
     trial = next(
         t
         for t in noise.trials(given)
-        if t.words(t.amounts, t.amounts)
+        if t.text(t.amounts, t.amounts)
         == "theta_deg is rounded to 1: finer numbers were driven"
     )
     moved = rows.assign(theta_deg=rows["theta_deg"] + 0.01)
-    slope = (Given(machines.session("a3", moved)).predicted - given.predicted) / 0.01
+    slope = (Suspect(machines.session("a3", moved)).predicted - given.predicted) / 0.01
     variance = given.sigma**2 + slope**2 / 12.0
     (other,) = trial.undo(trial.amounts)
     assert other.noise().sigma == pytest.approx(np.sqrt(variance), rel=1e-2)
@@ -142,7 +141,7 @@ def test_a_rounded_command_is_noise_of_its_slope() -> None:
 
 def test_each_run_has_an_offset_of_its_own() -> None:
     rows = machines.readings("planar", 0)
-    given = Given(machines.session("planar", rows))
+    given = Suspect(machines.session("planar", rows))
     trial = next(
         t
         for t in amounts.trials(given)
@@ -162,12 +161,12 @@ def test_each_run_has_an_offset_of_its_own() -> None:
 def test_a_tool_point_beside_the_axis_is_read_there() -> None:
     """By the instrument's own model, with the tool of the set-up where it was."""
     session = machines.session("prs", machines.readings("prs", 0))
-    given = Given(session)
+    given = Suspect(session)
     trial = next(
         t
         for t in tools.trials(given)
-        if t.words(np.ones(1), np.ones(1)).startswith("the point that is read")
-        and " in x " in t.words(np.ones(1), np.ones(1))
+        if t.text(np.ones(1), np.ones(1)).startswith("the point that is read")
+        and " in x " in t.text(np.ones(1), np.ones(1))
         and len(t.amounts) == 1
     )
     (other,) = trial.undo(np.array([0.025]))

@@ -12,11 +12,11 @@ from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 from kernel.dense_noise import dense_covariance
 from oed import checks
 from oed.base import Array
-from oed.checks import evidence, screening
-from oed.checks.candidates import candidates
+from oed.checks import screening
+from oed.checks.explain import candidates
 from oed.checks.fit import fit, fit_amounts
-from oed.checks.mistakes import Given, trials
-from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
+from oed.checks.mistakes import Suspect, trials
+from oed.checks.mistakes.suspect import cuts_are_coarse, part_scopes, whole_scopes
 from oed.instrument import mount
 from oed.measurement import Measurement, reading_structure
 from oed.noise import Laws, ReadingStructure
@@ -44,7 +44,7 @@ def circles(runs: int = 3, count: int = 12) -> checks.SessionReadings:
     rng = np.random.default_rng(3)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     y = m.readings(series, truth)
-    return checks.session(m, series, y + 0.5e-6 * rng.standard_normal(len(y)))
+    return checks.session_readings(m, series, y + 0.5e-6 * rng.standard_normal(len(y)))
 
 
 @pytest.fixture(scope="module")
@@ -101,10 +101,10 @@ def test_the_log_marginal_is_that_of_a_normal_density(
 ) -> None:
     solution = fit(bar)
     assert solution is not None
-    linear = evidence.linear_readings(solution)
+    linear = screening.linear_readings(solution)
     unit = dataclasses.replace(ONE, scale=np.ones((1, 1)))
     scale = 1.7
-    one = evidence._log_marginal(
+    one = screening._log_marginal(
         linear, linear.slopes, unit, np.zeros(1), np.array([scale])
     )
     covariance = scale**2 * dense_covariance(linear.structure, unit)
@@ -120,7 +120,7 @@ def test_the_log_marginal_is_that_of_a_normal_density(
 
 
 def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -> None:
-    given = Given(bar)
+    given = Suspect(bar)
     screen = screening.Screening(given)
     slopes = given.slopes / 0.5e-6
     residual = (bar.y - given.predicted) / 0.5e-6
@@ -163,7 +163,7 @@ def test_an_offset_is_estimated_as_by_generalised_least_squares(
     bar: checks.SessionReadings,
 ) -> None:
     moved = bar.with_y(bar.y + 3e-4)
-    every = trials(Given(moved))
+    every = trials(Suspect(moved))
     offset = next(t for t in every if t.kind == "offset" and t.scope.level == "file")
     fitted = fit_amounts(offset, 1.0)
     assert fitted is not None
@@ -189,7 +189,7 @@ def test_long_sessions_are_cut_where_a_mistake_begins() -> None:
     session = long_session()
     assert cuts_are_coarse(session)
     assert len(part_scopes(session)) < 300
-    given = Given(session)
+    given = Suspect(session)
     first, _ = candidates(given, screening.Screening(given), thorough=True)
     likeliest = max(first, key=lambda one: one.log_posterior).trial
     assert (likeliest.kind, likeliest.scope.name) == ("unit", "rows 55 to 81")

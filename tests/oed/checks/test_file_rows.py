@@ -13,7 +13,7 @@ from oed import checks, dataset
 from oed.checks import sentences
 from oed.checks.copies import EqualReadings
 from oed.checks.session import SessionReadings
-from oed.dataset.file_rows import short_names
+from oed.dataset.data import short_names
 
 
 def of_two_files(tmp_path: Path) -> SessionReadings:
@@ -24,7 +24,7 @@ def of_two_files(tmp_path: Path) -> SessionReadings:
     for path, text in zip(paths, (sample.READINGS, later), strict=True):
         path.write_text(text, encoding="utf-8")
     data = dataset.load(paths, measurement)
-    return checks.session(
+    return checks.session_readings(
         measurement, data.series, data.y, data.covariates, data.columns
     )
 

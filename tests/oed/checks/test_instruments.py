@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from blunder_spatial import prs_poses
 
-from oed.checks.mistakes import Given, amounts
-from oed.checks.mistakes.given import shared_instruments
+from oed.checks.mistakes import Suspect, amounts
+from oed.checks.mistakes.suspect import shared_instruments
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_slopes_over_an_inner_zero_are_those_of_another_code(
     name: str, axis: int
 ) -> None:
     rows = machines.readings("prs", 0)
-    given = Given(machines.session("prs", rows))
+    given = Suspect(machines.session("prs", rows))
     trial = next(t for t in amounts.trials(given) if f"zero {name} " in t.family)
     q, p, shift, turn, error = rows.attrs["machine"]
     nominal = (q, 0.0 * p, 0.0 * shift, 0.0 * turn)
@@ -57,6 +57,6 @@ def test_slopes_over_an_inner_zero_are_those_of_another_code(
 
 
 def test_an_instrument_without_inner_readings_has_no_such_zero() -> None:
-    given = Given(machines.session("planar", machines.readings("planar", 0)))
+    given = Suspect(machines.session("planar", machines.readings("planar", 0)))
     families = [trial.family for trial in amounts.trials(given)]
     assert not [name for name in families if name.startswith("zero ")]

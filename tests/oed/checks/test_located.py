@@ -18,7 +18,7 @@ from bad_fit_sample import STUDY, WITHOUT_REPORT, write
 
 from oed import checks
 from oed.checks import sentences
-from oed.checks.goodness import Goodness
+from oed.checks.fit import Goodness
 from oed.checks.outliers import find_outliers
 from pkm_studies.commands import main
 from pkm_studies.importers import import_files

@@ -18,7 +18,7 @@ from blunders import Blunder
 
 from oed.base import Array
 from oed.checks.mistakes import (
-    Given,
+    Suspect,
     amounts,
     carried,
     contradiction,
@@ -70,29 +70,29 @@ MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
 ]
 
 
-def session(blunder: Blunder) -> Given:
+def session(blunder: Blunder) -> Suspect:
     rows = blunder.make(machines.readings(blunder.machine, 0))
-    return Given(machines.session(blunder.machine, rows))
+    return Suspect(machines.session(blunder.machine, rows))
 
 
 @functools.cache
 def without_mistake(machine: str) -> pd.Series:
-    return misfit(Given(machines.session(machine, machines.readings(machine, 0))))
+    return misfit(Suspect(machines.session(machine, machines.readings(machine, 0))))
 
 
-def misfit(given: Given) -> pd.Series:
+def misfit(given: Suspect) -> pd.Series:
     """Readings less those of the nominal machine, SI, by row of the file and channel."""
     rows = pd.MultiIndex.from_frame(given.session.values[["row", "channel"]])
     return pd.Series(given.session.y - given.predicted, index=rows)
 
 
 def trials(
-    module: ModuleType, blunder: Blunder, given: Given, amounts: Array
+    module: ModuleType, blunder: Blunder, given: Suspect, amounts: Array
 ) -> Iterator[MistakeTrial]:
     """Trials with the words that a check must say."""
     for trial in module.trials(given):
         known = len(trial.amounts) == len(amounts)
-        if known and blunder.is_named([trial.words(amounts, 0.01 * np.abs(amounts))]):
+        if known and blunder.is_named([trial.text(amounts, 0.01 * np.abs(amounts))]):
             yield trial
 
 
@@ -106,7 +106,7 @@ def test_a_mistake_undone_leaves_the_readings_without_it(
     assert (misfit(given) - right).abs().max() > 1e-5
 
     def is_right(trial: MistakeTrial) -> bool:
-        rest = misfit(Given(*trial.undo(amount)))
+        rest = misfit(Suspect(*trial.undo(amount)))
         errors = (rest - right).abs().dropna()
         return len(errors) >= len(right) - 1 and errors.max() < 2e-6
 
@@ -161,7 +161,7 @@ def test_another_program_reads_the_same_on_the_nominal_machine() -> None:
     trial = next(trials(pose, blunder, given, height))
     (driven,) = trial.undo(height)
     of_run = driven.values["run"].to_numpy() == "cup 2"
-    read = Given(driven).predicted
+    read = Suspect(driven).predicted
     assert read[of_run] == pytest.approx(np.full(12, 0.3), abs=1e-7)
     heights = np.concatenate([s.reading_commands()[:, 0] for s in driven.series])
     assert heights[of_run] == pytest.approx(np.full(12, 1.276), abs=1e-9)
@@ -179,7 +179,7 @@ def test_programs_out_of_reach_are_not_followed_from_home(
     kinematics = given.session.measurement.kinematics
     names = [c.name for c in kinematics.machine.command]
     monkeypatch.setattr(type(kinematics._inverse), "_follow_from_home", follow)
-    displaced = pose._with_follower(given, names.index("theta"), names.index("z"))
+    displaced = pose._follower_trials(given, names.index("theta"), names.index("z"))
     assert {trial.family for trial in displaced}
 
 
@@ -194,13 +194,13 @@ def test_an_offset_has_the_cause_of_its_scope(name: str, words: str) -> None:
     blunder, amount = BY_NAME[name], np.array([0.5e-3])
     named = list(trials(amounts, blunder, session(blunder), amount))
     assert named
-    assert all(words in t.words(amount, 0.01 * amount) for t in named)
+    assert all(words in t.text(amount, 0.01 * amount) for t in named)
 
 
 @pytest.mark.parametrize(("machine", "count"), [("a3", 1), ("planar", 2)])
 def test_offsets_of_a_file_are_one_family_a_channel(machine: str, count: int) -> None:
     """Of a family the likeliest alone is fitted: channels must not stand for each other."""
-    given = Given(machines.session(machine, machines.readings(machine, 0)))
+    given = Suspect(machines.session(machine, machines.readings(machine, 0)))
     families = [
         trial.family
         for trial in amounts.trials(given)

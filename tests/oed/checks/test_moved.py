@@ -6,24 +6,22 @@ import pytest
 from oracles import a3_geometry as a3
 from shipped_models import a3_head
 
-from oed.checks.mistakes import Given
-from oed.checks.mistakes.driven import (
+from oed.checks.mistakes import Suspect
+from oed.checks.mistakes.moved import (
+    by_run,
     commanded,
     in_file,
     inside,
     jointed,
-    of_column,
-    permuted,
-    shifted,
-    turns_freely,
-    wrapped,
-)
-from oed.checks.mistakes.moved import (
-    by_run,
     moved_rows,
     moved_trials,
+    of_column,
+    permuted,
     pose_table,
+    shifted,
+    turns_freely,
     with_moved,
+    wrapped,
 )
 from oed.checks.session import SessionReadings
 from oed.measurement import Series
@@ -142,7 +140,7 @@ def test_a_run_with_a_pose_out_of_reach_is_left_out(session: SessionReadings) ->
 
 
 def test_a_table_has_what_the_nominal_machine_reads(session: SessionReadings) -> None:
-    given = Given(session)
+    given = Suspect(session)
     moved = commanded(session.measurement, shifted(1, 0.2))
     table = pose_table(given, moved)
     assert table is not None

@@ -46,7 +46,7 @@ def spoiled(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, set[int]]:
 
 def check(y: np.ndarray) -> checks.CheckedSession:
     m, series = plan()
-    session = checks.session(m, [series], y)
+    session = checks.session_readings(m, [series], y)
     return checks.check_session(session, m, np.random.default_rng(0))
 
 
@@ -103,7 +103,7 @@ def test_no_sound_reading_is_set_aside(law: str, seeds: range) -> None:
         rng = np.random.default_rng([27, seed])
         truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
         y = exact(series, truth) + NOISE * sound_errors(law, rng)
-        session = checks.session(m, [by_circle], y)
+        session = checks.session_readings(m, [by_circle], y)
         checked = checks.check_session(session, m, np.random.default_rng(0))
         losses += bool(checked.set_aside)
         assert not checked.bad_fit, seed

@@ -7,8 +7,13 @@ import pytest
 from scipy import integrate, stats
 
 from oed.checks import outlier_odds
-from oed.checks.far_reading import LeaveOneOut
-from oed.checks.outlier_odds import GROSS, LOCATED, PROVEN, OutlierOdds
+from oed.checks.outlier_odds import (
+    GROSS_ODDS,
+    GROSS_SCALE,
+    LOCATED_ODDS,
+    LeaveOneOut,
+    OutlierOdds,
+)
 from oed.noise import Noise
 
 READINGS, UNKNOWNS = 30, 5
@@ -52,7 +57,7 @@ def test_a_shift_weighs_what_quadrature_of_its_prior_gives(size: float) -> None:
 
     def density(shift: float) -> float:
         ratio = law.logpdf(residual - shift * unit) - law.logpdf(residual)
-        return float(np.exp(ratio) * stats.cauchy.pdf(shift, scale=GROSS))
+        return float(np.exp(ratio) * stats.cauchy.pdf(shift, scale=GROSS_SCALE))
 
     expected, _ = integrate.quad(density, middle - 60.0, middle + 60.0, points=[middle])
     weights = outlier_odds.log_weights_of_shifts(
@@ -82,8 +87,10 @@ def test_redundant_readings_locate_gross_errors(places: tuple[int, ...]) -> None
     sizes = {k: 20.0 * s for k, s in zip(places, signs, strict=False)}
     slopes, residual = session(2, sizes)
     asked = odds_of(slopes, residual)
-    assert min(asked.of_location(places).values()) > np.log(LOCATED)
-    assert min(asked.of_gross_error(places, rest_fits=True).values()) > np.log(PROVEN)
+    assert min(asked.of_location(places).values()) > np.log(LOCATED_ODDS)
+    assert min(asked.of_gross_error(places, rest_fits=True).values()) > np.log(
+        GROSS_ODDS
+    )
     assert asked.rivals(places, places[0]) == (places[0],)
 
 
@@ -93,7 +100,7 @@ def test_a_sound_reading_is_no_gross_error() -> None:
     worst = int(np.argmax(np.abs(p @ residual / np.sqrt(np.diag(p)))))
     asked = odds_of(slopes, residual)
     assert asked.of_gross_error([worst], rest_fits=True)[worst] < 0.0
-    assert asked.of_location([worst])[worst] < np.log(LOCATED)
+    assert asked.of_location([worst])[worst] < np.log(LOCATED_ODDS)
 
 
 def odds_of_one(errors: np.ndarray, *, student: float | None = None) -> float:
@@ -109,8 +116,8 @@ def test_heavy_tails_of_the_others_make_a_far_reading_noise() -> None:
     rng = np.random.default_rng(7)
     normal = [odds_of_one(rng.standard_normal(READINGS)) for _ in range(20)]
     tails = [odds_of_one(rng.standard_t(3.0, READINGS)) for _ in range(20)]
-    assert np.median(normal) > np.log(PROVEN)
-    assert np.median(tails) < np.log(PROVEN)
+    assert np.median(normal) > np.log(GROSS_ODDS)
+    assert np.median(tails) < np.log(GROSS_ODDS)
     errors = rng.standard_normal(READINGS)
     stated = [odds_of_one(errors, student=dof) for dof in (3.0, 6.0, 30.0)]
     assert stated == sorted(stated)
@@ -123,4 +130,4 @@ def test_beside_a_misfit_a_moderate_error_proves_nothing() -> None:
     residual[15] += 60.0
     asked = odds_of(slopes, residual)
     odds = asked.of_gross_error([8, 15], rest_fits=False)
-    assert odds[8] < np.log(PROVEN) < odds[15]
+    assert odds[8] < np.log(GROSS_ODDS) < odds[15]

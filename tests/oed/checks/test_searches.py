@@ -12,16 +12,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed.checks import candidates, copies, outlier_odds
-from oed.checks.evidence import linear_readings, log_evidence
-from oed.checks.far_reading import FarReading, LeaveOneOut, alike_readings
+from oed.checks import copies, explain, outlier_odds, times
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.judgement import probability_of_strain
+from oed.checks.outlier_odds import FarReading, LeaveOneOut, alike_readings
 from oed.checks.outliers import far_readings, find_outliers
-from oed.checks.ranges import predict_ranges
+from oed.checks.screening import linear_readings, log_evidence
 from oed.checks.senses import contradictions
-from oed.checks.session import SessionReadings
-from oed.checks.times import between, clock, within
+from oed.checks.session import SessionReadings, predict_ranges
 from oed.noise import Noise
 
 SIGMA = 0.5e-6
@@ -202,7 +200,7 @@ def test_kinds_share_the_prior_evenly() -> None:
         trial("unit", "run"),
         trial("sign", "file"),
     ]
-    shares = np.exp(candidates.log_priors(every)) / candidates.MISTAKEN
+    shares = np.exp(explain.log_priors(every)) / explain.MISTAKE_PROBABILITY
     assert shares == pytest.approx([1 / 8, 1 / 8, 1 / 4, 1 / 2])
 
 
@@ -222,32 +220,32 @@ def test_runs_of_one_path_need_one_sense_of_travel() -> None:
 # -- clocks ----------------------------------------------------------------------------
 
 
-def run(name: str, times: list[float]) -> clock.TimedRun:
-    count = len(times)
+def run(name: str, seconds: list[float]) -> times.TimedRun:
+    count = len(seconds)
     joints = np.linspace(0.0, 1.0, count)[:, None]
-    return clock.TimedRun("s", name, np.arange(count) + 2, np.array(times), joints)
+    return times.TimedRun("s", name, np.arange(count) + 2, np.array(seconds), joints)
 
 
 def test_steps_of_a_clock() -> None:
     one = run("a", [0.0, 10.0, 20.0, 35.0])
     assert (one.start, one.end, one.cadence, one.least_step) == (0.0, 35.0, 10.0, 10.0)
     assert one.scaled(60.0, later=5.0).times.tolist() == [5.0, 605.0, 1205.0, 2105.0]
-    assert clock.typical(np.array([-5.0, 2.0, 4.0])) == 3.0
-    assert clock.typical(np.array([-5.0])) == 0.0
-    assert clock.alike(10.0, 15.0)
-    assert not clock.alike(10.0, 15.1)
+    assert times.typical(np.array([-5.0, 2.0, 4.0])) == 3.0
+    assert times.typical(np.array([-5.0])) == 0.0
+    assert times.alike(10.0, 15.0)
+    assert not times.alike(10.0, 15.1)
 
 
 def test_runs_at_one_time_clash() -> None:
     first = run("a", [10.0 * k for k in range(6)])
     second = first.scaled(1.0, later=60.0)
-    assert between.first_clash([first, second]) is None
+    assert times.first_clash([first, second]) is None
     elsewhere = dataclasses.replace(first, run="b", joints=first.joints[::-1])
-    clash = between.first_clash([first, elsewhere])
+    clash = times.first_clash([first, elsewhere])
     assert clash is not None
-    column = clock.TimeColumn("time_s", "s", 1.0)
+    column = times.TimeColumn("time_s", "s", 1.0)
     assert column.others["min"] == 60.0
-    assert not within.findings([first], column)
+    assert not times.within_one_run([first], column)
     backward = run("c", [20.0, 10.0, 0.0])
-    (finding,) = within.findings([backward], column)
+    (finding,) = times.within_one_run([backward], column)
     assert "runs backward" in finding.sentence

@@ -7,8 +7,7 @@ import pytest
 from oed.checks import sentences
 from oed.checks.copies import CoarseReadings, EqualReadings
 from oed.checks.findings import Severity
-from oed.checks.ranges import Ranges, predict_ranges
-from oed.checks.session import SessionReadings
+from oed.checks.session import Ranges, SessionReadings, predict_ranges
 
 
 @pytest.fixture(scope="module")

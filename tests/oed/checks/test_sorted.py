@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed.checks.mistakes import Given, sorting
+from oed.checks.mistakes import Suspect, sorting
 from oed.checks.session import SessionReadings
 
 #: five values are in order by chance once in 60, up or down; of 401 an assignment is slow
@@ -33,6 +33,6 @@ def test_from_five_to_four_hundred_sorted_readings_are_looked_at(
 ) -> None:
     part = long_run.take(np.arange(count))
     rising = part.with_y(np.sort(part.y) + 1e-6 * np.arange(count))
-    trials = list(sorting.trials(Given(rising)))
+    trials = list(sorting.trials(Suspect(rising)))
     assert bool(trials) == is_looked_at
     assert {t.kind for t in trials} == ({"sorting"} if is_looked_at else set())

@@ -39,7 +39,7 @@ def session(times: dict[tuple[str, str], np.ndarray]) -> SessionReadings:
         {"order": np.arange(1, count + 1), "time": np.concatenate(parts)}
     )
     y = measurement.readings(series, measurement.nominal)
-    return checks.session(measurement, series, y, covariates)
+    return checks.session_readings(measurement, series, y, covariates)
 
 
 def from_(start: float) -> np.ndarray:
@@ -172,7 +172,7 @@ def test_files_without_times_say_nothing() -> None:
     measurement = Measurement(planar_2dof.machine, [mount(pose_tracker.position, "t")])
     series = measurement.series("t", PATHS["low"])
     y = measurement.readings([series], measurement.nominal)
-    assert not wrong_times(checks.session(measurement, [series], y))
+    assert not wrong_times(checks.session_readings(measurement, [series], y))
 
 
 def test_rows_of_a_second_file_may_have_the_numbers_of_the_first() -> None:

@@ -16,9 +16,9 @@ from oed.base import tilt_and_spin
 from oed.checks.explain import as_given
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.mistakes import (
-    PHYSICAL,
-    Given,
+    PHYSICAL_KINDS,
     MistakeTrial,
+    Suspect,
     amounts,
     frames,
     order,
@@ -119,25 +119,25 @@ def test_a_kind_undone_leaves_the_readings_without_it(
 ) -> None:
     """To three hundredths where a target elsewhere goes with the nominal orientation."""
     rows = machines.readings(machine, 4)
-    clean = Given(machines.session(machine, rows.copy()))
-    given = Given(machines.session(machine, change(rows)))
+    clean = Suspect(machines.session(machine, rows.copy()))
+    given = Suspect(machines.session(machine, change(rows)))
     size = np.array([] if amount is None else [amount])
     right, limit = misfit(clean), 3e-2 * np.abs(size).sum() if module is tools else 2e-6
 
     def is_right(trial: MistakeTrial) -> bool:
         says = words.split(" is ")[0].split(" are ")[0]
-        if trial.amounts.shape != size.shape or says not in trial.words(
+        if trial.amounts.shape != size.shape or says not in trial.text(
             size, 0.01 * size
         ):
             return False
-        rest = misfit(Given(*trial.undo(size)))
+        rest = misfit(Suspect(*trial.undo(size)))
         return bool((rest - right).abs().max() < limit)
 
     assert (misfit(given) - right).abs().max() > 3e-5
     assert any(is_right(trial) for trial in module.trials(given))
 
 
-def misfit(given: Given) -> pd.Series:
+def misfit(given: Suspect) -> pd.Series:
     """Readings less those of the nominal machine, SI, by row of the file and channel."""
     rows = pd.MultiIndex.from_frame(given.session.values[["row", "channel"]])
     return pd.Series(given.session.y - given.predicted, index=rows)
@@ -174,9 +174,9 @@ def test_lines_of_a_meander_turn_round() -> None:
     key = np.concatenate([np.zeros(10), key])
     second = [10, 11, 12, 14, 13, 15, 16]
     first = [12, 11, 10, 13, 14, 16, 15]
-    assert order._to_and_fro(key, 1, rows).tolist() == second
-    assert order._to_and_fro(key, 0, rows).tolist() == first
-    assert order._to_and_fro(np.zeros(17), 0, rows).tolist() == rows.tolist()
+    assert order._turn_lines(key, 1, rows).tolist() == second
+    assert order._turn_lines(key, 0, rows).tolist() == first
+    assert order._turn_lines(np.zeros(17), 0, rows).tolist() == rows.tolist()
 
 
 def test_a_grid_read_as_a_meander_is_put_in_order() -> None:
@@ -186,9 +186,9 @@ def test_a_grid_read_as_a_meander_is_put_in_order() -> None:
         rows.loc[height, name] = 0.0
         across = angles if name == "alpha_deg" else np.repeat(angles, 3)
         rows.loc[height[:6], name] = np.resize(across, 6)
-    given = Given(machines.session("prs", rows))
+    given = Suspect(machines.session("prs", rows))
     whole = given.session.y
-    names = [t for t in order.trials(given) if "meander" in t.words(*[np.zeros(0)] * 2)]
+    names = [t for t in order.trials(given) if "meander" in t.text(*[np.zeros(0)] * 2)]
     of_lines = [t for t in names if t.scope.name == "run height 1"]
     assert of_lines
     for trial in of_lines:
@@ -199,7 +199,7 @@ def test_a_grid_read_as_a_meander_is_put_in_order() -> None:
 def test_angles_of_a_controller_by_another_convention() -> None:
     """Roll, pitch and yaw in the columns of a tilt and a spin, by SciPy's rotations."""
     own = tilt_and_spin("rx", "ry", "spin")
-    by_words = {m.words: m for m in frames._mistakes(own)}
+    by_words = {m.text: m for m in frames._mistakes(own)}
     one = by_words["have angles in another order: R = Rz(spin) Ry(ry) Rx(rx)"]
     poses = np.array([[1.0, 2.0, 3.0, 0.2, -0.3, 0.4], [0.0, 0.0, 1.0, -0.1, 0.2, 0.3]])
     right = frames._unframed(own, one, poses)
@@ -214,7 +214,7 @@ def test_readings_are_linear_about_a_fit_as_well() -> None:
     session = machines.session("a3", bar_mounted_anew(machines.readings("a3", 4)))
     solution = fit_of_any_misfit(session, 10.0)
     assert solution is not None
-    plain, near = Given(session), Given(session, at=solution)
+    plain, near = Suspect(session), Suspect(session, at=solution)
     read = near.predicted + near.slopes @ solution.departure
     measurement = session.measurement
     exact = measurement.readings(session.series, solution.theta)
@@ -230,12 +230,12 @@ def test_readings_are_linear_about_a_fit_as_well() -> None:
 def test_a_stretch_is_the_one_that_lessens_the_misfit_most() -> None:
     """By the exact misfit with an offset of each stretch, in the linear model."""
     session = machines.session("hexapod", bumped(machines.readings("hexapod", 4)))
-    given = Given(session)
+    given = Suspect(session)
     of_rows = [
         t for t in amounts.trials(given) if t.kind == "run" and t.log_prior < 0.0
     ]
-    of_y = [t for t in of_rows if "read_y_mm" in t.words(np.ones(1), np.ones(1))]
-    assert len(of_y) == amounts.STRETCHES
+    of_y = [t for t in of_rows if "read_y_mm" in t.text(np.ones(1), np.ones(1))]
+    assert len(of_y) == amounts.N_STRETCHES
     assert of_y[0].scope.name == "rows 20 to 23"
 
     def misfit(y: Array) -> float:
@@ -323,7 +323,7 @@ def test_effects_outliers_and_noise_are_no_mistakes(
     """What an effect can mimic may be named as such a mistake, and nothing else."""
     checked = machines.check(machine, change(machines.readings(machine, 4)))
     kinds = {one.kind for one in checked.explanations}
-    assert kinds <= set(PHYSICAL), [one.what for one in checked.explanations]
+    assert kinds <= set(PHYSICAL_KINDS), [one.what for one in checked.explanations]
 
 
 def test_an_error_of_a_run_beyond_noise_is_no_law() -> None:

@@ -9,9 +9,8 @@ from scipy import stats
 
 from oed.checks import explain
 from oed.checks.findings import rounded
-from oed.checks.fit import fit
-from oed.checks.goodness import goodness, goodness_of, goodness_of_estimate
-from oed.checks.mistakes import Given
+from oed.checks.fit import fit, goodness, goodness_of, goodness_of_estimate
+from oed.checks.mistakes import Suspect
 from oed.estimation import identify
 
 SIGMA = 0.5e-3  # mm, of the bar
@@ -87,9 +86,9 @@ def test_readings_left_out_are_anywhere_about_nominal() -> None:
     session = machines.session("a3", rows)
     solution = fit(session)
     assert solution is not None
-    rest, log_density = explain._without_outliers(solution)
+    rest, log_density = explain._drop_outliers(solution)
     assert len(rest.session) == len(session) - 2
-    given, far = Given(session), [17, 41]
+    given, far = Suspect(session), [17, 41]
     law = stats.cauchy(given.predicted[far], 3.0 * given.spread[far])
     exact = law.logpdf(session.y[far]).sum() - 2.0 * np.log(len(session))
     assert log_density == pytest.approx(exact, rel=1e-12)
@@ -99,7 +98,7 @@ def test_readings_left_out_are_anywhere_about_nominal() -> None:
 def test_a_sample_has_the_first_and_the_last_reading(
     monkeypatch: pytest.MonkeyPatch, most: int
 ) -> None:
-    monkeypatch.setattr(explain, "MOST_READINGS", most)
+    monkeypatch.setattr(explain, "MAX_COMPARED", most)
     session = machines.session("a3", machines.readings("a3", 3))
     sample = explain._sample(session)
     assert len(sample) == min(most, len(session))
@@ -124,9 +123,9 @@ def test_mistakes_and_none_share_the_probability() -> None:
 
 def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
     nothing = candidate("", -100.0, ratio=90.0)
-    prior = np.log1p(-explain.MISTAKEN)
+    prior = np.log1p(-explain.MISTAKE_PROBABILITY)
     for gain, count in ((-0.1, 0), (0.1, 1)):
-        one = candidate("in um", -100.0 + prior + explain.LOG_ODDS + gain)
+        one = candidate("in um", -100.0 + prior + explain.MIN_LOG_ODDS + gain)
         assert len(explain._explanations([one], nothing, before=90.0)) == count
     assert explain._explanations([], nothing, before=90.0) == []
     left = candidate("in um", -10.0, ratio=50.0)
@@ -146,8 +145,10 @@ def test_only_a_specific_mistake_settles_the_search() -> None:
     nothing = candidate("", -400.0)
     assert explain._settles(candidate("in um", -100.0), nothing)
     assert not explain._settles(candidate("in um", -399.0), nothing)
-    assert explain._settles(candidate("in um", -400.0 + explain.HOPELESS), nothing)
-    at_the_limit = candidate("in um", -100.0, ratio=explain.SETTLED)
+    assert explain._settles(
+        candidate("in um", -400.0 + explain.MAX_LOG_DEFICIT), nothing
+    )
+    at_the_limit = candidate("in um", -100.0, ratio=explain.SETTLED_RATIO)
     assert explain._settles(at_the_limit, nothing)
     assert not explain._settles(candidate("any", -100.0, kind="size"), nothing)
     assert not explain._settles(candidate("in um", -100.0, ratio=1.6), nothing)

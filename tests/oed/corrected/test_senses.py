@@ -78,7 +78,7 @@ def test_half_of_the_runs_are_named_or_the_other_half() -> None:
 def session(
     m: Measurement, series: Series, rows: pd.DataFrame
 ) -> checks.SessionReadings:
-    return checks.session(m, [series], np.zeros(len(rows)), rows)
+    return checks.session_readings(m, [series], np.zeros(len(rows)), rows)
 
 
 @pytest.fixture(scope="module")

@@ -18,19 +18,11 @@ from shipped_models import (
     relative,
 )
 
-from oed.dataset import (
-    checks,
-    columns,
-    csv_input,
-    csv_output,
-    data,
-    dialect,
-    table,
-    table_cells,
-)
+from oed.base import consecutive_slices
+from oed.dataset import columns, csv_input, csv_output, data, dialect, table
 from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
-from oed.dataset.table_checks import check_rows
+from oed.dataset.table import check_rows
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.units import UnitError
@@ -55,38 +47,40 @@ def read(*rows: list[str], separator: str = ",") -> ReadingsFile:
 def test_a_column_states_its_unit(
     name: str, stem: str, unit: str, factor: float
 ) -> None:
-    column = columns.parse_column(name)
+    column = columns.ReadingsColumn.parse(name)
     assert (column.stem, column.unit) == (stem, unit)
     assert column.factor == pytest.approx(factor)
 
 
 def test_a_column_without_a_known_unit_is_refused() -> None:
     with pytest.raises(UnitError):
-        columns.parse_column("z_furlong")
+        columns.ReadingsColumn.parse("z_furlong")
 
 
 def test_columns_are_written_as_they_are_read() -> None:
     for stem, unit, value in (("z", "m", 0.0123), ("psi", "rad", 0.5), ("q", "K", 2.0)):
-        column = columns.parse_column(columns.column_name(stem, unit))
+        column = columns.ReadingsColumn.of(stem, unit)
         assert float(columns.cell(value, unit)) * column.factor == pytest.approx(value)
         assert column.name in columns.column_names(stem, unit)
     assert columns.cell(np.nan, "m") == ""
 
 
 def test_covariates_are_known_by_their_stems() -> None:
-    assert columns.is_covariate("temp_bar")
-    assert columns.is_temperature("temp_bar")
-    assert not columns.is_temperature("temp_")
-    assert not columns.is_covariate("length")
-    assert columns.covariate_unit("tension_2") == "N"
-    assert columns.covariate_unit("temp_bar") == "K"
+    assert columns.temperature_body("temp_bar") == "bar"
+    assert columns.temperature_body("temp_") is None
+    assert columns.ReadingsColumn.of_covariate("length") is None
+    tension = columns.ReadingsColumn.of_covariate("tension_2")
+    assert tension is not None
+    assert tension.unit == "N"
+    temperature = columns.ReadingsColumn.of_covariate("temp_bar")
+    assert temperature == columns.ReadingsColumn("temp_bar_C", "temp_bar", "K", 1.0)
     assert columns.tension_columns(a3_head.machine) == []
     count = len(cables_planar.machine.joints)
     assert len(columns.tension_columns(cables_planar.machine)) == count
 
 
 def test_a_dialect_is_recognised_by_the_header() -> None:
-    split = dialect.split("# a remark\nsetup;run;order;z_mm\na;1;1;2,5\n")
+    split = dialect.SplitText.of("# a remark\nsetup;run;order;z_mm\na;1;1;2,5\n")
     assert split.separator == ";"
     assert split.text.startswith("setup;")
     assert dialect.with_decimal_points(["2,5", "1.234,5"], ";") == ["2.5", "1.234,5"]
@@ -124,7 +118,7 @@ def test_a_remedy_names_what_belongs_together() -> None:
     assert table.cell_remedy("q2", poses).endswith("all of q1, q2")
     assert "leave the cell empty" in table.cell_remedy("length", poses)
     assert "keep one row in 3 " in str(
-        table.too_many(2 * table.MOST_READINGS + 1, "rows", "x.csv")
+        table.too_many(2 * table.MAX_READINGS + 1, "rows", "x.csv")
     )
 
 
@@ -136,30 +130,30 @@ def planar() -> Measurement:
 def test_known_columns_are_those_of_machine_and_instruments(
     planar: Measurement,
 ) -> None:
-    expected = checks.expected_columns(planar)
+    expected = csv_input.expected_columns(planar)
     assert expected["y"] == expected["dz"] == "m"
-    assert checks.pose_groups(planar)[0] == ["y", "z"]
+    assert csv_input.pose_groups(planar)[0] == ["y", "z"]
     m = Measurement(
         a3_head.machine, [mount(ball_bar.instrument, "a", teach=(1.2, 0, 0))]
     )
     rows = read(["a", "1", "1", "1200", "1", "300"])
-    checks.check_columns(rows, m)
-    checks.check_setups(rows, m)
+    csv_input.check_columns(rows, m)
+    csv_input.check_setups(rows, m)
     with pytest.raises(ReadingsError, match="unknown column"):
-        checks.check_columns(rows, planar)
+        csv_input.check_columns(rows, planar)
     with pytest.raises(ReadingsError, match="no such set-up"):
-        checks.check_setups(rows, planar)
+        csv_input.check_setups(rows, planar)
 
 
 def test_a_pose_is_filled_whole_or_not_at_all() -> None:
     rows = read(["a", "1", "1", "5", "1", "2"], ["a", "1", "2", "", "", ""])
     first, second = (np.array([k]) for k in (0, 1))
-    filled = checks.filled_columns(rows, ["z", "length"], first)
+    filled = csv_input.filled_columns(rows, ["z", "length"], first)
     assert filled is not None
     np.testing.assert_allclose(filled, [[5e-3, 2e-3]])
-    assert checks.filled_columns(rows, ["z", "length"], second) is None
+    assert csv_input.filled_columns(rows, ["z", "length"], second) is None
     with pytest.raises(ReadingsError):
-        checks.filled_columns(rows, ["z", "length", "q"], first)
+        csv_input.filled_columns(rows, ["z", "length", "q"], first)
 
 
 def test_references_of_runs_are_rows_without_readings(
@@ -175,7 +169,7 @@ def test_references_of_runs_are_rows_without_readings(
     assert rows[1].split(",")[-2:] == ["0.001", "0.002"]
     layout = data.column_layout(planar.machine, planar.setups["ruler"])
     assert layout.reference
-    assert data.consecutive([2, 0, 3]) == (slice(0, 2), slice(2, 2), slice(2, 5))
+    assert consecutive_slices([2, 0, 3]) == (slice(0, 2), slice(2, 2), slice(2, 5))
 
 
 def test_rows_become_readings_with_their_poses() -> None:
@@ -203,7 +197,7 @@ def test_a_table_has_two_hundred_columns_at_most() -> None:
 def test_blocks_of_rows_make_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [["a", str(k % 2), str(k), f"{k}.5", "", "2"] for k in range(1, 8)]
     whole = read(*rows).frame
-    monkeypatch.setattr(table_cells, "BLOCK", 3)
+    monkeypatch.setattr(table, "ROWS_AT_ONCE", 3)
     pd.testing.assert_frame_equal(read(*rows).frame, whole)
     rows[1][5], rows[6][3], rows[6][5] = "late", "first", "last"
     with pytest.raises(ReadingsError, match="row 8, column z_mm = first"):
@@ -213,7 +207,7 @@ def test_blocks_of_rows_make_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_memory_is_that_of_the_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table_cells, "BLOCK", 500)
+    monkeypatch.setattr(table, "ROWS_AT_ONCE", 500)
     path = tmp_path / "long.csv"
     lines = [f"a,circle,{k},{k / 7:.6f},1,{k / 9:.6f}\n" for k in range(8_000)]
     path.write_text(",".join(HEADER) + "\n" + "".join(lines), encoding="utf-8")

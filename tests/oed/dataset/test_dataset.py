@@ -213,12 +213,12 @@ def test_a_plan_to_fill_in_has_empty_readings(
     unit=st.sampled_from(sorted(units.UNITS)),
 )
 def test_a_column_says_its_unit(stem: str, unit: str) -> None:
-    if stem in (*columns.UNITLESS, *columns.LABELS) or (stem, unit) == (
+    if stem in columns.UNITLESS or (stem, unit) == (
         "feed",
         "mm_min",
     ):
         return
-    column = columns.parse_column(f"{stem}_{unit}")
+    column = columns.ReadingsColumn.parse(f"{stem}_{unit}")
     assert (column.stem, column.unit, column.factor) == (
         stem,
         units.si_unit(unit),
@@ -227,7 +227,7 @@ def test_a_column_says_its_unit(stem: str, unit: str) -> None:
 
 
 def test_feed_is_a_length_in_a_minute() -> None:
-    column = columns.parse_column("feed_mm_min")
+    column = columns.ReadingsColumn.parse("feed_mm_min")
     assert (column.stem, column.unit, column.factor) == (
         "feed",
         "m/s",

@@ -132,7 +132,7 @@ def test_too_many_readings_are_refused_before_they_are_parsed(
     rows = [row.replace(",1,", ",{},", 1) for row in rows[:1]] * 10_000
     body = "\n".join(row.format(k) for k, row in enumerate(rows, start=1))
     path.write_text(f"{header}\n{body}\n", encoding="utf-8")
-    monkeypatch.setattr(table, "MOST_READINGS", 5_000)
+    monkeypatch.setattr(table, "MAX_READINGS", 5_000)
     tracemalloc.start()
     with pytest.raises(ReadingsError) as error:
         dataset.load(path, head)
@@ -146,7 +146,7 @@ def test_too_many_readings_are_refused_before_they_are_parsed(
 def test_readings_are_counted_by_channel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table, "MOST_READINGS", 4)
+    monkeypatch.setattr(table, "MAX_READINGS", 4)
     text = sample.changed(
         sample.STUDY, ('instrument = "ball_bar"', 'instrument = "camera_known_frame"')
     )

@@ -101,9 +101,9 @@ def test_a_stated_step_is_no_coarse_column() -> None:
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 10)]
     y = np.round(m.readings(series, m.nominal) + 3e-6 * np.arange(20), 5)
-    assert copies.coarse_columns(checks.session(m, series, y))
+    assert copies.coarse_columns(checks.session_readings(m, series, y))
     setup = m.setups["cup"]
     channel = dataclasses.replace(setup.instrument.channels[0], resolution=1e-5)
     instrument = dataclasses.replace(setup.instrument, channels=(channel,))
     stated = m.with_setups([dataclasses.replace(setup, instrument=instrument)])
-    assert not copies.coarse_columns(checks.session(stated, series, y))
+    assert not copies.coarse_columns(checks.session_readings(stated, series, y))

@@ -136,7 +136,7 @@ def test_checks_take_the_correlation(
 ) -> None:
     """Penalised sum of squares, and each run as the others predict it."""
     m = correlated
-    solution = check_fit.fit(checks.session(m, [series], y))
+    solution = check_fit.fit(checks.session_readings(m, [series], y))
     assert solution is not None
     h = m.jacobian([series], solution.theta)
     sigma = m.sigma([series])

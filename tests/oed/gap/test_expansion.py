@@ -11,11 +11,11 @@ from kernel.dense_noise import law_covariance
 from kernel.gap_lines import BOW, EFFECTS, planted, white_lines
 from kernel.laws import STATED_LAW
 from oed.gap.cause.compare import compare, compare_expanded
-from oed.gap.cause.explained import explain
 from oed.gap.cause.search import Search
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
+from oed.gap.procedure import explain
 
 FORM = ActingEffectForm(BOW, {"turns": 3.0}, ("leg 1", "leg 2"), 3.0)
 

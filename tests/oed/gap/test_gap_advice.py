@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from kernel.gap_lines import BOW, DRIFT, SLIP
-from oed.gap.cause.advice import advise
-from oed.gap.data.diagnosis import UNKNOWN
-from oed.result import AnswerRecord
+from oed.gap.cause.answers import advise
+from oed.result import UNKNOWN, AnswerRecord
 
 EFFECTS = (BOW, SLIP, DRIFT)
 

@@ -13,7 +13,7 @@ from oed.effect_model import Column, Effect, State
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.gap.forms.library import DIFFER, Library
+from oed.gap.forms.library import LIMB_DIFFERENCE, Library
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)
@@ -52,7 +52,7 @@ def test_prior_of_limbs_that_are_alike() -> None:
     (joined,) = [
         a for a in twins.atoms if any("all legs" in twins.names[c] for c in a.columns)
     ]
-    prior = np.ones((2, 2)) + DIFFER**2 * np.eye(2)
+    prior = np.ones((2, 2)) + LIMB_DIFFERENCE**2 * np.eye(2)
     np.testing.assert_allclose(
         _covariance(twins, joined), free.columns @ prior @ free.columns.T, atol=1e-9
     )

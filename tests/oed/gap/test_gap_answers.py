@@ -9,10 +9,8 @@ import pytest
 
 from oed.gap.cause import answers as answering
 from oed.gap.cause.compare import probabilities
-from oed.gap.cause.hypothesis import PRIOR, Hypothesis
-from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import UNKNOWN
-from oed.result import AnswerRecord, GapSection
+from oed.gap.cause.search import PRIOR, Hypothesis, Search
+from oed.result import UNKNOWN, AnswerRecord, GapSection
 
 
 def test_verdicts() -> None:
@@ -27,7 +25,7 @@ def test_verdicts() -> None:
         assert answering.verdict(AnswerRecord(effects, 1.0, classes)) == wanted
 
 
-MANY = tuple(f"m{k}" for k in range(answering.VAGUE))
+MANY = tuple(f"m{k}" for k in range(answering.MIN_VAGUE_MEMBERS))
 
 
 def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[AnswerRecord]:
@@ -54,7 +52,7 @@ def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> No
 
 
 def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> None:
-    more = tuple(f"n{k}" for k in range(answering.VAGUE + 1))
+    more = tuple(f"n{k}" for k in range(answering.MIN_VAGUE_MEMBERS + 1))
     for members in ([more, MANY], [MANY, more]):
         assert _said((members, False, 0.4)) == [
             AnswerRecord((MANY[0], UNKNOWN), 0.4, (MANY,))
@@ -228,7 +226,7 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
 
     limit = GapSection.MISSED_GAP_COST / (GapSection.MISSED_GAP_COST + 1.0)
     assert 0.5 < limit < 1.0
-    for members in (1, answering.VAGUE):
+    for members in (1, answering.MIN_VAGUE_MEMBERS):
         assert first(limit + 0.01, members) == ()
         assert first(limit - 0.01, members) == ("a",)
 

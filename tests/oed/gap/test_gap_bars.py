@@ -19,11 +19,11 @@ import pytest
 from benchmarks.blind.generator import cases, effects, noise, plans, scene, severity
 from benchmarks.blind.world import HERE
 from benchmarks.harness.diagnosis import prepare
-from oed.gap.data.diagnosis import UNKNOWN, Diagnosis
+from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.procedure import diagnose
-from oed.result import AnswerRecord
+from oed.result import UNKNOWN, AnswerRecord
 
 COLUMNS = ("time_s", "direction", "feed_mm_min", "payload_N", "repeat")
 

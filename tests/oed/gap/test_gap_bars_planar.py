@@ -18,8 +18,13 @@ from kernel.dense_noise import law_covariance
 from oed.effect_model import Effect
 from oed.gap.data import state as states_of
 from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.problem import GapProblem, assemble, prepare
-from oed.gap.data.signature import exact_readings, signature
+from oed.gap.data.problem import (
+    GapProblem,
+    assemble,
+    exact_readings,
+    prepare,
+    signature,
+)
 from oed.gap.procedure import diagnose
 from oed.instrument import mount
 from oed.measurement import Measurement, Series

@@ -10,9 +10,8 @@ import pytest
 from kernel import gap_problem as case
 from kernel.gap_lines import readings
 from oed.effect_model import Column, Effect, State
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers, waves
+from oed.gap.data.problem import GapProblem, Metric
+from oed.gap.forms import discrepancy, waves
 
 PERIOD, SIZE = 700.0, 1e-6
 
@@ -52,10 +51,10 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     wanted = dict(
         zip(signature.names, problem.in_noise_units(signature.columns).T, strict=True)
     )
-    form = carriers.at_poses(
+    form = discrepancy.at_poses(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
-    _, joints, tool, tool_length = carriers.every(problem)
+    _, joints, tool, tool_length = discrepancy.carriers_of(problem)
     pairs = [
         (joints, [f"leg {i + 1}" for i in problem.states[0].limbs]),
         (tool, [f"tool {k}" for k in range(3)]),
@@ -63,7 +62,7 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
     ]
     zeros = np.zeros(len(problem))
     for carrier, columns in pairs:
-        change = carriers.apply_carrier(carrier.columns, form)[:, :, 0]
+        change = discrepancy.apply_carrier(carrier.columns, form)[:, :, 0]
         expected = np.column_stack([wanted.get(name, zeros) for name in columns])
         assert np.sqrt((carrier.columns**2).sum(axis=2).mean()) == (pytest.approx(1.0))
         size = np.linalg.norm(expected) / np.linalg.norm(change)
@@ -72,14 +71,14 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
 
 def test_readings_are_carried_by_set_up_and_channel() -> None:
     problem = readings(1)
-    each = carriers.readings(problem)
+    each = discrepancy.readings(problem)
     assert each.labels == ("channel dy in lines", "channel dz in lines")
     assert (each.columns.sum(axis=(1, 2)) == 1.0).all()
-    assert [part.name for part in carriers.channels(problem).parts()] == [
+    assert [part.name for part in discrepancy.channels(problem).parts()] == [
         "the readings of dy",
         "the readings of dz",
     ]
-    _, _, tool, _ = carriers.every(problem)
+    _, _, tool, _ = discrepancy.carriers_of(problem)
     assert len(tool.parts()) == 1
 
 

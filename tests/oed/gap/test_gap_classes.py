@@ -16,10 +16,8 @@ from shipped_models import a3_head, ball_bar, bar_length, encoder_scale
 from kernel import a3_plans, gap_a3
 from kernel.laws import STATED_LAW
 from oed.gap.cause import compare
-from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.search import Search
-from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.data.signature import signature
+from oed.gap.cause.search import Hypothesis, Search
+from oed.gap.data.problem import GapProblem, assemble, signature
 from oed.gap.forms import library
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, commands_at_fixed_reading
@@ -156,7 +154,7 @@ def dense(
     for atom in search.library.atoms_of(rival):
         g = search.library.columns[:, search.library.atoms[atom].columns]
         cross = g.T @ m @ y
-        ridge = g.T @ m @ g + np.eye(g.shape[1]) / compare.RIVAL**2
+        ridge = g.T @ m @ g + np.eye(g.shape[1]) / compare.MAX_RIVAL_SIZE**2
         energies.append(y @ m @ y - cross @ np.linalg.solve(ridge, cross))
     return min(energies), energies[0]
 
@@ -180,7 +178,9 @@ def test_a_class_is_what_the_dense_formula_says(
         assert first == effect
         for r in rivals:
             lam, whole = energies[r]
-            same = lam < compare.EXACT * whole or (near and lam < compare.DISTINCT**2)
+            same = lam < compare.EXACT_SHARE * whole or (
+                near and lam < compare.MIN_DISTINCT**2
+            )
             assert (r in others) == same, (r, lam, whole)
 
 
@@ -206,8 +206,8 @@ def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(
         odds = (
             search.fit((r,), (search.library.atoms_of(r)[0],), (1.0,)).score - h.score
         )
-        near = min(behind, -odds) < max(compare.PLAINER, whole / 8.0)
-        by_form = near and lam < max(compare.DISTINCT**2, 0.25 * whole)
+        near = min(behind, -odds) < max(compare.PRIOR_LOG_ODDS, whole / 8.0)
+        by_form = near and lam < max(compare.MIN_DISTINCT**2, 0.25 * whole)
         assert (r in members) == (r in alone or by_form), (r, lam, whole)
 
 

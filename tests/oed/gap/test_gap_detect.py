@@ -12,11 +12,9 @@ from scipy import stats
 from kernel import a3_plans, gap_a3
 from kernel.dense_noise import law_covariance
 from kernel.laws import STATED_LAW, noise_law
-from oed.gap.before import detect, runs
-from oed.gap.before.confusion import in_words
-from oed.gap.before.forms import ROOM
-from oed.gap.before.power import needed_lambda, power
-from oed.gap.data.signature import signature
+from oed.gap.before import choose, detect
+from oed.gap.before.detect import RIVAL_SD, in_words, needed_lambda, power
+from oed.gap.data.problem import signature
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
 ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
@@ -25,7 +23,7 @@ ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
 @functools.cache
 def problem(tools=(0.0,), strokes=FIVE, points=12):
     m = a3_plans.measurement(tools=tools)
-    return runs.prepare(m, gap_a3.circles(m, strokes, points))[0]
+    return choose.problem_of_runs(m, gap_a3.circles(m, strokes, points))[0]
 
 
 def dense(p, law):
@@ -89,14 +87,16 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
         # column keeps its prior
         for tau in (900.0, 3600.0):
             r, rival = columns(p, gap_a3.warming, tau=tau)
-            wide = c + (r * np.where(rival.shape, 1.0, ROOM**2)) @ r.T
+            wide = c + (r * np.where(rival.shape, 1.0, RIVAL_SD**2)) @ r.T
             root = np.sqrt(np.trace(g.T @ np.linalg.solve(wide, g)))
             separation = pair(detection.separation, detection, name, "warming")
             assert separation <= root * (1 + 1e-6)
         worst = min(
             np.trace(
                 g.T
-                @ np.linalg.solve(c + (r * np.where(s.shape, 1.0, ROOM**2)) @ r.T, g)
+                @ np.linalg.solve(
+                    c + (r * np.where(s.shape, 1.0, RIVAL_SD**2)) @ r.T, g
+                )
             )
             for r, s in (columns(p, gap_a3.warming, tau=t) for t in (900.0, 3600.0))
         )

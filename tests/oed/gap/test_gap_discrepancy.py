@@ -23,7 +23,7 @@ def test_modes_have_the_kernel(reach: float) -> None:
     scaled = np.sqrt(3.0) * distance / reach  # Matern's correlation of order 3/2
     remainder = (1.0 + scaled) * np.exp(-scaled) - factor @ factor.T
     assert np.linalg.eigvalsh(remainder).min() > -1e-9
-    assert np.trace(remainder) <= (1.0 - discrepancy.WHOLE) * len(flat) + 1e-9
+    assert np.trace(remainder) <= (1.0 - discrepancy.VARIANCE_SHARE) * len(flat) + 1e-9
     few = discrepancy.modes(places, reach, 5)
     np.testing.assert_allclose(few, modes[:, :, :5])
 

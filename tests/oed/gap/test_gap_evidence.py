@@ -13,8 +13,7 @@ from kernel.gap_lines import white_lines
 from kernel.laws import STATED_LAW, noise_law
 from oed.gap.data import evidence
 from oed.gap.data import problem as problems
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
+from oed.gap.data.problem import GapProblem, Metric
 from oed.noise import NoiseLaw
 
 
@@ -84,8 +83,8 @@ def _student(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> float:
     return float(
         stats.multivariate_t(
             loc=np.zeros(len(problem)),
-            shape=shape * evidence.RATE / evidence.SHAPE,
-            df=2.0 * evidence.SHAPE,
+            shape=shape * evidence.LEVEL_RATE / evidence.LEVEL_SHAPE,
+            df=2.0 * evidence.LEVEL_SHAPE,
         ).logpdf(problem.residual)
     )
 

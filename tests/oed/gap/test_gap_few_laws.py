@@ -11,7 +11,7 @@ from kernel.laws import noise_law
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.search import Search
-from oed.gap.data import laws
+from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 
@@ -55,7 +55,7 @@ def test_laws_are_drawn_where_a_likely_gap_rests_on_few() -> None:
 def test_a_law_in_a_corner_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where all rows are copies of others: no law is drawn about the mode."""
     problem = planted(readings(4), BOW, {"leg 1": 1.0}, turns=2.0)
-    monkeypatch.setattr(laws, "FARTHEST", 0.0)
-    posterior = laws.posterior(problem, np.zeros((len(problem.residual), 0)))
+    monkeypatch.setattr(evidence, "MAX_COORDINATE", 0.0)
+    posterior = evidence.posterior(problem, np.zeros((len(problem.residual), 0)))
     assert np.isfinite(posterior.log_evidence)
     assert (posterior.draws == posterior.draws[0]).all()

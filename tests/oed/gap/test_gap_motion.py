@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed.base import Array
-from oed.gap.data.motion import Motion, motion
+from oed.gap.data.state import Motion, motion
 
 RADIUS, FEED = 0.1, 0.02
 SWING = np.array([0.05, 0.03])

@@ -9,14 +9,14 @@ import pytest
 
 from kernel import gap_lines
 from kernel import gap_problem as case
-from oed.gap.before.confusion import inverse_root
+from oed.gap.before.detect import inverse_root
 from oed.gap.cause import closure
-from oed.gap.cause.folds import FOLDS, Paths
-from oed.gap.cause.form_products import energies
-from oed.gap.cause.searches import WIDE, wide_model
+from oed.gap.cause.closure import N_FOLDS, Paths
+from oed.gap.cause.search import energies
+from oed.gap.cause.searches import WIDE_RMS, wide_model
 from oed.gap.data import evidence
-from oed.gap.data.laws import linear_model, log_evidences
-from oed.gap.data.metric import Metric
+from oed.gap.data.evidence import linear_model, log_evidences
+from oed.gap.data.problem import Metric
 from oed.gap.forms import discrepancy, library
 from oed.noise import Laws, NoiseLaw
 
@@ -90,11 +90,11 @@ def test_repeats_are_of_one_fold_and_a_path_is_cut_in_fifths() -> None:
     for number in np.unique(fold):
         assert len(np.unique(height[fold == number])) == 1
     fold, unit = paths.within()
-    assert np.unique(fold).size == FOLDS
+    assert np.unique(fold).size == N_FOLDS
     psi = problem.series[0].reading_commands()[:, 1]
-    for number in range(FOLDS):
-        assert len(np.unique(psi[fold == number].round(9))) == 20 // FOLDS
-    assert np.unique(unit).size == FOLDS * 8
+    for number in range(N_FOLDS):
+        assert len(np.unique(psi[fold == number].round(9))) == 20 // N_FOLDS
+    assert np.unique(unit).size == N_FOLDS * 8
 
 
 def test_held_out_readings_are_those_of_a_ridge_without_them(
@@ -132,4 +132,4 @@ def test_the_wide_model_has_every_effect_at_one_size() -> None:
     broad = [e for e in processes.effects if e != discrepancy.IN_A_RUN]
     effects = len(forms.effects) + len(broad)
     energy = (columns**2).sum() / len(columns)
-    assert energy == pytest.approx(effects * WIDE**2)
+    assert energy == pytest.approx(effects * WIDE_RMS**2)

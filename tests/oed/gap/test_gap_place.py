@@ -14,9 +14,8 @@ from numpy.testing import assert_allclose
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
 from kernel.laws import STATED_LAW
+from oed.gap.cause.locations import STANDING_OUT, LikelyForms, draw_energies, locate
 from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.places.draws import LikelyForms, draw_energies
-from oed.gap.places.place import STANDS_OUT, locate
 from oed.result import PlaceRecord
 
 KINDS = ("leg", "run", "time", "phase", "direction")
@@ -240,7 +239,7 @@ def test_a_fault_in_one_direction_is_found_where_calibration_leaves_it(
     shares = {2: 0.5, 6: 1.0}
     found = blocks["direction -1"]
     assert found.strength == pytest.approx(shares[waves], abs=0.1)
-    assert (found.p_value < STANDS_OUT) == (waves == 6)
+    assert (found.p_value < STANDING_OUT) == (waves == 6)
 
 
 def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
@@ -248,7 +247,7 @@ def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
     nothing = np.zeros(len(machines.problem))
     a, b = (list(machines.located(nothing, model, 3).values()) for _ in range(2))
     assert a == b
-    clear = [x.p_value < STANDS_OUT for x in a]
+    clear = [x.p_value < STANDING_OUT for x in a]
     assert clear == sorted(clear, reverse=True)
     assert all(0.0 <= x.strength <= 1.0 and 0.0 < x.p_value <= 1.0 for x in a)
     kinds = {x.block.split(" ")[0] for x in a}

@@ -17,13 +17,12 @@ from shipped_models import (
 from kernel import gap_lines, planar_session
 from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnosing
+from oed.gap.cause import locations
+from oed.gap.cause.locations import STANDING_OUT, LikelyForms, ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.data import problem as problems
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.forms import discrepancy, library
-from oed.gap.places import place
-from oed.gap.places.draws import LikelyForms, ReversedForms
-from oed.gap.places.place import STANDS_OUT
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.result import PlaceRecord
@@ -35,7 +34,7 @@ EFFECTS = [module.effect for module in (encoder_scale, leg_thermal, mount_drift,
 
 def _named(diagnosis: Diagnosis) -> dict[str, PlaceRecord]:
     """Places that stand out, by name, the first first."""
-    return {b.block: b for b in diagnosis.where if b.p_value < STANDS_OUT}
+    return {b.block: b for b in diagnosis.where if b.p_value < STANDING_OUT}
 
 
 @pytest.mark.parametrize(
@@ -158,7 +157,7 @@ def test_a_leg_that_moved_in_one_stretch_alone_is_that_stretch() -> None:
     model = LikelyForms(1.0, change, ["leg 1"], np.array([True]))
     readings = problem.with_residual(change[:, 0])
     law = STATED_LAW
-    places = place.locate(readings, law, [model], np.random.default_rng(1))
+    places = locations.locate(readings, law, [model], np.random.default_rng(1))
     same = {p.block: p.same_as for p in places}
     assert same["run b"] == "leg 1"
     assert [p.same_as for p in places if p.block.startswith("time")] == ["run b"]

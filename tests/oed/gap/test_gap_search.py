@@ -19,11 +19,9 @@ from oed.gap import procedure as diagnosing
 from oed.gap.cause import search as searching_one
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
-from oed.gap.cause.hypothesis import PRIOR
-from oed.gap.cause.search import SIZES, Search
+from oed.gap.cause.search import EFFECT_SIZE_VALUES, PRIOR, Search
 from oed.gap.data import evidence
-from oed.gap.data.metric import Metric
-from oed.gap.data.problem import GapProblem
+from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import library
 from oed.noise import NoiseLaw
 
@@ -45,12 +43,16 @@ def _brute(search: Search, effects: tuple[str, ...]) -> float:
     terms = []
     prior = search._forms.log_prior
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
-        for sizes in itertools.product(range(len(SIZES)), repeat=len(effects)):
+        for sizes in itertools.product(
+            range(len(EFFECT_SIZE_VALUES)), repeat=len(effects)
+        ):
             weight = sum(prior[a, s] for a, s in zip(atoms, sizes, strict=True))
             if np.isfinite(weight):
                 terms.append(
                     weight
-                    + search.grams_with(atoms, [float(SIZES[s]) for s in sizes]).base
+                    + search.grams_with(
+                        atoms, [float(EFFECT_SIZE_VALUES[s]) for s in sizes]
+                    ).base
                 )
     return float(special.logsumexp(terms))
 
@@ -141,7 +143,7 @@ def test_an_unknown_is_added_to_the_most_probable_sets(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And to none and every single effect, where not all sets are extended."""
-    monkeypatch.setattr(searching_one, "SETS", 2)
+    monkeypatch.setattr(searching_one, "N_SETS", 2)
     problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
     process = dataclasses.replace(BOW, name="process")
     effects, remainders = (library.build(problem, e) for e in (EFFECTS, [process]))
@@ -181,7 +183,7 @@ def test_pairs_extend_the_most_probable_single_effects_alone(
     """Bows of 1.7 and 2.3 turns together are likeliest, but one of 2 turns is so alone:
     a search that extends one single effect does not come to the pair of them.
     """
-    monkeypatch.setattr(searching_one, "BEHIND", 1e6)
+    monkeypatch.setattr(searching_one, "MAX_LOG_DEFICIT", 1e6)
     problem = planted(readings(4), BOW, {"leg 1": 5.0}, turns=1.7)
     problem = planted(problem, BOW, {"leg 1": 5.0}, turns=2.3)
     effects = tuple(
@@ -190,7 +192,7 @@ def test_pairs_extend_the_most_probable_single_effects_alone(
     )
     both = {"bow 1.7", "bow 2.3"}
     assert set(_search(problem, effects).run()[0].effects) >= both
-    monkeypatch.setattr(searching_one, "SETS", 1)
+    monkeypatch.setattr(searching_one, "N_SETS", 1)
     pairs = [h.effects for h in _search(problem, effects).run() if len(h.effects) == 2]
     assert len(pairs) == 2
     assert all("bow 2.0" in pair for pair in pairs)
@@ -216,7 +218,7 @@ def test_many_constants_keep_the_few_that_explain() -> None:
     law = STATED_LAW
     forms = library.build(problem, [dense], Metric(problem, law))
     turns = {a.constants["turns"] for a in forms.atoms}
-    assert len(turns) == library.BEST
+    assert len(turns) == library.N_BEST_FORMS
     assert min(abs(k - 5.0) for k in turns) < 0.07
     assert max(a.log_weight for a in forms.atoms) < -np.log(57.0)
 
@@ -247,7 +249,7 @@ CURL = Effect(
 
 
 def test_a_large_grid_is_looked_through_whole() -> None:
-    assert len(CURL.constant_grid()) > library.LARGE
+    assert len(CURL.constant_grid()) > library.MAX_GRID
     problem = planted(
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
@@ -255,7 +257,7 @@ def test_a_large_grid_is_looked_through_whole() -> None:
     forms = library.build(problem, [CURL], metric)
     constants = {(a.constants["turns"], a.constants["bend"]) for a in forms.atoms}
     assert (TURNS[31], -0.1) in constants
-    assert len(constants) == library.BEST
+    assert len(constants) == library.N_BEST_FORMS
     best = compare(
         [Search(problem, forms, library.build(problem, ()), STATED_LAW, 0.0)]
     )[0]
@@ -282,7 +284,7 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
     effect = dataclasses.replace(CURL, constants={"turns": TURNS, "bend": bends})
     metric = Metric(problem, STATED_LAW)
     kept = library._forms(problem, effect, metric)
-    forms, large = chosen[-1], len(effect.constant_grid()) > library.LARGE
+    forms, large = chosen[-1], len(effect.constant_grid()) > library.MAX_GRID
     weights = np.exp([w for _, w in forms])
     if not large:  # all have the same, which their number tells
         weights = np.full(len(forms), np.exp(kept[0][1]))

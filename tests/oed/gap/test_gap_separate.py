@@ -12,12 +12,13 @@ import pytest
 from kernel import a3_plans, gap_a3
 from kernel.dense_noise import law_covariance
 from kernel.laws import STATED_LAW, noise_law
+from oed import design
 from oed.design import Rules
-from oed.gap.before import choose, detect, runs
-from oed.gap.before.forms import ROOM
-from oed.gap.before.runs import pool_runs
+from oed.gap.before import choose, detect
+from oed.gap.before.choose import pool_runs
+from oed.gap.before.detect import RIVAL_SD
 from oed.gap.before.separation import Separation
-from oed.gap.data.signature import signature
+from oed.gap.data.problem import signature
 
 WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 
@@ -31,7 +32,7 @@ def laid_out(
 ):
     m = a3_plans.measurement(tools=tools)
     candidates = gap_a3.circles(m, strokes, points, payloads)
-    return candidates, *runs.prepare(m, candidates)
+    return candidates, *choose.problem_of_runs(m, candidates)
 
 
 @functools.cache
@@ -59,7 +60,7 @@ def dense(p, law, rows, target, rival):
     """lambda of a target (N,), the rival's columns (N, k) given a very wide prior, from
     the readings' covariance.
     """
-    c = p.slopes @ p.slopes.T + ROOM**2 * rival @ rival.T
+    c = p.slopes @ p.slopes.T + RIVAL_SD**2 * rival @ rival.T
     for k, block in enumerate(p.members):
         c[np.ix_(block, block)] += law_covariance(law, p, p.members[k])
     return target[rows] @ np.linalg.solve(c[np.ix_(rows, rows)], target[rows])
@@ -140,7 +141,7 @@ def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above()
 def test_bounds_hold_for_every_plan_and_the_search_ends_near_the_best(
     share, monkeypatch
 ):
-    monkeypatch.setattr(choose, "ENUMERATED", 0)
+    monkeypatch.setattr(choose, "MAX_ENUMERATED", 0)
     candidates, size = pool(), 4
     choice = choose.choose(
         candidates, Rules(size=size), np.random.default_rng(0), share=share
@@ -204,7 +205,9 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
 def test_share_one_is_the_d_optimal_choice_of_runs():
     _, p, rows = laid_out()
     blocks = np.array([p.slopes[r] for r in rows])
-    d = choose(blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2]))
+    d = design.choose(
+        blocks, 4, np.random.default_rng(0), "D", prior=np.eye(blocks.shape[2])
+    )
     choice = choose.choose(pool(), Rules(size=4), np.random.default_rng(0), share=1.0)
     assert choice.volume == pytest.approx(d.value, abs=1e-6)
     # and telling effects apart costs volume
@@ -248,7 +251,9 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
     """Detectability of the chosen runs, laid out anew as a plan of their own."""
     candidates, p, _ = laid_out()
     choice = choose.choose(pool(), Rules(size=4), np.random.default_rng(0))
-    problem, _ = runs.prepare(p.measurement, [candidates[k] for k in choice.runs])
+    problem, _ = choose.problem_of_runs(
+        p.measurement, [candidates[k] for k in choice.runs]
+    )
     detection = detect.detect(problem, STATED_LAW, WANTED, np.random.default_rng(0))
     legs = next(t for t in choice.pairs if t.effect == "gravity")
     assert detection.effects[0].name == "gravity"
@@ -261,20 +266,20 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
 def test_runs_are_laid_out_in_order_and_direction():
     m = laid_out()[1].measurement
     command = a3_plans.bar_commands(m, np.full(4, 0.1), np.arange(4) * 1.0, "cup")
-    there = runs.Run(
+    there = choose.Run(
         name="a",
         setup="cup",
         command=command,
         condition={"direction": 1.0, "time": 10.0},
         seconds=40.0,
     )
-    back = runs.Run(
+    back = choose.Run(
         name="b",
         setup="cup",
         command=command,
         condition={"direction": -1.0, "payload": 50.0},
     )
-    series, covariates = runs.lay_out(m, [there, back])
+    series, covariates = choose.lay_out(m, [there, back])
     np.testing.assert_allclose(series[0].reading_commands()[4:], command[::-1])
     assert covariates["time"].tolist()[:4] == [10.0, 20.0, 30.0, 40.0]
     assert covariates["time"].isna().sum() == 4
@@ -286,12 +291,12 @@ def test_bad_input_is_refused_with_a_remedy():
     _, p, rows = laid_out()
     command = np.zeros((3, 3))
     with pytest.raises(ValueError, match="no condition \\['load'\\]; there are"):
-        runs.Run(name="a", setup="cup", command=command, condition={"load": 1.0})
+        choose.Run(name="a", setup="cup", command=command, condition={"load": 1.0})
     with pytest.raises(ValueError, match="direction is \\+1 or -1, not 2"):
-        runs.Run(name="a", setup="cup", command=command, condition={"direction": 2.0})
+        choose.Run(name="a", setup="cup", command=command, condition={"direction": 2.0})
     with pytest.raises(ValueError, match="used twice"):
-        runs.lay_out(
-            p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2
+        choose.lay_out(
+            p.measurement, [choose.Run(name="a", setup="cup", command=command)] * 2
         )
     with pytest.raises(ValueError, match="nothing to tell apart"):
         pool_runs(p, STATED_LAW, rows, [gap_a3.gravity])

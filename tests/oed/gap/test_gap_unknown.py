@@ -10,9 +10,8 @@ from kernel.gap_lines import EFFECTS, readings
 from kernel.gap_unknown import orthogonal_sum, smooth, some, terms
 from kernel.laws import STATED_LAW
 from oed.gap.cause.compare import compare
-from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.search import Search
-from oed.gap.data import laws
+from oed.gap.cause.search import Hypothesis, Search
+from oed.gap.data import evidence
 from oed.gap.forms import discrepancy, library
 
 #: root of the energy that is planted
@@ -113,13 +112,13 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     none = library.build(acting, ())
     processes = terms(acting, "over the workspace")
     posteriors = [
-        laws.posterior(acting, columns)
+        evidence.posterior(acting, columns)
         for columns in (np.zeros((len(acting), 0)), processes.scaled_columns(0, 3.0))
     ]
     ranked = compare(
         [
             Search(acting, none, processes, *pair)
-            for pair in laws.mixture(acting, posteriors)
+            for pair in evidence.mixture(acting, posteriors)
         ]
     )
     mode = posteriors[0].mode.law

@@ -14,8 +14,7 @@ from kernel.gap_lines import readings
 from kernel.laws import STATED_LAW
 from oed.effect_model import State
 from oed.gap.cause.compare import compare
-from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.search import Search
+from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, library
 

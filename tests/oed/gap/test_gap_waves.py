@@ -10,11 +10,10 @@ from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnose
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
-from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.search import Search
+from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers, library, waves
+from oed.gap.forms import discrepancy, library, waves
 from oed.gap.forms.library import Library
 
 
@@ -53,7 +52,7 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     ("travel_m", 0.005, "leg 2 in a wave every 5 mm of travel"),
 ])  # fmt: skip
 def test_a_wave_in_words(unit: str, period: float, words: str) -> None:
-    assert waves._in_words("leg 2", unit, period) == words
+    assert waves._wave_words("leg 2", unit, period) == words
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 517])
@@ -132,11 +131,11 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
     against, has its part of it.
     """
     problem = readings(33, uneven=0.03)
-    place = carriers.at_poses(problem, [s.joints for s in problem.states])[:, :, 0]
+    place = discrepancy.at_poses(problem, [s.joints for s in problem.states])[:, :, 0]
     wave = 2.5 * np.sin(2.0 * np.pi * place / 0.037 + 0.4)[..., None]
-    _, joints, *_ = carriers.every(problem)
+    _, joints, *_ = discrepancy.carriers_of(problem)
     leg = joints.columns[:, 0, None]
-    change = carriers.apply_carrier(leg, wave)[:, 0, 0]
+    change = discrepancy.apply_carrier(leg, wave)[:, 0, 0]
     change *= 2.0 / np.sqrt(np.mean(change**2))
     none, acting = (
         library.build(problem, ()),

@@ -14,9 +14,8 @@ from kernel.gap_unknown import smooth
 from kernel.laws import STATED_LAW
 from oed.gap.cause import withheld
 from oed.gap.cause.compare import probabilities
-from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.search import Search
-from oed.gap.data.evidence import RATE, SHAPE
+from oed.gap.cause.search import Hypothesis, Search
+from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.result import ClosureRecord
@@ -133,8 +132,8 @@ def test_withheld_runs_are_predicted_as_by_conditioning() -> None:
         energy = problem.residual[rest] @ np.linalg.solve(
             covariance[np.ix_(rest, rest)], problem.residual[rest]
         )
-        freedom = 2.0 * SHAPE + len(rest)
-        level = (2.0 * RATE + energy) / freedom
+        freedom = 2.0 * LEVEL_SHAPE + len(rest)
+        level = (2.0 * LEVEL_RATE + energy) / freedom
         expected += stats.multivariate_t(mean, level * spread, freedom).logpdf(
             problem.residual[fold]
         )

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from oed.gap.data.motion import Motion, motion, tool_places
-from oed.gap.data.state import phase_along_runs
+from oed.gap.data.state import Motion, motion, phase_along_runs, tool_places
 
 NOWHERE = np.empty(0, dtype=np.intp)
 ANGLE = 2.0 * np.pi * np.arange(24) / 24

@@ -67,7 +67,7 @@ def test_long_sessions_count_some_of_their_poses(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     of = problem(3.0, on_the_spot=False)
-    monkeypatch.setattr("oed.gap.cause.scatter.MOST", 20)
+    monkeypatch.setattr("oed.gap.cause.scatter.MAX_POSES", 20)
     again = replicates(of)
     _, freedom = again.energy(of, STATED_LAW)
     assert len(again.rows) == TIMES * 20

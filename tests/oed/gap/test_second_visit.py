@@ -13,8 +13,8 @@ from shipped_models import encoder_scale, gravity, planar_2dof, pose_tracker
 from kernel.gap_lines import with_readings
 from kernel.laws import STATED_LAW
 from oed.gap import procedure
-from oed.gap.before import repeats, second_visit
-from oed.gap.before.expected import (
+from oed.gap.before import second_visit
+from oed.gap.before.second_visit import (
     AnswerForm,
     expected_probability,
     probability_now,
@@ -126,7 +126,7 @@ def unloaded(size: float = 10.0) -> Diagnosis:
 def test_what_was_not_read_under_load_is_to_be_read_under_load() -> None:
     diagnosis = unloaded()
     values = {"payload": [0.0, 1500.0]}
-    candidates = repeats.candidate_runs(diagnosis.problem, values)
+    candidates = second_visit.candidate_runs(diagnosis.problem, values)
     rng = np.random.default_rng(2)
     visit = second_visit.propose(diagnosis, EFFECTS, candidates, rng)
     assert visit is not None
@@ -139,10 +139,12 @@ def test_what_was_not_read_under_load_is_to_be_read_under_load() -> None:
 
 def test_candidates_are_the_paths_under_each_condition() -> None:
     """Three paths, at all or half of the poses, in two directions, with one payload."""
-    candidates = repeats.candidate_runs(unloaded().problem)
+    candidates = second_visit.candidate_runs(unloaded().problem)
     assert len(candidates) == 3 * 2 * 2
     assert len({run.name for run in candidates}) == len(candidates)
-    assert {run.condition["time"] for run in candidates} == {35 * 60.0 + repeats.PAUSE}
+    assert {run.condition["time"] for run in candidates} == {
+        35 * 60.0 + second_visit.VISIT_DELAY
+    }
     backwards = [run for run in candidates if run.condition["direction"] < 0]
     assert len(backwards) == 3 * 2
 

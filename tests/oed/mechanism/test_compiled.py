@@ -154,9 +154,9 @@ SQUARES = ca.vertcat(Z[0] ** 2 - A[0], Z[0] * Z[1] - A[1])
 
 def solve(equations: ca.SX, start: np.ndarray, a: np.ndarray) -> SolvedSystems:
     function = batched([Z, A], [equations, ca.jacobian(equations, Z)])
-    solver = function.compiled_newton(len(a), 1)
-    assert solver is not None
-    return solver.solve([start, a], 1, TOLERANCE, LONGEST)
+    solution = function.solve([start, a], 1, TOLERANCE, LONGEST)
+    assert function._compiled[lanes.Newton] is not None
+    return solution
 
 
 @pytest.mark.parametrize("n", COUNTS)

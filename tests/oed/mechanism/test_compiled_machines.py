@@ -18,6 +18,7 @@ from kernel.mechanism.compiling import (
 )
 from oed.measurement import Measurement
 from oed.mechanism import AssemblyError, Kinematics
+from oed.mechanism.compiled import lanes
 from oed.model import Machine
 
 __all__ = ["compiled_files"]
@@ -99,7 +100,7 @@ def test_a_machine_compiled_equals_its_array_code(
         scale = np.abs(wanted[~fails]).max()
         error = np.abs(solved - wanted)[~fails].max()
         assert error < 1e-13 * scale, n
-    assert fast.equations._compiled(1) is not None
+    assert fast.equations.equations._compiled[lanes.Newton] is not None
 
     at = solved[~failed], q[~failed], p[~failed]
     slopes = rng.standard_normal((len(at[0]), 2, x.shape[1]))

@@ -19,6 +19,7 @@ from kernel.cases import CASES
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError, Kinematics
+from oed.mechanism.expressions import twist_slope
 from oed.model import Coordinate, Expr, Values
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
@@ -346,3 +347,17 @@ def test_drawings_show_the_machine(rng: np.random.Generator) -> None:
     assert np.linalg.norm(np.diff(platform, axis=0), axis=1) == pytest.approx(
         paper.A * np.sqrt(3), abs=1e-14
     )
+
+
+def test_the_twist_of_a_turn_about_z() -> None:
+    """A point at radius 2 m, turned about z by x: it moves along the tangent."""
+    x = ca.SX.sym("x", 1)
+    turn = ca.vertcat(
+        ca.horzcat(ca.cos(x), -ca.sin(x), 0),
+        ca.horzcat(ca.sin(x), ca.cos(x), 0),
+        ca.horzcat(0, 0, 1),
+    )
+    slope = twist_slope(turn, turn @ ca.DM([2.0, 0.0, 0.5]), x)
+    at = ca.Function("f", [x], [slope])(0.3)
+    tangent = [-2.0 * np.sin(0.3), 2.0 * np.cos(0.3), 0.0, 0.0, 0.0, 1.0]
+    assert np.array(at).ravel() == pytest.approx(tangent)

@@ -18,7 +18,7 @@ from oed.base import Array
 from oed.gap import GapProblem
 from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
-from oed.gap.data.laws import linear_model, log_evidences
+from oed.gap.data.evidence import linear_model, log_evidences
 from oed.noise import Laws, NoiseLaw, NoiseStatement, ReadingStructure, SharedError
 from oed.noise.banded import BLOCK_ROWS, ChainFactor, SharedFactor
 

@@ -20,7 +20,7 @@ from oed.accuracy import budget_model
 from oed.design import Candidates
 from oed.estimation import identify
 from oed.gap import assemble
-from oed.gap.data import laws as gap_laws
+from oed.gap.data import evidence as gap_laws
 from oed.measurement import (
     Measurement,
     Series,
@@ -304,7 +304,7 @@ def test_a_diagnosis_has_the_prior_of_an_identification() -> None:
         block = law_covariance(middle, problem, members) * np.outer(sigma, sigma)
         exact = expected(series, RUN)[np.ix_(members, members)]
         assert block == pytest.approx(exact, rel=1e-9)
-    assert len(gap_laws.mixture(problem, [law])) == gap_laws.EACH
+    assert len(gap_laws.mixture(problem, [law])) == gap_laws.DRAWS_OF_EACH
 
 
 def test_a_diagnosis_without_statement_has_all_parts() -> None:

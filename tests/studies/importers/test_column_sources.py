@@ -199,4 +199,4 @@ quaternion = ["orientation_w", "orientation_x", "orientation_y", "orientation_z"
 
 
 def test_readings_in_inches_are_metres() -> None:
-    assert dataset.columns.parse_column("height_in").factor == 25.4e-3
+    assert dataset.ReadingsColumn.parse("height_in").factor == 25.4e-3

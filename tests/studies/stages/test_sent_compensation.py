@@ -13,7 +13,7 @@ from shipped_models import a3_head
 
 from kernel.answer_mixture import Case, case, readings
 from oed import trust
-from oed.accuracy.prediction import Spread, least_error
+from oed.accuracy import Spread, least_error
 from oed.effects import SessionStates
 from oed.result import CompensationName, MixtureSection
 from pkm_studies.earlier_result import controller_values, corrects_effects

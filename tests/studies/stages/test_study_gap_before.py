@@ -19,7 +19,8 @@ from shipped_models import encoder_scale, gravity
 
 from kernel.laws import STATED_LAW
 from oed import dataset
-from oed.gap.before import detect, runs
+from oed.gap import detect
+from oed.gap.before import choose
 from oed.result import DetectabilityTable
 from pkm_reports import sections, style
 from pkm_reports.sections.figures.gap import confusable
@@ -105,7 +106,7 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     resolved = resolve(study.parse(STUDY, HERE))
     published = resolved.reference_plans[0].series[0]
     candidates = [
-        runs.Run(
+        choose.Run(
             name=str(r),
             setup="cup",
             command=published.reading_commands()[published.run == r],
@@ -113,9 +114,9 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
         )
         for r in dict.fromkeys(published.run)
     ]
-    problem, _ = runs.prepare(resolved.measurement, candidates)
+    problem, _ = choose.problem_of_runs(resolved.measurement, candidates)
     effects = [gravity.effect, encoder_scale.effect]
-    detection = detect.detect(problem, STATED_LAW, effects, np.random.default_rng(0))
+    detection = detect(problem, STATED_LAW, effects, np.random.default_rng(0))
     np.testing.assert_allclose(
         table["apart"], detection.separation, rtol=1e-6, atol=1e-8
     )

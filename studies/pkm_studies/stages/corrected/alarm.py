@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from oed.checks import CheckFinding, Severity
-from oed.checks.mistakes import PHYSICAL
+from oed.checks import PHYSICAL_KINDS, CheckFinding, Severity
 from oed.corrected import TurnedRuns
 from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
 from oed.text import rounded
@@ -102,5 +101,5 @@ def add_turned_runs(
 
 def is_about_the_fit(finding: CheckFinding) -> bool:
     """Whether an effect of the machine may be behind a finding."""
-    kinds = ("fit", *PHYSICAL)
+    kinds = ("fit", *PHYSICAL_KINDS)
     return finding.severity <= Severity.BAD_FIT and finding.kind in kinds

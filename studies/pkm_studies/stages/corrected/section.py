@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.accuracy.prediction import least_error
+from oed.accuracy import least_error
 from oed.base import Array
-from oed.checks.goodness import Goodness
+from oed.checks import Goodness
 from oed.compensate import CommandGrid, GridAxis
 from oed.corrected import (
     ChosenForm,
@@ -21,11 +21,11 @@ from oed.corrected import (
     TabledEffects,
     tabled_effects,
 )
-from oed.gap.data.diagnosis import UNKNOWN
 from oed.measurement import Measurement
 from oed.model import Machine
 from oed.posterior import Posterior
 from oed.result import (
+    UNKNOWN,
     CompensationName,
     CorrectedSection,
     EffectEstimate,

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.accuracy import prediction
+from oed import accuracy
 from oed.base import Array
 from oed.design import CRITERIA, Candidates, Criterion
 from oed.effects import PlannedEffects
@@ -42,17 +42,17 @@ class StudyCriteria:
         self.effects = effects
 
     @functools.cached_property
-    def error_maps(self) -> prediction.ErrorMaps | None:
+    def error_maps(self) -> accuracy.ErrorMaps | None:
         """Pose error over the workspace of [prediction]; None without one."""
         request = self.resolved.prediction
         if request is None:
             return None
         kinematics = self.resolved.measurement.kinematics
         reference = request.table.reference
-        return prediction.error_maps(kinematics, request.command, reference)
+        return accuracy.error_maps(kinematics, request.command, reference)
 
     @property
-    def needed_maps(self) -> prediction.ErrorMaps:
+    def needed_maps(self) -> accuracy.ErrorMaps:
         """The same. Raises LookupError without [prediction]."""
         if self.error_maps is None:
             raise LookupError("accuracy over the workspace needs [prediction]")

@@ -10,7 +10,7 @@ from oed import units
 from oed.base import Array
 from oed.corrected import EffectReadings
 from oed.effects import SessionStates
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem
 from oed.model import Machine
 from oed.result import CorrectedSection, MixtureSection
 from pkm_studies.resolve import GapRequest, check_states

@@ -10,13 +10,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from oed import checks, text
-from oed.checks import CheckedSession
-from oed.checks.explain import Explanation
-from oed.checks.far_reading import FarReading
-from oed.checks.goodness import Goodness
-from oed.checks.sentences import misfits
+from oed.checks import CheckedSession, Explanation, FarReading, Goodness, misfits
 from oed.dataset import Dataset
-from oed.dataset.file_rows import file_of
 from oed.estimation import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve import ResolvedStudy, noise_is_a_guess
@@ -30,7 +25,7 @@ def check_dataset(
     resolved: ResolvedStudy, data: Dataset, rng: np.random.Generator
 ) -> CheckedSession:
     """What a check of recorded readings says. Raises AssemblyError."""
-    session = checks.session(
+    session = checks.session_readings(
         resolved.measurement_with(data.setups),
         data.series,
         data.y,
@@ -125,7 +120,7 @@ def _records(checked: CheckedSession, far: Sequence[FarReading]) -> list[Outlier
                 run=str(row["run"]),
                 order=int(row["order"]),
                 row=int(row["row"]),
-                file=file_of(row["row"]),
+                file=checked.session.file_of(one.value),
                 pull=one.pull,
             )
         )

@@ -16,7 +16,7 @@ from oed import units
 from oed.base import Array, Index
 from oed.compensate import compensated_joints
 from oed.estimation import Estimate
-from oed.gap.data.state import phase_along_runs
+from oed.gap import phase_along_runs
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.result import RunCurve

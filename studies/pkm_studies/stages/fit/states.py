@@ -8,16 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base import Array
-from oed.dataset.columns import (
-    TEMPERATURE,
-    column_name,
-    covariate_unit,
-    is_temperature,
-    parse_column,
-)
+from oed.dataset import ReadingsColumn, temperature_body
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 #: beginnings of the names of a machine's own bodies; a bar is none
 OWN_BODIES = ("leg", "frame")
@@ -35,8 +30,8 @@ def recorded_states(covariates: pd.DataFrame | None) -> dict[str, Array]:
         return {}
     states = {}
     for name in map(str, covariates.columns):
-        body = name.removeprefix(TEMPERATURE)
-        warms = is_temperature(name) and body.startswith(OWN_BODIES)
+        body = temperature_body(name)
+        warms = body is not None and body.startswith(OWN_BODIES)
         if not warms and name not in VALUES:
             continue
         values = np.unique(covariates[name].dropna().to_numpy(dtype=float))
@@ -70,7 +65,7 @@ def displayed_states(states: Mapping[str, Array]) -> dict[str, list[float]]:
     """States by column of the readings file, in its unit."""
     shown = {}
     for name, values in states.items():
-        column = column_name(name, covariate_unit(name))
-        factor = parse_column(column).factor
-        shown[column] = [float(value) / factor for value in values]
+        column = ReadingsColumn.of_covariate(name)
+        if column is not None:
+            shown[column.name] = [float(value) / column.factor for value in values]
     return shown

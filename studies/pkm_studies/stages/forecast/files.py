@@ -9,7 +9,7 @@ import numpy as np
 
 from oed import csv_text, units
 from oed.base import Array
-from oed.dataset.dialect import commented
+from oed.dataset import commented
 from oed.forecast import Forecast
 from oed.mechanism import NO_TOOL, Kinematics
 from oed.model import Component

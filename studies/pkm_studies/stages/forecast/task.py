@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.accuracy.maps import driven_errors
+from oed.accuracy import driven_errors
 from oed.base import Array, grid_nodes
 from oed.compensate import GridAxis, box_axes
 from oed.forecast import JointErrors, Kernel, expected_kernel, joint_size

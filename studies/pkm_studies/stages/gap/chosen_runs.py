@@ -6,18 +6,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec.structs import replace
 
-from oed import dataset
-from oed.base import Array, Index
+from oed import dataset, gap
+from oed.base import Array
 from oed.design import Rules
-from oed.gap.before import choose, detect, runs
-from oed.gap.before.runs import pool_runs
-from oed.gap.before.separation import Separation
-from oed.gap.data import problem
-from oed.gap.data.problem import GapProblem
+from oed.gap import GapProblem, RunsWanted
 from oed.measurement import Measurement, Series
-from oed.result import ChosenRun, ChosenRuns, SeparationRecord
+from oed.result import ChosenRun, ChosenRuns
 from pkm_studies.resolve import GapDesignRequest, GapRequest, comments_of
 
 if TYPE_CHECKING:
@@ -39,27 +34,26 @@ def choose_runs(
     Retained runs are among them. The second result is a readings file to fill in.
     Raises InputError where no run shows the effects or the rules allow no plan.
     """
-    gravity = request.gravity
-    candidates, rows = runs.prepare(measurement, design.runs, gravity=gravity)
+    wanted = RunsWanted(
+        runs=design.runs,
+        retained=design.retained,
+        wanted=design.wanted,
+        rivals=design.rivals,
+        share=design.table.share,
+        rounds=design.table.starts,
+    )
     try:
-        choice = choose.choose(
-            _pool(candidates, rows, design),
-            rules,
-            rng,
-            share=design.table.share,
-            fixed=np.array(design.retained, dtype=np.intp),
-            rounds=design.table.starts,
+        choice, series, covariates = gap.choose_runs(
+            measurement, wanted, rules, planned, rng
         )
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
         raise design.location.error(str(error), remedy) from error
     selected = [design.runs[k] for k in choice.runs]
-    series, covariates = runs.lay_out(measurement, selected)
     timed = covariates
     if "time" not in covariates:
         timed = covariates.assign(time=_times(covariates, design, rules))
-    taken = problem.assemble(measurement, series, timed, gravity=gravity)
-    separations = _add_earlier(choice.pairs, planned, design)
+    taken = gap.assemble(measurement, series, timed, gravity=request.gravity)
     chosen = ChosenRuns(
         candidates=len(design.runs) - len(design.retained),
         retained=len(design.retained),
@@ -69,49 +63,16 @@ def choose_runs(
         ],
         separation=choice.separation,
         bound=choice.bound,
-        before=_least_before(separations),
+        before=choice.before,
         efficiency=choice.efficiency,
         proven=choice.proven,
         share=design.table.share,
         volume=choice.volume,
         seconds=choice.seconds,
-        separations=separations,
-        table=detect.detect(taken, taken.stated_law, request.effects, rng),
+        separations=choice.pairs,
+        table=gap.detect(taken, taken.stated_law, request.effects, rng),
     )
     return chosen, poses_csv(measurement, series, covariates)
-
-
-def _pool(
-    candidates: GapProblem, rows: Sequence[Index], design: GapDesignRequest
-) -> Separation:
-    law = candidates.stated_law
-    return pool_runs(candidates, law, rows, design.wanted, design.rivals)
-
-
-def _add_earlier(
-    pairs: Sequence[SeparationRecord], planned: GapProblem, design: GapDesignRequest
-) -> list[SeparationRecord]:
-    """Pairs with their separation in other planned readings, where these test it."""
-    try:
-        pool = _pool(planned, planned.members, design)
-    except ValueError:
-        return list(pairs)
-    earlier = {
-        (pair.effect, pair.rival, pair.words): pair.separation
-        for pair in pool.pairs(np.arange(pool.count))
-    }
-    return [
-        replace(pair, before=earlier.get((pair.effect, pair.rival, pair.words)))
-        for pair in pairs
-    ]
-
-
-def _least_before(separations: Sequence[SeparationRecord]) -> float | None:
-    """The least separation before; None where one of them is not known."""
-    separations_before = [s.before for s in separations if s.before is not None]
-    return (
-        min(separations_before) if len(separations_before) == len(separations) else None
-    )
 
 
 def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> Array:

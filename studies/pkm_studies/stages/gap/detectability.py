@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from oed import gap, units
 from oed.design import Rules
-from oed.gap.before import detect
-from oed.gap.data import problem
 from oed.measurement import Measurement, Series
-from oed.result import GapBeforeSection
+from oed.result import ChosenRuns, DetectabilityTable, GapBeforeSection
+from oed.text import capitalised, join_words
 from pkm_studies.resolve import GapDesignRequest, GapRequest
 from pkm_studies.stages.gap import chosen_runs
+from pkm_studies.stages.gap.words import plain_name
 
 if TYPE_CHECKING:
     import pandas as pd
-from oed.result import ChosenRuns, DetectabilityTable
-from oed.text import capitalised, join_words
-from pkm_studies.stages.gap.words import plain_name
+
 
 #: most effects and pairs in one sentence
 MOST = 6
@@ -48,16 +47,23 @@ def preview(
     `design` comes with a measurement of its set-ups, and the rules of the choice. The noise is the stated one: what
     real runs add to it is unknown before they are read.
     """
-    planned = problem.assemble(measurement, series, covariates, gravity=request.gravity)
-    fine = detect.fine_units(measurement)
+    planned = gap.assemble(measurement, series, covariates, gravity=request.gravity)
+    fine = _fine_units(measurement)
     chosen, csv = None, None
     if design is not None:
-        fine |= detect.fine_units(design[0])
+        fine |= _fine_units(design[0])
         chosen, csv = chosen_runs.choose_runs(*design, planned, request, rng)
-    table = detect.detect(planned, planned.stated_law, request.effects, rng)
+    table = gap.detect(planned, planned.stated_law, request.effects, rng)
     section = GapBeforeSection(table, fine, chosen, [])
     lines = sentences(section)
     return GapPreview(msgspec.structs.replace(section, words=lines), csv)
+
+
+def _fine_units(measurement: Measurement) -> dict[str, str]:
+    """Fine unit of each channel, in which the sizes of readings are given."""
+    setups = measurement.setups.values()
+    channels = [c for setup in setups for c in setup.instrument.channels]
+    return {c.name: units.FINE[c.unit] for c in channels}
 
 
 # -- sentences -------------------------------------------------------------------------

@@ -10,15 +10,13 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.accuracy.budget import budget_model
-from oed.accuracy.maps import Reference
-from oed.accuracy.prediction import least_error
+from oed.accuracy import Reference, budget_model, least_error
 from oed.base import Array, Index
 from oed.corrected import AnswerMixture, CorrectedEstimate
 from oed.effects import ExpectedColumns, SessionStates
-from oed.gap.cause.advice import GO_AHEAD
 from oed.measurement import Measurement, Series
 from oed.result import (
+    GO_AHEAD,
     CompensationChoice,
     CompensationName,
     GapSection,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from oed.gap.data.diagnosis import DATA_SHEET
-from oed.result import GapSection, GoodnessSection
+from oed.result import DATA_SHEET, GapSection, GoodnessSection
 from oed.text import rounded
 
 

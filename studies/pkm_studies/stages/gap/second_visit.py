@@ -9,10 +9,7 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.gap.before import repeats
-from oed.gap.before.runs import Run
-from oed.gap.before.second_visit import SecondVisit, needs_second_visit, propose
-from oed.gap.data.diagnosis import Diagnosis
+from oed.gap import Diagnosis, Run, SecondVisit, propose_second_visit
 from oed.result import ChosenRun, GapSection, SecondVisitRecord
 from oed.text import format_probability, join_words
 from pkm_studies.resolve import GapRequest
@@ -45,15 +42,13 @@ def advise(
 
     `further` are runs that are possible beside those that were read.
     """
-    if not needs_second_visit(diagnosis):
-        return None
     conditions = request.conditions
     values = {
         "feed": [v * units.MM_PER_MIN for v in _values(conditions.feed_mm_min)],
         "payload": _values(conditions.payload),
     }
-    candidates = repeats.candidate_runs(diagnosis.problem, values, further)
-    visit = propose(diagnosis, request.effects, candidates, rng)
+    effects = request.effects
+    visit = propose_second_visit(diagnosis, effects, rng, values, further)
     if visit is None or visit.probability_after < visit.probability_now + LEAST_GAIN:
         return None
     measurement = diagnosis.problem.measurement

@@ -10,11 +10,10 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from oed import units
+from oed import gap, units
 from oed.base import Array
 from oed.effect_model import Column, Effect
-from oed.gap.data import problem
-from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis, Size
+from oed.gap import Diagnosis
 from oed.measurement import Measurement, Series
 from oed.result import (
     ClosureRecord,
@@ -41,12 +40,10 @@ def diagnose(
     rng: np.random.Generator,
 ) -> Diagnosis:
     """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
-    from oed.gap import procedure as kernel
-
-    residuals = problem.assemble(
+    residuals = gap.assemble(
         measurement, series, covariates, theta, y, gravity=request.gravity
     )
-    return kernel.diagnose(residuals, request.effects, rng)
+    return gap.diagnose(residuals, request.effects, rng)
 
 
 def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
@@ -64,13 +61,13 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         closure=[_closure(c) for c in diagnosis.closure],
         not_testable=list(diagnosis.not_testable),
         confusable=[list(group) for group in diagnosis.confusable],
-        selected=_selected(diagnosis),
+        selected=list(diagnosis.selected),
         tried=[e.name for e in effects],
         marginal={name: float(p) for name, p in likeliest_first},
         about={e.name: _note(e, diagnosis) for e in effects},
         constants={name: dict(c) for name, c in diagnosis.constants.items()},
         coefficients=_coefficients(diagnosis, effects),
-        sizes=[_size(s, channel_units) for s in diagnosis.sizes],
+        sizes=_sizes(diagnosis, channel_units),
         noise=list(diagnosis.noise_words),
         units=channel_units,
         rms_before=_rms_by_channel(diagnosis.before / factor, channels),
@@ -88,13 +85,6 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         effective_laws=diagnosis.effective_laws,
     )
     return sentences.add_sentences(section)
-
-
-def _selected(diagnosis: Diagnosis) -> list[str]:
-    """Named effects of the best answer; none where no gap is found."""
-    if diagnosis.verdict in NO_EFFECT or not diagnosis.answers:
-        return []
-    return [name for name in diagnosis.answers[0].effects if name != UNKNOWN]
 
 
 def _closure(closure: ClosureRecord) -> ClosureRecord:
@@ -131,24 +121,27 @@ def _rms_by_channel(values: Array, channels: np.ndarray) -> dict[str, float]:
     }
 
 
-def _size(size: Size, channel_units: dict[str, str]) -> SizeRecord:
-    rms, remaining = (
-        {n: units.number(v, channel_units[n]) for n, v in values.items()}
-        for values in (size.rms, size.remaining)
-    )
-    return SizeRecord(size.effect, rms, finite_or_none(size.detectability), remaining)
+def _sizes(diagnosis: Diagnosis, channel_units: dict[str, str]) -> list[SizeRecord]:
+    records = []
+    for size in diagnosis.sizes:
+        rms, remaining = (
+            {n: units.number(v, channel_units[n]) for n, v in values.items()}
+            for values in (size.rms, size.remaining)
+        )
+        detectability = finite_or_none(size.detectability)
+        records.append(SizeRecord(size.effect, rms, detectability, remaining))
+    return records
 
 
 def _coefficients(
     diagnosis: Diagnosis, effects: Sequence[Effect]
 ) -> list[CoefficientRecord]:
     """Coefficients, SI, with the prior standard deviation of each."""
-    selected = _selected(diagnosis)
     by_name = {effect.name: effect for effect in effects}
     priors = {
         (effect.name, column.name): column
         for effect in effects
-        if effect.name in selected
+        if effect.name in diagnosis.selected
         for column in _columns(effect, diagnosis)
     }
     records = []

@@ -11,20 +11,18 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from oed.effect_model import Effect, State
-from oed.gap.cause.advice import (
-    DOUBT,
-    MOST_NAMES,
-    SURE,
-    probability_of,
-)
-from oed.gap.data import signature
-from oed.gap.data.diagnosis import UNKNOWN
+from oed.gap import untestable
 from oed.result import (
+    DOUBT_PROBABILITY,
+    MAX_CLASS_NAMES,
+    SURE_PROBABILITY,
+    UNKNOWN,
     AnswerRecord,
     ClosureRecord,
     GapSection,
     PlaceRecord,
     SizeRecord,
+    probability_of,
 )
 from oed.text import capitalised, format_probability, join_words
 from pkm_studies.stages.gap import implausible, scatter
@@ -189,7 +187,7 @@ def _spoken(answer: AnswerRecord) -> str:
     for name in answer.effects:
         alike = classes.get(name, (name,))
         plain = join_words([plain_name(n) for n in alike], last="or")
-        many = len(alike) > MOST_NAMES
+        many = len(alike) > MAX_CLASS_NAMES
         spoken.append(f"any of {len(alike)} effects" if many else plain)
     has_alternatives = any(len(alike) > 1 for alike in answer.classes)
     return ", and ".join(spoken) if has_alternatives else join_words(spoken)
@@ -427,7 +425,7 @@ def _probability_of_any(names: Sequence[str], answers: Sequence[AnswerRecord]) -
 def _class(gap: GapSection, names: Sequence[str]) -> str:
     """The effects of a class, those of a large one by what they have in common."""
     natures = [gap.about[n].nature if n in gap.about else "" for n in names]
-    if len(names) <= MOST_NAMES or not all(natures):
+    if len(names) <= MAX_CLASS_NAMES or not all(natures):
         return join_words([plain_name(n) for n in names], "or")
     common = collections.Counter(natures).most_common()
     if len(common) == 1:
@@ -556,7 +554,7 @@ def _next_steps(gap: GapSection) -> list[str]:
         if note is None:
             continue
         named_steps, effect = " ".join(steps), plain_name(name)
-        is_sure = probability_of(name, gap.answers) >= SURE
+        is_sure = probability_of(name, gap.answers) >= SURE_PROBABILITY
         doubtful = not is_sure or _is_one_of_several(name, gap)
         if doubtful and note.exposed_by and note.exposed_by not in named_steps:
             steps.append(f"To tell {effect} from the others: {note.exposed_by}.")
@@ -571,9 +569,9 @@ def _next_steps(gap: GapSection) -> list[str]:
 def _asks_for_readings(gap: GapSection) -> bool:
     """Whether further readings would make the answer clearer."""
     if gap.verdict == "none":
-        return gap.visible_probability > DOUBT
+        return gap.visible_probability > DOUBT_PROBABILITY
     open_verdicts = ("class", "unknown", "scatter")
-    unsure = gap.effect_reported and gap.answers[0].probability < SURE
+    unsure = gap.effect_reported and gap.answers[0].probability < SURE_PROBABILITY
     return gap.verdict in open_verdicts or unsure
 
 
@@ -589,7 +587,7 @@ def _effects_in_question(gap: GapSection) -> list[str]:
     if gap.verdict == "class" and classes:
         of_setup = any(p.block.startswith("set-up") for p in named_places(gap.where))
         many = 1 if of_setup else 0
-        listed = [c if len(c) <= MOST_NAMES else c[:many] for c in classes]
+        listed = [c if len(c) <= MAX_CLASS_NAMES else c[:many] for c in classes]
         members = [name for c in listed for name in c if name != UNKNOWN]
         return list(dict.fromkeys(members))
     return gap.selected
@@ -609,7 +607,7 @@ def columns_to_record(effect: Effect, states: Sequence[State]) -> str:
     columns = []
     for need in effect.needs:
         alone = dataclasses.replace(effect, needs=(need,))
-        if signature.untestable(alone, states) is not None:
+        if untestable(alone, states) is not None:
             options = [_column(part.strip()) for part in need.split(" or ")]
             columns.append(" or ".join(options))
     return ", ".join(columns)

@@ -10,13 +10,13 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Index
-from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.metric import Metric
+from oed.gap import Diagnosis
 from oed.result import Spot, Trace
 from pkm_studies.resolve import FEED_MM_PER_MIN, PASS_SUFFIX
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 #: largest spread of a circle's radii, as a share of their mean
 ROUND = 0.1
@@ -40,8 +40,8 @@ def traces(diagnosis: Diagnosis) -> list[Trace]:
     parts = {
         "before": diagnosis.before,
         "after": diagnosis.after,
-        "explained": _calibrated_residuals(diagnosis, diagnosis.explained),
-        "unexplained": _calibrated_residuals(diagnosis, diagnosis.unexplained),
+        "explained": diagnosis.after_calibration(diagnosis.explained),
+        "unexplained": diagnosis.after_calibration(diagnosis.unexplained),
     }
     every_channel = diagnosis.problem.rows["channel"].to_numpy()
     listing = []
@@ -51,15 +51,6 @@ def traces(diagnosis: Diagnosis) -> list[Trace]:
             rows = members[channels == channel]
             listing.append(_trace(diagnosis, rows, str(channel), tips, parts))
     return listing
-
-
-def _calibrated_residuals(diagnosis: Diagnosis, change: Array) -> Array:
-    """What remains of a change (N,) of the readings, SI, after fitting parameters."""
-    problem = diagnosis.problem
-    scaled = problem.in_noise_units(change)
-    fitted = Metric(problem, problem.stated_law).fit(scaled)
-    remainder = scaled - problem.slopes @ fitted
-    return remainder * problem.sigma
 
 
 def _drawn_runs(diagnosis: Diagnosis) -> list[Index]:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oed import dataset, units
+from oed import dataset, gap, units
 from oed.base import Array
 from oed.effect_model import State
-from oed.gap.data import signature
-from oed.gap.data.state import states as states_of
+from oed.gap import states as states_of
 from oed.measurement import Measurement, Series
 from pkm_studies.resolve import (
     ActingEffect,
@@ -78,11 +77,11 @@ def exact_readings(
         (entry.effect, entry.constants, factor)
         for entry, factor in zip(request.acting, factors, strict=True)
     ]
-    y = signature.exact_readings(measurement, series, truth, states, acting)
+    y = gap.exact_readings(measurement, series, truth, states, acting)
     entries = []
     for k, entry in enumerate(request.acting):
         others = acting[:k] + acting[k + 1 :]
-        without = signature.exact_readings(measurement, series, truth, states, others)
+        without = gap.exact_readings(measurement, series, truth, states, others)
         rms = _rms_by_channel(y - without, planned)
         entries.append(_truth_entry(entry, factors[k], states, rms))
     return y, entries

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.gap.data.diagnosis import UNKNOWN
+from oed.result import UNKNOWN
 
 
 def plain_name(effect: str) -> str:

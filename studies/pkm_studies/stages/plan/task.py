@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from oed import result, units
-from oed.accuracy import prediction
+from oed.accuracy import error_maps
 from oed.base import Array
 from oed.planning import (
     Goal,
@@ -133,9 +133,7 @@ def build_task(
 ) -> PlanTask:
     """The task of a study, after an earlier session where there is one."""
     measurement, where = resolved.measurement_with(()), request.prediction
-    maps = prediction.error_maps(
-        measurement.kinematics, where.command, where.table.reference
-    )
+    maps = error_maps(measurement.kinematics, where.command, where.table.reference)
     tool = None
     if request.effects is not None:
         tool = ToolErrors(request.effects.tool, request.effects.others)

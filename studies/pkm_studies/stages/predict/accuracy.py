@@ -8,9 +8,7 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.accuracy.budget import Budget
-from oed.accuracy.budget.lines import shares
-from oed.accuracy.prediction import Prediction, Spread
+from oed.accuracy import Budget, Prediction, Spread
 from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Machine
@@ -43,7 +41,7 @@ def accuracy_section(
 ) -> PredictionSection:
     """A prediction in the components' fine units; `mode` says what it rests on."""
     machine = kinematics.machine
-    of_sources = {} if budget is None else shares(budget)
+    of_sources = {} if budget is None else budget.shares()
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     compensatable = {c.name: c.compensatable for c in machine.components}
     components = {

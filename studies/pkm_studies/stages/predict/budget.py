@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed import units
-from oed.accuracy.budget import Budget, Line
-from oed.accuracy.prediction import Prediction
+from oed.accuracy import Budget, Prediction
 from oed.base import Array
 from oed.effect_model import EFFECT_SIZES
 from oed.effects import ExpectedEffect, ExpectedEffects
@@ -29,7 +28,7 @@ def budget_section(
     """The budget in the components' fine units, with effects that are not modelled."""
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     driven = {c.name: fine[c.name] for c in machine.components if c.compensatable}
-    lines = [_line(budget, line, fine) for line in budget.lines]
+    lines = [_line(budget, k, fine) for k in range(len(budget.lines))]
     predicted = _displayed_shares(budget.names, np.sqrt(budget.variance), fine)
     after = np.array([prediction.after[name].rms for name in budget.names])
     effects = [] if expected is None else expected.effects
@@ -53,8 +52,8 @@ def _displayed_shares(
     return {name: units.number(value, fine[name]) for name, value in pairs}
 
 
-def _line(budget: Budget, line: Line, fine: Mapping[str, str]) -> BudgetLine:
-    names = budget.names
+def _line(budget: Budget, number: int, fine: Mapping[str, str]) -> BudgetLine:
+    names, line = budget.names, budget.lines[number]
     share = np.zeros_like(budget.variance)
     np.divide(line.variance, budget.variance, out=share, where=budget.variance > 0.0)
     size = np.sign(line.variance) * np.sqrt(np.abs(line.variance))

@@ -8,16 +8,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.accuracy import prediction
-from oed.accuracy.budget import BudgetModel, budget_model, variance_over_machines
-from oed.accuracy.maps import (
+from oed.accuracy import (
+    BudgetModel,
     ErrorMaps,
+    Prediction,
     Reference,
+    budget_model,
     driven_errors,
     error_maps,
-    maps_by_reference,
+    predict,
+    variance_over_machines,
 )
-from oed.accuracy.prediction import Prediction
 from oed.base import Array
 from oed.effects import ExpectedColumns, SessionStates, absorbing_shift
 from oed.estimation import Estimate
@@ -161,7 +162,6 @@ def accuracy(
     Before any reading the variance is the mean over machines as they may be built.
     """
     measurement = knowledge.measurement
-    maps = maps_by_reference(measurement.kinematics, command, references, tool)
     variances: dict[Reference, Array] = {}
     if knowledge.mean is None:
         variances = variance_over_machines(
@@ -170,6 +170,7 @@ def accuracy(
     count = len(measurement.machine.parameters)
     result = {}
     for reference in references:
+        maps = error_maps(measurement.kinematics, command, reference, tool)
         remaining = _remaining(knowledge, command, reference, tool)
         before = knowledge.before(command, reference, tool)
         if (
@@ -177,8 +178,8 @@ def accuracy(
             or knowledge.draws is None
             or knowledge.mean is None
         ):
-            predicted = prediction.predict(
-                maps[reference],
+            predicted = predict(
+                maps,
                 measurement.prior_covariance[:count, :count],
                 knowledge.covariance,
                 rng,
@@ -197,7 +198,7 @@ def accuracy(
                 knowledge.effects,
                 knowledge.draws,
                 knowledge.mean,
-                maps[reference],
+                maps,
                 remaining,
                 before,
                 reference,
@@ -206,7 +207,7 @@ def accuracy(
             )
         spreads = predicted.fully_corrected
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
-        result[reference] = Accuracy(predicted, maps[reference], variance)
+        result[reference] = Accuracy(predicted, maps, variance)
     return result
 
 
@@ -244,7 +245,7 @@ def _add_effects(
         before = before + acting.raw @ of_effects
     draws = np.hstack([parameters, effects.draws - of_effects])
     second_moment = draws.T @ draws / len(draws)
-    return prediction.predict(
+    return predict(
         both,
         second_moment,
         second_moment,

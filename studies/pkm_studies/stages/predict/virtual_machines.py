@@ -6,9 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.accuracy import prediction
-from oed.accuracy.maps import driven_errors
-from oed.accuracy.prediction import Reference, Spread
+from oed.accuracy import Reference, Spread, driven_errors
 from oed.base import Array
 from oed.estimation import fit_machines
 from oed.measurement import Measurement, Series, draw_parameters
@@ -54,7 +52,7 @@ def realised_accuracy(
             progress((start + machines) / count)
     table = np.concatenate(errors)
     return {
-        c.name: prediction.error_spread(table[:, :, k])
+        c.name: Spread.of_errors(table[:, :, k])
         for k, c in enumerate(measurement.machine.components)
     }
 

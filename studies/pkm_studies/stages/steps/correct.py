@@ -11,7 +11,7 @@ import numpy as np
 
 from oed import posterior
 from oed.base import Array
-from oed.checks.judgement import goodness_of_delivered
+from oed.checks import goodness_of_delivered
 from oed.corrected import (
     CorrectedEstimate,
     EffectReadings,
@@ -23,7 +23,7 @@ from oed.corrected import (
 )
 from oed.effect_model import Effect
 from oed.estimation import IdentificationError
-from oed.gap.data.signature import untestable
+from oed.gap import untestable
 from pkm_studies import catalogue
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (

@@ -8,7 +8,7 @@ import msgspec
 
 from oed import posterior
 from oed.base import Array
-from oed.checks.judgement import goodness_of_delivered
+from oed.checks import goodness_of_delivered
 from oed.estimation import (
     Estimate,
     IdentificationError,
@@ -28,15 +28,8 @@ from pkm_studies.stages.fit.estimate import (
     combination_estimates,
     estimate_section,
 )
-from pkm_studies.stages.fit.goodness import (
-    add_delivered,
-    add_left_out,
-    surprises,
-)
-from pkm_studies.stages.fit.noise import (
-    add_assumption,
-    with_noise,
-)
+from pkm_studies.stages.fit.goodness import add_delivered, add_left_out, surprises
+from pkm_studies.stages.fit.noise import add_assumption, with_noise
 from pkm_studies.stages.fit.posterior import (
     add_checks,
     contradictions,

@@ -7,7 +7,7 @@ import numpy as np
 
 from oed.corrected import AnswerFits
 from oed.effects import expected_columns
-from oed.gap.data.signature import untestable
+from oed.gap import untestable
 from oed.result import CorrectedSection, PredictionSection
 from pkm_studies.base import Stream
 from pkm_studies.resolve import regular_commands

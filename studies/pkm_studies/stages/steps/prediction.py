@@ -9,12 +9,10 @@ import msgspec
 import numpy as np
 
 from oed import posterior, trust
-from oed.accuracy.budget import budget_model, budget_of
-from oed.accuracy.maps import ErrorMaps, Reference
-from oed.accuracy.prediction import Spread
+from oed.accuracy import ErrorMaps, Reference, Spread, budget_model
 from oed.base import Array
 from oed.effects import ExpectedEffects, SessionStates, expected_effects
-from oed.gap.data import problem as problems
+from oed.gap import assemble
 from oed.measurement import Measurement, Series
 from oed.posterior import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
@@ -26,10 +24,7 @@ from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
 from pkm_studies.stages.predict.held_out import HypothesisDraws, held_out_sections
-from pkm_studies.stages.predict.knowledge import (
-    Accuracy,
-    ParameterKnowledge,
-)
+from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
 from pkm_studies.stages.predict.virtual_machines import realised_accuracy
 from pkm_studies.stages.run_state import (
     Fitted,
@@ -121,8 +116,7 @@ def _section(
 ) -> PredictionSection:
     """The section with its budget."""
     machine, planned = state.measurement.machine, known.mean is None
-    budget = budget_of(
-        known.model,
+    budget = known.model.budget(
         main.maps,
         estimated=known.estimated,
         predicted=main.variance,
@@ -226,7 +220,7 @@ def _hypothesis_draws(
         return [
             HypothesisDraws(state.estimate, draws.theta[rows], draws.noise_law[rows])
         ]
-    problem = problems.assemble(
+    problem = assemble(
         state.measurement,
         held_out.series,
         held_out.covariates,
@@ -260,7 +254,7 @@ def expected_unmodelled(
 ) -> ExpectedEffects | None:
     """Errors by each effect of a request in planned readings and over the workspace."""
     planned = empty_readings(measurement, series, request)
-    problem = problems.assemble(
+    problem = assemble(
         measurement, planned.series, planned.covariates, gravity=request.gravity
     )
     model = budget_model(measurement, problem.series, measurement.nominal)

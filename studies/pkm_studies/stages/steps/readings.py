@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oed.base import Array
-from oed.dataset import Dataset
-from oed.dataset.columns import tension_columns
+from oed.dataset import Dataset, tension_columns
 from oed.measurement import Series, draw_errors, draw_parameters, draw_readings
 from oed.mechanism import AssemblyError
 from oed.model import Machine

@@ -35,18 +35,68 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import special
 
-from oed.accuracy.conformity import measured_rms_within
 from oed.base import Array, Index
 from oed.linear_algebra import covariance_root
 from oed.result import Judgement, PositioningRecord, PromiseRecord, VerdictRecord
 
+# Probability that a true value lies within its tolerance, from what is known of it.
+#
+# JCGM 106:2012: where g is the density of a quantity Y after all that is known, and the
+# tolerance is [T_L, T_U], the probability of conformity is
+#
+# p = int_{T_L}^{T_U} g(y) dy.
+#
+# A parameter is normal. The rms error of a pose component over m poses is that of a field
+# b + J d, where b is known in advance and d is normal. Of errors that were measured at n
+# poses with standard uncertainty u and no other knowledge, n (true rms)^2 / u^2 has a
+# noncentral chi-squared distribution of n degrees of freedom and noncentrality
+# n (measured rms)^2 / u^2.
+
+#: machines drawn: the standard error of a probability is at most 0.0022
+N_MACHINES = 50_000
+
+
+def parameter_within(value: float, sd: float, low: float, high: float) -> float:
+    """Probability that a normal quantity lies between two limits."""
+    return float(special.ndtr((high - value) / sd) - special.ndtr((low - value) / sd))
+
+
+def rms_within(
+    known: Array, slopes: Array, root: Array, largest: float, rng: np.random.Generator
+) -> float:
+    """Probability that the rms of errors known + slopes d is at most `largest`.
+
+    known   (m,) errors that stay and are known
+    slopes  (m, p) errors per parameter
+    root    (p, k) with root @ root.T the covariance of d
+    """
+    spread = slopes @ root
+    normal = rng.standard_normal((N_MACHINES, root.shape[1]))
+    squares = np.einsum("dk,kl,dl->d", normal, spread.T @ spread, normal, optimize=True)
+    squares += 2.0 * (normal @ (spread.T @ known)) + known @ known
+    return float(np.mean(np.sqrt(squares / len(known)) <= largest))
+
+
+def measured_rms_within(
+    rms: float, uncertainty: float, poses: int, largest: float
+) -> float:
+    """Probability that the true rms error over measured poses is at most `largest`."""
+    if uncertainty == 0.0:
+        return float(rms <= largest)
+    scale = poses / uncertainty**2
+    return float(special.chndtr(scale * largest**2, poses, scale * rms**2))
+
+
 #: share of the shapes that no parameter makes
-SMOOTH = 0.5
-#: machines drawn to choose poses, and to state limits and power
-CHOOSING, STATING = 600, 8000
+SMOOTH_SHARE = 0.5
+#: machines drawn to choose poses
+N_CHOOSING = 600
+#: machines drawn to state limits and power
+N_STATING = 8000
 #: power below which a test confirms nothing, whatever it reads
-LEAST_POWER = 0.8
+MIN_POWER = 0.8
 #: probability that a machine which misses its promise is said to meet it
 FALSE_CONFIRMATION = 0.05
 
@@ -84,7 +134,7 @@ class Promise:
             changes[members] = normal @ covariance_root(covariance).T
         fields = np.einsum("mkp,dp->dmk", self.maps, changes, optimize=True)
         if self.smooth.size:
-            chosen = np.flatnonzero(rng.random(count) < SMOOTH)
+            chosen = np.flatnonzero(rng.random(count) < SMOOTH_SHARE)
             fields[chosen] = self._smooth_fields(len(chosen), rng)
         promised = fields[:, : self.workspace]
         rms = np.sqrt(np.mean(promised**2, axis=1, keepdims=True))
@@ -111,8 +161,8 @@ def smooth_functions(command: Array, home: Array | None) -> Array:
     varied = high > low
     middle, half = 0.5 * (low + high)[varied], 0.5 * (high - low)[varied]
 
-    def functions(at: Array) -> Array:
-        x = (at[:, varied] - middle) / half
+    def functions(commands: Array) -> Array:
+        x = (commands[:, varied] - middle) / half
         first, second = np.triu_indices(x.shape[1])
         return np.hstack([x, x[:, first] * x[:, second]])
 
@@ -159,10 +209,10 @@ def plan_acceptance(
     """
     if not len(candidates):
         raise ValueError("there are no poses to choose from")
-    fields = promise.fields(CHOOSING, rng)
+    fields = promise.fields(N_CHOOSING, rng)
     sizes = (promise.rms * fields[:, candidates]) ** 2
     noise = promise.uncertainty**2
-    total = np.zeros((CHOOSING, len(promise.names)))
+    total = np.zeros((N_CHOOSING, len(promise.names)))
     free = list(range(len(candidates)))
     chosen: list[int] = []
     while True:
@@ -196,7 +246,7 @@ def state_limits(
     return AcceptancePlan(
         poses=np.asarray(poses),
         limits=limits,
-        confirms=np.where(power >= LEAST_POWER, confirms, np.nan),
+        confirms=np.where(power >= MIN_POWER, confirms, np.nan),
         power=power,
         miss=miss,
         false_alarm=float(np.mean((good > limits).any(axis=1))),
@@ -221,7 +271,7 @@ def _statistics(
     promise: Promise, poses: Index, factor: float, rng: np.random.Generator
 ) -> Array:
     """T (machines, k), SI, of machines at a factor on the promise."""
-    fields = promise.fields(STATING, rng)[:, poses]
+    fields = promise.fields(N_STATING, rng)[:, poses]
     noise = rng.standard_normal(fields.shape)
     if promise.zeroed:  # half of the variance is that of the reading at home
         home = rng.standard_normal((len(fields), 1, fields.shape[2]))
@@ -274,9 +324,9 @@ def positioning(
     shape = (len(np.unique(target)), len(senses))
     means, sds = np.empty(shape), np.empty(shape)
     fewest = len(errors)
-    for i, place in enumerate(np.unique(target)):
+    for i, number in enumerate(np.unique(target)):
         for k, sense in enumerate(senses):
-            values = errors[(target == place) & (direction == sense)]
+            values = errors[(target == number) & (direction == sense)]
             if len(values) < 2:
                 return None
             fewest = min(fewest, len(values))

@@ -20,35 +20,196 @@ is a place of what belongs to set-ups: errors of their readings, bars, mounts.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
-from scipy import special
+from scipy import linalg, special
 
 from oed.base import Array, Index, Mask
-from oed.gap.data.problem import GapProblem
-from oed.gap.forms import carriers
-from oed.gap.places.draws import Draws, LikelyForms, draw_energies
+from oed.effect_model import Effect
+from oed.gap.cause.search import Hypothesis
+from oed.gap.data.problem import GapProblem, Metric, reversed_runs
+from oed.gap.forms import discrepancy
+from oed.gap.forms import library as libraries
+from oed.gap.forms.library import Library
 from oed.noise import NoiseLaw
 from oed.result import PlaceRecord
 
-#: draws of the posterior
-DRAWS = 400
-#: cells of the session and of the phase that stretches are made of
-CELLS, SECTORS = 48, 12
+# Energy of what acts in each reading, in draws of the posterior over likely forms.
+#
+# `ReversedForms` has the columns as if every run had been driven the other way, at the same
+# poses.
+
+
+@dataclasses.dataclass(frozen=True)
+class LikelyForms:
+    """Forms that what acts may have.
+
+    share      posterior probability of these forms
+    columns    (N, k) with coefficients N(0, 1), in units of the stated noise
+    labels     (k,) `leg 1`, `set-up bar`, `channel dz in bar` or "", what each column
+               belongs to
+    timed      (k,) which columns vary with time or temperature; all by default
+    other_way  (N, k) the columns in runs that are driven the other way; None where that
+               is not known
+    """
+
+    share: float
+    columns: Array
+    labels: Sequence[str]
+    timed: Mask | None = None
+    other_way: Array | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Draws:
+    """Energy of what acts, in units of the stated noise, in D draws.
+
+    timed        (N, D) of what varies with time in each reading, before the parameters
+                 absorb
+    other_way    (N, D) of all that acts, and `acting` (N, D) with the runs as they were
+                 driven; None where the other way is not known
+    remaining    (N, D) as calibration leaves it
+    parts        {label: (D,)} of the columns of each label, as calibration leaves them
+    """
+
+    timed: Array
+    acting: Array
+    other_way: Array | None
+    remaining: Array
+    parts: dict[str, Array]
+
+
+def draw_energies(
+    problem: GapProblem,
+    law: NoiseLaw,
+    models: Sequence[LikelyForms],
+    rng: np.random.Generator,
+    draws: int,
+) -> Draws:
+    """Draws of which each model has its share."""
+    metric = Metric(problem, law)
+    shares = np.array([model.share for model in models])
+    counts = rng.multinomial(draws, shares / shares.sum())
+    drawn = [(model, n) for model, n in zip(models, counts, strict=True) if n]
+    names = list(dict.fromkeys(label for model, _ in drawn for label in model.labels))
+    energies = []
+    for model, n in drawn:
+        mean, precision = metric.posterior(model.columns, problem.residual)
+        root = linalg.cholesky(precision, lower=True)
+        normal = rng.standard_normal((len(mean), n))
+        spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
+        beta = mean[:, None] + spread
+        remaining = model.columns - problem.slopes @ metric.fit(model.columns)
+        timed = slice(None) if model.timed is None else model.timed
+        other_way = model.columns if model.other_way is None else model.other_way
+        labels = np.array(model.labels)
+        parts = [remaining[:, labels == name] @ beta[labels == name] for name in names]
+        energies.append(
+            (
+                (model.columns[:, timed] @ beta[timed]) ** 2,
+                (model.columns @ beta) ** 2,
+                (other_way @ beta) ** 2,
+                (remaining @ beta) ** 2,
+                np.array([np.sum(part**2, axis=0) for part in parts]),
+            )
+        )
+    is_known = all(model.other_way is not None for model, _ in drawn)
+    every = [np.hstack(alike) for alike in zip(*energies, strict=True)]
+    return Draws(
+        timed=every[0],
+        acting=every[1],
+        other_way=every[2] if is_known else None,
+        remaining=every[3],
+        parts=dict(zip(names, every[4], strict=True)),
+    )
+
+
+class ReversedForms:
+    """Columns of effects and of discrepancies in runs that are driven the other way."""
+
+    def __init__(
+        self,
+        problem: GapProblem,
+        library: Library,
+        processes: Library,
+        effects: Sequence[Effect],
+    ) -> None:
+        self._problem, self._library, self._processes = problem, library, processes
+        self._effects = {effect.name: effect for effect in effects}
+        self._known: dict[int, Array] = {}
+
+    def columns(self, h: Hypothesis, factor: float) -> Array | None:
+        """Columns (N, k) of a hypothesis at its sizes, times a factor.
+
+        None where the readings do not say that they were driven both ways.
+        """
+        if not self._both_ways:
+            return None
+        parts = [np.zeros((len(self._problem), 0))]
+        for atom, size in zip(h.atoms, h.sizes, strict=True):
+            parts.append(factor * size * self._effect_columns(atom))
+        if h.process is not None:
+            reversal = self._processes.atoms[h.process].reversal
+            size = factor * h.process_size
+            columns = self._processes.scaled_columns(h.process, size)
+            parts.append(columns if reversal is None else columns * reversal)
+        return np.hstack(parts)
+
+    @functools.cached_property
+    def _both_ways(self) -> bool:
+        rows = self._problem.rows
+        if "direction" not in rows.columns:
+            return False
+        direction = rows["direction"].to_numpy(dtype=float)
+        return bool((direction > 0.0).any() and (direction < 0.0).any())
+
+    def _effect_columns(self, atom: int) -> Array:
+        if atom not in self._known:
+            self._known[atom] = self._rebuilt(atom)
+        return self._known[atom]
+
+    def _rebuilt(self, atom: int) -> Array:
+        form = self._library.atoms[atom]
+        effect = self._effects[form.effect]
+        fixed = {name: (value,) for name, value in form.constants.items()}
+        alone = dataclasses.replace(effect, constants=fixed)
+        library = libraries.build(self._reversed, [alone])
+        number_of = {name: k for k, name in enumerate(library.names)}
+        columns = np.zeros((len(self._problem), len(form.columns)))
+        for k, column in enumerate(form.columns):
+            name = self._library.names[column]
+            if name in number_of:
+                columns[:, k] = library.columns[:, number_of[name]]
+        return columns
+
+    @functools.cached_property
+    def _reversed(self) -> GapProblem:
+        """The readings with the order of each run counted from its end."""
+        rows = self._problem.covariates
+        other_way = reversed_runs(rows).assign(direction=-rows["direction"])
+        return self._problem.with_covariates(other_way)
+
+
+#: cells of the session that stretches of time are made of
+N_CELLS = 48
+#: sectors of the phase that stretches of runs are made of
+N_SECTORS = 12
 #: places that a run must have for its phase to mean something
-PLACES = 8
-#: runs that are reported; beyond the first only those that stand out
-RUNS, STANDS_OUT = 4, 0.05
+MIN_PHASES = 8
+#: p-value below which a location stands out
+STANDING_OUT = 0.05
 #: departure of a direction's share from a half that is none: which way a joint arrives at
 #: the ends of a run is not known of runs that were driven the other way
-NEARLY_EVEN = 0.05
-#: share of the readings of two places that both have, from which they are the same; and of
-#: a joint's extent by which it is off its middle position
-SAME, STILL = 0.9, 1e-3
+EVEN_TOLERANCE = 0.05
+#: share of the readings of two locations that both have, from which they are the same
+SAME_SHARE = 0.9
+#: share of a joint's extent by which it is off its middle position
+STILL_SHARE = 1e-3
 #: nats by which a stretch must confine the gap to be reported
-WORTH = 0.1
+MIN_CONFINEMENT = 0.1
 
 
 def locate(
@@ -56,7 +217,7 @@ def locate(
     law: NoiseLaw,
     models: Sequence[LikelyForms],
     rng: np.random.Generator,
-    draws: int = DRAWS,
+    draws: int = 400,
 ) -> tuple[PlaceRecord, ...]:
     """Places of the gap: those that stand out, and confine it best, first.
 
@@ -75,7 +236,7 @@ def locate(
         *_directions(problem, drawn),
     ]
     ranked = sorted(places, key=_rank)
-    return tuple(_with_same_readings(problem, place, readings) for place in ranked)
+    return tuple(_add_same_readings(problem, location, readings) for location in ranked)
 
 
 # -- places ----------------------------------------------------------------------------
@@ -98,14 +259,14 @@ class _Place:
         return float(inside + special.rel_entr(1.0 - share, 1.0 - even))
 
 
-def _rank(place: _Place) -> tuple[bool, float, float, str]:
+def _rank(location: _Place) -> tuple[bool, float, float, str]:
     """Places that stand out come first, by how well they confine; others by p-value.
 
     p-values are counts of draws, and often equal: the name decides then.
     """
-    name, p_value = place.block.block, place.block.p_value
-    if p_value < STANDS_OUT:
-        return False, -place.confines, p_value, name
+    name, p_value = location.block.block, location.block.p_value
+    if p_value < STANDING_OUT:
+        return False, -location.confines, p_value, name
     return True, p_value, 0.0, name
 
 
@@ -128,24 +289,24 @@ def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     rows = problem.rows
     shares = rows["setup"].value_counts(normalize=True)
     for setup, channel in rows[["setup", "channel"]].drop_duplicates().to_numpy():
-        place = f"set-up {setup}", float(shares[setup])
-        by_setup[place[0]] = by_setup[f"channel {channel} in {setup}"] = place
-    for known in (by_leg, by_setup):
+        location = f"set-up {setup}", float(shares[setup])
+        by_setup[location[0]] = by_setup[f"channel {channel} in {setup}"] = location
+    for by_label in (by_leg, by_setup):
         energies: dict[tuple[str, float], Array] = {}
-        for label in known.keys() & drawn.parts.keys():
-            energy = energies.get(known[label], np.zeros(1))
-            energies[known[label]] = energy + drawn.parts[label]
+        for label in by_label.keys() & drawn.parts.keys():
+            energy = energies.get(by_label[label], np.zeros(1))
+            energies[by_label[label]] = energy + drawn.parts[label]
         total = sum(energies.values(), np.zeros(1))
-        if len(set(known.values())) > 1:
+        if len(set(by_label.values())) > 1:
             for (name, even), energy in energies.items():
                 yield _place(name, energy, total, even)
 
 
-def _of_readings(name: str, inside: Mask, energy: Array) -> _Place:
+def _location_of_readings(name: str, inside: Mask, energy: Array) -> _Place:
     """A place that holds some readings (N,), by the energy (N, D) of all."""
     even = float(inside.mean())
-    place = _place(name, energy[inside].sum(axis=0), energy.sum(axis=0), even)
-    return dataclasses.replace(place, readings=inside)
+    location = _place(name, energy[inside].sum(axis=0), energy.sum(axis=0), even)
+    return dataclasses.replace(location, readings=inside)
 
 
 def _runs(readings: Mapping[str, Mask], drawn: Draws) -> list[_Place]:
@@ -153,16 +314,18 @@ def _runs(readings: Mapping[str, Mask], drawn: Draws) -> list[_Place]:
     runs = [name for name in readings if name.startswith("run ")]
     if len(runs) < 2:
         return []
-    places = [_of_readings(name, readings[name], drawn.remaining) for name in runs]
+    places = [
+        _location_of_readings(name, readings[name], drawn.remaining) for name in runs
+    ]
     places.sort(key=_rank)
-    clear = [p for p in places[1:RUNS] if p.block.p_value < STANDS_OUT]
+    clear = [p for p in places[1:4] if p.block.p_value < STANDING_OUT]
     return [places[0], *clear]
 
 
 def _times(problem: GapProblem) -> Array:
     """Time (N,) of each reading; NaN where it is not known."""
-    known = problem.rows.get("time", default=np.full(len(problem), np.nan))
-    return np.asarray(known, dtype=float)
+    times = problem.rows.get("time", default=np.full(len(problem), np.nan))
+    return np.asarray(times, dtype=float)
 
 
 def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
@@ -171,23 +334,23 @@ def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     It ends halfway between its readings and those beside it.
     """
     times = _times(problem)
-    known = np.flatnonzero(np.isfinite(times))
-    cells = np.array_split(np.unique(times[known]), CELLS)
+    timed = np.flatnonzero(np.isfinite(times))
+    cells = np.array_split(np.unique(times[timed]), N_CELLS)
     starts = np.array([cell[0] for cell in cells if len(cell)])
     if len(starts) < 2 or not drawn.timed.any():
         return
-    number = np.searchsorted(starts, times[known], side="right") - 1
-    cells_inside = _densest(number, drawn.timed[known], len(starts))
+    number = np.searchsorted(starts, times[timed], side="right") - 1
+    cells_inside = _densest(number, drawn.timed[timed], len(starts))
     inside = np.zeros(len(times), dtype=bool)
-    inside[known] = np.isin(number, cells_inside)
+    inside[timed] = np.isin(number, cells_inside)
     name = f"time {_extent(times, times[inside])}"
-    stretch = _of_readings(name, inside, drawn.timed)
-    if stretch.confines > WORTH:
+    stretch = _location_of_readings(name, inside, drawn.timed)
+    if stretch.confines > MIN_CONFINEMENT:
         yield stretch
 
 
-def _with_same_readings(
-    problem: GapProblem, place: _Place, readings: Mapping[str, Mask]
+def _add_same_readings(
+    problem: GapProblem, location: _Place, readings: Mapping[str, Mask]
 ) -> PlaceRecord:
     """The place with one of another kind that has the same readings, if any.
 
@@ -196,13 +359,13 @@ def _with_same_readings(
     A set-up that was read in one stretch of the session is that stretch as well, one that
     was read in one run is that run, and a leg that moved in one run alone is that run.
     """
-    block = place.block
-    inside = readings.get(block.block, place.readings)
+    block = location.block
+    inside = readings.get(block.block, location.readings)
     if inside is None or inside.all():
         return block
     kind = block.block.partition(" ")[0]
     for name, others in readings.items():
-        is_same = (inside & others).sum() >= SAME * (inside | others).sum()
+        is_same = (inside & others).sum() >= SAME_SHARE * (inside | others).sum()
         if name.partition(" ")[0] != kind and is_same:
             return replace(block, same_as=name)
     times = _times(problem)
@@ -229,9 +392,9 @@ def _readings_of_places(problem: GapProblem) -> dict[str, Mask]:
     names = "run " + prefix.where(ambiguous, "") + names
     for name, members in zip(names, problem.members, strict=True):
         masks[name] = np.isin(np.arange(len(problem)), members)
-    joints = carriers.at_poses(problem, [s.joints for s in problem.states])[:, 0]
+    joints = discrepancy.at_poses(problem, [s.joints for s in problem.states])[:, 0]
     off = np.abs(joints - np.median(joints, axis=0))
-    moved = off > STILL * np.ptp(joints, axis=0)
+    moved = off > STILL_SHARE * np.ptp(joints, axis=0)
     return masks | {f"leg {i + 1}": moved[:, i] for i in problem.states[0].limbs}
 
 
@@ -247,16 +410,18 @@ def _extent(times: Array, inside: Array) -> str:
 def _stretch_of_phase(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     """The part of all runs that is densest in what acts."""
     phase = problem.rows["phase"].to_numpy(dtype=float)
-    long = [m for m in problem.members if len(np.unique(phase[m].round(9))) >= PLACES]
+    long = [
+        m for m in problem.members if len(np.unique(phase[m].round(9))) >= MIN_PHASES
+    ]
     if not long:
         return
     rows = np.concatenate(long)
-    number = (phase[rows] / (2.0 * np.pi) * SECTORS).astype(int) % SECTORS
-    cells = _densest(number, drawn.remaining[rows], SECTORS, around=True)
-    begin, end = 360 * cells[0] // SECTORS, 360 * (cells[-1] + 1) // SECTORS
+    number = (phase[rows] / (2.0 * np.pi) * N_SECTORS).astype(int) % N_SECTORS
+    cells = _densest(number, drawn.remaining[rows], N_SECTORS, around=True)
+    begin, end = 360 * cells[0] // N_SECTORS, 360 * (cells[-1] + 1) // N_SECTORS
     inside = np.isin(np.arange(len(phase)), rows[np.isin(number, cells)])
-    stretch = _of_readings(f"phase {begin}-{end}", inside, drawn.remaining)
-    if stretch.confines > WORTH:
+    stretch = _location_of_readings(f"phase {begin}-{end}", inside, drawn.remaining)
+    if stretch.confines > MIN_CONFINEMENT:
         yield stretch
 
 
@@ -271,7 +436,7 @@ def _directions(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
         energy[sign] += drawn.other_way[forward == -sign].sum(axis=0)
     total = energy[1] + energy[-1]
     for sign, amount in energy.items():
-        even = np.abs(amount - 0.5 * total) <= NEARLY_EVEN * total
+        even = np.abs(amount - 0.5 * total) <= EVEN_TOLERANCE * total
         rounded = np.where(even, 0.5 * total, amount)
         yield _place(f"direction {sign:+d}", rounded, total, 0.5)
 

@@ -5,10 +5,10 @@ import pytest
 from effects_sample import session
 
 from oed.effect_model import Column, State
-from oed.gap.forms.unknown import (
-    PLACES,
-    TIMES,
-    UNIT,
+from oed.effects.unknown_effects import (
+    TIME_TERMS,
+    UNIT_SIZE,
+    WORKSPACE_TERMS,
     over_places,
     over_time,
     unknown_effects,
@@ -59,12 +59,12 @@ def test_joints_err_one_by_one_and_readings_by_channel(state: State) -> None:
     assert {channel for c in of_readings.values() for channel in c.reading} == set(
         state.channels
     )
-    assert all(c.scale == UNIT for c in of_readings.values())
+    assert all(c.scale == UNIT_SIZE for c in of_readings.values())
 
 
 def test_terms_are_independent_and_fall_with_their_order(state: State) -> None:
     places, times = over_places(state), over_time(state)
-    assert places.shape == (len(state), PLACES)
-    assert times.shape == (len(state), TIMES)
+    assert places.shape == (len(state), WORKSPACE_TERMS)
+    assert times.shape == (len(state), TIME_TERMS)
     assert np.abs(places).max(axis=0)[0] > np.abs(places).max(axis=0)[-1]
-    assert np.linalg.matrix_rank(times) == TIMES
+    assert np.linalg.matrix_rank(times) == TIME_TERMS

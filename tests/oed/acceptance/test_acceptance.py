@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.accuracy.acceptance import (
+from oed.acceptance.plan import (
     AcceptancePlan,
     Promise,
     judge,

@@ -16,19 +16,17 @@ import numpy as np
 
 from oed.base import Array
 from oed.effect_model import Column, Effect, State
-from oed.gap.forms.discrepancy import known_values
 
-#: terms of a series over the workspace, over the time
-PLACES, TIMES = 24, 10
+#: terms of a series over the workspace
+WORKSPACE_TERMS = 24
+#: terms of a series over the time
+TIME_TERMS = 10
 #: half width of the box over that of what the session visits
-BOX = 1.25
+BOX_FACTOR = 1.25
 #: order at which the variance has fallen to a quarter
-SMOOTH = 2.0
-#: largest order of one coordinate that is considered
-MOST = 8
+QUARTER_ORDER = 2.0
 #: size of a unit coefficient, in the unit of the joint, the tool's m or the reading
-UNIT = 1e-6
-SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464"
+UNIT_SIZE = 1e-6
 
 #: what a course is a function of
 NEEDS = {"direction": ("direction: both",), "time": ("time",)}
@@ -53,7 +51,7 @@ def unknown_effects() -> tuple[Effect, ...]:
         effects.append(
             Effect(
                 name=f"unknown {carrier} {course}",
-                source=SOURCE,
+                source="Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464",
                 about=f"an error of the {carrier} of no known form ({course})",
                 columns=_columns(columns, values, course == "direction"),
                 needs=NEEDS.get(course, ()),
@@ -77,27 +75,27 @@ def _columns(
 
 def over_places(state: State) -> Array:
     """Terms (m, k) of a smooth function of the joints in their travels."""
-    return np.column_stack(list(_terms(state.travel, PLACES)))
+    return np.column_stack(list(_terms(state.travel, WORKSPACE_TERMS)))
 
 
 def over_time(state: State) -> Array:
     """Terms (m, k) of a smooth function of the session's course."""
     course = 2.0 * state.session_progress[:, None] - 1.0
-    return np.column_stack(list(_terms(course, TIMES)))
+    return np.column_stack(list(_terms(course, TIME_TERMS)))
 
 
 def _terms(places: Array, count: int) -> Iterator[Array]:
     """Products (m,) of cosines of the coordinates (m, d), the smoothest `count`."""
-    angle = 0.5 * np.pi * (places / BOX + 1.0)
+    angle = 0.5 * np.pi * (places / BOX_FACTOR + 1.0)
     for orders in _smoothest(places.shape[1], count):
         waves = np.prod(np.cos(angle * orders), axis=1)
-        yield waves / (1.0 + (orders @ orders) / SMOOTH**2)
+        yield waves / (1.0 + (orders @ orders) / QUARTER_ORDER**2)
 
 
 @functools.cache
 def _smoothest(dimensions: int, count: int) -> Array:
     """Orders (count, d) of the products, the smoothest first, the constant left out."""
-    most = MOST if dimensions <= 2 else 3
+    most = 8 if dimensions <= 2 else 3
     if dimensions == 1:
         most = count
     grid = itertools.product(range(most + 1), repeat=dimensions)
@@ -107,20 +105,20 @@ def _smoothest(dimensions: int, count: int) -> Array:
 
 def _on_tool(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Displacements of the tool along the axes of the base."""
-    sense = known_values(state.direction) if reverses else 1.0
+    sense = _zero_where_unknown(state.direction) if reverses else 1.0
     for axis, name in enumerate("xyz"):
         for k, term in enumerate(terms.T):
             joints = state.displacing_joints(axis, sense * term)
-            yield Column(f"{name} {k + 1}", UNIT, joints=joints)
+            yield Column(f"{name} {k + 1}", UNIT_SIZE, joints=joints)
 
 
 def _on_joints(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Errors of each joint by itself."""
     for i in state.limbs:
-        sense = known_values(state.motion_sign[:, i]) if reverses else 1.0
+        sense = _zero_where_unknown(state.motion_sign[:, i]) if reverses else 1.0
         leg = f"leg {i + 1}"
         for k, term in enumerate(terms.T):
-            yield Column(f"{leg} {k + 1}", UNIT, leg, {i: sense * term})
+            yield Column(f"{leg} {k + 1}", UNIT_SIZE, leg, {i: sense * term})
 
 
 def _on_readings(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
@@ -128,4 +126,9 @@ def _on_readings(state: State, terms: Array, reverses: bool) -> Iterable[Column]
     for channel in state.channels:
         label = f"{state.setup} {channel}"
         for k, term in enumerate(terms.T):
-            yield Column(f"{label} {k + 1}", UNIT, label, reading={channel: term})
+            yield Column(f"{label} {k + 1}", UNIT_SIZE, label, reading={channel: term})
+
+
+def _zero_where_unknown(values: Array) -> Array:
+    """Values, 0 where they are not known."""
+    return np.where(np.isfinite(values), values, 0.0)

@@ -1,1 +1,0 @@
-"""Where the gap lies: legs, set-ups, runs, times, directions."""
