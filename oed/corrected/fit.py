@@ -89,7 +89,9 @@ class MeasurementWithEffects(Measurement):
         rows[..., self._size :] = self._columns[id(series.q)]
         return rows
 
-    def of_taken(self, taken: Sequence[TakenReadings]) -> MeasurementWithEffects:
+    def taken_measurement(
+        self, taken: Sequence[TakenReadings]
+    ) -> MeasurementWithEffects:
         """The measurement of series that have some readings of its own."""
         measurement = copy.copy(self)
         measurement._series = tuple(some.part for some in taken)

@@ -36,9 +36,9 @@ def exchange_blocks(blocks: Array, chosen: Index, base: Array) -> Index:
     m = base + information(blocks[chosen])
     value = float(np.linalg.slogdet(m)[1])
     for _ in range(MAX_EXCHANGES * len(chosen)):
-        place, block = _best_pair(blocks, chosen, m)
+        position, block = _best_pair(blocks, chosen, m)
         changed = chosen.copy()
-        changed[place] = block
+        changed[position] = block
         m = base + information(blocks[changed])
         after = float(np.linalg.slogdet(m)[1])
         if not after > value + MIN_GAIN:
@@ -61,9 +61,9 @@ def _best_pair(blocks: Array, chosen: Index, m: Array) -> tuple[int, int]:
         part = slice(begin, begin + step)
         gains = leaving.log_gains(blocks[part])
         gains[:, in_plan[part]] = -np.inf
-        place, block = divmod(int(gains.argmax()), gains.shape[1])
-        if gains[place, block] > best[2]:
-            best = place, begin + block, float(gains[place, block])
+        position, block = divmod(int(gains.argmax()), gains.shape[1])
+        if gains[position, block] > best[2]:
+            best = position, begin + block, float(gains[position, block])
     return best[0], best[1]
 
 

@@ -99,9 +99,9 @@ class _Trail:
         resting = np.where(self.place_rests_until > self.taken, RESTING_PENALTY, 0.0)
         gains -= resting[:, None]
         gains[:, self.plan] = IN_PLAN_GAIN
-        place, block = divmod(int(gains.argmax()), len(blocks))
+        position, block = divmod(int(gains.argmax()), len(blocks))
         until = self.taken + 2 + (MAX_REST * rng.random(2)).astype(np.intp)
-        self.block_rests_until[self.plan[place]] = until[0]
-        self.place_rests_until[place] = until[1]
-        self.plan[place] = block
+        self.block_rests_until[self.plan[position]] = until[0]
+        self.place_rests_until[position] = until[1]
+        self.plan[position] = block
         self.taken += 1

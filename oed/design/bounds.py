@@ -111,7 +111,7 @@ def _relax_counted(
     return dataclasses.replace(
         optimum,
         weights=(optimum.weights / copies.number)[copies.label],
-        slopes=optimum.slopes[copies.label],
+        gradient=optimum.gradient[copies.label],
     )
 
 
@@ -135,12 +135,12 @@ def _relax_capped(
 def _over_all_candidates(
     optimum: Relaxation, problem: RelaxedRules, count: int
 ) -> Relaxation:
-    """The relaxation with weights and slopes of all candidates (C,), as numbers."""
-    weights, slopes = np.zeros(count), np.zeros(count)
+    """The relaxation with weights and gradient of all candidates (C,), as numbers."""
+    weights, gradient = np.zeros(count), np.zeros(count)
     cost = np.ones(len(problem.candidates)) if problem.cost is None else problem.cost
     weights[problem.candidates] = optimum.weights / cost
-    slopes[problem.candidates] = optimum.slopes
-    return dataclasses.replace(optimum, weights=weights, slopes=slopes)
+    gradient[problem.candidates] = optimum.gradient
+    return dataclasses.replace(optimum, weights=weights, gradient=gradient)
 
 
 def condition_bound(

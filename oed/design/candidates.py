@@ -107,13 +107,13 @@ class Candidates:
         cls,
         measurement: Measurement,
         series: Sequence[Series],
-        at: Array,
+        theta: Array,
         scaling: Scaling,
         *,
         whole_runs: bool = False,
         nuisances: Nuisances | None = None,
     ) -> Candidates:
-        """Candidates from all readings of the series at theta `at` (n,).
+        """Candidates from all readings of the series at theta (n,).
 
         With `whole_runs` a run is one candidate. Raises ValueError where the readings of a
         run do not follow each other, and for nuisances where the scaling is not "tolerance".
@@ -125,7 +125,12 @@ class Candidates:
         ends = np.cumsum(numbers)
         parts = [
             _series_blocks(
-                measurement, s, at, scaling, whole_runs, every.take(slice(end - n, end))
+                measurement,
+                s,
+                theta,
+                scaling,
+                whole_runs,
+                every.take(slice(end - n, end)),
             )
             for s, n, end in zip(series, numbers, ends, strict=True)
         ]
@@ -328,7 +333,7 @@ def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
 def _series_blocks(
     measurement: Measurement,
     series: Series,
-    at: Array,
+    theta: Array,
     scaling: Scaling,
     whole_runs: bool,
     nuisances: Nuisances,
@@ -336,7 +341,9 @@ def _series_blocks(
     """Candidates of one series, with the nuisances of its numbers."""
     channels = measurement.setups[series.setup].instrument.channels
     k, count = len(channels), len(series)
-    jacobian = measurement.jacobian([series], at) * column_scale(measurement, scaling)
+    jacobian = measurement.jacobian([series], theta) * column_scale(
+        measurement, scaling
+    )
     parameters = jacobian.shape[1]
     rows = np.hstack([jacobian, nuisances.columns]).reshape(count, k, -1)
     weight = _weight(measurement, series, nuisances).reshape(count, k, 1)
@@ -371,7 +378,7 @@ def _weight(measurement: Measurement, series: Series, nuisances: Nuisances) -> A
 
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:
-    """Slopes (n, k, r) of the readings by the errors that their runs share."""
+    """Gradient (n, k, r) of the readings by the errors that their runs share."""
     errors = run_errors(measurement.of(series), series)
     count, channels, k = errors.shape
     runs = list(dict.fromkeys(series.run))

@@ -127,7 +127,7 @@ class Catalogue:
     def __getitem__(self, name: str) -> NamedCriterion:
         return self.entries[name]
 
-    def get(self, name: str) -> NamedCriterion | None:
+    def entry(self, name: str) -> NamedCriterion | None:
         """A criterion, or the compound one; None for a name of another version."""
         return COMPOUND if name == COMPOUND.name else self.entries.get(name)
 
@@ -195,13 +195,13 @@ class Catalogue:
 
     def symbol(self, name: str) -> str:
         """How an index is written in a table."""
-        known = self.get(name)
-        return name if known is None else known.symbol or name
+        entry = self.entry(name)
+        return name if entry is None else entry.symbol or name
 
     def sentences(self, values: Mapping[str, float]) -> list[str]:
         """Each index of readings with its value, in a sentence."""
-        known = {name: self.get(name) for name in values}
-        meaning = {n: item.index_meaning if item else n for n, item in known.items()}
+        listed = {name: self.entry(name) for name in values}
+        meaning = {n: item.index_meaning if item else n for n, item in listed.items()}
         return [
             f"{self.symbol(name)} = {value:.4g}: {meaning[name]}."
             for name, value in values.items()

@@ -33,7 +33,7 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import information
-from oed.design.forms.protocol import slopes
+from oed.design.forms.protocol import weight_gradient
 from oed.design.interior import InteriorPath, InteriorProblem, build_problem
 from oed.design.objective import knapsack_value
 from oed.design.relaxation import Relaxation
@@ -111,7 +111,7 @@ class EigenvaluePoint:
         above = self.dual.bound - self.plan.least + self.slope * self.plan.largest
         return above / self.plan.least
 
-    def log_slopes(self, share: float) -> Array:
+    def log_gradient(self, share: float) -> Array:
         """(C,) d/dw of log l_min - share log l_max."""
         low = self.dual.point.low / self.plan.least
         return low - share * self.dual.point.high / self.plan.largest
@@ -169,7 +169,7 @@ def follow(
         if not joining.size:
             break
         active, weights = _update_active_set(
-            problem, now.profit, path.at.w, active, joining
+            problem, now.profit, path.iterate.w, active, joining
         )
         centre = float(np.clip(now.total_gap, 0.02, 0.3))
     if best is None:
@@ -192,7 +192,7 @@ def _evaluate(
     problem: InteriorProblem, path: InteriorPath, active: Index
 ) -> EigenvaluePoint:
     """The path's weights and duals, over all candidates."""
-    dual, weights = _dual_point(problem, path), path.at.w
+    dual, weights = _dual_point(problem, path), path.iterate.w
     least, largest = problem.extreme_eigenvalues(active, weights)
     profit = dual.low - path.slope * dual.high
     base_profit = dual.base_low - path.slope * dual.base_high
@@ -218,17 +218,17 @@ def _evaluate(
 
 def _dual_point(problem: InteriorProblem, path: InteriorPath) -> DualPoint:
     """The path's Y and Z at trace 1, with all candidates."""
-    y = np.asarray(np.linalg.cholesky(path.at.y))
+    y = np.asarray(np.linalg.cholesky(path.iterate.y))
     y = y / float(np.linalg.norm(problem.turn.T @ y))
-    z = np.zeros((len(path.at.y), 1))
+    z = np.zeros((len(path.iterate.y), 1))
     if path.slope:
-        z = np.asarray(np.linalg.cholesky(path.at.z))
+        z = np.asarray(np.linalg.cholesky(path.iterate.z))
         z = z / float(np.linalg.norm(z))
     return DualPoint(
         float(np.sum((problem.white_base @ y) * y)),
         float(np.sum((problem.base @ z) * z)),
-        slopes(problem.white, y),
-        slopes(problem.blocks, z),
+        weight_gradient(problem.white, y),
+        weight_gradient(problem.blocks, z),
     )
 
 
@@ -259,8 +259,8 @@ def _only_plan(problem: InteriorProblem, slope: float | None) -> EigenvaluePoint
     least, largest = problem.extreme_eigenvalues(everything, problem.caps)
     m = problem.base + information(problem.blocks, problem.caps)
     eigenvectors = np.linalg.eigh(m)[1]
-    low = slopes(problem.blocks, eigenvectors[:, :1])
-    high = slopes(problem.blocks, eigenvectors[:, -1:])
+    low = weight_gradient(problem.blocks, eigenvectors[:, :1])
+    high = weight_gradient(problem.blocks, eigenvectors[:, -1:])
     bound = least - (slope or 0.0) * largest + BOUND_ROUNDING * least
     ratio = largest / least * (1 - BOUND_ROUNDING)
     return EigenvaluePoint(
@@ -313,8 +313,8 @@ def _update_active_set(
     The weights keep their sum.
     """
     order = np.argsort(-profit, kind="stable")
-    carried = np.cumsum(problem.caps[order])
-    top = order[: int(np.searchsorted(carried, 1.5 * problem.size)) + 2]
+    filled = np.cumsum(problem.caps[order])
+    top = order[: int(np.searchsorted(filled, 1.5 * problem.size)) + 2]
     sizeable = weights > NEGLIGIBLE_WEIGHT * problem.caps[active]
     all_weights = np.zeros(len(profit))
     all_weights[active] = np.where(sizeable, weights, 0.0)
@@ -342,14 +342,14 @@ class EigenvalueRelaxation:
     weights  (C,)
     value    the criterion at the weights
     bound    of every feasible plan: from below for kappa, from above for E and O4
-    slopes   (C,) of the log criterion (of -log kappa) along each weight: how much a
+    gradient   (C,) of the log criterion (of -log kappa) along each weight: how much a
              candidate is wanted
     """
 
     weights: Array
     value: float
     bound: float
-    slopes: Array
+    gradient: Array
 
     @property
     def duality_gap(self) -> float:
@@ -360,7 +360,7 @@ class EigenvalueRelaxation:
         """The relaxation of log phi, where the criterion to a power is phi."""
         value = power * float(np.log(max(self.value, 1e-300)))
         bound = power * float(np.log(self.bound))
-        return Relaxation(self.weights, value, bound, self.slopes)
+        return Relaxation(self.weights, value, bound, self.gradient)
 
 
 def relax(
@@ -378,8 +378,8 @@ def relax(
     point = follow(build_problem(rows, size, prior, cap), None, 2.0 * tolerance)
     kappa = float(np.sqrt(point.plan.largest / point.plan.least))
     bound = float(np.sqrt(point.dual.ratio))
-    slopes = 0.5 * point.log_slopes(1.0)
-    return EigenvalueRelaxation(point.plan.weights, kappa, bound, slopes)
+    gradient = 0.5 * point.log_gradient(1.0)
+    return EigenvalueRelaxation(point.plan.weights, kappa, bound, gradient)
 
 
 def e_optimal(
@@ -391,9 +391,9 @@ def e_optimal(
 ) -> EigenvalueRelaxation:
     """Largest l_min (E), F(0). Raises as `relax`."""
     point = follow(build_problem(rows, size, prior, cap), 0.0, tolerance)
-    slopes = point.log_slopes(0.0)
+    gradient = point.log_gradient(0.0)
     return EigenvalueRelaxation(
-        point.plan.weights, point.plan.least, point.dual.bound, slopes
+        point.plan.weights, point.plan.least, point.dual.bound, gradient
     )
 
 
@@ -420,8 +420,8 @@ def o4(
     while True:
         bound, flatter, steeper = _worst_corner(lines)
         if np.log(bound / _o4(best)) <= tolerance or len(lines) >= MAX_LINES:
-            slopes = best.log_slopes(0.5)
-            return EigenvalueRelaxation(best.plan.weights, _o4(best), bound, slopes)
+            gradient = best.log_gradient(0.5)
+            return EigenvalueRelaxation(best.plan.weights, _o4(best), bound, gradient)
         slope = _slope_between(flatter, steeper)
         near = dataclasses.replace(problem, start=flatter.point.plan.weights)
         point = follow(near, slope, line_tolerance)
@@ -454,11 +454,11 @@ def _worst_corner(lines: list[_Line]) -> tuple[float, _Line, _Line]:
     steeper_than = slope > slope[:, None]
     pairs = np.isfinite(crossing) & (crossing > 0) & steeper_than
     flatter, steeper = np.nonzero(pairs)
-    at = crossing[flatter, steeper]
-    envelope = np.min(constant + at[:, None] * slope, axis=1)
-    height = constant[flatter] + at * slope[flatter]
+    meeting = crossing[flatter, steeper]
+    envelope = np.min(constant + meeting[:, None] * slope, axis=1)
+    height = constant[flatter] + meeting * slope[flatter]
     on_envelope = envelope >= height * (1 - 1e-12)
-    values = np.where(on_envelope, envelope / np.sqrt(at), -np.inf)
+    values = np.where(on_envelope, envelope / np.sqrt(meeting), -np.inf)
     k = int(np.argmax(values))
     bound = float(values[k]) * (1.0 + BOUND_ROUNDING)
     return bound, lines[int(flatter[k])], lines[int(steeper[k])]
@@ -467,7 +467,7 @@ def _worst_corner(lines: list[_Line]) -> tuple[float, _Line, _Line]:
 def _slope_between(flatter: _Line, steeper: _Line) -> float:
     """Slope of the chord between the plans that two lines touch.
 
-    Halfway between the lines' slopes where the chord's slope is not between them.
+    Halfway between the lines' gradient where the chord's slope is not between them.
     """
     run = flatter.point.plan.largest - steeper.point.plan.largest
     rise = flatter.point.plan.least - steeper.point.plan.least

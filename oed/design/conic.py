@@ -23,7 +23,7 @@ Convex Optimization, chapter 4), with y for phi:
 
 For any prices p >= 0 of
 the limits L w <= l, g^T w <= p^T l + (g - L^T p)^T w. The right side is largest for candidates
-filled to their caps, which bounds what slopes g can carry. A linear solver gives good
+filled to their caps, which bounds what gradient g can carry. A linear solver gives good
 prices; the bound holds for any.
 """
 
@@ -49,7 +49,7 @@ from oed.design.forms import (
     PowerMean,
     Variance,
 )
-from oed.design.forms.protocol import Support, slopes
+from oed.design.forms.protocol import Support, weight_gradient
 from oed.design.objective import LOG_ROUNDING, knapsack_value
 from oed.design.relaxation import Relaxation
 
@@ -127,12 +127,12 @@ class ConicCriterion:
         Where phi has kinks, the solver's dual selects the line.
         """
         duals = [c.dual_value for c in self.constraints]
-        known = bool(duals) and duals[0] is not None
+        has_duals = bool(duals) and duals[0] is not None
         if isinstance(self.criterion, ExtremeEigenvalues):
-            if known:
+            if has_duals:
                 return Support(0.0, dual_root(self.turn.T @ duals[0] @ self.turn))
             return Support(0.0, np.asarray(np.linalg.eigh(m)[1][:, :1]))
-        if isinstance(self.criterion, LargestVariance) and known:
+        if isinstance(self.criterion, LargestVariance) and has_duals:
             shares = np.maximum(np.array(duals, dtype=float).reshape(-1), MIN_SHARE)
             roots = np.sqrt(shares / shares.sum())[:, None, None]
             mean = Variance((self.criterion.factors * roots).reshape(-1, len(m)))
@@ -362,13 +362,13 @@ def _relax_concave(
     m_at_weights = problem.information(weights)
     supports = [(share, term.support(m_at_weights)) for share, term in pairs]
     offset, root = _join(supports, m_at_weights)
-    line_slopes = slopes(problem.blocks, root)
-    carried = problem.feasible.maximise(line_slopes)[0] + problem.base_term(root)
+    line_gradient = weight_gradient(problem.blocks, root)
+    weighted = problem.feasible.maximise(line_gradient)[0] + problem.base_term(root)
     # the line is one of the least eigenvalue, of which E or O3 is a power
     power = criterion.least if isinstance(criterion, ExtremeEigenvalues) else 1.0
-    bound = float(power * (offset + np.log(carried)) + LOG_ROUNDING)
+    bound = float(power * (offset + np.log(weighted)) + LOG_ROUNDING)
     value = criterion.value(m_at_weights)
-    return Relaxation(weights, value, bound, power * line_slopes)
+    return Relaxation(weights, value, bound, power * line_gradient)
 
 
 def _feasible_weights(problem: _ConicProblem, weights: Array | None) -> Array:
@@ -416,7 +416,7 @@ def _relax_condition(
     weights = problem.feasible.nearest(np.asarray(u.value) / float(tau.value))
     y = dual_root(turn.T @ lower.dual_value @ turn)
     z = dual_root(upper.dual_value)
-    low, high = slopes(problem.blocks, y), slopes(problem.blocks, z)
+    low, high = weight_gradient(problem.blocks, y), weight_gradient(problem.blocks, z)
     base_low, base_high = problem.base_term(y), problem.base_term(z)
     value = criterion.value(problem.information(weights))
     start = float(np.exp(-value / criterion.least))
@@ -438,14 +438,14 @@ def _least_ratio(
     Dinkelbach's steps lead down from the `ratio` of a plan. low and high hold the
     products of Y and of Z with M0, and with each candidate.
     """
-    (base_low, low_slopes), (base_high, high_slopes) = low, high
+    (base_low, low_gradient), (base_high, high_gradient) = low, high
     for k in range(MAX_RATIO_STEPS):
-        excess, at = feasible.maximise(ratio * low_slopes - high_slopes)
+        excess, best = feasible.maximise(ratio * low_gradient - high_gradient)
         if ratio * base_low - base_high + excess <= RATIO_TOLERANCE * ratio:
             return ratio
-        numerator = base_high + high_slopes @ at
+        numerator = base_high + high_gradient @ best
         lower_step = ratio * (1 - RATIO_TOLERANCE * 2.0**k)
-        ratio_here = float(numerator / (base_low + low_slopes @ at))
+        ratio_here = float(numerator / (base_low + low_gradient @ best))
         ratio = min(ratio_here, lower_step)
     return 0.0
 

@@ -67,9 +67,9 @@ def rank_combinations(
         determined = [g for g in grown if np.isfinite(values.of(g))]
         best = max(determined or grown, key=values.of)
     best = _exchange_setups(best, names, values)
-    if not values.known:
+    if not values.computed:
         return [best]
-    return sorted(values.known, key=values.of, reverse=True)[:BEST_COMBINATIONS]
+    return sorted(values.computed, key=values.of, reverse=True)[:BEST_COMBINATIONS]
 
 
 def _exchange_setups(
@@ -100,13 +100,13 @@ class _CombinationValues:
     base: Array
     rules: Rules
     setups: SetupLimit
-    known: dict[Combination, float] = dataclasses.field(default_factory=dict)
+    computed: dict[Combination, float] = dataclasses.field(default_factory=dict)
 
     def of(self, combination: Combination) -> float:
         """log phi of the relaxation; -inf where a direction is undetermined."""
-        if combination not in self.known:
-            self.known[combination] = self._relaxed_value(combination)
-        return self.known[combination]
+        if combination not in self.computed:
+            self.computed[combination] = self._relaxed_value(combination)
+        return self.computed[combination]
 
     def _relaxed_value(self, combination: Combination) -> float:
         chosen = thin(self.setups, combination)

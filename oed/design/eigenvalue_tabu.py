@@ -152,17 +152,17 @@ class _EigenvalueSearch:
         places = np.arange(self.plans.shape[1])
         traces[batch[:, None], places, self.plans] = np.inf
         best = traces.reshape(len(batch), -1).argmin(axis=1)
-        place, row = np.divmod(best, traces.shape[2])
-        removed = self.plans[batch, place]
-        row = np.where(np.isfinite(traces[batch, place, row]), row, removed)
-        self.plans[batch, place] = row
+        position, row = np.divmod(best, traces.shape[2])
+        removed = self.plans[batch, position]
+        row = np.where(np.isfinite(traces[batch, position, row]), row, removed)
+        self.plans[batch, position] = row
         self.free[batch, removed] += 1
         self.free[batch, row] -= 1
         share = self.rng.random((2, len(batch)))
         row_steps = (share[0] * MAX_ROW_REST).astype(np.intp)
         place_steps = (share[1] * MAX_PLACE_REST).astype(np.intp)
         self.row_rests_until[batch, removed] = step + 2 + row_steps
-        self.place_rests_until[batch, place] = step + 2 + place_steps
+        self.place_rests_until[batch, position] = step + 2 + place_steps
 
     def _traces_after_exchange(self, power: int) -> Single:
         """l^p tr M'^-p (B, size, U) of all exchanges, with the least eigenvalue l of M."""

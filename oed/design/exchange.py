@@ -61,8 +61,8 @@ def best_of_all(
     best, chosen = -np.inf, None
     for plans in _plans(len(blocks), size, max(NUMBERS_AT_ONCE // products[0].size, 1)):
         matrices = np.broadcast_to(base, (len(plans), *base.shape)).copy()
-        for place in range(size):
-            matrices += products[plans[:, place]]
+        for position in range(size):
+            matrices += products[plans[:, position]]
         eigenvalues = np.asarray(np.linalg.eigvalsh(matrices), dtype=float)
         values = criterion.eigenvalue_log_phi(eigenvalues)
         if values.max() > best + EQUAL_TOLERANCE:
@@ -200,7 +200,7 @@ def choose(
     starts = _greedy_plans(evaluator, rules, guide.weights)
     if blocks.shape[1] > 1:
         rounds *= goal.block_rounds
-    best = search(evaluator, rules, guide.weights, guide.slopes, starts, rng, rounds)
+    best = search(evaluator, rules, guide.weights, guide.gradient, starts, rng, rounds)
     value = evaluator.value(best)
     if not rules.satisfied(best):
         raise ValueError(

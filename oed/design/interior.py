@@ -27,7 +27,7 @@ from scipy import linalg
 from oed.base import Array, Index
 from oed.design import relaxation
 from oed.design.blocks import block_array, information
-from oed.design.forms.protocol import pairwise_traces, slopes
+from oed.design.forms.protocol import pairwise_traces, weight_gradient
 
 #: ridge of the linear system, which has a unit diagonal, that is tried first
 MIN_RIDGE = 1e-14
@@ -93,11 +93,16 @@ class StepSystem:
     """The system at an iterate: rows for the weights, t and r, bordered by sum dw = 0."""
 
     def __init__(
-        self, problem: InteriorProblem, slope: float, at: Iterate, s1: Array, s2: Array
+        self,
+        problem: InteriorProblem,
+        slope: float,
+        iterate: Iterate,
+        s1: Array,
+        s2: Array,
     ) -> None:
-        self.problem, self.slope, self.at = problem, slope, at
+        self.problem, self.slope, self.iterate = problem, slope, iterate
         self.s1, self.s2 = s1, s2
-        w, y, z = at.w, at.y, at.z
+        w, y, z = iterate.w, iterate.y, iterate.z
         count, room = len(w), problem.caps - w
         self.order = 2 * count + len(y) * (2 if slope else 1)
         half = np.linalg.inv(np.linalg.cholesky(s1))
@@ -108,7 +113,7 @@ class StepSystem:
         h[:count, count] = h[count, :count] = -_traces(problem.white, turned)
         h[count, count] = np.sum(turned * problem.square)
         h[count + 1, count + 1] = 1.0
-        self.push = slopes(problem.white, half.T) + 1.0 / w - 1.0 / room
+        self.push = weight_gradient(problem.white, half.T) + 1.0 / w - 1.0 / room
         if slope:
             half = np.linalg.inv(np.linalg.cholesky(s2))
             self.inverse2 = half.T @ half
@@ -116,8 +121,8 @@ class StepSystem:
             crossed = _symmetric(z @ self.inverse2)
             h[:count, -1] = h[-1, :count] = -_traces(problem.blocks, crossed)
             h[-1, -1] = np.sum(z * self.inverse2)
-            self.push -= slopes(problem.blocks, half.T)
-        h[np.arange(count), np.arange(count)] += at.a / w + at.b / room
+            self.push -= weight_gradient(problem.blocks, half.T)
+        h[np.arange(count), np.arange(count)] += iterate.a / w + iterate.b / room
         self.scale = 1.0 / np.sqrt(np.diag(h))
         scaled = _symmetric(h) * np.outer(self.scale, self.scale)
         self.factor = _factorise(scaled)
@@ -129,8 +134,8 @@ class StepSystem:
 
     def move(self, target: float, guess: Move | None) -> Move:
         """The step to complementarity `target`, corrected by a first guess."""
-        at, problem = self.at, self.problem
-        w, room, count = at.w, problem.caps - at.w, len(at.w)
+        iterate, problem = self.iterate, self.problem
+        w, room, count = iterate.w, problem.caps - iterate.w, len(iterate.w)
         second = self._second_order(guess)
         x = self._solve(self._right_side(target, second))
         x -= x[:count].sum() / self.border[:count].sum() * self.border
@@ -140,27 +145,27 @@ class StepSystem:
         d2 = np.zeros_like(self.inverse1)
         if self.slope:
             d2 = dr * np.eye(len(d2)) - information(problem.blocks, dw)
-        dy = target * self.inverse1 - at.y
-        dy = dy - _symmetric(at.y @ d1 @ self.inverse1) - second.low
-        dz = target * self.inverse2 - at.z
-        dz = dz - _symmetric(at.z @ d2 @ self.inverse2) - second.high
-        da = target / w - at.a * (1.0 + dw / w) - second.a
-        db = target / room - at.b * (1.0 - dw / room) - second.b
+        dy = target * self.inverse1 - iterate.y
+        dy = dy - _symmetric(iterate.y @ d1 @ self.inverse1) - second.low
+        dz = target * self.inverse2 - iterate.z
+        dz = dz - _symmetric(iterate.z @ d2 @ self.inverse2) - second.high
+        da = target / w - iterate.a * (1.0 + dw / w) - second.a
+        db = target / room - iterate.b * (1.0 - dw / room) - second.b
         primal = min(_room(self.s1, d1), _reach(w, dw), _reach(room, -dw))
-        dual = min(_room(at.y, dy), _reach(at.a, da), _reach(at.b, db))
+        dual = min(_room(iterate.y, dy), _reach(iterate.a, da), _reach(iterate.b, db))
         if self.slope:
             primal = min(primal, _room(self.s2, d2))
-            dual = min(dual, _room(at.z, dz))
+            dual = min(dual, _room(iterate.z, dz))
         return Move(dw, dt, dr, d1, d2, dy, dz, da, db, primal, dual)
 
     def _second_order(self, guess: Move | None) -> _SecondOrder:
         if guess is None:
             no_matrix, no_vector = (
                 np.zeros_like(self.inverse1),
-                np.zeros(len(self.at.w)),
+                np.zeros(len(self.iterate.w)),
             )
             return _SecondOrder(no_matrix, no_matrix, no_vector, no_vector)
-        w, room = self.at.w, self.problem.caps - self.at.w
+        w, room = self.iterate.w, self.problem.caps - self.iterate.w
         return _SecondOrder(
             _symmetric(guess.y @ guess.s1 @ self.inverse1),
             _symmetric(guess.z @ guess.s2 @ self.inverse2),
@@ -169,7 +174,7 @@ class StepSystem:
         )
 
     def _right_side(self, target: float, second: _SecondOrder) -> Array:
-        problem, count = self.problem, len(self.at.w)
+        problem, count = self.problem, len(self.iterate.w)
         right = np.zeros(count + 2)
         right[:count] = (
             target * self.push
@@ -186,11 +191,13 @@ class StepSystem:
 
     def complementarity(self, move: Move | None, primal: float, dual: float) -> float:
         """Sum of the complementarities, now or after shares of a move."""
-        at, room = self.at, self.problem.caps - self.at.w
+        iterate, room = self.iterate, self.problem.caps - self.iterate.w
         if move is None:
-            total = float(np.sum(at.y * self.s1) + at.a @ at.w + at.b @ room)
-            return total + (float(np.sum(at.z * self.s2)) if self.slope else 0.0)
-        after = at.after(move, primal, dual)
+            total = float(
+                np.sum(iterate.y * self.s1) + iterate.a @ iterate.w + iterate.b @ room
+            )
+            return total + (float(np.sum(iterate.z * self.s2)) if self.slope else 0.0)
+        after = iterate.after(move, primal, dual)
         total = float(np.sum(after.y * (self.s1 + primal * move.s1)))
         total += float(after.a @ after.w)
         total += float(after.b @ (room - primal * move.w))
@@ -363,7 +370,7 @@ class InteriorPath:
             inverse = np.linalg.inv(self._high(w, r))
             mu = max(mu, self.slope / float(np.trace(inverse)))
             z = np.asarray(self.slope * inverse / np.trace(inverse))
-        self.at = Iterate(w, t, r, y, z, mu / w, mu / (caps - w))
+        self.iterate = Iterate(w, t, r, y, z, mu / w, mu / (caps - w))
 
     def _low(self, w: Array, t: float) -> Array:
         """T S1 T^T."""
@@ -380,10 +387,13 @@ class InteriorPath:
 
         False where rounding ends the path; the iterate is then the last sound one.
         """
-        at = self.at
+        iterate = self.iterate
         try:
-            low, high = self._low(at.w, at.t), self._high(at.w, at.r)
-            system = StepSystem(self.problem, self.slope, at, low, high)
+            low, high = (
+                self._low(iterate.w, iterate.t),
+                self._high(iterate.w, iterate.r),
+            )
+            system = StepSystem(self.problem, self.slope, iterate, low, high)
             now = system.complementarity(None, 0.0, 0.0)
             guess = system.move(0.0, None)
             full_primal, full_dual = min(1.0, guess.primal), min(1.0, guess.dual)
@@ -393,11 +403,11 @@ class InteriorPath:
             move = system.move(centring * mu, guess)
             primal = min(1.0, STEP_SHARE * move.primal)
             dual = min(1.0, STEP_SHARE * move.dual)
-            after = at.after(move, primal, dual)
+            after = iterate.after(move, primal, dual)
             np.linalg.cholesky(after.y)
             if self.slope:
                 np.linalg.cholesky(after.z)
         except (np.linalg.LinAlgError, ValueError, FloatingPointError):
             return False
-        self.at = after
+        self.iterate = after
         return max(primal, dual) > MIN_STEP

@@ -1,8 +1,8 @@
 """Chooses candidates that do not fit in memory, with a certificate, in passes over a file.
 
 1. The first pass gives the directions that the candidates determine, and a sample.
-2. The relaxation over the sample gives slopes; the second pass finds the steepest candidates.
-3. Plan and relaxation are computed over these. The third pass has the slopes of all
+2. The relaxation over the sample gives gradient; the second pass finds the steepest candidates.
+3. Plan and relaxation are computed over these. The third pass has the gradient of all
    candidates at that relaxation, and at the plan.
 
 A line above the criterion bounds every plan, wherever it touches (`oed.design.objective`): the
@@ -340,7 +340,7 @@ def _relaxed_root(blocks: Array, size: int, space: _Coordinates) -> Array:
 
 
 def _tangent(blocks: Array, weights: Array, space: _Coordinates) -> Tangent:
-    """The line at the weights, with the roundings of two slopes."""
+    """The line at the weights, with the roundings of two gradient."""
     objective = CriterionObjective(space.criterion, blocks, space.base, space.rounding)
     active = np.flatnonzero(weights > 0)
     tangent = objective.tangent(active, weights[active])
@@ -411,18 +411,20 @@ def _steepest(
         for k, root in enumerate(roots):
             rows = turned.reshape(-1, turned.shape[2]) @ root
             by_row = np.einsum("ij,ij->i", rows, rows)
-            slopes = by_row.reshape(-1, turned.shape[1]).sum(axis=1)
-            best[k] = _merge(best[k], begin, slopes)
+            gradient = by_row.reshape(-1, turned.shape[1]).sum(axis=1)
+            best[k] = _merge(best[k], begin, gradient)
     return [np.sort(indices) for indices, _ in best]
 
 
-def _merge(best: tuple[Index, Array], begin: int, slopes: Array) -> tuple[Index, Array]:
+def _merge(
+    best: tuple[Index, Array], begin: int, gradient: Array
+) -> tuple[Index, Array]:
     """The steepest of those before and of a part that begins at a candidate."""
     indices, before = best
     floor = before.min() if len(before) == STEEPEST_SIZE else -np.inf
-    steep = np.flatnonzero(slopes > floor)
+    steep = np.flatnonzero(gradient > floor)
     indices = np.concatenate([indices, begin + steep])
-    values = np.concatenate([before, slopes[steep]])
+    values = np.concatenate([before, gradient[steep]])
     if len(values) <= STEEPEST_SIZE:
         return indices, values
     places = np.argpartition(-values, STEEPEST_SIZE - 1)[:STEEPEST_SIZE]

@@ -2,7 +2,7 @@
 
 `CriterionObjective` is log phi(M0 + sum w_i A_i) of one information matrix.
 `oed.design.robust` has the objectives of several machines at once. An objective gives
-the relaxation values, slopes, curvatures, and the bound that a tangent implies.
+the relaxation values, gradient, curvatures, and the bound that a tangent implies.
 
 A line is above the criterion whatever its root R is, so that only the products X_i R
 bring rounding into the bound. A block's product has an error of at most
@@ -17,7 +17,7 @@ A_i,
 
     log det M' <= log det M + tr(M^-1 M0) + sum_i w'_i tr(M^-1 A_i) - n,
 
-and the sum is at most the knapsack value of the slopes tr(M^-1 A_i). M need not belong
+and the sum is at most the knapsack value of the gradient tr(M^-1 A_i). M need not belong
 to a feasible or a converged plan: the bound only gets looser. Homogeneous criteria have
 tighter lines through the origin (`oed.design.forms.protocol`). What rounding can
 change is added on the safe side: of the gradients, of their sum,
@@ -34,30 +34,30 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import information
-from oed.design.forms.protocol import Criterion, slopes
+from oed.design.forms.protocol import Criterion, weight_gradient
 from oed.design.whitening import NO_ROUNDING, Rounding, gamma
 
 #: allowance for the rounding of a line's logarithms, in log phi
 LOG_ROUNDING = 1e-12
 
 
-def knapsack_value(slopes: Array, size: float, cap: Array | float) -> float:
+def knapsack_value(gradient: Array, size: float, cap: Array | float) -> float:
     """max sum_i w_i slopes_i over 0 <= w_i <= cap_i, sum_i w_i = size.
 
-    The fractional knapsack: the best candidates are filled to their caps. slopes (C,);
+    The fractional knapsack: the best candidates are filled to their caps. gradient (C,);
     cap (C,), or one number for all.
     """
     if np.ndim(cap):
         caps = np.asarray(cap, dtype=float)
-        order = np.argsort(-slopes, kind="stable")
+        order = np.argsort(-gradient, kind="stable")
         before = np.concatenate([[0.0], np.cumsum(caps[order])[:-1]])
-        return float(slopes[order] @ np.clip(size - before, 0.0, caps[order]))
+        return float(gradient[order] @ np.clip(size - before, 0.0, caps[order]))
     cap = float(cap)
     if not np.isfinite(cap) or cap >= size:
-        return float(size * slopes.max())
+        return float(size * gradient.max())
     full = int(size // cap)
-    first = len(slopes) - min(full + 1, len(slopes))
-    best = np.partition(slopes, first)[::-1]
+    first = len(gradient) - min(full + 1, len(gradient))
+    best = np.partition(gradient, first)[::-1]
     best = np.sort(best[: full + 1])[::-1]
     remainder = size - cap * full
     partial = remainder * best[full] if remainder > 0 else 0.0
@@ -75,7 +75,7 @@ class Tangent:
     Every plan w' has a value of at most bound(sum_i w'_i slopes_i).
 
     value      the objective at the weights where the line touches
-    slopes     (C,) along each candidate's weight, for all candidates
+    gradient     (C,) along each candidate's weight, for all candidates
     base_term  the line's term of the prior information M0
     offset     constant of the line
     linear     whether the line bounds the objective itself, instead of its exponential
@@ -83,18 +83,18 @@ class Tangent:
     """
 
     value: float
-    slopes: Array
+    gradient: Array
     base_term: float
     offset: float
     linear: bool = False
     rounding: float = 0.0
 
-    def bound(self, weighted_slopes: float) -> float:
-        """The line's height at a plan with sum_i w'_i slopes_i = `weighted_slopes`.
+    def bound(self, weighted_gradient: float) -> float:
+        """The line's height at a plan with sum_i w'_i slopes_i = `weighted_gradient`.
 
-        It is offset + log(base_term + weighted_slopes), without the log where linear.
+        It is offset + log(base_term + weighted_gradient), without the log where linear.
         """
-        height = self.base_term + weighted_slopes
+        height = self.base_term + weighted_gradient
         if self.linear:
             return self.offset + height
         return self.offset + float(np.log(max(height, 1e-300)))
@@ -124,10 +124,10 @@ class Objective(Protocol):
         """A line above the objective; it touches it, or nearly so where smoothed."""
         ...
 
-    def slopes_and_curvature(
+    def gradient_and_curvature(
         self, active: Index, weights: Array
     ) -> tuple[Array, Array]:
-        """Slopes (A,) and negative second derivatives (A, A)."""
+        """Gradient (A,) and negative second derivatives (A, A)."""
         ...
 
     def subset(self, chosen: Index) -> Objective:
@@ -173,13 +173,13 @@ class CriterionObjective:
         """The criterion's supporting line."""
         m = self.information_at(active, weights)
         offset, root = self.criterion.support(m)
-        line_slopes = slopes(self.blocks, root)
+        line_gradient = weight_gradient(self.blocks, root)
         return Tangent(
             value=self.criterion.value(m),
-            slopes=line_slopes,
+            gradient=line_gradient,
             base_term=self._base_term(root),
             offset=offset,
-            rounding=self._slope_rounding(root, float(line_slopes.max())),
+            rounding=self._slope_rounding(root, float(line_gradient.max())),
         )
 
     def _base_term(self, root: Array) -> float:
@@ -203,13 +203,13 @@ class CriterionObjective:
         squares = np.einsum("ckn,ckn->c", self.blocks, self.blocks)
         return float(np.sqrt(squares.max()))
 
-    def slopes_and_curvature(
+    def gradient_and_curvature(
         self, active: Index, weights: Array
     ) -> tuple[Array, Array]:
-        """Slopes and curvature of log phi."""
+        """Gradient and curvature of log phi."""
         m = self.information_at(active, weights)
         blocks = self.blocks[active]
-        first = slopes(blocks, self.criterion.support(m).root)
+        first = weight_gradient(blocks, self.criterion.support(m).root)
         return first, self.criterion.curvature(m, blocks)
 
     def subset(self, chosen: Index) -> CriterionObjective:

@@ -95,11 +95,11 @@ def _one_step(
     objective: Objective, active: Index, weights: Array, caps: Array
 ) -> Array | None:
     """Weights after one step that raises the value; None where no step does."""
-    slopes, curvature = objective.slopes_and_curvature(active, weights)
+    gradient, curvature = objective.gradient_and_curvature(active, weights)
     value = objective.value(active, weights)
     longest: tuple[Array, Index] | None = None
     for damping in DAMPING_FACTORS:
-        step, free = _newton_direction(slopes, curvature, weights, caps, damping)
+        step, free = _newton_direction(gradient, curvature, weights, caps, damping)
         if not free.size:
             break
         longest = longest or (step, free)
@@ -113,26 +113,26 @@ def _one_step(
         straight = _straight_step(objective, active, weights, *longest, caps)
         if straight is not None:
             return straight
-    step, free = _pair_direction(slopes, curvature, weights, caps)
+    step, free = _pair_direction(gradient, curvature, weights, caps)
     if not free.size:
         return None
     return _straight_step(objective, active, weights, step, free, caps)
 
 
 def _newton_direction(
-    slopes: Array, curvature: Array, weights: Array, caps: Array, damping: float
+    gradient: Array, curvature: Array, weights: Array, caps: Array, damping: float
 ) -> tuple[Array, Index]:
     """Newton step over the free weights that preserves their sum, and these weights."""
-    free = _free_weights(slopes, weights, caps)
+    free = _free_weights(gradient, weights, caps)
     while free.size > 1:
         hessian = curvature[np.ix_(free, free)]
         # more free weights than distinct information: the ridge picks the shortest of
         # the equal steps
         ridge = damping * np.trace(hessian) / len(free) + 1e-300
         hessian[np.diag_indices_from(hessian)] += ridge
-        right = np.column_stack([slopes[free], np.ones(len(free))])
-        by_slopes, by_ones = np.linalg.solve(hessian, right).T
-        step = by_slopes - by_slopes.sum() / by_ones.sum() * by_ones
+        right = np.column_stack([gradient[free], np.ones(len(free))])
+        by_gradient, by_ones = np.linalg.solve(hessian, right).T
+        step = by_gradient - by_gradient.sum() / by_ones.sum() * by_ones
         below = (weights[free] <= 0) & (step < 0)
         above = (weights[free] >= caps[free]) & (step > 0)
         outward = below | above
@@ -142,27 +142,27 @@ def _newton_direction(
     return np.zeros(0), free[:0]
 
 
-def _free_weights(slopes: Array, weights: Array, caps: Array) -> Index:
+def _free_weights(gradient: Array, weights: Array, caps: Array) -> Index:
     """Weights inside their bounds, and those that want to leave a bound."""
     inside = (weights > 0) & (weights < caps)
     if inside.any():
         inner_weights = np.where(inside, weights, 0.0)
-        multiplier = float(np.average(slopes, weights=inner_weights))
+        multiplier = float(np.average(gradient, weights=inner_weights))
     else:
-        multiplier = float(slopes.mean())
-    leaves_zero = (weights <= 0) & (slopes > multiplier)
-    leaves_cap = (weights >= caps) & (slopes < multiplier)
+        multiplier = float(gradient.mean())
+    leaves_zero = (weights <= 0) & (gradient > multiplier)
+    leaves_cap = (weights >= caps) & (gradient < multiplier)
     return np.flatnonzero(inside | leaves_zero | leaves_cap)
 
 
 def _pair_direction(
-    slopes: Array, curvature: Array, weights: Array, caps: Array
+    gradient: Array, curvature: Array, weights: Array, caps: Array
 ) -> tuple[Array, Index]:
     """Newton step from the least wanted weight to the most wanted one."""
-    giver = int(np.argmin(np.where(weights > 0, slopes, np.inf)))
-    taker = int(np.argmax(np.where(weights < caps, slopes, -np.inf)))
-    gain = slopes[taker] - slopes[giver]
-    if not gain > 1e-12 * abs(slopes[taker]):
+    giver = int(np.argmin(np.where(weights > 0, gradient, np.inf)))
+    taker = int(np.argmax(np.where(weights < caps, gradient, -np.inf)))
+    gain = gradient[taker] - gradient[giver]
+    if not gain > 1e-12 * abs(gradient[taker]):
         return np.zeros(0), np.zeros(0, dtype=np.intp)
     pair = np.array([taker, giver])
     direction = np.array([1.0, -1.0])
@@ -197,27 +197,27 @@ def _straight_step(
     return None
 
 
-def project_to_sum(wanted: Array, total: float, caps: Array) -> Array:
+def project_to_sum(target: Array, total: float, caps: Array) -> Array:
     """The nearest weights within 0 and the caps that have the sum `total`."""
-    shift = _shift_to_sum(wanted, total, caps)
-    projected = np.minimum(np.maximum(wanted - shift, 0.0), caps)
+    shift = _shift_to_sum(target, total, caps)
+    projected = np.minimum(np.maximum(target - shift, 0.0), caps)
     inside = (projected > 0) & (projected < caps)
     if inside.any():
         projected[inside] += (total - projected.sum()) / inside.sum()
     return np.minimum(np.maximum(projected, 0.0), caps)
 
 
-def _shift_to_sum(wanted: Array, total: float, caps: Array) -> float:
+def _shift_to_sum(target: Array, total: float, caps: Array) -> float:
     """The number to subtract from all weights, so that within 0 and the caps they have
     the sum `total`.
 
     The sum is piecewise linear in the shift: it bends where a weight leaves its cap, and
     where one reaches 0.
     """
-    bends = np.concatenate([wanted - caps, wanted])
+    bends = np.concatenate([target - caps, target])
     order = np.argsort(bends)
     bends = bends[order]
-    inside = np.cumsum(np.where(order < len(wanted), 1.0, -1.0))
+    inside = np.cumsum(np.where(order < len(target), 1.0, -1.0))
     drops = inside[:-1] * np.diff(bends)
     sums = caps.sum() - np.append(0.0, np.cumsum(drops))
     last = max(int(np.count_nonzero(sums > total)) - 1, 0)
@@ -254,13 +254,13 @@ class Relaxation:
     weights  (C,) with sum N
     value    log phi at the weights
     bound    upper bound of every feasible plan's log phi
-    slopes   (C,) d log phi / dw_i at the optimum: how much a candidate is wanted
+    gradient   (C,) d log phi / dw_i at the optimum: how much a candidate is wanted
     """
 
     weights: Array
     value: float
     bound: float
-    slopes: Array
+    gradient: Array
 
     @property
     def duality_gap(self) -> float:
@@ -378,17 +378,17 @@ def solve(
             break
         best_value, last_bound = max(best_value, tangent.value), bound
         active, weights = _update_active_set(
-            active, weights, tangent.slopes, caps, 2 * objective.directions
+            active, weights, tangent.gradient, caps, 2 * objective.directions
         )
     all_weights = np.zeros(count)
     all_weights[active] = weights
-    return Relaxation(all_weights, tangent.value, bound, tangent.slopes)
+    return Relaxation(all_weights, tangent.value, bound, tangent.gradient)
 
 
 def bound_by(tangent: Tangent, size: float, cap: Array | float) -> float:
     """The bound of all plans that a line gives, rounded up."""
-    carried = knapsack_value(tangent.slopes, size, cap) + size * tangent.rounding
-    return tangent.bound(carried * (1.0 + gamma(len(tangent.slopes)))) + LOG_ROUNDING
+    weighted = knapsack_value(tangent.gradient, size, cap) + size * tangent.rounding
+    return tangent.bound(weighted * (1.0 + gamma(len(tangent.gradient)))) + LOG_ROUNDING
 
 
 def check_caps(caps: Array, size: float, cap: Array | float) -> None:
@@ -418,12 +418,12 @@ def _multiplicative_steps(
     for _ in range(1, MAX_MULTIPLICATIVE_STEPS):
         if bound - best_tangent.value < max(tolerance, MULTIPLICATIVE_GAP):
             break
-        weights = scale_to_size(weights * np.sqrt(tangent.slopes), size, caps)
+        weights = scale_to_size(weights * np.sqrt(tangent.gradient), size, caps)
         tangent = objective.tangent(everything, weights)
         bound = min(bound, bound_by(tangent, size, caps))
         if tangent.value > best_tangent.value:
             best_weights, best_tangent = weights, tangent
-    return Relaxation(best_weights, best_tangent.value, bound, best_tangent.slopes)
+    return Relaxation(best_weights, best_tangent.value, bound, best_tangent.gradient)
 
 
 def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index:
@@ -432,12 +432,12 @@ def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index
     A plan that holds i loses, against what the line carries at best, the last weight of
     the multiplier's candidate in exchange for i's slope.
     """
-    order = np.argsort(-tangent.slopes, kind="stable")
-    carried = np.cumsum(caps[order])
-    last_place = min(int(np.searchsorted(carried, size)), len(order) - 1)
-    multiplier = tangent.slopes[order[last_place]]
-    best = knapsack_value(tangent.slopes, size, caps) + size * tangent.rounding
-    loss = np.maximum(multiplier - tangent.slopes, 0.0) * caps
+    order = np.argsort(-tangent.gradient, kind="stable")
+    filled = np.cumsum(caps[order])
+    last_place = min(int(np.searchsorted(filled, size)), len(order) - 1)
+    multiplier = tangent.gradient[order[last_place]]
+    best = knapsack_value(tangent.gradient, size, caps) + size * tangent.rounding
+    loss = np.maximum(multiplier - tangent.gradient, 0.0) * caps
     if tangent.linear:
         bounds = np.array([tangent.bound(best - x) for x in loss])
     else:
@@ -469,7 +469,7 @@ def _begin(
             bound = min(bound, bound_by(tangent, size, caps))
         # the exponent 1/2 never lowers D, A, c and I (Silvey, Titterington and Torsney
         # 1978; Yu 2010)
-        weights = weights * np.sqrt(tangent.slopes)
+        weights = weights * np.sqrt(tangent.gradient)
         weights *= size / weights.sum()
     # an optimal design needs no more than n (n + 1) / 2 points, and mostly about 2 n
     by_directions = START_PER_DIRECTION * objective.directions
@@ -487,7 +487,7 @@ def _begin(
 
 
 def _update_active_set(
-    active: Index, weights: Array, slopes: Array, caps: Array, most: int
+    active: Index, weights: Array, gradient: Array, caps: Array, most: int
 ) -> tuple[Index, Array]:
     """The active set without zero weights, with the steepest candidates outside it."""
     positive = weights > 0
@@ -495,11 +495,11 @@ def _update_active_set(
     inside = weights < caps[active]
     multiplier = 0.0
     if inside.any():
-        inner_slopes = slopes[active][inside]
-        multiplier = float(np.average(inner_slopes, weights=weights[inside]))
-    outside = np.ones(len(slopes), dtype=bool)
+        inner_gradient = gradient[active][inside]
+        multiplier = float(np.average(inner_gradient, weights=weights[inside]))
+    outside = np.ones(len(gradient), dtype=bool)
     outside[active] = False
-    joining = np.flatnonzero(outside & (slopes > multiplier))
-    joining = joining[np.argsort(-slopes[joining], kind="stable")[:most]]
+    joining = np.flatnonzero(outside & (gradient > multiplier))
+    joining = joining[np.argsort(-gradient[joining], kind="stable")[:most]]
     weights = np.concatenate([weights, np.zeros(len(joining))])
     return np.concatenate([active, joining]), weights

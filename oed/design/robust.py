@@ -72,15 +72,7 @@ def choose(
     The criterion must be smooth, and all n directions must be determined in every
     scenario (by a prior, or by the columns). Raises ValueError otherwise.
     """
-    if not criterion.smooth:
-        raise ValueError(
-            "a robust design needs a smooth criterion"
-            f" ({', '.join(CRITERIA.smooth)}), not {criterion.name}"
-        )
-    if not 0.0 < tail_share <= 1.0:
-        raise ValueError(
-            f"the share of worst scenarios must lie in (0, 1], not {tail_share}"
-        )
+    _check(criterion, tail_share)
     n = scenarios.shape[3]
     base = np.zeros((n, n)) if prior is None else prior
     blocks = [block_array(scenario) for scenario in scenarios]
@@ -97,7 +89,7 @@ def choose(
 
     levels = SHARPNESS[:1] if risk == "mean" else SHARPNESS
     optimum = rules.relax(len(blocks[0]), objective, levels, lambda _: GAP_TOLERANCE)
-    guide = optimum.weights, optimum.slopes
+    guide = optimum.weights, optimum.gradient
     ridge = nominal.ridge()
     nominal_start = select_greedily(nominal, rules, ridge)
     robust_start = select_greedily(robust, rules, ridge)
@@ -122,6 +114,19 @@ def choose(
         nominal_values=robust.scenario_values(nominal_plan).tolist(),
     )
     return RobustChoice(np.sort(best), summary)
+
+
+def _check(criterion: Criterion, tail_share: float) -> None:
+    """Raises ValueError as `choose`, for what needs no scenarios."""
+    if not criterion.smooth:
+        raise ValueError(
+            "a robust design needs a smooth criterion"
+            f" ({', '.join(CRITERIA.smooth)}), not {criterion.name}"
+        )
+    if not 0.0 < tail_share <= 1.0:
+        raise ValueError(
+            f"the share of worst scenarios must lie in (0, 1], not {tail_share}"
+        )
 
 
 def _per_cost(objective: CriterionObjective, cost: Array) -> CriterionObjective:
@@ -252,29 +257,29 @@ class RiskObjective:
         """The scenarios' lines joined by Jensen's inequality; its value is the risk."""
         values = self._values(active, weights)
         shares = self._shares(values)
-        offset, base_term, slopes = 0.0, 0.0, np.zeros(self.count)
+        offset, base_term, gradient = 0.0, 0.0, np.zeros(self.count)
         for scenario, share in zip(self.scenarios, shares, strict=True):
             tangent = scenario.tangent(active, weights)
             # <S, M> of a line that touches
             size = float(np.exp(tangent.value - tangent.offset))
             offset += share * tangent.value
             base_term += share * tangent.base_term / size
-            slopes += share * tangent.slopes / size
+            gradient += share * tangent.gradient / size
         risk = float(aggregate(values, self.risk, self.tail_share))
-        return Tangent(risk, slopes, base_term, offset)
+        return Tangent(risk, gradient, base_term, offset)
 
-    def slopes_and_curvature(
+    def gradient_and_curvature(
         self, active: Index, weights: Array
     ) -> tuple[Array, Array]:
-        """Slopes, and curvatures with the response of the shares."""
+        """Gradient, and curvatures with the response of the shares."""
         shares = self._shares(self._values(active, weights))
-        parts = [s.slopes_and_curvature(active, weights) for s in self.scenarios]
-        slopes = np.array([part_slopes for part_slopes, _ in parts])
+        parts = [s.gradient_and_curvature(active, weights) for s in self.scenarios]
+        gradient = np.array([part_gradient for part_gradient, _ in parts])
         curvatures = np.array([part_curvature for _, part_curvature in parts])
         curvature = np.tensordot(shares, curvatures, axes=1)
-        mean = shares @ slopes
+        mean = shares @ gradient
         if self.risk != "mean":
-            covariance = (slopes.T * shares) @ slopes - np.outer(mean, mean)
+            covariance = (gradient.T * shares) @ gradient - np.outer(mean, mean)
             curvature = curvature + self.sharpness * covariance
         return mean, np.asarray(curvature)
 

@@ -85,18 +85,18 @@ class RowExchange:
     def _sweep(self, chosen: Index) -> bool:
         """Exchanges, in place, of each row in turn; whether there were any."""
         changed = False
-        design, place = _Design(self, chosen), 0
-        while place < len(chosen):
-            places = np.arange(place, min(place + PLACES_AT_ONCE, len(chosen)))
+        design, position = _Design(self, chosen), 0
+        while position < len(chosen):
+            places = np.arange(position, min(position + PLACES_AT_ONCE, len(chosen)))
             variances = design.variances_after_exchange(places)
             best = np.argmin(variances, axis=1)
             lowest = variances[np.arange(len(places)), best]
             helps = lowest < design.variance * np.exp(-MIN_LOG_GAIN)
-            place = int(places[-1]) + 1
+            position = int(places[-1]) + 1
             if helps.any():
                 first = int(np.argmax(helps))
                 chosen[places[first]] = best[first]
-                design, place = _Design(self, chosen), int(places[first]) + 1
+                design, position = _Design(self, chosen), int(places[first]) + 1
                 changed = True
         return changed
 
@@ -135,10 +135,10 @@ class _Design:
         variances[:, self._chosen] = np.inf
         return np.asarray(variances)
 
-    def _variances_exactly(self, place: int) -> Array:
+    def _variances_exactly(self, position: int) -> Array:
         """Variances (C,) of the other rows with each row added."""
         rows, factor = self._problem.rows, self._problem.factor
-        inverted = self._general_inverse(np.delete(self._chosen, place))
+        inverted = self._general_inverse(np.delete(self._chosen, position))
         sides = rows @ inverted
         gains = sides @ factor.T
         leverage = np.einsum("ij,ij->i", sides, rows)
@@ -175,8 +175,8 @@ def _best_pair(rows: Array, chosen: Index, inverse: Array) -> tuple[int, int, fl
 
     Part by part, so that the factors of all pairs are not in memory at once.
     """
-    held = np.zeros(len(rows), dtype=bool)
-    held[chosen] = True
+    in_plan = np.zeros(len(rows), dtype=bool)
+    in_plan[chosen] = True
     sides = rows[chosen] @ inverse
     remaining = 1.0 - np.einsum("ij,ij->i", sides, rows[chosen])
     best = 0, 0, -np.inf
@@ -184,7 +184,7 @@ def _best_pair(rows: Array, chosen: Index, inverse: Array) -> tuple[int, int, fl
         leverage = quadratic_forms(rows[part], inverse)
         cross = sides @ rows[part].T
         factors = remaining[:, None] * (1.0 + leverage)[None, :] + cross**2
-        factors[:, held[part]] = 0.0
+        factors[:, in_plan[part]] = 0.0
         i, j = divmod(int(factors.argmax()), factors.shape[1])
         if factors[i, j] > best[2]:
             best = i, part.start + j, float(factors[i, j])

@@ -295,12 +295,12 @@ class Rules:
             free &= self.quotas.additions(chosen)
         return free
 
-    def replacements(self, chosen: Index, place: int, count: int) -> Mask:
+    def replacements(self, chosen: Index, position: int, count: int) -> Mask:
         """Which of the candidates (C,) may take a place in a plan."""
-        remaining = np.delete(chosen, place)
+        remaining = np.delete(chosen, position)
         free = self.additions(remaining, count)
         if self.quotas is not None:
-            free &= self.quotas.replacements(remaining, int(chosen[place]))
+            free &= self.quotas.replacements(remaining, int(chosen[position]))
         return free
 
     def allocation(
@@ -406,7 +406,7 @@ class Rules:
 
         levels = range(evaluator.levels)
         starts = [search.select_greedily(evaluator, self, 0.0, k) for k in levels]
-        gains = np.maximum(relaxed.slopes, 0.0)
+        gains = np.maximum(relaxed.gradient, 0.0)
         return search.search(
             evaluator, self, relaxed.weights, gains, starts, rng, rounds
         )

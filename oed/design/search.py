@@ -3,7 +3,7 @@
 D, and E of single rows, have faster searches of their own in place of restarts
 (`oed.design.tabu`, `oed.design.block_tabu`, `oed.design.eigenvalue_tabu`).
 
-The search runs over a pool of candidates that an optimal plan may want, by the slopes
+The search runs over a pool of candidates that an optimal plan may want, by the gradient
 and weights of a relaxation. One more improvement over all candidates ends it. The
 result is never worse than the greedy plans at its start.
 """
@@ -52,16 +52,16 @@ def search(
     evaluator: PlanEvaluator,
     rules: Rules,
     weights: Array,
-    slopes: Array,
+    gradient: Array,
     starts: Sequence[Index],
     rng: np.random.Generator,
     rounds: int,
 ) -> Index:
     """The best plan of `rounds` rounds of local search.
 
-    weights, slopes (C,) are those of a relaxation; `starts` are plans to begin with.
+    weights, gradient (C,) are those of a relaxation; `starts` are plans to begin with.
     """
-    promising = _promising(weights, slopes, rules)
+    promising = _promising(weights, gradient, rules)
     pool = np.union1d(promising, np.concatenate(starts))
     pool_exchange = _Exchange(evaluator.subset(pool), rules.subset(pool))
     pool_starts = [np.searchsorted(pool, start) for start in starts]
@@ -113,37 +113,37 @@ def improve(
     return _Exchange(evaluator, rules).sweep_until_stable(chosen, level, sweeps)
 
 
-def _promising(weights: Array, slopes: Array, rules: Rules) -> Index:
+def _promising(weights: Array, gradient: Array, rules: Rules) -> Index:
     """Candidates that an optimal plan may want."""
-    slopes_per_cost = slopes
+    gradient_per_cost = gradient
     if rules.time is not None:
-        slopes_per_cost = slopes / np.maximum(rules.time.cost, 1e-300)
+        gradient_per_cost = gradient / np.maximum(rules.time.cost, 1e-300)
     size = rules.size or int((weights > CHOSEN_WEIGHT).sum())
     places = max(POOL_SIZE, POOL_PER_READING * size)
-    steepest = _steepest(slopes_per_cost, places)
+    steepest = _steepest(gradient_per_cost, places)
     heaviest = np.argsort(-weights, kind="stable")[:places]
     heaviest = heaviest[weights[heaviest] > POSSIBLE_WEIGHT]
     promising = np.union1d(steepest, heaviest)
     if rules.quotas is not None:
-        promising = np.union1d(promising, _steepest_by_class(slopes, rules.quotas))
+        promising = np.union1d(promising, _steepest_by_class(gradient, rules.quotas))
     return promising.astype(np.intp)
 
 
-def _steepest(slopes: Array, places: int) -> Index:
+def _steepest(gradient: Array, places: int) -> Index:
     """The steepest candidates; copies of one candidate take one place."""
-    order = np.argsort(-slopes, kind="stable")[: MAX_COPIES * places]
-    ordered = slopes[order]
+    order = np.argsort(-gradient, kind="stable")[: MAX_COPIES * places]
+    ordered = gradient[order]
     falls = ordered[:-1] - ordered[1:] > COPY_TOLERANCE * np.abs(ordered[:-1])
-    place = np.concatenate([[0], np.cumsum(falls)])
-    return order[place < places]
+    rank = np.concatenate([[0], np.cumsum(falls)])
+    return order[rank < places]
 
 
-def _steepest_by_class(slopes: Array, quotas: QuotaSet) -> Index:
-    """The candidates with the largest slopes in each class of the quotas."""
+def _steepest_by_class(gradient: Array, quotas: QuotaSet) -> Index:
+    """The candidates with the largest gradient in each class of the quotas."""
     steepest = []
     for label in np.unique(quotas.label):
         members = np.flatnonzero(quotas.label == label)
-        order = np.argsort(-slopes[members], kind="stable")
+        order = np.argsort(-gradient[members], kind="stable")
         steepest.append(members[order[:POOL_PER_CLASS]])
     return np.concatenate(steepest)
 
@@ -188,14 +188,14 @@ class _Exchange:
         changed = False
         chosen = chosen.copy()
         current = self.evaluator.regularised_value(chosen, level)
-        for place in range(len(chosen)):
-            remaining = np.delete(chosen, place)
-            allowed = self.rules.replacements(chosen, place, self.evaluator.count)
+        for position in range(len(chosen)):
+            remaining = np.delete(chosen, position)
+            allowed = self.rules.replacements(chosen, position, self.evaluator.count)
             values = self.evaluator.values_after_adding(remaining, level)
             values = np.where(allowed, values, -np.inf)
             best = int(np.argmax(values))
-            if values[best] > current + MIN_GAIN and best != chosen[place]:
-                chosen[place], current, changed = best, float(values[best]), True
+            if values[best] > current + MIN_GAIN and best != chosen[position]:
+                chosen[position], current, changed = best, float(values[best]), True
         if self.rules.sole_size is not None:
             return chosen, changed
         filled = self.fill(chosen, level)

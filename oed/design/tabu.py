@@ -167,8 +167,8 @@ class _TabuSearch:
         for step in range(steps):
             if step in halving:
                 self._halve()
-            place, row, factor = self._best_exchange(step)
-            self._exchange(place, row, step)
+            position, row, factor = self._best_exchange(step)
+            self._exchange(position, row, step)
             self.values = self.values + np.log(np.maximum(factor, UNSOUND_FACTOR))
             sound = (
                 factor.min() > UNSOUND_FACTOR and factor.max() < 1.0 / UNSOUND_FACTOR
@@ -216,27 +216,27 @@ class _TabuSearch:
             self.factors[self.batch[:, None], places, self.plans] = NO_COPY_PENALTY
         flat = self.factors.reshape(len(self.plans), -1)
         best = flat.argmax(axis=1)
-        place, row = np.divmod(best, self.products.shape[2])
-        return place, row, flat[self.batch, best]
+        position, row = np.divmod(best, self.products.shape[2])
+        return position, row, flat[self.batch, best]
 
-    def _exchange(self, place: Index, row: Index, step: int) -> None:
+    def _exchange(self, position: Index, row: Index, step: int) -> None:
         """Replaces one row in each plan; what changed rests."""
-        removed = self.plans[self.batch, place]
-        self.plans[self.batch, place] = row
-        self._update_products(place, row, removed)
+        removed = self.plans[self.batch, position]
+        self.plans[self.batch, position] = row
+        self._update_products(position, row, removed)
         self.free[self.batch, removed] += 1
         self.free[self.batch, row] -= 1
         share = self.rng.random((2, len(row)))
         rests_until = step + 2 + (share * self.tenures).astype(np.intp)
         self.row_rests_until[self.batch, removed] = rests_until[0]
-        self.place_rests_until[self.batch, place] = rests_until[1]
+        self.place_rests_until[self.batch, position] = rests_until[1]
 
-    def _update_products(self, place: Index, row: Index, removed: Index) -> None:
+    def _update_products(self, position: Index, row: Index, removed: Index) -> None:
         """Sherman and Morrison for the row that comes, then for the one that leaves."""
         batch = self.batch
         side_in = np.matmul(self.inverse, self.rows[row][:, :, None])[:, :, 0]
         with_in = side_in @ self.columns
-        before = self.products[batch, place]
+        before = self.products[batch, position]
         scale_in = 1.0 / (1.0 + self.leverage[batch, row])
         share = before[batch, row] * scale_in
         side_before = np.matmul(self.inverse, self.rows[removed][:, :, None])
@@ -249,7 +249,7 @@ class _TabuSearch:
         scaled_sides = sides * scales[:, :, None]
         self.inverse += np.matmul(np.swapaxes(scaled_sides, 1, 2), sides)
         with_both = np.stack([with_in, with_out], axis=1)
-        self.products[batch, place] = with_in
+        self.products[batch, position] = with_in
         # (B, size, 2)
         chosen = with_both[batch[:, None], :, self.plans]
         np.matmul(chosen * scales[:, None, :], with_both, out=self.factors)

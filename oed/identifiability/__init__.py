@@ -3,7 +3,7 @@
 Assessment            what a set of readings determines
 Identifiability       rank, combinations and what is lost
 Scaling               columns in SI, as lengths, or in units of tolerances
-analyse               the identifiability that slopes of readings have
+analyse               the identifiability that a Jacobian of readings has
 assess                the same for series of a measurement
 column_scale          the factor by which each column of H is multiplied
 combination_text      a linear combination of parameters, as text
@@ -13,7 +13,7 @@ parameter_covariance  the same in SI
 posterior_covariance  covariance by readings and prior, in units of tolerances
 prior_information     information of the prior, in units of tolerances
 recoveries            trials that recover lost directions, in phrases
-scaled                slopes of readings, whitened and scaled
+scaled                Jacobian of readings, whitened and scaled
 whiten                rows by the noise of their readings
 """
 

@@ -1,11 +1,11 @@
 """Assessment of planned readings: what they determine, how well, and what would remedy it.
 
-The assessment needs no reading, only the slopes H of the readings over the parameters.
+The assessment needs no reading, only the Jacobian H of the readings over the parameters.
 `oed.identifiability.identifiability` finds rank and null directions of H,
 `oed.identifiability.information` the posterior covariance; `oed.identifiability.sentences`
 puts the result into sentences.
 
-Remedies for lost directions are additional readings, tried on the slopes H. Each trial
+Remedies for lost directions are additional readings, tried on the Jacobian H. Each trial
 adds readings to the plan and counts the directions that no reading determines afterwards:
 the same poses with a longer tool, with the tool's position or axis read as well, with
 sensors on the machine's passive joints, or with another set-up of the study.
@@ -178,11 +178,11 @@ def _more_pose_components(assessment: Assessment) -> list[Trial]:
     rows = measurement.jacobian(series, measurement.nominal)
     free = free_parameters(measurement, series)
     scale = 1.0 / measurement.length_factors
-    position, axis, pose = _pose_slopes(assessment)
+    position, axis, pose = _pose_jacobians(assessment)
 
-    def lost_with(slopes: Array) -> int:
-        unrelated = rows.shape[1] - slopes.shape[1]
-        padded = np.hstack([slopes, np.zeros((len(slopes), unrelated))])
+    def lost_with(jacobian: Array) -> int:
+        unrelated = rows.shape[1] - jacobian.shape[1]
+        padded = np.hstack([jacobian, np.zeros((len(jacobian), unrelated))])
         return _lost_directions(np.vstack([rows, padded]), free, scale)
 
     frame = "in a known frame,"
@@ -195,7 +195,7 @@ def _more_pose_components(assessment: Assessment) -> list[Trial]:
     return trials
 
 
-def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
+def _pose_jacobians(assessment: Assessment) -> tuple[Array, Array, Array]:
     """Slopes (rows, n_machine) of tool position, tool axis and full pose, all poses."""
     measurement = assessment.measurement
     kinematics = measurement.kinematics
@@ -205,12 +205,12 @@ def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
         tool = np.array(measurement.setups[s.setup].tool)
         x = measurement.poses(s, measurement.nominal)
         rotation, _, twist = kinematics.frames(x, tool)
-        slope = twist @ kinematics.slopes.over_parameters(x, s.q, nominal)
-        in_tool_frame = np.swapaxes(rotation, 1, 2) @ slope[:, 3:]
-        parameters = slope.shape[2]
-        position.append(slope[:, :3].reshape(-1, parameters))
+        jacobian = twist @ kinematics.slopes.over_parameters(x, s.q, nominal)
+        in_tool_frame = np.swapaxes(rotation, 1, 2) @ jacobian[:, 3:]
+        parameters = jacobian.shape[2]
+        position.append(jacobian[:, :3].reshape(-1, parameters))
         axis.append(in_tool_frame[:, :2].reshape(-1, parameters))
-        pose.append(slope.reshape(-1, parameters))
+        pose.append(jacobian.reshape(-1, parameters))
     return np.vstack(position), np.vstack(axis), np.vstack(pose)
 
 

@@ -218,8 +218,8 @@ def _group_motion(
     index = {name: k for k, name in enumerate(names)}
     direction = np.zeros(len(names))
     unit = np.eye(3)[axis]
-    for parameters, place in group.points:
-        move = unit if kind == "translation" else np.cross(unit, place)
+    for parameters, point in group.points:
+        move = unit if kind == "translation" else np.cross(unit, point)
         for name, value in zip(parameters, move, strict=True):
             if name in index:
                 direction[index[name]] = value
@@ -246,9 +246,9 @@ def lost_motions(
     texts: list[str] = []
     directions: list[Array] = []
     for motion in rigid_motions(machine, identified.names):
-        wanted = motion.direction / scale
-        wanted /= np.linalg.norm(wanted)
-        lost = _null_direction(null_space, wanted, of_machine)
+        target = motion.direction / scale
+        target /= np.linalg.norm(target)
+        lost = _null_direction(null_space, target, of_machine)
         if lost is not None:
             texts.append(motion.text + _along_with(identified.names, lost))
             directions.append(lost / np.linalg.norm(lost))
@@ -260,12 +260,12 @@ def lost_motions(
     return texts, vectors[values > 1e-6]
 
 
-def _null_direction(null_space: Array, wanted: Array, of_machine: Mask) -> Array | None:
+def _null_direction(null_space: Array, target: Array, of_machine: Mask) -> Array | None:
     """Null direction (n,) that moves the machine as wanted (n,); None if none does."""
     moves = null_space[:, of_machine].T
-    factors = np.linalg.lstsq(moves, wanted[of_machine], rcond=None)[0]
+    factors = np.linalg.lstsq(moves, target[of_machine], rcond=None)[0]
     direction = factors @ null_space
-    deviation = direction[of_machine] - wanted[of_machine]
+    deviation = direction[of_machine] - target[of_machine]
     if np.linalg.norm(deviation) < MOTION_TOLERANCE:
         return direction
     return None

@@ -1,4 +1,4 @@
-"""Whitened and scaled slopes of readings, their Fisher information and covariance.
+"""Whitened and scaled Jacobian of readings, their Fisher information and covariance.
 
 There are three scalings of the parameter columns; a report must never mix them:
 
@@ -44,13 +44,13 @@ def whiten(rows: Array, noise: Noise | Array) -> Array:
 
 
 def scaled(
-    measurement: Measurement, series: Sequence[Series], at: Array, scaling: Scaling
+    measurement: Measurement, series: Sequence[Series], theta: Array, scaling: Scaling
 ) -> Array:
-    """H (N, n) of readings at theta `at` (n,) in the stated scaling.
+    """H (N, n) of readings at theta (n,) in the stated scaling.
 
     "length" turns the readings into lengths too. Only "tolerance" whitens them.
     """
-    rows = measurement.jacobian(series, at) * column_scale(measurement, scaling)
+    rows = measurement.jacobian(series, theta) * column_scale(measurement, scaling)
     if scaling == "tolerance":
         return measurement.noise(series).whiten(rows)
     if scaling == "length":
@@ -69,10 +69,10 @@ def prior_information(measurement: Measurement) -> Array:
 
 
 def parameter_covariance(
-    measurement: Measurement, series: Sequence[Series], at: Array
+    measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> Array:
-    """Posterior covariance (n, n), SI, of theta from readings at theta `at` (n,)."""
-    white = measurement.noise(series).whiten(measurement.jacobian(series, at))
+    """Posterior covariance (n, n), SI, of theta from readings at theta (n,)."""
+    white = measurement.noise(series).whiten(measurement.jacobian(series, theta))
     scaled = posterior_covariance(measurement.in_prior_units(white))
     return measurement.from_prior_units(scaled)
 

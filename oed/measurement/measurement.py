@@ -21,7 +21,7 @@ __all__ = ["Measurement", "Response", "Series"]
 
 
 class Measurement(ParameterVector):
-    """A machine with its set-ups: predicts readings and their slopes.
+    """A machine with its set-ups: predicts readings and their Jacobian.
 
     setups      set-ups by name
     kinematics  of the machine; compiled here unless they are given
@@ -159,7 +159,7 @@ class Measurement(ParameterVector):
     ) -> Callable[[Array], Array]:
         """A faster `try_readings` for vectors (m, n) near theta (n,).
 
-        Poses take the slopes at theta (`Kinematics.nearby`).
+        Poses take the Jacobian at theta (`Kinematics.nearby`).
         """
         size = len(self.machine.parameters)
         nearby = [
@@ -270,7 +270,7 @@ class Measurement(ParameterVector):
         return self.of(series).read(series, x, theta)
 
     def _jacobian(self, series: Series, theta: Array) -> Array:
-        """Slopes (m, N of the series, n) at theta (m, n)."""
+        """Jacobian (m, N of the series, n) at theta (m, n)."""
         return self.of(series).jacobian(series, theta)
 
 

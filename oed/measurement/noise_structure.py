@@ -27,7 +27,7 @@ from oed.noise import NOTHING_STATED, NoiseStatement, ReadingStructure, SharedEr
 def reading_structure(
     measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> ReadingStructure:
-    """Structure of readings, with the slopes of renewed unknowns taken at theta (n,)."""
+    """Structure of readings, with the Jacobian of renewed unknowns taken at theta (n,)."""
     names: dict[str, int] = {}
     parts = _Parts([], [], [], [], [], [])
     blocks: list[sparse.csr_array] = []
@@ -39,12 +39,12 @@ def reading_structure(
         groups = [names.setdefault(label, len(names)) for label in labels]
         number = {label: runs + k for k, label in enumerate(dict.fromkeys(s.run))}
         run = np.array([number[label] for label in s.run])
-        place = _places(run)
+        position = _places(run)
         count = len(channels)
         parts.run.append(np.repeat(run, count))
         parts.channel.append(np.tile(np.arange(count), len(s)))
         parts.group.append(np.tile(groups, len(s)))
-        parts.position.append(np.repeat(place, count))
+        parts.position.append(np.repeat(position, count))
         common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
         parts.shared.append(np.tile(common, len(s)))
         stated = [c.name in setup.statement.levels for c in channels]
@@ -88,14 +88,14 @@ def _run_errors(
     decouple: sparse.csr_array,
 ) -> _RunErrors:
     """What the errors that runs share follow from."""
-    renewed = renewed_slopes(measurement, series, theta)
+    renewed = renewed_jacobian(measurement, series, theta)
     return _RunErrors(
         decouple=decouple,
         channel=np.concatenate(parts.channel).astype(np.intp),
         shared=np.concatenate(parts.shared),
         stated=np.concatenate(parts.stated),
         renewed=renewed / decouple.diagonal()[:, None],
-        seated=seated_slopes(measurement, series, theta),
+        seated=seated_jacobian(measurement, series, theta),
     )
 
 
@@ -150,17 +150,17 @@ def common_statement(
 
 def _places(run: Index) -> Index:
     """Number of each reading within its run."""
-    place = np.empty(len(run), dtype=np.intp)
+    position = np.empty(len(run), dtype=np.intp)
     for number in np.unique(run):
         members = np.flatnonzero(run == number)
-        place[members] = np.arange(len(members))
-    return place
+        position[members] = np.arange(len(members))
+    return position
 
 
-def renewed_slopes(
+def renewed_jacobian(
     measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> Array:
-    """Slopes (N, s) over the unknowns that each run seats anew, by their names.
+    """Jacobian (N, s) over the unknowns that each run seats anew, by their names.
 
     Set-ups that state their seating are left out. One column serves the unknown of a
     name in every set-up: no reading sees two.
@@ -170,10 +170,10 @@ def renewed_slopes(
         for name, setup in measurement.setups.items()
         if setup.statement.seating is None
     }
-    return _slopes_over_unknowns(measurement, series, theta, sizes)
+    return _unknowns_jacobian(measurement, series, theta, sizes)
 
 
-def seated_slopes(
+def seated_jacobian(
     measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> Array:
     """The same (N, s) of the set-ups that state their seating, times it, SI."""
@@ -182,16 +182,16 @@ def seated_slopes(
         for name, setup in measurement.setups.items()
         if setup.statement.seating
     }
-    return _slopes_over_unknowns(measurement, series, theta, sizes)
+    return _unknowns_jacobian(measurement, series, theta, sizes)
 
 
-def _slopes_over_unknowns(
+def _unknowns_jacobian(
     measurement: Measurement,
     series: Sequence[Series],
     theta: Array,
     sizes: Mapping[str, float],
 ) -> Array:
-    """Slopes (N, s) over the renewed unknowns of some set-ups, times a size of each."""
+    """Jacobian (N, s) over the renewed unknowns of some set-ups, times a size of each."""
     columns: dict[str, list[tuple[int, float]]] = {}
     for name in dict.fromkeys(s.setup for s in series):
         if name not in sizes:
@@ -202,9 +202,9 @@ def _slopes_over_unknowns(
             columns.setdefault(unknown, []).append((full, sizes[name]))
     if not columns:
         return np.zeros((len(measurement.setup_of_readings(series)), 0))
-    slopes = measurement.jacobian(series, theta)
+    jacobian = measurement.jacobian(series, theta)
     summed = [
-        np.sum([size * slopes[:, k] for k, size in members], axis=0)
+        np.sum([size * jacobian[:, k] for k, size in members], axis=0)
         for members in columns.values()
     ]
     return np.column_stack(summed)
@@ -218,8 +218,8 @@ class _RunErrors:
     channel   (N,)
     shared    (N,) error of a run's level, SI
     stated    (N,) whether it is stated, and is all that the level moves by
-    renewed   (N, s) slopes times the stated noise; what one set-up does not have is 0
-    seated    (N, s) slopes times the stated seating, SI
+    renewed   (N, s) Jacobian times the stated noise; what one set-up does not have is 0
+    seated    (N, s) Jacobian times the stated seating, SI
     """
 
     decouple: sparse.csr_array

@@ -95,7 +95,7 @@ def reading_covariances(readings: SetupReadings, series: Series) -> Array:
 
 
 def source_gradients(readings: SetupReadings, series: Series) -> Array:
-    """Slopes (n, channels, sources), SI, over the errors inside an instrument.
+    """Jacobian (n, channels, sources), SI, over the errors inside an instrument.
 
     Each error is in its standard deviation. Only for instruments that state them.
     """
@@ -105,10 +105,10 @@ def source_gradients(readings: SetupReadings, series: Series) -> Array:
 
 
 def run_errors(readings: SetupReadings, series: Series) -> Array:
-    """Slopes (n, channels, k), SI, over the k stated errors that a run shares.
+    """Jacobian (n, channels, k), SI, over the k stated errors that a run shares.
 
     Each error is standard normal: levels of channels, then unknowns that the run
-    seats anew. Slopes are those at the nominal poses.
+    seats anew. Jacobian are those at the nominal poses.
     """
     setup = readings.setup
     pairs = zip(setup.instrument.channels, setup.sigma, strict=True)
@@ -118,5 +118,5 @@ def run_errors(readings: SetupReadings, series: Series) -> Array:
     if not setup.statement.seating:
         return levels
     renewed = [n.name in setup.instrument.renewed for n in setup.nuisances]
-    slopes = readings.nominal_slopes(series)[:, :, renewed]
-    return np.concatenate([levels, slopes * setup.statement.seating], axis=2)
+    jacobian = readings.nominal_jacobian(series)[:, :, renewed]
+    return np.concatenate([levels, jacobian * setup.statement.seating], axis=2)

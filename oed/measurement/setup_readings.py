@@ -1,4 +1,4 @@
-"""Readings of a machine by one set-up, and their slopes, compiled by CasADi.
+"""Readings of a machine by one set-up, and their jacobians, compiled by CasADi.
 
 A reading y = g(x_1, x_2, s) sees one pose, or two (a taught cup, a reference); each
 pose obeys the closure at the joints that the controller sent. Its identification row is
@@ -22,7 +22,7 @@ from oed.model import Machine
 
 
 class ObservationModel:
-    """Reading y = g(x_1, x_2, s) of one set-up, and its slopes.
+    """Reading y = g(x_1, x_2, s) of one set-up, and its Jacobian.
 
     A reading sees one pose or two; s are the set-up's nuisances. Where the instrument
     reads the misfit of a redundant machine, `uses_closure` is true. Then g depends on
@@ -47,22 +47,22 @@ class ObservationModel:
         inputs, over = [*poses, s], [*poses, s]
         if self.uses_closure:
             inputs, over = [*poses, s, *joints, p], [*poses, s, p]
-        slopes = [ca.jacobian(y, v) for v in over]
+        jacobians = [ca.jacobian(y, v) for v in over]
         sources = ca.SX(1, 1)
         if instrument.sources is not None:
-            slopes_of_errors = instrument.sources(frames, s_by_name, setup.settings)
-            sources = ca.substitute(ca.SX(slopes_of_errors), p, machine.nominal)
+            jacobian_of_errors = instrument.sources(frames, s_by_name, setup.settings)
+            sources = ca.substitute(ca.SX(jacobian_of_errors), p, machine.nominal)
 
         self._arity = instrument.arity
         self._channels = len(instrument.channels)
         self._sizes = [v.numel() for v in over]
         self._sources_shape = sources.shape
         self._value = BatchedFunction("read", inputs, [y])
-        self._slopes = BatchedFunction("slope", inputs, slopes)
-        self._joint_slopes = None
+        self._jacobians = BatchedFunction("slope", inputs, jacobians)
+        self._joint_jacobians = None
         if self.uses_closure:
             by_joint = [ca.jacobian(y, q) for q in joints]
-            self._joint_slopes = BatchedFunction("joint_slope", inputs, by_joint)
+            self._joint_jacobians = BatchedFunction("joint_slope", inputs, by_joint)
         self._sources = BatchedFunction("sources", [*poses, s], [ca.vec(sources)])
 
     def read(self, inputs: Sequence[Array]) -> Array:
@@ -70,7 +70,7 @@ class ObservationModel:
         return self._value(*inputs)[0]
 
     def sources(self, poses: Sequence[Array], s: Array) -> Array:
-        """Slopes (n, channels, sources) over the instrument's independent errors.
+        """Jacobian (n, channels, sources) over the instrument's independent errors.
 
         Poses (n, nx), s (ns,). Only for instruments that state their sources.
         """
@@ -78,36 +78,38 @@ class ObservationModel:
         flat = self._sources(*poses, s)[0]  # column by column, as CasADi stores
         return flat.reshape(-1, columns, rows).transpose(0, 2, 1)
 
-    def slopes(
+    def jacobians(
         self, inputs: Sequence[Array]
     ) -> tuple[list[Array], Array, Array | None]:
-        """Slopes (n, channels, size) over each pose, over s, and over p at fixed poses.
+        """Jacobian (n, channels, size) over each pose, over s, and over p at fixed poses.
 
         The last is None unless g uses the closure.
         """
         n = inputs[0].shape[0]
-        slopes = [
-            slope.reshape(n, self._channels, size)
-            for slope, size in zip(self._slopes(*inputs), self._sizes, strict=True)
+        jacobians = [
+            jacobian.reshape(n, self._channels, size)
+            for jacobian, size in zip(
+                self._jacobians(*inputs), self._sizes, strict=True
+            )
         ]
-        by_pose, by_setup = slopes[: self._arity], slopes[self._arity]
-        return by_pose, by_setup, slopes[-1] if self.uses_closure else None
+        by_pose, by_setup = jacobians[: self._arity], jacobians[self._arity]
+        return by_pose, by_setup, jacobians[-1] if self.uses_closure else None
 
-    def joint_slopes(self, inputs: Sequence[Array]) -> list[Array] | None:
-        """Slopes (n, channels, nq) over the joints of each pose, at fixed poses.
+    def joint_jacobians(self, inputs: Sequence[Array]) -> list[Array] | None:
+        """Jacobian (n, channels, nq) over the joints of each pose, at fixed poses.
 
         None unless g uses the closure.
         """
-        if self._joint_slopes is None:
+        if self._joint_jacobians is None:
             return None
         n = inputs[0].shape[0]
-        slopes = self._joint_slopes(*inputs)
-        return [slope.reshape(n, self._channels, -1) for slope in slopes]
+        jacobians = self._joint_jacobians(*inputs)
+        return [jacobian.reshape(n, self._channels, -1) for jacobian in jacobians]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Response:
-    """Slopes of n readings of a set-up over changes at the poses they see, SI.
+    """Jacobian of n readings of a set-up over changes at the poses they see, SI.
 
     joints      for each pose of a reading, (n, channels, nq)
     parameters  for each pose of a reading, (n, channels, np)
@@ -147,7 +149,7 @@ class SetupReadings:
         self.model = ObservationModel(kinematics.machine, setup)
         self._kinematics, self._unknowns = kinematics, unknowns
         self._count = len(kinematics.machine.parameters)
-        # a fit needs slopes where it has just computed the readings
+        # a fit needs Jacobians where it has just computed the readings
         self._last: _Solution | None = None
 
     def poses(
@@ -189,9 +191,9 @@ class SetupReadings:
         return self.model.read(inputs).reshape(len(theta), -1)
 
     def jacobian(self, series: Series, theta: Array) -> Array:
-        """Slopes (m, N, n) over theta (m, n). Raises AssemblyError."""
+        """Jacobian (m, N, n) over theta (m, n). Raises AssemblyError."""
         x, p = self.poses(series, theta, strict=True), theta[:, : self._count]
-        by_pose, by_setup, by_parameter = self._slopes(series, x, theta)
+        by_pose, by_setup, by_parameter = self._jacobians(series, x, theta)
         joints = self._joints(series, len(x))
         adjoints = self._kinematics.slopes.adjoints(x, joints, p)
         shape = (len(x), len(series), by_setup.shape[1])
@@ -205,21 +207,21 @@ class SetupReadings:
         return rows.reshape(len(x), -1, theta.shape[1])
 
     def response(self, series: Series, theta: Array) -> Response:
-        """Slopes of the readings over joints, parameters and nuisances, by pose.
+        """Jacobian of the readings over joints, parameters and nuisances, by pose.
 
         At theta (n,). Raises AssemblyError.
         """
         vectors = theta[None]
         x, p = self.poses(series, vectors, strict=True), theta[: self._count]
-        by_pose, by_setup, by_parameter = self._slopes(series, x, vectors)
+        by_pose, by_setup, by_parameter = self._jacobians(series, x, vectors)
         by_joint = self._kinematics.slopes.over_joints(x[0], series.q, p)
         sensitivity = self._kinematics.slopes.over_parameters(x[0], series.q, p)
         pairs = list(zip(by_pose, series.pose_indices(), strict=True))
-        joints = [slope @ by_joint[k] for slope, k in pairs]
-        at_fixed_poses = self.model.joint_slopes(self._inputs(series, x, vectors))
+        joints = [jacobian @ by_joint[k] for jacobian, k in pairs]
+        at_fixed_poses = self.model.joint_jacobians(self._inputs(series, x, vectors))
         if at_fixed_poses is not None:
             joints = [a + b for a, b in zip(joints, at_fixed_poses, strict=True)]
-        parameters = [slope @ sensitivity[k] for slope, k in pairs]
+        parameters = [jacobian @ sensitivity[k] for jacobian, k in pairs]
         if by_parameter is not None:
             parameters[0] = parameters[0] + by_parameter
         return Response(tuple(joints), tuple(parameters), by_setup)
@@ -248,12 +250,12 @@ class SetupReadings:
             inputs += [*(q[k] for k in indices), p[indices[0]]]
         return self.model.read(inputs).ravel()
 
-    def nominal_slopes(self, series: Series) -> Array:
-        """Slopes (n, channels, ns) over the set-up's unknowns, all of it nominal."""
+    def nominal_jacobian(self, series: Series) -> Array:
+        """Jacobian (n, channels, ns) over the set-up's unknowns, all of it nominal."""
         theta = np.zeros(self._unknowns.stop)
         theta[: self._count] = self._kinematics.machine.nominal
         theta[self._unknowns] = [n.nominal for n in self.setup.nuisances]
-        return self._slopes(series, series.start[None], theta[None])[1]
+        return self._jacobians(series, series.start[None], theta[None])[1]
 
     def _inputs(self, series: Series, x: Array, theta: Array) -> list[Array]:
         """Inputs of the observation model, m times the readings n.
@@ -273,8 +275,8 @@ class SetupReadings:
         """Joints (m, poses, nq) of so many machines."""
         return np.broadcast_to(series.q, (machines, *series.q.shape[-2:]))
 
-    def _slopes(
+    def _jacobians(
         self, series: Series, x: Array, theta: Array
     ) -> tuple[list[Array], Array, Array | None]:
-        """Slopes of the readings, as `ObservationModel.slopes`, m times n."""
-        return self.model.slopes(self._inputs(series, x, theta))
+        """Jacobian of the readings, as `ObservationModel.jacobians`, m times n."""
+        return self.model.jacobians(self._inputs(series, x, theta))

@@ -85,6 +85,11 @@ class Laws:
         fields = dataclasses.fields(self)
         return Laws(*(getattr(self, field.name)[rows] for field in fields))
 
+    def batches(self, numbers: int) -> list[Laws]:
+        """Laws in parts whose arrays fit into memory: `numbers` of one law."""
+        step = max(1, BATCH_SIZE // numbers)
+        return [self.take(slice(k, k + step)) for k in range(0, len(self), step)]
+
     @classmethod
     def stated(
         cls, structure: ReadingStructure, count: int = 1, scale: float = 1.0

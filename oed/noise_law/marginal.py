@@ -337,8 +337,6 @@ MIN_EFFECTIVE_DRAWS = 100.0
 #: largest coordinate of the mode, prior sd: readings without noise have theirs at the
 #: end, and draws must fit beyond it
 MAX_MODE = MAX_COORDINATE - 1.0
-#: numbers in the largest array of one batch of laws: 8 MB
-BATCH_SIZE = 1_000_000
 #: rounds in which kernels are placed anew at laws drawn from them
 N_PLACEMENTS = 2
 #: laws drawn in each of these rounds
@@ -368,12 +366,8 @@ class ResidualModel:
         shared = structure.effects.shape[1] + structure.course.shape[1]
         columns = 1 + self.slopes.shape[1] + shared
         of_chains = len(structure.run) * len(structure.kinds)
-        step = max(1, BATCH_SIZE // (columns * max(columns, of_chains)))
-        parts = [
-            self._solve(laws.take(slice(k, k + step)))
-            for k in range(0, len(laws), step)
-        ]
-        return concatenate_solutions(parts)
+        batches = laws.batches(columns * max(columns, of_chains))
+        return concatenate_solutions([self._solve(batch) for batch in batches])
 
     def cost(self, prior: NoisePrior, u: Array) -> Array:
         """Minus log posterior (L,) of laws at coordinates (L, d)."""

@@ -143,9 +143,9 @@ class CombinationBound:
         )
         worth, prices = self._worth(profiles, line.root)
         total = worth[combinations].sum(axis=1) + prices * self.budget
-        carried = total.min(axis=1)
+        least_worth = total.min(axis=1)
         prior = float(np.sum((self.information @ line.root) * line.root))
-        return np.asarray(line.value + np.log(prior + carried) + LOG_ROUNDING)
+        return np.asarray(line.value + np.log(prior + least_worth) + LOG_ROUNDING)
 
     def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
         """Worth (options + 1, P) of each option at each price, and the prices (P,).

@@ -85,11 +85,11 @@ class Goal:
 class ToolErrors:
     """What effects beside the geometry do to the tool.
 
-    slopes  (poses, k, u) per unit of each of u effects of prior variance 1, SI
+    jacobian  (poses, k, u) per unit of each of u effects of prior variance 1, SI
     rest    (k,) mean square by what no reading reduces, SI
     """
 
-    slopes: Array
+    jacobian: Array
     rest: Array
 
 
@@ -114,10 +114,13 @@ def workspace_goal(
     parameters = len(measurement.machine.parameters)
     free = measurement.free[:parameters]
     scaled = maps.raw * measurement.tolerance[:parameters]
-    slopes, rest = scaled[:, :, free], np.zeros(len(maps.names))
+    jacobian, rest = scaled[:, :, free], np.zeros(len(maps.names))
     if effects is not None:
-        slopes, rest = np.concatenate([slopes, effects.slopes], axis=2), effects.rest
-    by_component = np.transpose(slopes, (1, 0, 2))
+        jacobian, rest = (
+            np.concatenate([jacobian, effects.jacobian], axis=2),
+            effects.rest,
+        )
+    by_component = np.transpose(jacobian, (1, 0, 2))
     table = by_component / np.sqrt(len(maps.command))
     before = np.sqrt(np.sum(table**2, axis=(1, 2)) + rest)
     if targets:

@@ -84,19 +84,23 @@ class Option:
         return int(self.candidates.blocks.shape[2])
 
     @cached_property
-    def first_channel_slopes(self) -> Array:
-        """Slopes (readings, n) of each reading's first channel, SI over tolerance.
+    def first_channel_jacobian(self) -> Array:
+        """Jacobian (readings, n) of each reading's first channel, SI over tolerance.
 
         Over machine, effects and set-ups. The travel limits the first channel.
         """
         measurement, nuisances = self.measurement, self.candidates.nuisances
-        slopes = self.slopes[self._first_numbers] * measurement.tolerance
-        of_parameters = slopes[:, measurement.free]
+        jacobian = self.jacobian[self._first_numbers] * measurement.tolerance
+        of_parameters = jacobian[:, measurement.free]
         if nuisances is None:
             return of_parameters
         of_effects = nuisances.columns[self._first_numbers]
-        place = _machine_parameters(measurement)
-        parts = [of_parameters[:, :place], of_effects, of_parameters[:, place:]]
+        machine_count = _machine_parameters(measurement)
+        parts = [
+            of_parameters[:, :machine_count],
+            of_effects,
+            of_parameters[:, machine_count:],
+        ]
         return np.hstack(parts)
 
     @cached_property
@@ -108,8 +112,8 @@ class Option:
         return nuisances.weight(self.measurement.sigma(self.series))
 
     @cached_property
-    def slopes(self) -> Array:
-        """Slopes (numbers, p), SI, of all numbers that candidates read, at nominal."""
+    def jacobian(self) -> Array:
+        """Jacobian (numbers, p), SI, of all numbers that candidates read, at nominal."""
         return self.measurement.jacobian(self.series, self.measurement.nominal)
 
     @cached_property
@@ -185,8 +189,11 @@ def _machine_parameters(measurement: Measurement) -> int:
 def _effects_after_machine(pool: Candidates) -> Candidates:
     """Candidates whose nuisances come after the machine's columns."""
     total = pool.blocks.shape[2]
-    place, first = _machine_parameters(pool.measurement), total - pool.nuisance_columns
-    order = np.r_[:place, first:total, place:first]
+    machine_count, first = (
+        _machine_parameters(pool.measurement),
+        total - pool.nuisance_columns,
+    )
+    order = np.r_[:machine_count, first:total, machine_count:first]
     return dataclasses.replace(
         pool,
         blocks=pool.blocks[:, :, order],

@@ -97,7 +97,7 @@ def estimate_residual(
     captured = np.repeat(patterns[:, candidate_of] > 0.0, draws, axis=0)
     exact = measurement.try_readings(series, measurement.nominal + errors, captured)
     numbers = option.numbers_of(chosen)
-    linear = option.nominal_readings[numbers] + errors @ option.slopes[numbers].T
+    linear = option.nominal_readings[numbers] + errors @ option.jacobian[numbers].T
     residual = exact - linear
     valid = captured & np.isfinite(residual)
     residual_or_zero = np.where(valid, residual, 0.0)
@@ -146,15 +146,15 @@ def reading_counts(option: Option, chosen: Index) -> Index:
 
 
 def whitened_rows(option: Option, chosen: Index) -> Array:
-    """Whitened slopes (readings, w) of the chosen candidates, in tolerance units.
+    """Whitened jacobian (readings, w) of the chosen candidates, in tolerance units.
 
     They are those of the candidates' blocks, one row for each number that is read.
     """
     measurement, candidates = option.measurement, option.candidates
-    every_slope = option.slopes[option.numbers_of(chosen)]
-    slopes = (every_slope * measurement.tolerance)[:, measurement.free]
-    rows = np.zeros((len(slopes), option.unknowns))
-    rows[:, option.parameter_columns] = whiten(option, chosen, slopes.T).T
+    chosen_jacobian = option.jacobian[option.numbers_of(chosen)]
+    jacobian = (chosen_jacobian * measurement.tolerance)[:, measurement.free]
+    rows = np.zeros((len(jacobian), option.unknowns))
+    rows[:, option.parameter_columns] = whiten(option, chosen, jacobian.T).T
     nuisances = candidates.nuisances
     if nuisances is not None:
         of_effects = nuisances.columns[option.numbers_of(chosen)]
@@ -279,13 +279,13 @@ class DrawnMachines:
         total = self._sum(covariances, no_loss)
         if before is not None:
             noise = information.noise
-            known = self._known_part(before, information)
+            known_errors = self._known_part(before, information)
             normals = rng.standard_normal(before.shape)
             drawn = multiply_each(symmetric_root(noise), self.pattern_of, normals)
-            errors = multiply_each(covariances, self.group_of, known - drawn)
+            errors = multiply_each(covariances, self.group_of, known_errors - drawn)
             # A machine without losses has the error of its covariance. One with losses
             # is farther off: its mean square over the noise counts.
-            bias = multiply_each(covariances, self.group_of[lost], known[lost])
+            bias = multiply_each(covariances, self.group_of[lost], known_errors[lost])
             scatter = covariances @ noise[pattern_of] @ covariances
             total = total + self._sum(scatter, lost) + bias.T @ bias
         return Knowledge(

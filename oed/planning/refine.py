@@ -106,8 +106,8 @@ def _reading_time(
         reading_time = stage.seconds - other.mounting_seconds
         share = reading_time * other_count / len(stage.chosen)
         usual.append(other.mounting_seconds + share)
-    wanted = max(available - sum(usual), option.shortest_seconds(count))
-    return min(available - least_seconds(others), wanted)
+    wanted_seconds = max(available - sum(usual), option.shortest_seconds(count))
+    return min(available - least_seconds(others), wanted_seconds)
 
 
 def verify(problem: PlanProblem, plan: StagePlan) -> StagePlan:

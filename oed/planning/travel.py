@@ -67,7 +67,7 @@ def is_captured(
     errors        (P, n) of the machines' parameters, in tolerance units
     setup_errors  (P, s) of the set-ups' parameters, in tolerance units
     """
-    deviation = np.hstack([errors, setup_errors]) @ option.first_channel_slopes.T
+    deviation = np.hstack([errors, setup_errors]) @ option.first_channel_jacobian.T
     within = np.abs(deviation) <= option.travel
     first, count = option.candidates.members[chosen].T
     # `reduceat` needs a column after the last run to name as its end
@@ -78,20 +78,20 @@ def is_captured(
 
 def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
     """Probability (readings,) that each reading by itself is within the travel."""
-    slopes, n = option.first_channel_slopes, option.machine_columns
-    machine_slopes = slopes[:, :n]
-    setup_variance = np.sum(slopes[:, n:] ** 2, axis=1)
+    jacobian, n = option.first_channel_jacobian, option.machine_columns
+    machine_jacobian = jacobian[:, :n]
+    setup_variance = np.sum(jacobian[:, n:] ** 2, axis=1)
     if knowledge.errors is not None:
         scale = np.sqrt(np.maximum(2.0 * setup_variance, SMALLEST_VARIANCE))
-        deviation = knowledge.errors @ machine_slopes.T
+        deviation = knowledge.errors @ machine_jacobian.T
         below = erf((option.travel - deviation) / scale)
         above = erf((option.travel + deviation) / scale)
         return np.asarray(0.5 * (below + above).mean(axis=0))
     machine_variance = np.einsum(
         "in,pnm,im->pi",
-        machine_slopes,
+        machine_jacobian,
         knowledge.covariances,
-        machine_slopes,
+        machine_jacobian,
         optimize=True,
     )
     variance = np.maximum(setup_variance + machine_variance, SMALLEST_VARIANCE)

@@ -274,9 +274,9 @@ def _refit_alone(
     return Refit(estimate.theta, estimate.covariance)
 
 
-def _covariance(basis: Array, slopes: Array) -> Array:
-    """Posterior covariance (n, n), SI, from whitened slopes (N, k) over z."""
-    return np.asarray(basis @ posterior_covariance(slopes) @ basis.T)
+def _covariance(basis: Array, jacobian: Array) -> Array:
+    """Posterior covariance (n, n), SI, from whitened jacobian (N, k) over z."""
+    return np.asarray(basis @ posterior_covariance(jacobian) @ basis.T)
 
 
 def _captured_series(
@@ -328,7 +328,7 @@ class _CapturedReadings:
         return self._whiten(machines, self.y[machines] - expected)
 
     def slopes(self, machines: Index, z: Array) -> Array:
-        """Whitened slopes (s, N, k). Raises AssemblyError."""
+        """Whitened jacobian (s, N, k). Raises AssemblyError."""
         theta = self.theta(machines, z)
         jacobian = self.measurement.jacobian(self._series(machines), theta)
         return self._whiten(machines, jacobian @ self.basis)
@@ -373,7 +373,7 @@ class WorkspaceErrors:
     """Errors at workspace commands, relative to a reference.
 
     tolerance  (np,) of the machine's parameters, SI
-    maps       slopes of the errors over the parameters
+    maps       jacobian of the errors over the parameters
     model      nominal poses at the commands;  home: at the home pose
     """
 
@@ -413,9 +413,9 @@ class WorkspaceErrors:
 
     def variance(self, covariance: Array) -> Array:
         """Variance (n, K) of the components, from a covariance (np, np), SI."""
-        slopes = self.maps.raw
+        jacobian = self.maps.raw
         variance = np.einsum(
-            "nkp,pq,nkq->nk", slopes, covariance, slopes, optimize=True
+            "nkp,pq,nkq->nk", jacobian, covariance, jacobian, optimize=True
         )
         return np.asarray(np.maximum(variance, 0.0))
 
@@ -613,8 +613,8 @@ class _Propagation:
     ) -> list[list[MachineErrors]]:
         """Errors of some virtual machines after each stage, machine by machine."""
         truth, normals = self._draw_machines(machines, rng)
-        held = np.tile(self.workspace.kinematics.held, (machines, 1))
-        parameters = held.shape[1]
+        held_parameters = np.tile(self.workspace.kinematics.held, (machines, 1))
+        parameters = held_parameters.shape[1]
         first = self.stages[0].measurement.nominal[:parameters]
         theta = np.tile(first, (machines, 1))
         readings: list[VirtualReadings] = []
@@ -624,17 +624,17 @@ class _Propagation:
             # the parameters of the set-ups mounted now are believed to be nominal
             believed = np.tile(measurement.nominal, (machines, 1))
             believed[:, : theta.shape[1]] = theta
-            known = truth[:, : believed.shape[1]]
+            known_truth = truth[:, : believed.shape[1]]
             expected = np.tile(measurement.nominal, (machines, 1))
             controller = None
             if self.compensated:
                 expected, controller = believed, believed[:, :parameters]
-            readings.append(stage.read(known, expected, controller, of_stage))
+            readings.append(stage.read(known_truth, expected, controller, of_stage))
             theta, covariance = self._identify(readings, believed)
             identified = theta[:, :parameters]
             errors.append(
                 self.workspace.evaluate(
-                    identified if self.compensated else held,
+                    identified if self.compensated else held_parameters,
                     identified,
                     truth[:, :parameters],
                     covariance[:, :parameters, :parameters],

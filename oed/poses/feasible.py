@@ -365,9 +365,9 @@ def check_readings(
         too_near = details["singularity"] < limits.singularity
         refused["are too near a singular pose"] = too_near
     if limits.travel is not None:
-        held = _held_value(measurement, series, limits.held)
+        held_value = _held_value(measurement, series, limits.held)
         readings = measurement.expected_readings(series)
-        distance = np.abs(_first_channel(measurement, series, readings) - held)
+        distance = np.abs(_first_channel(measurement, series, readings) - held_value)
         details["travel"] = distance
         refused["leave the travel of the instrument"] = distance > limits.travel
     for name, angle, cone, reason in _cone_angles(measurement, series, x, limits):

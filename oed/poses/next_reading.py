@@ -109,14 +109,14 @@ class Belief:
         stop where nothing changes.
         """
         chosen: list[int] = []
-        known = self
+        updated = self
         for _ in range(count):
-            chosen.append(known.best_candidate(blocks, limits))
-            known = known.after(blocks[chosen[-1]])
+            chosen.append(updated.best_candidate(blocks, limits))
+            updated = updated.after(blocks[chosen[-1]])
         for _ in range(MAX_SWEEPS):
             before = list(chosen)
-            for place in range(count):
-                _exchange(self, blocks, chosen, place, limits)
+            for position in range(count):
+                _exchange(self, blocks, chosen, position, limits)
             if chosen == before:
                 break
         return _best_first(self, blocks, chosen, limits)
@@ -136,10 +136,10 @@ class Belief:
         `most` candidates do not reach the limits; an empty plan where they are reached.
         """
         chosen: list[int] = []
-        known = self
-        while known.open_components(limits) and len(chosen) < most:
-            chosen.append(known.best_candidate(blocks, limits))
-            known = known.after(blocks[chosen[-1]])
+        updated = self
+        while updated.open_components(limits) and len(chosen) < most:
+            chosen.append(updated.best_candidate(blocks, limits))
+            updated = updated.after(blocks[chosen[-1]])
         if not _exchange_until_reached(self, blocks, chosen, limits):
             return None
         fewer = chosen
@@ -162,32 +162,36 @@ def _scores(variances: Array, limits: Array | None) -> Array:
     total = logs.sum(axis=1)
     if limits is None or not np.isfinite(limits).any():
         return np.asarray(total)
-    wanted = np.isfinite(limits)
-    lack = np.maximum(logs[:, wanted] - 2.0 * np.log(limits[wanted]), 0.0)
+    limited = np.isfinite(limits)
+    lack = np.maximum(logs[:, limited] - 2.0 * np.log(limits[limited]), 0.0)
     return np.asarray(lack.sum(axis=1) + BEYOND_LIMITS_WEIGHT * total)
 
 
 def _exchange(
-    belief: Belief, blocks: Array, chosen: list[int], place: int, limits: Array | None
+    belief: Belief,
+    blocks: Array,
+    chosen: list[int],
+    position: int,
+    limits: Array | None,
 ) -> Belief:
     """Replace a chosen candidate by the best one given all others; what is then known."""
-    others = [*chosen[:place], *chosen[place + 1 :]]
-    known = belief.update_all(blocks, others)
-    chosen[place] = known.best_candidate(blocks, limits)
-    return known.after(blocks[chosen[place]])
+    others = [*chosen[:position], *chosen[position + 1 :]]
+    updated = belief.update_all(blocks, others)
+    chosen[position] = updated.best_candidate(blocks, limits)
+    return updated.after(blocks[chosen[position]])
 
 
 def _exchange_until_reached(
     belief: Belief, blocks: Array, chosen: list[int], limits: Array
 ) -> bool:
     """Exchange until all limits are reached; False where the sweeps do not suffice."""
-    known = belief.update_all(blocks, chosen)
+    updated = belief.update_all(blocks, chosen)
     for _ in range(MAX_SWEEPS):
-        for place in range(len(chosen)):
-            if not known.open_components(limits):
+        for position in range(len(chosen)):
+            if not updated.open_components(limits):
                 return True
-            known = _exchange(belief, blocks, chosen, place, limits)
-    return not known.open_components(limits)
+            updated = _exchange(belief, blocks, chosen, position, limits)
+    return not updated.open_components(limits)
 
 
 def _without_least(

@@ -566,8 +566,8 @@ def _best_shift(closed: Index, states: RunStates, size: int) -> PathChange:
         if same_direction[a, b] > other_direction[a, b]:
             part = states.flip[part][::-1]
         others = np.delete(closed, np.s_[i[a] : j[a] + 1])
-        place = k[b] + 1 if k[b] < i[a] else k[b] + 1 - size
-        return np.insert(others, place, part)[1:-1]
+        insertion = k[b] + 1 if k[b] < i[a] else k[b] + 1 - size
+        return np.insert(others, insertion, part)[1:-1]
 
     return float(delta[a, b]), shift
 

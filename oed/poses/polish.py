@@ -214,11 +214,11 @@ class PolishProgram:
         if instrument.fixed_reading is None:
             return
         settings = self._setups[series.setup].settings
-        known = {item.name: settings[i] for i, item in enumerate(instrument.settings)}
+        by_name = {item.name: settings[i] for i, item in enumerate(instrument.settings)}
         index = np.unique(series.index, axis=0)
         y = value.map(len(index))(*self._reading_inputs(k, index))
         slack = self.travel or 0.0
-        self._constrain(y[0, :] - instrument.fixed_reading(known), -slack, slack)
+        self._constrain(y[0, :] - instrument.fixed_reading(by_name), -slack, slack)
 
     def set_objective(
         self,
@@ -443,15 +443,15 @@ def _free_variables(
             raise ValueError(
                 f"set-up {name!r} has no readings here; {sorted(used)} have"
             )
-        known = settings_and_tool(setups[name])
+        current = settings_and_tool(setups[name])
         for variable, (lower, upper) in ranges.items():
-            if variable not in known:
+            if variable not in current:
                 raise ValueError(
-                    f"set-up {name}: {variable!r} is none of {sorted(known)}"
+                    f"set-up {name}: {variable!r} is none of {sorted(current)}"
                 )
-            if not lower <= known[variable] <= upper:
+            if not lower <= current[variable] <= upper:
                 raise ValueError(
-                    f"set-up {name}: {variable} = {known[variable]:g} is outside"
+                    f"set-up {name}: {variable} = {current[variable]:g} is outside"
                     f" {lower:g} to {upper:g}"
                 )
             variables[name][variable] = (float(lower), float(upper))
@@ -491,12 +491,12 @@ def _evaluator(
     m = start.measurement
     columns = np.eye(len(m.parameters))[:, m.free]
     if prior is not None:
-        information_known = np.asarray(prior, dtype=float)
-        return _PolishEvaluator(criterion, scaling, columns, information_known)
+        information_current = np.asarray(prior, dtype=float)
+        return _PolishEvaluator(criterion, scaling, columns, information_current)
     rows = scaled(m, start.series, m.nominal, scaling) @ columns
     _, singular_values, vt = np.linalg.svd(rows, full_matrices=False)
     estimable = vt[singular_values > UNDETERMINED_SHARE * singular_values[0]].T
-    nothing_known = np.zeros((estimable.shape[1],) * 2)
+    nothing_current = np.zeros((estimable.shape[1],) * 2)
     restricted = criterion.restrict(estimable)
     lost = restricted.log_size < criterion.log_size
     if lost and not criterion.any_coordinates:
@@ -504,4 +504,4 @@ def _evaluator(
             "the readings do not determine the directions of interest: choose other"
             " directions or readings"
         )
-    return _PolishEvaluator(restricted, scaling, columns @ estimable, nothing_known)
+    return _PolishEvaluator(restricted, scaling, columns @ estimable, nothing_current)

@@ -105,7 +105,7 @@ def symbolic_reading(
     p, ps = symbols("p", machine.parameters)
     s, ss = symbols("s", setup.nuisances)
     settings = ca.SX.sym("k", len(instrument.settings))
-    known = {item.name: settings[i] for i, item in enumerate(instrument.settings)}
+    by_name = {item.name: settings[i] for i, item in enumerate(instrument.settings)}
     tool = ca.SX.sym("tool", 3)
     poses: list[tuple[Any, Any, Any]] = []
     frames: list[Frame] = []
@@ -115,14 +115,14 @@ def symbolic_reading(
         phi = ca.vertcat(*machine.closure(xs, qs, ps))
         frames.append(machine_frame(machine, x, (xs, qs, ps), tool))
         poses.append((x, q, phi))
-    y = ca.vertcat(*instrument.observe(frames, ss, known))
+    y = ca.vertcat(*instrument.observe(frames, ss, by_name))
     by_machine = ca.jacobian(y, p)
     for x, _, phi in poses:
         by_machine += _through_pose(y, x, phi, p)
     rows: Any = _all_columns(measurement, setup, by_machine, ca.jacobian(y, s))
     rows = rows @ ca.diag(ca.DM(column_scale(measurement, scaling)))
     if scaling == "tolerance":
-        sources = instrument.sources and instrument.sources(frames, ss, known)
+        sources = instrument.sources and instrument.sources(frames, ss, by_name)
         rows = _whiten(rows, setup, sources)
     elif scaling == "length":
         rows = ca.diag(ca.DM(_channel_lengths(machine, setup))) @ rows

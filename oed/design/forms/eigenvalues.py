@@ -41,7 +41,7 @@ from oed.design.forms.protocol import (
     FastSearch,
     Support,
     is_positive_definite,
-    slopes,
+    weight_gradient,
 )
 from oed.design.forms.variance import variance_reduction
 
@@ -108,7 +108,7 @@ class PowerMean(Criterion):
         products = np.einsum("ckn,ckm->cnm", turned, turned)
         rows = (products * np.sqrt(-differences)).reshape(len(blocks), -1)
         tau = float(np.sum(relative**-self.p)) * eigenvalues[0] ** 2
-        g = slopes(blocks, self.support(m).root)
+        g = weight_gradient(blocks, self.support(m).root)
         return np.asarray(rows @ rows.T / tau - self.p * np.outer(g, g))
 
     def _divided_differences(self, relative: Array) -> Array:

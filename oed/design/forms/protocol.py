@@ -11,7 +11,7 @@ carry all design methods:
 
       log phi(M') <= v + log <R R^T, M'>      for every M' >= 0,
 
-  so a bound over all plans is one sum over the candidates' slopes |X_i R|^2
+  so a bound over all plans is one sum over the candidates' gradient |X_i R|^2
   (`oed.design.objective`).
 """
 
@@ -214,9 +214,9 @@ def _sum_rows(table: Array, counts: Index) -> Array:
     """Sums (C, r) of the first counts[0] rows of a table (R, r), the next, and so on."""
     starts = np.cumsum(counts) - counts
     sums = table[starts]
-    for place in range(1, int(counts.max())):
-        longer = np.flatnonzero(counts > place)
-        sums[longer] += table[starts[longer] + place]
+    for position in range(1, int(counts.max())):
+        longer = np.flatnonzero(counts > position)
+        sums[longer] += table[starts[longer] + position]
     return np.asarray(sums)
 
 
@@ -225,7 +225,7 @@ def inner_products(blocks: Array, matrix: Array) -> Array:
     return (blocks @ matrix) @ np.swapaxes(blocks, 1, 2)
 
 
-def slopes(blocks: Array, root: Array) -> Array:
+def weight_gradient(blocks: Array, root: Array) -> Array:
     """|X_i R|^2 (C,): gradient of log phi along the weights."""
     count, k, n = blocks.shape
     norms = np.empty(count)

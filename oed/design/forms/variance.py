@@ -33,7 +33,7 @@ from oed.design.forms.protocol import (
     inner_products,
     is_positive_definite,
     pairwise_traces,
-    slopes,
+    weight_gradient,
 )
 from oed.linear_algebra import symmetric_inverse
 
@@ -83,7 +83,7 @@ class Variance(Criterion):
     def curvature(self, m: Array, blocks: Array) -> Array:
         """2 tr(A_i M^-1 A_j S) - g_i g_j."""
         root = self.support(m).root
-        g = slopes(blocks, root)
+        g = weight_gradient(blocks, root)
         traces = 2.0 * pairwise_traces(blocks, symmetric_inverse(m), root @ root.T)
         return traces - np.outer(g, g)
 

@@ -192,7 +192,7 @@ class Separation(Objective):
         offset = height - float(weights @ slopes[active])
         return Tangent(float(self.worth(m)), slopes, 0.0, offset, linear=True)
 
-    def slopes_and_curvature(
+    def gradient_and_curvature(
         self, active: Index, weights: Array
     ) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""

@@ -23,7 +23,6 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
-from oed.design import CRITERIA
 from oed.text import shorten, suggest
 from pkm_studies import user_code
 from pkm_studies.base import Location
@@ -69,6 +68,8 @@ class CatalogueEntry:
 def listing(kind: str) -> list[CatalogueEntry]:
     """The catalogue of one of KINDS, by name."""
     if kind == "criteria":  # the kernel's own: no package adds to them
+        from oed.design import CRITERIA
+
         return [
             CatalogueEntry(c.name, c.about, c.source, f"oed.design.criteria:{c.name}")
             for c in CRITERIA.entries.values()

@@ -170,6 +170,6 @@ def test_the_rounding_of_slopes_is_that_of_the_largest() -> None:
         for blocks in (large, np.concatenate([large, tiny]))
     ]
     first, second = (o.tangent(np.array([0]), np.ones(1)) for o in objectives)
-    assert second.slopes[0] == pytest.approx(first.slopes[0])
-    assert second.slopes[1] < 1e-9 * second.slopes[0]
+    assert second.gradient[0] == pytest.approx(first.gradient[0])
+    assert second.gradient[1] < 1e-9 * second.gradient[0]
     assert 0.0 < first.rounding <= second.rounding

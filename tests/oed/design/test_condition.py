@@ -127,8 +127,8 @@ def test_the_gap_closes_over_many_candidates() -> None:
     assert optimum.duality_gap < 1e-4
     inside = (optimum.weights > 0.01) & (optimum.weights < 0.99)
     assert (
-        optimum.slopes[optimum.weights < 1e-6].max()
-        <= optimum.slopes[inside].min() * 1.05
+        optimum.gradient[optimum.weights < 1e-6].max()
+        <= optimum.gradient[inside].min() * 1.05
     )
     assert condition.relax(rows, 30.0).value == pytest.approx(1.0, abs=1e-4)
 
@@ -158,7 +158,7 @@ def test_slopes_are_derivatives() -> None:
             criteria_of(rows, base, weights - step)[0],
             criteria_of(rows, base, weights + step)[0],
         )
-        assert optimum.slopes[i] == pytest.approx(
+        assert optimum.gradient[i] == pytest.approx(
             (np.log(low) - np.log(high)) / 2e-6, abs=1e-6
         )
 

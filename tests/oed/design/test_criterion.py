@@ -12,7 +12,7 @@ from oed.design.forms import PowerMean
 from oed.design.forms.compound import Compound
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
-from oed.design.forms.protocol import slopes
+from oed.design.forms.protocol import weight_gradient
 from oed.design.forms.variance import LargestVariance, Variance
 
 N = 5
@@ -58,7 +58,7 @@ def test_slopes_and_curvatures_by_differences(
 
     eye = step * np.eye(6)
     first = np.array([(value(e) - value(-e)) / (2 * step) for e in eye])
-    assert slopes(blocks, criterion.support(m).root) == pytest.approx(
+    assert weight_gradient(blocks, criterion.support(m).root) == pytest.approx(
         first, rel=1e-5, abs=1e-6
     )
     second = np.array(

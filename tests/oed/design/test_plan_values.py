@@ -84,7 +84,7 @@ def test_searches_end_at_the_best_plan_and_below_the_bound(
     assert upper.weights.sum() == pytest.approx(SIZE, rel=1e-3)
     start = np.arange(SIZE)
     rng = np.random.default_rng(0)
-    plan = search(evaluator, rules, upper.weights, upper.slopes, [start], rng, 20)
+    plan = search(evaluator, rules, upper.weights, upper.gradient, [start], rng, 20)
     assert len(set(plan.tolist())) == SIZE
     assert evaluator.value(plan) == pytest.approx(best, abs=1e-9)
     improved = improve(evaluator, rules, start, evaluator.levels - 1)

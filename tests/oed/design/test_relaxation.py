@@ -77,7 +77,7 @@ def test_the_bound_holds_for_every_plan_and_from_any_dual_point() -> None:
     objective = CriterionObjective(Determinant(3), blocks, np.zeros((3, 3)))
     for _ in range(20):
         tangent = objective.tangent(np.arange(12), rng.exponential(size=12))
-        assert 3 * tangent.bound(knapsack_value(tangent.slopes, 4, 1.0)) >= best
+        assert 3 * tangent.bound(knapsack_value(tangent.gradient, 4, 1.0)) >= best
     assert 3 * relaxation.relax(blocks, 4).bound >= best
 
 

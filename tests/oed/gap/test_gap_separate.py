@@ -110,20 +110,20 @@ def test_a_pool_has_a_direction_for_each_parameter_and_each_target():
     assert candidates.directions == determined + targets
 
 
-def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above():
+def test_gradient_and_curvature_are_those_of_differences_and_the_line_lies_above():
     objective = dataclasses.replace(pool(), share=0.3)
     rng = np.random.default_rng(0)
     active = np.arange(objective.count)
     w = rng.uniform(0.2, 1.0, objective.count)
     smooth = dataclasses.replace(objective, sharp=3.0)
-    slopes, curvature = smooth.slopes_and_curvature(active, w)
+    slopes, curvature = smooth.gradient_and_curvature(active, w)
     for k in (0, 7, 15):
         step = 1e-5 * np.eye(objective.count)[k]
         up, down = smooth.value(active, w + step), smooth.value(active, w - step)
         assert slopes[k] == pytest.approx((up - down) / 2e-5, rel=1e-5)
         bent = (
-            smooth.slopes_and_curvature(active, w + step)[0]
-            - smooth.slopes_and_curvature(active, w - step)[0]
+            smooth.gradient_and_curvature(active, w + step)[0]
+            - smooth.gradient_and_curvature(active, w - step)[0]
         ) / 2e-5
         np.testing.assert_allclose(
             -bent, curvature[k], rtol=1e-4, atol=1e-6 * np.abs(curvature).max()
@@ -133,7 +133,7 @@ def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above()
         other = rng.uniform(0.0, 1.0, objective.count)
         assert (
             float(objective.worth(objective.at(active, other)))
-            <= line.bound(float(other @ line.slopes)) + 1e-9
+            <= line.bound(float(other @ line.gradient)) + 1e-9
         )
 
 

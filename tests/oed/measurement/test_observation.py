@@ -41,9 +41,9 @@ def test_slopes_of_a_reading_are_its_differences(
     _, series = circle
     model = ObservationModel(a3_head.machine, BAR)
     inputs = [*(series.start[k] for k in series.pose_indices()), np.zeros(3)]
-    by_pose, by_setup, by_parameter = model.slopes(inputs)
+    by_pose, by_setup, by_parameter = model.jacobians(inputs)
     assert by_parameter is None
-    assert model.joint_slopes(inputs) is None
+    assert model.joint_jacobians(inputs) is None
     for place, slopes in enumerate([*by_pose, by_setup]):
         step = np.zeros(inputs[place].shape[-1])
         step[1] = 1e-6

@@ -67,4 +67,4 @@ def test_nominal_slopes_over_the_cup_are_unit_vectors() -> None:
     )
     bar = tips[SERIES.index[:, 0]] - tips[SERIES.index[:, 1]]
     along = bar / np.linalg.norm(bar, axis=1)[:, None]
-    assert READ.nominal_slopes(SERIES)[:, 0] == pytest.approx(-along, abs=1e-9)
+    assert READ.nominal_jacobian(SERIES)[:, 0] == pytest.approx(-along, abs=1e-9)

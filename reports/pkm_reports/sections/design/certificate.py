@@ -51,7 +51,7 @@ def sentence(design: DesignSection) -> str:
 
 def criterion_value(criterion: str, value: float | None) -> str:
     """A value of a criterion: logarithms with two decimals."""
-    known = CRITERIA.get(criterion)
+    known = CRITERIA.entry(criterion)
     if known is not None and known.is_log_det:
         return text.fixed(value, 2)
     return text.number(value, 4)
@@ -63,7 +63,7 @@ def criterion_value(criterion: str, value: float | None) -> str:
 def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
     """Name and value of all that is stored; what is missing has an empty value."""
     criterion, setups = design.criterion, design.setups
-    known = CRITERIA.get(criterion)
+    known = CRITERIA.entry(criterion)
     yield "Criterion", f"{criterion}: {known.meaning}" if known else criterion
     yield "Shares", _shares(design)
     yield "Value", criterion_value(criterion, design.value)
@@ -96,7 +96,7 @@ def _bound(design: DesignSection) -> str:
 
 
 def _better(design: DesignSection) -> str:
-    known = CRITERIA.get(design.criterion)
+    known = CRITERIA.entry(design.criterion)
     return "smaller" if known is not None and known.smaller_is_better else "larger"
 
 

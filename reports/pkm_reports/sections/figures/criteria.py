@@ -78,7 +78,7 @@ def _ratio(
     directions: float,
 ) -> float:
     """phi of a design over phi of the best one; NaN for a criterion of another version."""
-    known = CRITERIA.get(criterion)
+    known = CRITERIA.entry(criterion)
     return math.nan if known is None else known.phi_ratio(value, best, directions)
 
 
@@ -92,7 +92,7 @@ def _counted_directions(
 
     It follows from the bound or the gain, where these differ from the value itself.
     """
-    known = CRITERIA.get(entry.name)
+    known = CRITERIA.entry(entry.name)
     if known is None or known.form is None:  # a weighted mean of log phi
         return 1.0
     below_bound = entry.value - or_nan(entry.bound)

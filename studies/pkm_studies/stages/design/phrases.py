@@ -52,7 +52,7 @@ def _value(criterion: str, value: float) -> str:
 
 def _label(criterion: str) -> str:
     """What the criterion's number is called; empty where by the criterion's name."""
-    known = CRITERIA.get(criterion)
+    known = CRITERIA.entry(criterion)
     return "" if known is None else known.label
 
 
