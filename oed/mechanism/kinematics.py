@@ -115,12 +115,6 @@ class Kinematics:
         return self.machine.nominal if held is None else held.parameters
 
     @functools.cached_property
-    def _commanded_slope(self) -> BatchedFunction:
-        e = self.expressions
-        slope = ca.jacobian(ca.vertcat(*e.commanded), e.x)
-        return BatchedFunction("commanded_slope", [e.x, e.tool], [slope])
-
-    @functools.cached_property
     def _frame(self) -> BatchedFunction:
         e = self.expressions
         frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, e.x)]
@@ -307,10 +301,6 @@ class Kinematics:
         return np.asarray(np.linalg.slogdet(phi_x)[0])
 
     # -- tool frame and pose errors ----------------------------------------------------
-
-    def commanded_jacobian(self, x: Array, tool: Array) -> Array:
-        """d commanded / dx (n, n_dof, nx)."""
-        return self._commanded_slope(x, tool)[0]
 
     def frames(self, x: Array, tool: Array) -> tuple[Array, Array, Array]:
         """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx).

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oed import posterior
 from oed.accuracy import driven_errors, error_maps, predict
 from oed.estimation import identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
-from oed.posterior import log_density as laplace
 from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,13 +83,13 @@ def test_draws_follow_the_lost_directions() -> None:
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     y = bench.read(truth) + 0.5e-6 * rng.standard_normal(30)
     estimate = identify(m, bench.series, y, estimate_noise=True)
-    z = laplace.draw_coordinates(estimate, rng, 40_000)
+    z = posterior.draw_coordinates(estimate, rng, 40_000)
     of_law = estimate.noise_posterior
     assert of_law is not None
     sd = np.sqrt(np.diag(of_law.covariance))
     assert np.abs((z.mean(axis=0) - of_law.mean) / sd).max() < 0.1
     assert z.std(axis=0) == pytest.approx(sd, rel=0.15)
-    theta = laplace.draw_lost_directions(m, bench.series, y, estimate, z[:50], rng)
+    theta = posterior.draw_lost_directions(m, bench.series, y, estimate, z[:50], rng)
     straight = m.readings(bench.series, estimate.coordinates.to_theta(z[:50]))
     moved = np.abs(theta - estimate.coordinates.to_theta(z[:50])).max(axis=0)
     assert moved.max() > 1e-3

@@ -48,7 +48,7 @@ def test_a_step_solves_the_linearised_conditions(slope: float) -> None:
     """It keeps the sum of the weights, and both slacks linear in what changes."""
     _, _, p = problem()
     path = InteriorPath(p, slope, p.start, 0.5)
-    at = path.at
+    at = path.iterate
     low = p.white_base + np.einsum("c,ckn,ckm->nm", at.w, p.white, p.white)
     low -= at.t * p.square
     high = at.r * np.eye(N) - p.base
@@ -69,15 +69,15 @@ def test_a_step_solves_the_linearised_conditions(slope: float) -> None:
 def test_a_path_stays_feasible_and_raises_the_least_eigenvalue() -> None:
     rows, prior, p = problem(1)
     path = InteriorPath(p, 0.0, p.start, 0.5)
-    first = spectrum(rows, prior, path.at.w)[0]
+    first = spectrum(rows, prior, path.iterate.w)[0]
     for _ in range(30):
         if not path.step():
             break
-        w = path.at.w
+        w = path.iterate.w
         assert w.sum() == pytest.approx(SIZE)
         assert ((w > 0.0) & (w < 1.0)).all()
-        assert path.at.t <= spectrum(rows, prior, w)[0] * (1.0 + 1e-9)
-    assert spectrum(rows, prior, path.at.w)[0] > first
+        assert path.iterate.t <= spectrum(rows, prior, w)[0] * (1.0 + 1e-9)
+    assert spectrum(rows, prior, path.iterate.w)[0] > first
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -11,7 +11,7 @@ import pytest
 from oed.design import choose, choose_from_file, large, open_candidates
 from oed.design.large import NumpyCandidates
 
-SMALL = {"PART": 700, "SAMPLE": 400, "STEEPEST": 500}
+SMALL = {"CANDIDATES_AT_ONCE": 700, "SAMPLE_SIZE": 400, "STEEPEST_SIZE": 500}
 
 
 def _write(folder: Path, rows: np.ndarray) -> Path:

@@ -46,7 +46,7 @@ def test_other_streams_may_be_closed(tmp_path: Path) -> None:
     """Their numbers go to no file that is opened later."""
     code, out, _ = shell(f"{OED} list criteria <&- 2>&-", tmp_path)
     assert code == 0
-    assert out.startswith("D ")
+    assert out.startswith("A ")
     code, out, _ = shell(f"{OED} list nonsense 2>&-", tmp_path)
     assert (code, out) == (2, "")
     code, _, _ = shell(f"{OED} list criteria >&- 2>&-", tmp_path)

@@ -94,7 +94,7 @@ def test_a_view_shows_itself_as_html(estimate) -> None:
 
 
 def test_warnings_are_shown_and_escaped(estimate) -> None:
-    warned = type(estimate)(estimate.state.with_warnings("sd < 1 mm"))
+    warned = type(estimate)(estimate.state.add_warnings("sd < 1 mm"))
     assert "sd &lt; 1 mm" in warned._repr_html_()
 
 

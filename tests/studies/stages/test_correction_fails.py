@@ -23,7 +23,7 @@ def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
         correct, "estimate_with_effects", mock.MagicMock(side_effect=error)
     )
     state = mock.MagicMock(with_effects=())
-    state.with_warnings = lambda *warnings: warnings
+    state.add_warnings = lambda *warnings: warnings
     return state
 
 

@@ -105,13 +105,16 @@ def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
     result = result_of(raw)
     assert not list(breaches(result))
     contradicting = [
-        msgspec.structs.replace(curves[0], kind="spiral"),
         msgspec.structs.replace(curves[0], predicted=[]),
         msgspec.structs.replace(curves[0], compensated=[1.0]),
     ]
     for curve in contradicting:
         raw["estimate"]["runs"] = msgspec.to_builtins([curve])
         assert list(breaches(result_of(raw)))
+    unknown = msgspec.structs.replace(curves[0], kind="spiral")
+    raw["estimate"]["runs"] = msgspec.to_builtins([unknown])
+    with pytest.raises(msgspec.ValidationError, match="kind"):
+        result_of(raw)
     report = build_document(result)
     assert "run_curves" in report.images
     with style.applied():

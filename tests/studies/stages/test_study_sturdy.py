@@ -54,7 +54,8 @@ def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound()
     # the first scenario is the nominal machine: log phi = -log of the summed variance
     # there
     rows = small.rows(resolved)[design.choice.indices]
-    wanted = design.criteria.ingredients("I", resolved.measurement)["factor"]
+    gradients = design.criteria.ingredient("I", resolved.measurement)
+    wanted = gradients.reshape(-1, gradients.shape[2]) / np.sqrt(len(gradients))
     covariance = np.linalg.inv(np.eye(rows.shape[1]) + rows.T @ rows)
     assert robust.values[0] == pytest.approx(
         -np.log(np.trace(wanted @ covariance @ wanted.T)), abs=1e-9

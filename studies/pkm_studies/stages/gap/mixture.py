@@ -157,6 +157,24 @@ def _knowledge(
     )
 
 
+def _compensations(
+    known: ParameterKnowledge, best: BestAnswer, sent: Mapping[str, Array]
+) -> dict[str, ParameterKnowledge]:
+    """What is known where each set of parameters is sent, the best one with effects too."""
+    compensations = {
+        name: dataclasses.replace(known, sent=parameters)
+        for name, parameters in sent.items()
+    }
+    if best.corrected is not None and known.effects is not None:
+        of_best = best.corrected.estimate.theta[best.corrected.parameters :]
+        corrected = np.zeros(known.effects.draws.shape[1])
+        corrected[-len(of_best) :] = of_best
+        compensations[CompensationName.BEST_WITH_EFFECTS] = dataclasses.replace(
+            compensations[CompensationName.BEST], corrected=corrected
+        )
+    return compensations
+
+
 def _add_accuracy(
     section: MixtureSection,
     known: ParameterKnowledge,
@@ -178,19 +196,11 @@ def _add_accuracy(
     }
     if np.array_equal(best.plain, best.theta):
         del sent[CompensationName.PLAIN]
-    compensations = {
-        name: dataclasses.replace(known, sent=parameters)
-        for name, parameters in sent.items()
-    }
-    if best.corrected is not None and known.effects is not None:
-        of_best = best.corrected.estimate.theta[best.corrected.parameters :]
-        corrected = np.zeros(known.effects.draws.shape[1])
-        corrected[-len(of_best) :] = of_best
-        compensations[CompensationName.BEST_WITH_EFFECTS] = dataclasses.replace(
-            compensations[CompensationName.BEST], corrected=corrected
-        )
     judged = knowledge.compared(
-        compensations, use.command, use.reference, np.random.default_rng(seed)
+        _compensations(known, best, sent),
+        use.command,
+        use.reference,
+        np.random.default_rng(seed),
     )
     predicted = {name: result.prediction for name, result in judged.items()}
     before, after = (
