@@ -198,9 +198,9 @@ def _field_of(error: InputError, sizes: list[str]) -> str:
     if key != error.field:
         return GEOMETRY + key
     # a family names the size in its sentence: the first one that it names
-    phrase = re.findall(r"\w+", error.problem)
+    tokens = re.findall(r"\w+", error.problem)
     named = [
-        k for word in phrase for k in sizes if k == word or k.rpartition("_")[0] == word
+        k for word in tokens for k in sizes if k == word or k.rpartition("_")[0] == word
     ]
     return GEOMETRY + named[0] if named else "machine"
 

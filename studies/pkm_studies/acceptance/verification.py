@@ -58,9 +58,9 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
         values = table.numbers(column)
         errors[name] = _values_by_pose(values, target, len(section.poses))
         unit = section.components[name].unit
-        component_label = positioning(values, target, direction, unit)
-        if component_label is not None:
-            figures[name] = component_label
+        positioning_figures = positioning(values, target, direction, unit)
+        if positioning_figures is not None:
+            figures[name] = positioning_figures
     components = judge(errors, section.components)
     further = _further(section, table, target)
     every = (*components.values(), *further.values())

@@ -64,9 +64,9 @@ def trace_columns(
             problem = "the file has no such column"
             raise field.error(problem, f"the file has {remedy}", source)
     stems = {name.rpartition("_")[0] for name in columns}
-    for quantity, (phrase, unit) in WORDS.items():
+    for quantity, (labels, unit) in WORDS.items():
         for header in table.header:
-            if quantity not in stems and any(w in header.lower() for w in phrase):
+            if quantity not in stems and any(w in header.lower() for w in labels):
                 columns[f"{quantity}_{_unit_in(header, quantity) or unit}"] = header
                 stems.add(quantity)
     _check_single(columns, mapping, table, location)
@@ -88,8 +88,8 @@ def _check_single(
     if any(name.startswith("deviation") for name in mapping.columns):
         return
     others = [h for h in table.header if h not in columns.values()]
-    phrase, _ = WORDS["deviation"]
-    second = [h for h in others if any(w in h.lower() for w in phrase)]
+    labels, _ = WORDS["deviation"]
+    second = [h for h in others if any(w in h.lower() for w in labels)]
     if second:
         raise location.key("columns").error(
             f"two columns of deviations: {second[0]} as well",
@@ -101,12 +101,12 @@ def _check_single(
 def _unit_in(header: str, quantity: str) -> str | None:
     """The unit that a header names, as in `Deviation (um)`."""
     text = header.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b0", "deg")
-    phrase = "".join(c if c.isalnum() else " " for c in text).split()[1:]
+    tokens = "".join(c if c.isalnum() else " " for c in text).split()[1:]
     wanted = QUANTITIES[quantity]
-    number_text = [w for w in phrase if units.UNITS.get(w, ("", 0.0))[0] == wanted]
+    candidates = [w for w in tokens if units.UNITS.get(w, ("", 0.0))[0] == wanted]
     # "in" is a word as well: another unit goes before it
-    number_text.sort(key=lambda word: word == "in")
-    return number_text[0] if number_text else None
+    candidates.sort(key=lambda word: word == "in")
+    return candidates[0] if candidates else None
 
 
 def traces(

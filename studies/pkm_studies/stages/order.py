@@ -48,7 +48,7 @@ from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_
 from pkm_studies.stages.steps.mixture import mix_answers
 from pkm_studies.stages.steps.prediction import predict_accuracy, predict_held_out
 from pkm_studies.stages.steps.readings import (
-    planned_series,
+    plan_readings,
     simulate_readings,
     take_readings,
     take_recorded,
@@ -69,10 +69,10 @@ def steps_to_readings(readings_given: bool) -> list[Step]:
     return [select_design, *planning, take_readings]
 
 
-def steps_of_diagnosis(recorded: bool) -> list[Step]:
+def steps_of_diagnosis(is_recorded: bool) -> list[Step]:
     """From a study to the diagnosis of its readings; recorded ones need no plan."""
     return [
-        *_unless(recorded, select_design, plan_stages),
+        *_unless(is_recorded, select_design, plan_stages),
         take_readings,
         check_readings,
         analyse_identifiability,
@@ -112,9 +112,7 @@ def designed(study: Study, seed: int | None) -> Scheduled:
         raise study.location.key("design").error(
             "the study has no candidates to choose from", "add [[design.candidates]]"
         )
-    readings = Readings(series=state.design.series)
-    scheduled = promote(Scheduled, state, readings=readings)
-    return report_design(analyse_identifiability(scheduled))
+    return report_design(analyse_identifiability(plan_readings(state)))
 
 
 def recorded(study: Study, files: Sequence[Path] | None) -> Measured:
@@ -140,8 +138,12 @@ def simulated(source: Study | RunState) -> Measured:
     """The state with readings of a virtual machine at the planned poses."""
     if isinstance(source, RunState):
         return take_simulated(source)
-    state = select_design(start(source, None, Silent(), []))
-    return take_simulated(plan_stages(state))
+    return take_simulated(planned_state(source, None))
+
+
+def planned_state(study: Study, seed: int | None) -> RunState:
+    """The state with what the study plans, design or stages, and no readings."""
+    return plan_stages(select_design(start(study, seed, Silent(), [])))
 
 
 class VirtualFit(NamedTuple):
@@ -154,9 +156,7 @@ class VirtualFit(NamedTuple):
 
 def scheduled(study: Study) -> Scheduled:
     """The state with the poses that a virtual machine is read at, as planned."""
-    state = plan_stages(select_design(start(study, None, Silent(), [])))
-    readings = Readings(series=planned_series(state))
-    return promote(Scheduled, state, readings=readings)
+    return plan_readings(planned_state(study, None))
 
 
 def virtual_fit(state: Scheduled) -> VirtualFit:
@@ -174,8 +174,7 @@ def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
 
     theta  (n,) parameters where the fit begins, SI; nominal by default
     """
-    checked = analyse_identifiability(check_readings(state))
-    return fit_parameters(checked, theta)
+    return fit_parameters(analyse_identifiability(check_readings(state)), theta)
 
 
 def diagnosed(state: Fitted) -> Fitted:
@@ -206,16 +205,16 @@ def planned(
         request = earlier.plan
     state, outcome = plan_measurements(state, request, earlier)
     readings = Readings(series=outcome.series)
-    scheduled = promote(Scheduled, state, readings=readings)
-    scheduled = analyse_identifiability(scheduled)
-    if scheduled.identifiability is not None:
-        measurement = scheduled.identifiability.measurement
-        scheduled = scheduled.replace(measurement=measurement)
-    scheduled = draw_machine(scheduled)
-    cause = scheduled.resolved.gap_design
+    of_plan = promote(Scheduled, state, readings=readings)
+    of_plan = analyse_identifiability(of_plan)
+    if of_plan.identifiability is not None:
+        measurement = of_plan.identifiability.measurement
+        of_plan = of_plan.replace(measurement=measurement)
+    of_plan = draw_machine(of_plan)
+    cause = of_plan.resolved.gap_design
     if cause is not None and cause.follows_plan:
-        return preview_gap(scheduled)
-    return scheduled
+        return preview_gap(of_plan)
+    return of_plan
 
 
 def result_so_far(state: Scheduled) -> StudyResult:
@@ -229,7 +228,7 @@ def assemble_result(state: RunState) -> StudyResult:
     info = describe.add_earlier_sessions(
         describe.machine_info(machine), state.study, state.resolved.measurement
     )
-    recorded = state.resolved.dataset is not None
+    is_recorded = state.resolved.dataset is not None
     series = state.readings.series if isinstance(state, Scheduled) else ()
     readings: list[str] = []
     if isinstance(state, Measured):
@@ -242,7 +241,7 @@ def assemble_result(state: RunState) -> StudyResult:
         setups=[describe.setup_info(machine, setup, series) for setup in setups],
         versions=describe.package_versions(),
         verdicts=accuracy_verdicts(state.result),
-        headline=headline.sentences(state.result, recorded, info),
+        headline=headline.sentences(state.result, is_recorded, info),
         warnings=list(dict.fromkeys(state.warnings)),
     )
 

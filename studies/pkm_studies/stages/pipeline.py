@@ -18,7 +18,6 @@ from pkm_studies.stages import order, run_files
 from pkm_studies.stages.plan.earlier import stored_knowledge
 from pkm_studies.stages.run_state import RunState, Scheduled, start
 from pkm_studies.stages.session_files import add_sessions
-from pkm_studies.stages.steps.design import plan_stages, select_design
 from pkm_studies.stages.steps.forecast import forecast_errors
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import Study
@@ -155,8 +154,7 @@ def simulate_study(
     """
     for path in (out, _truth_path(out)):
         files.check_new(path)
-    state = start(study, seed, Silent(), [])
-    state = plan_stages(select_design(state))
+    state = order.planned_state(study, seed)
     virtual = simulate_readings(state, planned_series(state))
     readings, measurement = virtual.readings, state.measurement
     covariates = readings.covariates

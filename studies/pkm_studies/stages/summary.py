@@ -141,17 +141,17 @@ def lines(
     tabled = headline.accuracy_sentences(result)
     if above and result.plan is not None:
         tabled += [*plan_sentences(result.plan)[:1], " ".join(result.plan.needs)]
-    findings = [phrases for phrases in result.headline if phrases not in tabled]
+    findings = [sentence for sentence in result.headline if sentence not in tabled]
     rest = [*_warnings(result, folder), *_files(result, folder)]
     claims = [f"Claim {outcome.verdict(claim)}" for claim in result.claims]
     if verbose:
         return [*table, *findings, *rest, *claims]
     details = headline.detail_sentences(result)
-    shown = [phrases for phrases in findings if phrases not in details]
+    shown = [sentence for sentence in findings if sentence not in details]
     rest = [*_held_out(result), *rest, *_claims(result)]
     if _height([*table, *shown, *rest]) >= MOST_LINES:
         residuals = headline.fit_sentences(result)
-        shown = [phrases for phrases in shown if phrases not in residuals]
+        shown = [sentence for sentence in shown if sentence not in residuals]
     complete = len(findings) == len(shown) and not above and not result.claims
     more = [] if complete else ["--verbose prints every sentence and claim."]
     return [*table, *shown, *rest, *more]
@@ -180,9 +180,11 @@ def _held_out(result: StudyResult) -> list[str]:
 
 def _warnings(result: StudyResult, folder: Path) -> list[str]:
     """Warnings that the headline does not state, and files that stay."""
-    stated = [phrases for phrases in result.warnings if phrases not in result.headline]
+    stated = [
+        sentence for sentence in result.warnings if sentence not in result.headline
+    ]
     sentences = [*stated, *result_folder.changed_files(folder)]
-    return [f"Warning: {_sentence(phrases)}" for phrases in sentences]
+    return [f"Warning: {_sentence(sentence)}" for sentence in sentences]
 
 
 def _files(result: StudyResult, folder: Path) -> list[str]:

@@ -138,11 +138,11 @@ def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -
         best(residual, slopes), abs=1e-4
     )
     every = list(trials(given))
-    value_doubts = next(t for t in every if t.kind == "sign")
+    of_values = next(t for t in every if t.kind == "sign")
     of_poses = next(t for t in every if t.kind == "pose" and t.table is not None)
-    scores = screen.scores([value_doubts, of_poses])
-    assert value_doubts.y is not None
-    moved = (value_doubts.y - given.predicted) / 0.5e-6
+    scores = screen.scores([of_values, of_poses])
+    assert of_values.y is not None
+    moved = (of_values.y - given.predicted) / 0.5e-6
     assert scores[0].log_evidence == pytest.approx(best(moved, slopes), rel=1e-6)
     assert of_poses.table is not None
     elsewhere = (bar.y - of_poses.table.predicted) / 0.5e-6

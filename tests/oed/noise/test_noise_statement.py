@@ -118,8 +118,8 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     y = np.random.default_rng(0).standard_normal((24, 2))
     gram = law.whitening(structure).gram(structure.standardise(y))[0]
     assert gram == pytest.approx(y.T @ np.linalg.solve(exact, y), rel=1e-9)
-    budget_share = budget_model(m, [series], m.nominal).readings
-    whole = budget_share.weigh(exact / SIGMA**2, {})
+    of_budget = budget_model(m, [series], m.nominal).readings
+    whole = of_budget.weigh(exact / SIGMA**2, {})
     assert whole == pytest.approx(np.eye(24), abs=1e-8)
 
 

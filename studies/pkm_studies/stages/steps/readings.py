@@ -40,6 +40,11 @@ def take_readings(state: RunState) -> Scheduled:
         return take_recorded(state, data)
     if state.study.readings is not None:
         return take_simulated(state)
+    return plan_readings(state)
+
+
+def plan_readings(state: RunState) -> Scheduled:
+    """Plan the readings: their poses, without values."""
     return promote(Scheduled, state, readings=Readings(series=planned_series(state)))
 
 
