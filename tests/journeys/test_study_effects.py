@@ -141,7 +141,7 @@ def with_wrong_scale(folder: Path, effects: str) -> tuple[dict[str, Any], int]:
 
 
 #: effects that compete for a leg's scale; the nightly run allows the whole catalogue
-FEW = '["encoder_scale", "gravity"]'
+FEW = '["encoder_scale", "pitch_accumulation", "backlash", "gravity"]'
 
 
 @pytest.fixture(
