@@ -9,9 +9,8 @@
 Problem A is in `peers.py`, with the other packages' adapters. Values are
 computed here, from the rows that a package returns. Seconds are processor time on one
 thread, of the choice alone, without imports: medians of three runs for this project,
-one run for the others. A ratio is to this project's best row of the problem. The
-table of docs/benchmarks/design.md holds the best row of each package, and what was
-stopped.
+one run for the others. A ratio is to this project's best row of the problem.
+docs/benchmarks/design.md has the best row of each package.
 
 Problems C0 to C2 (`hexapod.py`, three instances) choose 10 of 2000 poses of a hexapod
 with 42 parameters by D, without a prior. A pose gives six correlated readings. The 60

@@ -1,7 +1,7 @@
 """`oed next` against the fixed plan, over virtual machines.
 
     PYTHONPATH=. oed campaign --allow-code benchmarks/next_reading.campaign.toml
-    python -m benchmarks.next_reading --page docs/howto/next.md
+    python -m benchmarks.next_reading
 
 Each machine is drawn from the tolerances and read with noise, one reading after another,
 always the one that is advised, until the advice is to stop: once every component is as

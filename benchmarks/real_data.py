@@ -1,6 +1,6 @@
 """A board of real machines: what a calibration predicts of readings that it did not see.
 
-    python -m benchmarks.real_data --data ../shared/data --out docs/benchmarks/real_data.md
+    python -m benchmarks.real_data --data ../shared/data --out out/real_data.md
 
 Plain least squares, beside it, is that of SciPy: the same parameters, readings over their
 stated noise, no tolerances, from nominal. Of held-out readings each set-up's own unknowns
@@ -360,7 +360,7 @@ HEAD = """\
 What does a calibration predict of readings of a real machine that it did not see? This page is written by
 
 ```console
-$ python -m benchmarks.real_data --data ../shared/data --out docs/benchmarks/real_data.md
+$ python -m benchmarks.real_data --data ../shared/data --out out/real_data.md
 ```
 
 No data are in the project: fetch them as the second table says, and name their folder. An entry whose data are absent

@@ -1,7 +1,7 @@
 """Which intervals of virtual machines hold the truth, by machine and noise.
 
     PYTHONPATH=. oed campaign --allow-code benchmarks/coverage.campaign.toml
-    python -m benchmarks.harness coverage --page docs/benchmarks/coverage.md
+    python -m benchmarks.harness coverage
 
 A machine is read by the oracle, identified, and compared with the truth. A combination's
 true value is the one that gives the oracle's readings without noise, with the lost

@@ -1,7 +1,7 @@
 """Simulation-based calibration: ranks of the truth among posterior draws.
 
     PYTHONPATH=. oed campaign --allow-code benchmarks/ranks.campaign.toml
-    python -m benchmarks.harness ranks --page docs/benchmarks/coverage.md
+    python -m benchmarks.harness ranks
 
 Parameters are drawn from the tolerances and a noise law from its prior; the oracle
 reads the machine and the law disturbs the readings. Then the rank of each truth among

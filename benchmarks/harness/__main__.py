@@ -1,7 +1,7 @@
 """The table of a campaign, printed or written into a page.
 
     python -m benchmarks.harness NAME
-    python -m benchmarks.harness NAME --page docs/benchmarks/NAME.md
+    python -m benchmarks.harness NAME --page PAGE.md  # between its marks
 
 The campaign `benchmarks/NAME.campaign.toml` comes first, see `benchmarks.harness`.
 """
