@@ -98,7 +98,7 @@ def test_the_cut_off_of_the_linear_one_is_predicted(
 def test_table_3_at_35_degrees_and_100_mm_before_and_after() -> None:
     """Predicted from the slopes or through the closure, realised by the oracle.
 
-    `docs/howto/compensate.md` compares with the printed Table 4.
+    `docs/errata.md` compares with the printed Table 4.
     """
     model = error_model(A3, CIRCLE)
     predicted = (A3.error_components_jacobian(CIRCLE) @ model.raw @ TABLE3)[:, 2:5]
