@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from typing import NamedTuple
 import pytest
 
 from pkm_studies.commands import main
+from pkm_studies.study import SCHEMAS, from_tables
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"
@@ -55,6 +57,7 @@ GALLERY = sorted(
 LONG = {"a3_gap"}
 BLOCK = re.compile(r"^```(\w+)(?: file=(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)")
+CODE_SPAN = re.compile(r"`[^`\n]+`")
 LARGEST = 60_000  # bytes of a picture
 
 
@@ -277,3 +280,49 @@ def test_every_test_that_the_errata_name_exists() -> None:
         if f"def {name}(" not in (DOCS.parent / path).read_text(encoding="utf-8")
     ]
     assert not missing_tests
+
+
+# -- fields of a study -----------------------------------------------------------------
+
+
+def pages() -> list[Path]:
+    """The pages that somebody wrote."""
+    written_by_sphinx = {DOCS / "reference" / "generated", DOCS / "reference" / "api"}
+    return [
+        page for page in DOCS.rglob("*.md") if not written_by_sphinx & {*page.parents}
+    ]
+
+
+def code_of(page: Path) -> str:
+    """What a page writes as code, in blocks and within sentences."""
+    text = page.read_text(encoding="utf-8")
+    fenced = [block.text for block in blocks(page)]
+    return "\n".join([*fenced, *CODE_SPAN.findall(BLOCK.sub("", text))])
+
+
+def test_each_field_of_a_study_stands_on_a_page() -> None:
+    words = set(re.findall(r"\w+", "\n".join(code_of(page) for page in pages())))
+    tables = SCHEMAS["study"]()["$defs"]
+    fields = {
+        f"{table}.{field}"
+        for table, definition in tables.items()
+        for field in definition.get("properties", {})
+    }
+    absent = {name for name in fields if name.partition(".")[2] not in words}
+    assert not absent
+
+
+OPTIONS = DOCS / "reference" / "options.md"
+HEAD = {
+    "schema": 1,
+    "name": "options",
+    "machine": {"model": "a3_head"},
+    "setup": [{"name": "cup", "instrument": "ball_bar"}],
+}
+
+
+@pytest.mark.parametrize(
+    "text", [b.text for b in blocks(OPTIONS) if b.language == "toml"]
+)
+def test_the_examples_of_options_are_tables_of_a_study(text: str) -> None:
+    from_tables(HEAD | tomllib.loads(text), OPTIONS)
