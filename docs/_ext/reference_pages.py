@@ -6,6 +6,7 @@ accepts. The pages are written into `reference/generated` before Sphinx reads.
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import subprocess
@@ -20,6 +21,8 @@ FOLDER = Path("reference", "generated")
 #: how a description names its table: [design], [[setup]]
 TABLE = re.compile(r"(\[\[?[\w.]+\]\]?)")
 KINDS = ("machines", "instruments", "effects", "criteria")
+#: columns of effects beside those of all kinds
+OF_EFFECTS = ["needs", "what shows it"]
 
 
 def answer(*arguments: str) -> Any:
@@ -110,14 +113,25 @@ def catalogue_page() -> str:
     """Machines, instruments, effects and criteria with their sources."""
     lines = [*heading("Catalogue", "="), "What ``oed list`` prints, with sources.", ""]
     for kind in KINDS:
+        further = OF_EFFECTS if kind == "effects" else []
         rows = []
         for entry in answer("list", kind, "--json"):
-            about, source = entry["about"], entry["source"]
-            texts = [plain_docstrings.inline(text) for text in (about, source)]
-            rows.append([f"``{entry['name']}``", *texts])
+            texts = [entry["about"], *further_cells(entry, further), entry["source"]]
+            cells = [plain_docstrings.inline(text) for text in texts]
+            rows.append([f"``{entry['name']}``", *cells])
         lines += heading(kind.capitalize(), "-")
-        lines += cell_table(["name", "what it is", "source"], rows)
+        header = ["name", "what it is", *further, "source"]
+        lines += cell_table(header, rows)
     return "\n".join([*lines, *column_tables()])
+
+
+def further_cells(entry: dict[str, Any], further: list[str]) -> list[str]:
+    """What the readings must record, and the readings that show it; for effects."""
+    if not further:
+        return []
+    module, _, name = entry["where"].partition(":")
+    effect = getattr(importlib.import_module(module), name)
+    return [", ".join(effect.needs), effect.exposed_by]
 
 
 def column_tables() -> list[str]:

@@ -81,9 +81,7 @@ def test_no_false_alarm(machine: str, law: str, seeds: range) -> None:
 
 
 def test_the_page_lists_every_blunder() -> None:
-    rows = page_rows()
-    assert [int(number) for number, *_ in rows] == list(range(1, len(CHANGES) + 1))
-    assert {name for _, name, *_ in rows} == CHANGES.keys()
+    assert sorted(name for name, *_ in page_rows()) == sorted(CHANGES)
     assert CHANGES.keys() >= ROWS.keys()
 
 
