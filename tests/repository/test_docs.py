@@ -312,17 +312,24 @@ def test_each_field_of_a_study_stands_on_a_page() -> None:
     assert not absent
 
 
-OPTIONS = DOCS / "reference" / "options.md"
-HEAD = {
+#: what an example leaves out of its study
+REST = {
     "schema": 1,
-    "name": "options",
-    "machine": {"model": "a3_head"},
+    "name": "example",
     "setup": [{"name": "cup", "instrument": "ball_bar"}],
 }
 
 
-@pytest.mark.parametrize(
-    "text", [b.text for b in blocks(OPTIONS) if b.language == "toml"]
-)
-def test_the_examples_of_options_are_tables_of_a_study(text: str) -> None:
-    from_tables(HEAD | tomllib.loads(text), OPTIONS)
+def test_examples_are_tables_of_a_study() -> None:
+    tables = SCHEMAS["study"]()["$defs"]["StudyFile"]["properties"]
+    read = 0
+    for page in pages():
+        for block in blocks(page):
+            if block.language != "toml" or block.file:
+                continue
+            example = tomllib.loads(block.text)
+            if example.keys() <= tables.keys():
+                machine = {"model": "a3_head"} | example.pop("machine", {})
+                from_tables(REST | example | {"machine": machine}, page.parent)
+                read += 1
+    assert read > 20
