@@ -7,11 +7,11 @@ first order,
     e = R dp_hat + A delta        (R: `remaining`, A: `raw` of the error model).
 
 Compensatable components keep only A delta. The others keep R dp_hat as well, which is
-known: a further axis (an X-Y table) can correct it, and then A delta remains there too.
+known: an additional axis (an X-Y table) can correct it, and then A delta remains there too.
 Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
 tolerances).
 
-Figures of drawn machines have the standard errors that their number leaves: another
+Figures of drawn machines carry Monte Carlo standard errors: another
 sample of machines has other quantiles and means of squares. A report prints no more
 digits than the errors here allow.
 """
@@ -116,7 +116,7 @@ class Prediction:
     names            (k,) of the components
     before           {component: Spread} without compensation
     after            {component: Spread} after compensation
-    fully_corrected  {component: Spread} once a further axis corrects all that is known
+    fully_corrected  {component: Spread} once an additional axis corrects all that is known
     sd_before        (n, k) root mean square error at each pose before, SI
     sd_after         (n, k) the same after
     """

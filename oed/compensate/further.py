@@ -1,4 +1,4 @@
-"""Offsets for further axes: known pose errors that no joint of the machine corrects.
+"""Offsets for additional axes: known pose errors that no joint of the machine corrects.
 
 A machine that drives z and two tilts leaves errors in x, in y and about the tool axis.
 With the joints at what compensation gives, they are known as well as the parameters are,
@@ -56,7 +56,7 @@ class FurtherAxes:
 
         parameters  (np,) identified, which the joints compensate
 
-        A further axis takes them back. Raises AssemblyError.
+        A additional axis takes them back. Raises AssemblyError.
         """
         joints = compensated_joints(self.kinematics, command, parameters)
         twist = pose_error(self.kinematics, command, joints, parameters)

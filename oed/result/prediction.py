@@ -21,7 +21,7 @@ class PromiseRecord(Record, frozen=True):
                  below with a probability of 5 %; null where the test cannot confirm
     power        probability that a machine which misses the promise is caught
     uncertainty  standard uncertainty of one measured error
-    without      rms error over the workspace without further axes, where no drive
+    without      rms error over the workspace without additional axes, where no drive
                  corrects the component
     """
 
@@ -63,7 +63,7 @@ class AcceptanceSection(Record, frozen=True):
 class VerdictRecord(Record, frozen=True):
     """The judgement of one pose component, in `unit`.
 
-    Of what no drive corrects, rms and max are those with further axes, and `without`
+    Of what no drive corrects, rms and max are those with additional axes, and `without`
     the rms error without them. `passed` holds where the verdict is pass; `probability` is
     that of a true rms error within the promise, at the measured poses.
     """
@@ -292,8 +292,8 @@ class BudgetSection(Record, frozen=True):
     """Sources of the errors that remain, each component in its fine unit.
 
     predicted   rms error that the lines add up to; of what no drive corrects, with
-                further axes that take the known error back
-    no_axes     rms error of what no drive corrects, without further axes
+                additional axes that take the known error back
+    no_axes     rms error of what no drive corrects, without additional axes
     lines       of what the prediction contains
     unmodelled  effects that it does not contain, at their expected sizes, the one that
                 adds most first

@@ -107,11 +107,15 @@ Block = Paragraph | Notice | Items | Facts | Code | Table | Picture
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter of one report, with its content."""
+    """A chapter of one report, with its content.
+
+    printed    what a short print has of it; all of it where None
+    """
 
     anchor: str
     title: str
     blocks: Sequence[Block]
+    printed: Sequence[Block] | None = None
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -119,15 +123,19 @@ class Chapter:
     """A chapter that a report can have: where it links to, and what fills it.
 
     A chapter that applies to nothing in the result has no blocks, and is not shown.
+    Most chapters are for the screen: `printed` gives what a short print has of one.
     """
 
     anchor: str
     title: str
     blocks: Callable[[StudyResult], list[Block]]
+    printed: Callable[[StudyResult], list[Block]] = lambda _: []
 
     def section(self, result: StudyResult) -> Section:
         """The chapter of one result."""
-        return Section(self.anchor, self.title, self.blocks(result))
+        blocks = self.blocks(result)
+        printed = self.printed(result) if blocks else []
+        return Section(self.anchor, self.title, blocks, printed)
 
 
 def text_columns(*titles: str) -> list[TableColumn]:

@@ -10,25 +10,39 @@ from pkm_reports.page import Document, build_document, render_html, render_pdf
 
 
 def write_report(
-    result: StudyResult, out: Path, *, html: bool = True, pdf: bool = True
+    result: StudyResult,
+    out: Path,
+    *,
+    html: bool = True,
+    pdf: bool = True,
+    full: bool = False,
 ) -> tuple[Path, ...]:
     """Write `report.html` and `report.pdf`, or one of them, into the folder `out`.
+
+    The PDF is a print of at most some four pages; `full`, it has all that the HTML has.
 
     The folder is created where it is missing. Files appear complete or not at all. One
     that the user changed stays, and the new one gets a number. Returns the paths, HTML
     first. Raises OSError where the folder cannot be written.
     """
-    return write_document(build_document(result), out, "report", html=html, pdf=pdf)
+    document = build_document(result)
+    return write_document(document, out, "report", html=html, pdf=pdf, full=full)
 
 
 def write_document(
-    report: Document, out: Path, name: str, *, html: bool = True, pdf: bool = True
+    report: Document,
+    out: Path,
+    name: str,
+    *,
+    html: bool = True,
+    pdf: bool = True,
+    full: bool = False,
 ) -> tuple[Path, ...]:
     """Write a document as `NAME.html` and `NAME.pdf` into the folder `out`."""
     pages: dict[str, bytes] = {}
     if html:
         pages[f"{name}.html"] = render_html(report)
     if pdf:
-        pages[f"{name}.pdf"] = render_pdf(report)
+        pages[f"{name}.pdf"] = render_pdf(report, full=full)
     out.mkdir(parents=True, exist_ok=True)
     return tuple(write_own(out / file, page) for file, page in pages.items())

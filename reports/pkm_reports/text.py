@@ -261,6 +261,11 @@ def listing(items: Iterable[str], most: int = 12) -> str:
     return toolkit_text.join_words(names)
 
 
+def plain(phrase: str) -> str:
+    """A phrase without typographic spaces and signs, for a terminal."""
+    return phrase.replace(NO_BREAK, " ").replace(MINUS, "-").replace("µ", "u")
+
+
 def cleaned(phrase: str) -> str:
     """Text without control characters and lone surrogates."""
     visible = phrase.translate(INVISIBLE)

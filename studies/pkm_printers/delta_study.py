@@ -193,6 +193,13 @@ class DeltaStudy:
     predict: Sequence[str] = ()
     has_probe: bool = True
 
+    @property
+    def title(self) -> str:
+        """The title of the report; Klipper's printer.cfg names nothing."""
+        return (
+            "Delta printer" if self.name == "printer" else f"Delta printer {self.name}"
+        )
+
     def text(self) -> str:
         """The text of the study."""
         fixed = (*self.fixed, *self.geometry.further_fixed)
@@ -208,7 +215,7 @@ class DeltaStudy:
 {words.comments(self.accounts)}
 schema = 1
 name = "{self.name}"
-title = "Delta printer {self.name}"
+title = "{self.title}"
 question = "What do the readings say about the geometry, and how accurate is it then?"
 seed = 1
 

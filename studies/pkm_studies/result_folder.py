@@ -111,9 +111,10 @@ def written_before(folder: Path) -> list[str]:
 
 
 def write_report(
-    folder: Path, *, html: bool = True, pdf: bool = True
+    folder: Path, *, html: bool = True, pdf: bool = True, full: bool = False
 ) -> tuple[Path, ...]:
-    """HTML and PDF reports of the result in a folder; their paths."""
+    """HTML and PDF reports of the result in a folder, the PDF short or in full; paths."""
     from pkm_reports import write_report
 
-    return write_report(load_result(folder), folder, html=html, pdf=pdf)
+    result = load_result(folder)
+    return write_report(result, folder, html=html, pdf=pdf, full=full)

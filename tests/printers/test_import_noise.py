@@ -80,7 +80,7 @@ def test_an_assumed_noise_is_said_first(tmp_path: Path) -> None:
         sentence = "The noise of the readings (height 100 um) is an assumption"
         assert headline[0].startswith(sentence) == said
     page = (tmp_path / "7" / "r" / "report.html").read_text("utf-8")
-    assert "is an assumption" in page.split('id="warnings"')[1][:1000]
+    assert "is an assumption" in page.split('id="short"')[1][:1000]
 
 
 # -- readings that an importer wrote itself ---------------------------------------------

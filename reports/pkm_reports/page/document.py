@@ -146,9 +146,14 @@ class Page:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Document:
-    """The text of a report, its images by name, and what its views show."""
+    """The text of a report, its images by name, and what its views show.
+
+    page       all of it, for the screen
+    printed    what a short print has
+    """
 
     page: Page
+    printed: Page
     images: dict[str, style.Image]
     view: PageView | None
 
@@ -157,13 +162,13 @@ class Document:
 class Numbering:
     """Running numbers of figures and tables, and the images drawn so far."""
 
+    images: dict[str, style.Image]
     figures: Iterator[int] = dataclasses.field(
         default_factory=lambda: itertools.count(1)
     )
     tables: Iterator[int] = dataclasses.field(
         default_factory=lambda: itertools.count(1)
     )
-    images: dict[str, style.Image] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -201,20 +206,26 @@ def build_document(result: StudyResult) -> Document:
 
 def assembled(content: Content, view: PageView | None = None) -> Document:
     """The document of a report: its blocks numbered, its pictures drawn."""
-    numbering = Numbering()
+    images: dict[str, style.Image] = {}
     with style.applied():
-        parts = [
-            AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
-            for part in content.answer
-        ]
-        numbered = [
-            _chapter(number, section, numbering)
-            for number, section in (
-                *zip(map(str, itertools.count(1)), content.chapters, strict=False),
-                *zip(string.ascii_uppercase, content.appendix, strict=False),
-            )
-        ]
-    page = Page(
+        page = _page(content, Numbering(images))
+        printed = _page(_printed(content), Numbering(images))
+    return Document(page, printed, images, view)
+
+
+def _page(content: Content, numbering: Numbering) -> Page:
+    parts = [
+        AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
+        for part in content.answer
+    ]
+    numbered = [
+        _chapter(number, section, numbering)
+        for number, section in (
+            *zip(map(str, itertools.count(1)), content.chapters, strict=False),
+            *zip(string.ascii_uppercase, content.appendix, strict=False),
+        )
+    ]
+    return Page(
         title=text.cleaned(content.title),
         question=text.cleaned(content.question),
         study=text.cleaned(content.study),
@@ -224,7 +235,24 @@ def assembled(content: Content, view: PageView | None = None) -> Document:
         sections=numbered,
         appendix=len(content.chapters),
     )
-    return Document(page, numbering.images, view)
+
+
+def _printed(content: Content) -> Content:
+    """What a short print has of a report; it names the chapters that it leaves out."""
+    chapters, absent = [], []
+    for section in (*content.chapters, *content.appendix):
+        if section.printed is None:
+            chapters.append(section)
+        elif section.printed:
+            chapters.append(dataclasses.replace(section, blocks=section.printed))
+        if section.printed is not None and section.printed != section.blocks:
+            absent.append(section.title)
+    if absent:
+        words = (
+            f"report.html has the whole of these: {text.listing(absent, len(absent))}."
+        )
+        chapters.append(Section("more", "More on the screen", [Paragraph(words)]))
+    return dataclasses.replace(content, chapters=chapters, appendix=[])
 
 
 def footer(result: StudyResult) -> str:
@@ -247,7 +275,7 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
         case Table():
             return _table(block, next(numbering.tables))
         case Picture():
-            image = drawn_image(block)
+            image = numbering.images.get(block.name) or drawn_image(block)
             numbering.images[block.name] = image
             return _picture(block, next(numbering.figures), image)
         case Items():

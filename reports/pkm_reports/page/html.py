@@ -26,6 +26,8 @@ def render_html(document: Document) -> bytes:
     view = "" if document.view is None else encoded_view(document.view)
     page = _template().render(
         doc=document.page,
+        # Without a first page there is nothing to read before the chapters.
+        opened=not document.page.answer,
         images=document.images,
         view=view,
         script=_script(),

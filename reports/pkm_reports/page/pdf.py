@@ -15,13 +15,14 @@ from pkm_reports.style import Image
 POINTS_PER_INCH = 72.0
 
 
-def render_pdf(document: Document) -> bytes:
-    """The bytes of the PDF; the same document gives the same bytes.
+def render_pdf(document: Document, *, full: bool = False) -> bytes:
+    """The bytes of the PDF, of a short print or in full; the same document gives the same.
 
     Text reaches typst as JSON, hence as strings that it never reads as markup.
     """
+    page = document.page if full else document.printed
     images = {f"{name}.svg": _svg(image) for name, image in document.images.items()}
-    encoded = msgspec.json.encode(document.page)
+    encoded = msgspec.json.encode(page)
     return compile_typst("report.typ", {"report.json": encoded, **images})
 
 

@@ -98,14 +98,14 @@ def write_sheet(
 def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
     """The sheet as text: stages of tables."""
     settings = {setup.name: _settings(setup) for setup in result.setups}
-    stages, room = [], MOST_ROWS
+    stages, room, also = [], MOST_ROWS, _covariates(result)
     for title, setups in _stages(result, poses):
         tables = []
         for name in setups:
             of_setup = [pose for pose in poses if pose.setup == name]
             shown = of_setup[: max(room, 0)]
             room -= len(shown)
-            table = _table(name, settings, shown, len(of_setup))
+            table = _table(name, settings, shown, len(of_setup), also)
             tables.append(table)
         stages.append(SheetStage(text.cleaned(title), tables))
     return Sheet(
@@ -147,8 +147,9 @@ def _table(
     settings: Mapping[str, str],
     poses: Sequence[PlannedReading],
     count: int,
+    covariates: Sequence[str],
 ) -> SheetTable:
-    """One set-up with the poses shown, out of `count`."""
+    """One set-up with the poses shown, out of `count`; cells for readings and covariates."""
     channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
     channels = channels or ["reading"]
     titles, cells = ["No."], [[str(k) for k in range(1, len(poses) + 1)]]
@@ -164,15 +165,16 @@ def _table(
     for key in dict.fromkeys(key for values in named for key in values):
         titles.append(text.heading(key))
         cells.append(text.aligned(missing.column(named, key), most=3))
-    titles += [text.heading(key) for key in channels]
-    empty = [""] * len(channels)
+    written = [*map(text.heading, channels), *covariates]
+    titles += written
+    empty = [""] * len(written)
     rows = [[*row, *empty] for row in zip(*cells, strict=True)]
     per_part = _rows_per_part(len(rows), len(titles) + len(channels))
     return SheetTable(
         setup=text.cleaned(name),
         settings=text.cleaned(settings.get(name, "")),
         titles=[text.cleaned(title) for title in titles],
-        writing=len(channels),
+        writing=len(written),
         blocks=[
             [[text.cleaned(cell) for cell in row] for row in rows[k : k + per_part]]
             for k in range(0, len(rows), per_part)
@@ -180,6 +182,14 @@ def _table(
         lines=per_part + 1 if rows else 0,
         more=_more(count - len(poses), count),
     )
+
+
+def _covariates(result: StudyResult) -> list[str]:
+    """What to note beside each reading, so that a diagnosis can test more effects."""
+    budget = None if result.prediction is None else result.prediction.budget
+    hidden = [] if budget is None else [u.not_testable or "" for u in budget.unmodelled]
+    wants_direction = any("direction" in reason for reason in hidden)
+    return ["time", "direction"] if wants_direction else ["time"]
 
 
 def _rows_per_part(rows: int, width: int) -> int:

@@ -1,7 +1,7 @@
 """The content of a report: its first page, its chapters in order, and their figures.
 
 chapters           the chapters that apply to a result, in order
-appendix           claims, key figures, versions and study file
+appendix           claims, versions and study file
 answer_parts       the first page: what the user asked, answered
 adjustment_blocks  what a fitter adjusts, for a page of its own
 explanation_row    an explanation of the gap as a row of a table
@@ -72,7 +72,7 @@ CHAPTERS: Final = (
     gap_before.CHAPTER,
 )
 #: what only a reader who checks the work needs
-APPENDIX: Final = (record.CLAIMS, record.FIGURES, record.RECORD)
+APPENDIX: Final = (record.CLAIMS, record.RECORD)
 
 
 def chapters(result: StudyResult) -> list[Section]:
@@ -81,7 +81,7 @@ def chapters(result: StudyResult) -> list[Section]:
 
 
 def appendix(result: StudyResult) -> list[Section]:
-    """Claims, key figures, versions and study file."""
+    """Claims, versions and study file."""
     return _applying(APPENDIX, result)
 
 

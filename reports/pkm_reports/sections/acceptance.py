@@ -43,6 +43,15 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
+def printed(result: StudyResult) -> list[Block]:
+    """Verdict, demands and poses."""
+    if result.acceptance is None:
+        return []
+    test = result.verification
+    verdict_blocks = [] if test is None else _verdict(test)
+    return [*verdict_blocks, _demands(result.acceptance), _poses(result.acceptance)]
+
+
 def _runs(curves: Sequence[RunCurve]) -> list[Block]:
     """Readings along circles and lines of the compensated machine."""
     if not curves:
@@ -112,7 +121,7 @@ def _further_demands(acceptance: AcceptanceSection) -> Table:
         for name, d in acceptance.further.items()
     ]
     caption = (
-        "What no drive corrects, as rms errors without further axes, and with axes that"
+        "What no drive corrects, as rms errors without additional axes, and with axes that"
         " take the known error back (columns with “offset” of the compensation table)."
     )
     return Table(columns, rows, caption)
@@ -174,7 +183,7 @@ def _further_verdict(verification: VerificationSection) -> Table:
         rows.append([title, without, *sizes, text.VERDICTS[c.judgement]])
         marks.append(text.MARKS[c.judgement])
     caption = (
-        "What no drive corrects: measured errors without further axes, and with axes that"
+        "What no drive corrects: measured errors without additional axes, and with axes that"
         " take the known error back."
     )
     return Table(columns, rows, caption, marks)
@@ -199,4 +208,4 @@ def _positioning(verification: VerificationSection) -> Table:
     return Table(columns, rows, caption)
 
 
-CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks)
+CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks, printed)

@@ -71,6 +71,18 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
+def printed(result: StudyResult) -> list[Block]:
+    """Bars, and what a single machine can expect."""
+    prediction = result.prediction
+    if prediction is None:
+        return []
+    components = prediction.components
+    bars = Picture(
+        "accuracy", lambda: accuracy.draw(prediction), _bars_caption(components)
+    )
+    return [bars, *accuracy_ranges.intervals(components)]
+
+
 # -- what the controller can correct ---------------------------------------------------
 
 
@@ -113,7 +125,7 @@ def _verdict(components: Components) -> str:
     if others:
         sentences += [
             f"No axis corrects the others alone: {text.listing(others)}.",
-            "A further axis could correct them, or software that uses the known error.",
+            "A additional axis could correct them, or software that uses the known error.",
         ]
     return " ".join(sentences)
 
@@ -170,7 +182,7 @@ def _table(components: Components) -> Table:
     )
     if "known" in states:
         caption += (
-            " Known: the error that remains if a further axis, or software, corrects"
+            " Known: the error that remains if an additional axis, or software, corrects"
             " the component as well."
         )
     return Table(columns, rows, caption)
@@ -264,4 +276,4 @@ def _error_at(point: MapPoint, name: str, unit: str) -> str:
     return f"{error}, at {text.named_quantities(point.command, 4)}"
 
 
-CHAPTER: Final = Chapter("accuracy", "Residual accuracy", blocks)
+CHAPTER: Final = Chapter("accuracy", "Residual accuracy", blocks, printed)

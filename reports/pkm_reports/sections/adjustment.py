@@ -120,4 +120,4 @@ def _accuracy(section: AdjustmentSection) -> Table:
     return Table(columns, rows, caption)
 
 
-CHAPTER: Final = Chapter("adjustment", "Adjustments at the machine", blocks)
+CHAPTER: Final = Chapter("adjustment", "Adjustments at the machine", blocks, blocks)

@@ -54,7 +54,7 @@ def blocks(section: BudgetSection, components: Components) -> list[Block]:
 
 
 def _axes(section: BudgetSection, components: Components) -> Table:
-    """What no drive corrects, without and with further axes."""
+    """What no drive corrects, without and with additional axes."""
     rows = [
         [
             f"{name} [{text.unit_symbol(components[name].after.unit)}]",
@@ -65,11 +65,11 @@ def _axes(section: BudgetSection, components: Components) -> Table:
     ]
     columns = [
         TableColumn("Component"),
-        *number_columns("Without further axes", "With further axes"),
+        *number_columns("Without additional axes", "With additional axes"),
     ]
     caption = (
         "Rms error of what no drive of this machine corrects, and what stays where"
-        " further axes take the known error back."
+        " additional axes take the known error back."
     )
     return Table(columns, rows, caption)
 
@@ -90,8 +90,8 @@ def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:
         total += [text.number(section.predicted[name]), "100 %"]
     caption = (
         "Uncertainty budget: what each source adds when those above it are gone, and its"
-        " share of the predicted variance. The shares add up; a share below 0 corrects"
-        " others that are too large."
+        " share of the predicted variance. The shares add up to 100 %; a negative one means"
+        " that other lines count part of it as well."
     )
     return Table(columns, [*rows, total], caption)
 
@@ -138,8 +138,8 @@ def _unmodelled(
     caption = (
         "What usually goes unmodelled: rms error of the compensated machine if one"
         " effect has its expected size and the calibration does not know of it. What an"
-        " effect adds grows in proportion to its size, and sizes vary by decades: 30 times"
-        " the expected one is usual."
+        " effect adds grows in proportion to its size, and 30 times the expected size is"
+        " usual."
     )
     return Table(columns, rows, caption)
 

@@ -32,6 +32,15 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
+def printed(result: StudyResult) -> list[Block]:
+    """What the figures rest on, and the nodes."""
+    forecast = result.forecast
+    if forecast is None:
+        return []
+    rests = headed_list("These figures rest on:", forecast.sentences)
+    return [Paragraph(_introduction(forecast)), *rests, _nodes(forecast)]
+
+
 def answer(forecast: ForecastSection) -> Table:
     """What the controller's table leaves; before a reading what the plan leaves."""
     return _residual(forecast) if forecast.readings else _planned(forecast)
@@ -105,4 +114,4 @@ def _nodes(forecast: ForecastSection) -> Table:
     return Table(number_columns(*titles), rows, "Nodes, the most useful one first.")
 
 
-CHAPTER: Final = Chapter("forecast", "Forecast compensation", blocks)
+CHAPTER: Final = Chapter("forecast", "Forecast compensation", blocks, printed)

@@ -20,7 +20,6 @@ from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
-    Notice,
     Paragraph,
     Picture,
     Table,
@@ -30,6 +29,7 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections import noise
+from pkm_reports.sections.answer.measure import is_plan
 from pkm_reports.sections.figures import parameters, residuals, run_curves
 
 Estimates = Mapping[str, ParameterEstimate]
@@ -46,7 +46,6 @@ def blocks(result: StudyResult) -> list[Block]:
     caption = _residuals_caption(estimate)
     chapter: list[Block] = [
         Paragraph(_fit(estimate, result.goodness)),
-        *[Notice(warning) for warning in text.sentences(estimate.warnings)],
         Picture("residuals", lambda: residuals.draw(estimate), caption),
         *_runs(estimate),
         *noise.blocks(result.goodness),
@@ -60,6 +59,16 @@ def blocks(result: StudyResult) -> list[Block]:
         chapter += [_table(values), picture]
     chapter += _combinations(estimate.combinations)
     return chapter + _iterations(estimate.iterations)
+
+
+def printed(result: StudyResult) -> list[Block]:
+    """The parameters of a machine that was measured."""
+    estimate = result.estimate
+    if estimate is None or is_plan(result) or not estimate.parameters:
+        return []
+    if result.gap is not None and result.gap.mixture is not None:
+        return []  # those over all hypotheses are delivered
+    return [_table(estimate.parameters)]
 
 
 # -- the fit ---------------------------------------------------------------------------
@@ -225,4 +234,4 @@ def _iterations(iterations: Sequence[Mapping[str, float]]) -> list[Block]:
     return [Table(columns, rows, "The fit, stage by stage.")]
 
 
-CHAPTER: Final = Chapter("identification", "Identification", blocks)
+CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)

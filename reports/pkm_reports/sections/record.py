@@ -11,7 +11,6 @@ from pkm_reports.blocks import (
     Block,
     Chapter,
     Code,
-    Items,
     Paragraph,
     Table,
     TableColumn,
@@ -60,16 +59,6 @@ def _measured(value: float | str) -> str:
 
 
 CLAIMS: Final = Chapter("claims", "Claims", _claims)
-
-
-def _figures(result: StudyResult) -> list[Block]:
-    """The headline of the result; findings about the readings stand on the first page."""
-    alarms = [] if result.goodness is None else result.goodness.findings
-    lines = [text.sentence(line) for line in result.headline if line not in alarms]
-    return [Items(lines, numbered=True)] if lines else []
-
-
-FIGURES: Final = Chapter("figures", "Key figures", _figures)
 
 
 def _record(result: StudyResult) -> list[Block]:

@@ -71,6 +71,13 @@ const page = {
     });
   },
 
+  // A link opens the chapter that it names; on paper all are open.
+  unfold() {
+    const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const chapter = target?.closest('details.chapter');
+    if (chapter) { chapter.open = true; target.scrollIntoView(); }
+  },
+
   colour(name) {
     return getComputedStyle(document.documentElement).getPropertyValue('--' + name).trim();
   },
@@ -81,7 +88,12 @@ const wide = matchMedia('(min-width: 72rem)');
 const contents = () => { document.getElementById('contents').open = wide.matches; };
 wide.addEventListener('change', contents);
 contents();
+addEventListener('hashchange', page.unfold);
+addEventListener('beforeprint', () => {
+  for (const chapter of document.querySelectorAll('details.chapter')) chapter.open = true;
+});
 page.theme();
+page.unfold();
 page.exports();
 page.hints();
 addEventListener('resize', page.hints);

@@ -22,7 +22,7 @@ from pkm_studies.resolve import readings_comments
 APART = 0.02
 #: column of an error to fill in, by component and unit
 ERROR = "error_{}_{}"
-#: column that says whether further axes took the known errors back: 1, or 0 or empty
+#: column that says whether additional axes took the known errors back: 1, or 0 or empty
 AXES = "further_axes"
 
 
@@ -78,7 +78,7 @@ def _demands(
 def _further_demands(
     further: FurtherPromise, plan: AcceptancePlan, rng: np.random.Generator
 ) -> dict[str, PromiseRecord]:
-    """Demands at the same poses on what no drive corrects, with further axes."""
+    """Demands at the same poses on what no drive corrects, with additional axes."""
     stated = state_limits(further.promise, plan.poses, rng, miss=plan.miss)
     demands = _demands(further.components, further.promise, stated)
     return {
@@ -88,7 +88,7 @@ def _further_demands(
 
 
 def _offsets(further: FurtherPromise, plan: AcceptancePlan) -> list[dict[str, float]]:
-    """Known errors at each pose without further axes, in the components' fine units."""
+    """Known errors at each pose without additional axes, in the components' fine units."""
     return [
         {
             c.name: units.number(value, units.FINE[c.unit])
@@ -143,7 +143,7 @@ def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
     if section.reference == "home":
         yield ZEROED
     if section.further:
-        yield f"{AXES}: 1 where further axes took the known errors back, else 0 or empty"
+        yield f"{AXES}: 1 where additional axes took the known errors back, else 0 or empty"
 
 
 def acceptance_form(section: AcceptanceSection, machine: Machine) -> str:

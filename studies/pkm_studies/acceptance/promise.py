@@ -32,7 +32,7 @@ READ = "read_{}"
 
 @dataclasses.dataclass(frozen=True)
 class FurtherPromise:
-    """What further axes promise of k components that no drive corrects, SI.
+    """What additional axes promise of k components that no drive corrects, SI.
 
     promise     with the axes
     components  (k,)
@@ -54,7 +54,7 @@ class FurtherPromise:
 class PromisedAccuracy:
     """A promise over commands (m, n_dof), SI, and what it rests on.
 
-    further  what holds with further axes, where the machine could use some
+    further  what holds with additional axes, where the machine could use some
     """
 
     machine: Machine

@@ -80,7 +80,7 @@ def _further(
 ) -> dict[str, VerdictRecord]:
     """Verdicts on what no drive corrects, as far as it was measured.
 
-    Where further axes were off, the errors that are known in advance are taken off, and
+    Where additional axes were off, the errors that are known in advance are taken off, and
     where they were on, these are added for the error without them.
     """
     taken_back = np.zeros(len(table), dtype=bool)
@@ -286,7 +286,7 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
         bare = np.nan if d.without is None else d.without
         yield (
             f"{name}: no drive corrects it: {rounded(bare, 3)} {d.unit} rms are predicted"
-            f" without further axes. With axes that take the known errors back it is"
+            f" without additional axes. With axes that take the known errors back it is"
             f" promised {rounded(d.promised, 3)} {d.unit}; {_limits(d)} rms, measured to"
             f" {rounded(d.uncertainty)} {d.unit} (1 sd). Leave its column empty where you"
             " do not measure it."
@@ -323,7 +323,7 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
     for name, c in section.further.items():
         bare = np.nan if c.without is None else c.without
         yield (
-            f"{name}: without further axes rms {rounded(bare, 3)} {c.unit}; with them"
+            f"{name}: without additional axes rms {rounded(bare, 3)} {c.unit}; with them"
             f" {c.judgement}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
             f" (promised {rounded(c.promised, 3)} {c.unit}), largest {rounded(c.max, 3)}"
             f" {c.unit}."

@@ -123,7 +123,7 @@ class ControllerFormat:
                            into the file
     versions               whether the file depends on the version of the firmware
     offsets(texts, compensation)
-                           offsets (n, m), SI, for the m further axes of the machine, as
+                           offsets (n, m), SI, for the m additional axes of the machine, as
                            these texts hold them at the commands; None where they hold
                            none
     unfit(machine)         why the controller cannot drive a machine, in words; None

@@ -30,12 +30,16 @@ def report(
         Path,
         typer.Option(metavar="DIR", help="Folder for a comparison of several results."),
     ] = Path("out/comparison"),
+    full: Annotated[
+        bool,
+        typer.Option("--full", help="A PDF with all that the HTML has."),
+    ] = False,
 ) -> int:
     """Write HTML and PDF again from result.json, or a comparison of several results."""
     from pkm_studies import files, result_folder
 
     if len(folders) == 1:
-        paths = result_folder.write_report(folders[0])
+        paths = result_folder.write_report(folders[0], full=full)
     else:
         from pkm_studies.sessions import write_comparison
 

@@ -1,10 +1,10 @@
 """The budget of a machine that is driven by a compensation file: all that it errs by.
 
-The predicted budget holds for exact compensation, with further axes that take back what
+The predicted budget holds for exact compensation, with additional axes that take back what
 no joint corrects. The file adds what its digits, the controller's model and
 interpolation cost, and effects that it does not hold. These are fixed errors of mean
 square V_j over the workspace, and the predicted ones have mean 0: the mean squares add
-up. Without further axes the known errors of what no joint corrects join them.
+up. Without additional axes the known errors of what no joint corrects join them.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def complete_budget(
     """The budget with the lines of a file; None where no accuracy was predicted.
 
     It has the components that the joints drive, and those for which the file has offsets
-    for further axes.
+    for additional axes.
     """
     corrected = result.corrected
     prediction = result.final_prediction
@@ -123,7 +123,7 @@ def _rms_without_axes(
 ) -> dict[str, float]:
     """Rms errors of what no joint drives, by component in its fine unit.
 
-    Without further axes what is known of them stays as well.
+    Without additional axes what is known of them stays as well.
     """
     undriven = undriven_units(content)
     unknown = budget.predicted | section.predicted
@@ -144,7 +144,7 @@ def _rms_without_axes(
 def _axes_sentence(
     controller: ControllerFormat, content: Compensation, section: BudgetSection
 ) -> str:
-    """What stays of what no joint drives, without and with further axes."""
+    """What stays of what no joint drives, without and with additional axes."""
     if not section.no_axes:
         return ""
     units_of = {n: undriven_units(content)[n] for n in section.no_axes}
@@ -153,10 +153,10 @@ def _axes_sentence(
         f". No drive of this machine corrects {', '.join(units_of)}: {without} rms"
     )
     if controller.offsets is None:
-        return sentence + "; csv and json have columns for further axes"
+        return sentence + "; csv and json have columns for additional axes"
     columns = ", ".join(f"{axis.name}_offset" for axis in content.further.axes)
     remaining = error_quantities(section.predicted, units_of)
-    return f"{sentence}, and {remaining} with further axes that take back {columns}"
+    return f"{sentence}, and {remaining} with additional axes that take back {columns}"
 
 
 def add_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSection:

@@ -43,7 +43,7 @@ class TableAccuracy:
     units   (k,) SI
     target  (k,) rms, SI
     motion  (n, k, nq) of them per unit of each joint, at commands; with offsets for m
-            further axes (n, k, nq + m)
+            additional axes (n, k, nq + m)
     """
 
     names: tuple[str, ...]
@@ -76,7 +76,7 @@ def table_accuracy(
 def add_offsets(
     want: TableAccuracy, further: FurtherAxes, prediction: PredictionSection | None
 ) -> TableAccuracy:
-    """As `want`, and the offsets for further axes to a share of what stays unknown.
+    """As `want`, and the offsets for additional axes to a share of what stays unknown.
 
     Those of which nothing was predicted do not count.
     """

@@ -32,11 +32,9 @@ from pkm_studies.stages.design.phrases import (
 from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.gap import scatter
 from pkm_studies.stages.gap.words import plain_name
-from pkm_studies.stages.plan.phrases import bound_sentences, percent, plan_sentences
+from pkm_studies.stages.plan.phrases import percent, plan_sentences
 
 MAX_SENTENCES = 5
-#: verdicts of held-out readings that raise no doubt of the fit
-FITTING = ("confirms", "agrees")
 REFERENCES = {
     "home": "zeroed at home",
     "absolute": "in the base frame",
@@ -111,40 +109,6 @@ def earlier_sentences(machine: MachineInfo) -> list[str]:
     return phrases
 
 
-def accuracy_sentences(result: StudyResult) -> list[str]:
-    """Sentences of the headline that the terminal has as a table."""
-    return [
-        *_corrected(result.corrected),
-        *_accuracy(result.judged_prediction),
-        *_unmodelled(result.prediction),
-    ]
-
-
-def detail_sentences(result: StudyResult) -> list[str]:
-    """Sentences that change no decision: search, sampler, each held-out channel."""
-    return [
-        *_no_gap_sentences(result),
-        *bound_sentences(result.plan),
-        *_held_out([s for s in result.held_out if s.verdict in FITTING]),
-        *gain_sentences(result.design),
-        *design_sentences(result.design),
-        *_posterior(result.posterior),
-        *_indices(result.identifiability),
-    ]
-
-
-def _no_gap_sentences(result: StudyResult) -> list[str]:
-    """What a diagnosis says beside its verdict, where an identification finds no gap."""
-    if result.gap is None or result.prediction is None or result.gap.verdict != "none":
-        return []
-    return result.gap.findings[2:]
-
-
-def fit_sentences(result: StudyResult) -> list[str]:
-    """How much the fit changes the residuals."""
-    return _fit(result.estimate, result.goodness)[:1]
-
-
 def _separation(section: GapBeforeSection | None) -> list[str]:
     """How well the runs of [gap.design] separate effects."""
     if section is None or section.chosen is None:
@@ -201,10 +165,10 @@ def _changes(section: PredictionSection, error: str) -> str:
 
 
 def undriven_sentences(section: PredictionSection) -> str:
-    """What no drive corrects, without and with further axes; empty where there is none."""
+    """What no drive corrects, without and with additional axes; empty where there is none."""
     parts = [
         f"{name} {format_number(c.after.rms)} {section.unit[name]}"
-        f" ({format_number(c.known.rms)} {section.unit[name]} with further axes)"
+        f" ({format_number(c.known.rms)} {section.unit[name]} with additional axes)"
         for name, c in section.components.items()
         if not c.compensatable
     ]
@@ -264,6 +228,11 @@ def _rank(section: IdentifiabilitySection | None) -> list[str]:
         f"{verdict}; {directions} undetermined, and the identifiability section names"
         " readings that would determine them."
     ]
+
+
+def lost_directions(section: IdentifiabilitySection | None) -> list[str]:
+    """How much the readings determine, where that is not all."""
+    return _rank(section) if section is not None and section.rank < section.n else []
 
 
 def _indices(section: IdentifiabilitySection | None) -> list[str]:

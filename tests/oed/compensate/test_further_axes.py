@@ -1,4 +1,4 @@
-"""Offsets for further axes against heads and gantries of the oracles."""
+"""Offsets for additional axes against heads and gantries of the oracles."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What no drive corrects: offsets for further axes, on machines of the oracles."""
+"""What no drive corrects: offsets for additional axes, on machines of the oracles."""
 
 from __future__ import annotations
 
@@ -196,9 +196,11 @@ def test_the_terminal_and_the_report_state_both_lines(
     assert main(["compensate", str(folder), *few]) == 0
     printed = capsys.readouterr().out
     assert "No drive of this machine corrects x, y, phi" in printed
-    assert "with further axes that take back x_offset, y_offset, turn_offset" in printed
+    assert (
+        "with additional axes that take back x_offset, y_offset, turn_offset" in printed
+    )
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "Without further axes" in page
+    assert "Without additional axes" in page
     headline = section(folder).headline
     assert any("No drive corrects x" in sentence for sentence in headline)
 
@@ -337,7 +339,7 @@ def test_a_format_without_offsets_says_where_they_are(
     out = str(tmp_path / "bare.json")
     assert main(["compensate", str(folder), "--to", reference, "--out", out]) == 0
     printed = capsys.readouterr().out
-    assert "csv and json have columns for further axes" in printed
+    assert "csv and json have columns for additional axes" in printed
 
 
 def test_a_machine_without_such_motions_has_no_such_columns(tmp_path: Path) -> None:

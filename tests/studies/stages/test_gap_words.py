@@ -148,7 +148,7 @@ def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
         AnswerRecord(("gravity",), 0.1, (("gravity", "servo_lag"),), unseen=0.1),
     ]
     words = _gap("effect", ["gravity"], [], answers=answers).words
-    assert words[0] == "The gap comes from gravity (probability 79 %)."
+    assert words[0] == "The gap probably comes from gravity (probability 79 %)."
     beside = words.index(
         "An effect of unknown form may act beside it (probability 25 %)."
     )
@@ -157,7 +157,7 @@ def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
     )
     mixed = _gap("mixture", ["gravity"], [], answers=[answers[1], answers[0]]).words
     assert mixed[0] == (
-        "Part of the gap comes from gravity (probability 79 %); a remainder has a form"
+        "Part of the gap probably comes from gravity (probability 79 %); a remainder has a form"
         " that no known effect has (probability 25 %)."
     )
     assert not any("beside it" in sentence for sentence in mixed)
@@ -198,7 +198,7 @@ def test_a_clear_effect_stands_before_a_class() -> None:
     ]
     parts = _gap("class", ["gravity", "servo_lag"], classes, answers=answers).words
     assert parts[0] == (
-        "The gap comes from servo lag (probability 52 %), and gravity or encoder scale"
+        "The gap probably comes from servo lag (probability 52 %), and gravity or encoder scale"
         " (probability 93 %); these readings cannot tell which (probability 52 %)."
     )
     assert any("explanation is gravity or encoder scale (pro" in w for w in parts)

@@ -63,7 +63,7 @@ def test_verdicts_stand_beside_the_predicted(
     assert "x has no drive and is judged by its unknown part." in sentence
     (table, *_) = accuracy.blocks(result)
     assert isinstance(table, Table)
-    verdicts = {row[0].split()[0]: row[-2] for row in table.rows}
+    verdicts = {row[0].split()[0]: row[-1] for row in table.rows}
     assert verdicts["z"] == "✓ pass, predicted"
     assert verdicts["x"] == "? cannot tell"
     assert verdicts["theta"] == "✗ fail"

@@ -14,7 +14,7 @@ from pkm_reports.blocks import Block, Section
 from pkm_reports.sections.answer import (
     accuracy,
     causes,
-    duration,
+    lead,
     measure,
     unknown,
     warnings,
@@ -23,9 +23,9 @@ from pkm_reports.sections.answer import (
 #: anchor, title and content of each part, in order
 Part = tuple[str, Callable[[StudyResult], str], Callable[[StudyResult], list[Block]]]
 PARTS: Final[tuple[Part, ...]] = (
+    ("short", lead.title, lead.blocks),
     ("causes", causes.title, causes.blocks),
     ("measure", measure.title, measure.blocks),
-    ("how-long", duration.title, duration.blocks),
     ("how-accurate", accuracy.title, accuracy.blocks),
     ("unknown", unknown.title, unknown.blocks),
     ("warnings", warnings.title, warnings.blocks),

@@ -26,7 +26,7 @@ from pkm_reports.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.sections import acceptance, accuracy_ranges, forecast
+from pkm_reports.sections import acceptance, forecast
 from pkm_reports.sections.stages import wording
 
 REFERENCES: Final = {
@@ -51,11 +51,10 @@ def title(result: StudyResult) -> str:
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """Acceptance test and held-out readings, then the predicted components."""
+    """Acceptance test, the predicted components, and held-out readings."""
     content: list[Block] = []
     if result.verification is not None:
         content.append(Notice(acceptance.verdict(result.verification)))
-    content += _held_out(result)
     prediction = result.judged_prediction
     if prediction is not None and prediction.components:
         content += _predicted(result, prediction)
@@ -63,7 +62,7 @@ def blocks(result: StudyResult) -> list[Block]:
         content.append(_planned(result.plan))
     if result.forecast is not None:
         content.append(forecast.answer(result.forecast))
-    return content
+    return content + _held_out(result)
 
 
 def _held_out(result: StudyResult) -> list[Block]:
@@ -148,46 +147,46 @@ def verdicts(
 # -- the components --------------------------------------------------------------------
 
 
+def remaining_errors(
+    result: StudyResult, components: Mapping[str, ComponentAccuracy]
+) -> dict[str, WantedVerdict]:
+    """The error of each component that verdicts rest on, effects counted.
+
+    Of components that the controller corrects or the study wants something of; all
+    where there are none.
+    """
+    goals = verdicts(result, components)
+    shown = [n for n, c in components.items() if n in goals or c.compensatable]
+    names = sorted(shown or components, key=lambda name: name not in goals)
+    return accuracy_verdicts(result, dict.fromkeys(names, math.inf))
+
+
 def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block]:
     components = prediction.components
     judged = verdicts(result, components)
-    effects = _effect_columns(prediction)
+    errors = remaining_errors(result, components)
     columns = [
         TableColumn("Component"),
-        *number_columns("After", *effects, "Unknown part"),
+        *number_columns("Before", "Afterwards", "95 % of machines"),
         *(LIMIT_COLUMNS if judged else []),
-        *number_columns("Before"),
     ]
     rows, marks = [], []
-    for name in _ordered(components, judged):
-        larger = [text.number(missing.entry(v, name)) for v in effects.values()]
-        row = _row(name, components[name])
-        limits = _limit_cells(name, judged)
-        rows.append([*row[:2], *larger, row[2], *limits, row[3]])
+    for name, error in errors.items():
+        before, unit = components[name].before.rms, text.unit_symbol(error.unit)
+        cells = [f"{name} [{unit}]", text.number(before), text.number(error.rms)]
+        cells.append(_span(components[name].judged, error.rms))
+        rows.append([*cells, *_limit_cells(name, judged)])
         marks.append(text.MARKS[judged[name].judgement] if name in judged else "")
-    table = Table(columns, rows, _caption(prediction, judged), marks)
-    return [
-        table,
-        *_unmodelled(prediction),
-        *_unknown_part(components),
-        *_worst_case(prediction),
-    ]
+    table = Table(columns, rows, _caption(prediction, errors, judged), marks)
+    return [table, *_undriven(components)]
 
 
-def _ordered(
-    components: Mapping[str, ComponentAccuracy], judged: Mapping[str, WantedVerdict]
-) -> list[str]:
-    """Components with a limit first, then those that the controller corrects."""
-    return sorted(
-        components, key=lambda n: (n not in judged, not components[n].compensatable)
-    )
-
-
-def _row(name: str, component: ComponentAccuracy) -> list[str]:
-    """Cells of a component: name, after, unknown part, before."""
-    unit = text.unit_symbol(component.after.unit)
-    spreads = (component.after, component.known, component.before)
-    return [f"{name} [{unit}]", *(text.number(spread.rms) for spread in spreads)]
+def _span(spread: SpreadRecord, rms: float) -> str:
+    """Ends of the interval of one machine's rms error, in proportion to a larger error."""
+    if spread.rms_interval is None or not spread.rms > 0.0:
+        return ""
+    low, high = (text.number(end * rms / spread.rms, 2) for end in spread.rms_interval)
+    return f"{low} to {high}"
 
 
 def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
@@ -203,24 +202,28 @@ def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
     return [text.number(stated.wanted), format_probability(stated.probability), phrase]
 
 
-def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict]) -> str:
+def _caption(
+    prediction: PredictionSection,
+    errors: Mapping[str, WantedVerdict],
+    judged: Mapping[str, WantedVerdict],
+) -> str:
     reference = text.meaning(prediction.reference, REFERENCES)
-    caption = f"Predicted rms error over the workspace, {reference} (1 sigma)."
+    scopes = text.listing(dict.fromkeys(error.scope for error in errors.values()))
+    caption = f"Predicted rms error over the workspace, {reference}: {scopes}."
     if not judged:
         return f"{caption} The study states no wanted accuracy."
-    scopes = text.listing(dict.fromkeys(v.scope for v in judged.values()))
     decide = dict.fromkeys(v.decide for v in judged.values() if v.decide)
     sentences = [
         caption,
-        f"Within: probability that the machine keeps what is wanted, {scopes}; it passes"
-        f" from {text.percent(SURE_PROBABILITY)} on. What no drive corrects is judged by its unknown"
-        " part.",
+        "Within: probability that the machine keeps what is wanted; it passes from"
+        f" {text.percent(SURE_PROBABILITY)} on. What no drive corrects is judged by its"
+        " unknown part.",
         *(f"To decide: {text.sentence(phrase)}" for phrase in decide),
     ]
     return " ".join(sentences)
 
 
-def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
+def _undriven(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
     """Why an error can stay large although it is known: with this machine's numbers."""
     remaining = [
         name
@@ -233,70 +236,14 @@ def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
     component = components[name]
     after = text.quantity(component.after.rms, component.after.unit)
     unknown = text.quantity(component.known.rms, component.after.unit)
-    axes = text.listing(remaining)
     return [
         Paragraph(
-            f"No drive of this machine corrects {axes}. So {name} keeps an error of"
-            f" {after}, although the calibrated model knows most of it: {unknown} of it"
-            " is unknown. A further axis, or a part program, that takes the known error"
-            " back leaves only the unknown part: the table of `oed compensate` has it in"
-            " columns with `offset`."
+            f"No drive of this machine corrects {text.listing(remaining)}: {name} keeps"
+            f" {after}, of which the calibrated model knows all but {unknown}. The table"
+            " of `oed compensate` has the known error in columns with `offset`, for an"
+            " additional axis or the part program."
         )
     ]
-
-
-def _effect_columns(prediction: PredictionSection) -> dict[str, Mapping[str, float]]:
-    """Errors of a machine with usual effects, by heading of column."""
-    budget = prediction.budget
-    if budget is None or not budget.unmodelled:
-        return {}
-    if budget.usual is None:  # results of older versions
-        return {"With effect": budget.unmodelled[0].with_it}
-    return {"With effects": budget.usual.unmodelled, "Corrected": budget.usual.fitted}
-
-
-def _unmodelled(prediction: PredictionSection) -> list[Block]:
-    """What the effects outside the model make of the accuracy, and the largest of them."""
-    budget = prediction.budget
-    if budget is None or not budget.unmodelled:
-        return []
-    worst = budget.unmodelled[0]
-    effect = worst.effect.replace("_", " ")
-    size = f"{effect} of its expected size ({text.replace_symbols(worst.expected)})"
-    remedy = f"Sizes vary by decades. Remedy: {worst.remedy.rstrip('.')}."
-    if budget.usual is None:
-        return [
-            Notice(
-                f"'After' is geometry alone. 'With effect' adds {size}, which the model"
-                f" lacks and calibration takes in part for geometry. {remedy}"
-            )
-        ]
-    count = len(budget.usual.effects)
-    which = f"the {count} usual effects" if count > 1 else "the usual effect"
-    return [
-        Notice(
-            f"'After' is geometry alone. 'With effects' adds {which} of such a machine,"
-            " at expected sizes, which calibration takes in part for geometry;"
-            f" 'Corrected' fits and corrects them as well. The largest is {size}. {remedy}"
-        )
-    ]
-
-
-def _worst_case(prediction: PredictionSection) -> list[Block]:
-    """The largest error of what the controller corrects, which rms hides."""
-    worst = [
-        f"{name} {text.append_unit(_largest(c.after), c.after.unit)}"
-        for name, c in prediction.components.items()
-        if c.compensatable
-    ]
-    if not worst:
-        return []
-    phrase = "Largest error over the workspace, which 95 % of such machines stay below"
-    return [Paragraph(f"{phrase}: {text.listing(worst)}.")]
-
-
-def _largest(spread: SpreadRecord) -> str:
-    return accuracy_ranges.figures(spread)[-1]
 
 
 def _planned(plan: PlanSection) -> Table:

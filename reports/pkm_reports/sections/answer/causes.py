@@ -35,13 +35,11 @@ def title(result: StudyResult) -> str:
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """The verdict, causes by size, what remains, what to do next."""
+    """Causes by size, what remains, what to do next."""
     gap = result.gap
     if gap is None:
         return []
     content: list[Block] = []
-    if gap.words:
-        content.append(Paragraph(text.sentence(gap.words[0])))
     ranked = _ranked(gap)
     if ranked:
         content.append(_table(gap, ranked, result.corrected))

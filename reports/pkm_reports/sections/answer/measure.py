@@ -17,6 +17,7 @@ from pkm_reports.blocks import (
     number_columns,
     transposed,
 )
+from pkm_reports.sections.answer import duration
 from pkm_reports.sections.figures.overview import draw_overview
 from pkm_reports.sections.stages.chapter import has_schedule
 
@@ -46,6 +47,7 @@ def blocks(result: StudyResult) -> list[Block]:
         *_instruments(setups),
         *_setups(setups),
         *_readings(result),
+        *_time(result),
         *_stages(result),
         *_list_of_readings(result),
     ]
@@ -99,6 +101,28 @@ def _settings(setup: SetupInfo) -> str:
     """Settings that are not zero: those a user must set."""
     numbers = {name: value for name, value in setup.numbers.items() if value}
     return f" ({text.named_quantities(numbers)})" if numbers else ""
+
+
+def instrument_names(setups: Sequence[SetupInfo]) -> list[str]:
+    """The instruments of set-ups, each once: double ball bar, laser tracker."""
+    described = {setup.instrument: setup.about for setup in setups}
+    names = [
+        re.split("[,.(:]", about)[0].strip() or name.replace("_", " ")
+        for name, about in described.items()
+    ]
+    return [f"{name[:1].lower()}{name[1:]}" for name in dict.fromkeys(names)]
+
+
+def planned_readings(result: StudyResult) -> int:
+    """How many readings a plan takes."""
+    if result.design is not None:
+        return result.design.n
+    return 0 if result.plan is None else sum(s.readings for s in result.plan.stages)
+
+
+def _time(result: StudyResult) -> list[tuple[str, str]]:
+    time = duration.minutes(result) if is_plan(result) else ""
+    return [("Time", f"{time}.")] if time else []
 
 
 def _readings(result: StudyResult) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from oed import trust
-from oed.result import StudyResult
+from oed.result import PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph
 from pkm_reports.sections.stages.verdict import is_missed
@@ -19,11 +19,39 @@ def title(result: StudyResult) -> str:
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """Findings about the readings, missed goals, failed claims, warnings, conditions."""
+    """Findings about the readings, missed goals, failed claims, warnings, conditions.
+
+    The main doubt stands in the first lines of the report already.
+    """
     sentences = list(dict.fromkeys(map(text.sentence, ranked(result))))
     if not sentences:
         return [Paragraph("The study has no warnings.")]
+    sentences = [s for s in sentences if s != main_doubt(result)]
     return [Notice(sentence) for sentence in sentences]
+
+
+def main_doubt(result: StudyResult) -> str:
+    """What spoils the figures most, and what removes it; empty where nothing does."""
+    worst = text.sentence(next(iter(ranked(result)), ""))
+    if trust.objections(result):
+        return worst
+    return _effects_doubt(result.prediction) or worst
+
+
+def _effects_doubt(prediction: PredictionSection | None) -> str:
+    """The effect beside the geometry that costs a planned machine most."""
+    budget = None if prediction is None else prediction.budget
+    if prediction is None or budget is None or not budget.unmodelled:
+        return ""
+    if prediction.mode != "plan":
+        return ""
+    largest = budget.unmodelled[0]
+    effect = largest.effect.replace("_", " ")
+    size = text.replace_symbols(largest.expected)
+    return (
+        f"Main doubt: {effect}, here at its expected size of {size}, can be ten times"
+        f" larger or smaller. What removes it: {largest.remedy.rstrip('.')}."
+    )
 
 
 def ranked(result: StudyResult) -> Iterator[str]:
@@ -44,11 +72,11 @@ def ranked(result: StudyResult) -> Iterator[str]:
     if failed:
         noun = "a claim" if len(failed) == 1 else f"{len(failed)} claims"
         yield f"The study misses {noun}: {text.listing(failed)}"
+    if result.corrected is not None and result.corrected.conditions:
+        conditions = "; ".join(result.corrected.conditions)
+        yield f"The corrected accuracy rests on these conditions: {conditions}"
     if result.corrected is not None:
         yield from result.corrected.warnings
     if result.estimate is not None:
         yield from result.estimate.warnings
     yield from result.warnings
-    if result.corrected is not None and result.corrected.conditions:
-        conditions = "; ".join(result.corrected.conditions)
-        yield f"The corrected accuracy rests on these conditions: {conditions}"

@@ -74,7 +74,7 @@ def set_axes(axes: Any, box: Box, azimuth: float = VIEW["azim"]) -> None:
         set_label = getattr(axes, f"set_{name}label")
         set_label(f"{name} [mm]", labelpad=-2.0 if short else 0.0)
         axis = getattr(axes, f"{name}axis")
-        ticks = MaxNLocator(3 if short else 5, steps=[1, 2, 2.5, 5, 10])
+        ticks = MaxNLocator(2 if short else 4, steps=[1, 2, 2.5, 5, 10])
         axis.set_major_locator(ticks)
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis.set_tick_params(pad=-1.0, labelsize=6.5)

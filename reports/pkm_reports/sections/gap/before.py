@@ -60,6 +60,15 @@ def blocks(result: StudyResult) -> list[Block]:
     return [findings, _runs(chosen), _separations(chosen), *of_chosen, *of_planned]
 
 
+def printed(result: StudyResult) -> list[Block]:
+    """Findings, and the chosen runs."""
+    before = result.gap_before
+    if before is None:
+        return []
+    findings = Items(text.sentences(before.words), numbered=True)
+    return [findings, *([] if before.chosen is None else [_runs(before.chosen)])]
+
+
 # -- chosen runs -----------------------------------------------------------------------
 
 
@@ -252,4 +261,6 @@ def _untestable(table: DetectabilityTable) -> list[Block]:
     return headed_list("Effects that could not be tested:", reasons)
 
 
-CHAPTER: Final = Chapter("gap-before", "What these readings could detect", blocks)
+CHAPTER: Final = Chapter(
+    "gap-before", "What these readings could detect", blocks, printed
+)

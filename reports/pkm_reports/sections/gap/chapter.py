@@ -42,11 +42,9 @@ def blocks(result: StudyResult) -> list[Block]:
     gap = result.gap
     if gap is None:
         return []
-    caption = explanations.probabilities_caption(gap)
     return [
         Items(text.sentences(gap.words), numbered=True),
-        *headed_list("What to do next:", text.sentences(gap.next)),
-        Picture("gap_causes", lambda: effects.draw(gap), caption),
+        _causes(gap),
         *explanations.blocks(gap),
         *_places(gap),
         *_closure(gap),
@@ -55,6 +53,24 @@ def blocks(result: StudyResult) -> list[Block]:
         *_open_questions(gap),
         *_coefficients(gap),
     ]
+
+
+def printed(result: StudyResult) -> list[Block]:
+    """Causes, explanations, places and closure."""
+    gap = result.gap
+    if gap is None:
+        return []
+    return [
+        _causes(gap),
+        *explanations.answers(gap),
+        *_places(gap),
+        *_closure(gap),
+    ]
+
+
+def _causes(gap: GapSection) -> Picture:
+    caption = explanations.probabilities_caption(gap)
+    return Picture("gap_causes", lambda: effects.draw(gap), caption)
 
 
 def _residuals(gap: GapSection) -> list[Block]:
@@ -83,7 +99,7 @@ def _rms_of(gap: GapSection, channel: str, rms: Mapping[str, float]) -> str:
     return text.channel_value(channel, missing.entry(rms, channel), gap.units)
 
 
-CHAPTER: Final = Chapter("gap", "The gap: causes, place, remedy", blocks)
+CHAPTER: Final = Chapter("gap", "The gap: causes, place, remedy", blocks, printed)
 
 
 # -- where the gap lies: legs, set-ups, runs, times, directions ------------------------
@@ -101,7 +117,7 @@ def _places(gap: GapSection) -> list[Block]:
         return []
     columns = [
         wide_column("Where"),
-        *number_columns("Share of the gap", "Chance of no more than an even share"),
+        *number_columns("Share of the gap", "Not more than its share"),
     ]
     rows = [
         [_place(p), text.percent(p.strength), text.number(p.p_value, 2)] for p in places
@@ -111,9 +127,9 @@ def _places(gap: GapSection) -> list[Block]:
         " posterior mean of the part of the gap's energy, as calibration leaves it, that"
         " lies there; of a stretch of time, or a direction, as it acts. A time is a place"
         " only of what varies with time, a set-up of what belongs to set-ups; directions"
-        " are compared at the same poses. The last column is the posterior probability"
-        " that the place holds no more than it would if the gap were spread evenly over"
-        " all legs, or all readings. One gap lies in several places at once."
+        " are compared at the same poses. The last column is the probability that the place"
+        " holds no more of the gap than of the readings, or of the legs: a small one singles"
+        " the place out. One gap lies in several places at once."
     )
     marks = ["chosen" if record.p_value < SIGNIFICANT else "" for record in places]
     return [Table(columns, rows, caption, marks)]

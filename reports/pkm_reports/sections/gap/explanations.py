@@ -22,10 +22,10 @@ MOST_ANSWERS: Final = 6
 MANY: Final = 6
 #: share of an explanation's probability from which it is said to be too small to be seen
 MUCH: Final = 0.1
-#: what the probability of one effect counts, beside that of an explanation
+#: what the probability of one effect is of
 MARGINALS: Final = (
-    "It counts sizes that these readings show, and each of several effects that look"
-    " alike by itself."
+    "It is that of a size which these readings can show; effects that look alike are"
+    " counted one by one."
 )
 #: rms, in the unit of its channel, from which an effect shows in a channel
 VISIBLE: Final = 1e-9
@@ -33,14 +33,17 @@ VISIBLE: Final = 1e-9
 
 def blocks(gap: GapSection) -> list[Block]:
     """Explanations, the credible set, sizes of the effects."""
-    content: list[Block] = []
-    if gap.answers:
-        content.append(_answers(gap))
+    content = answers(gap)
     if gap.answers and len(gap.set95) > 1:
         content.append(_credible_set(gap))
     if gap.sizes:
         content.append(_sizes(gap))
     return content
+
+
+def answers(gap: GapSection) -> list[Block]:
+    """The explanations with their probabilities."""
+    return [_answers(gap)] if gap.answers else []
 
 
 def probabilities_caption(gap: GapSection) -> str:
@@ -83,13 +86,12 @@ def _answers(gap: GapSection) -> Table:
 
 
 def _decision() -> str:
-    """When no gap is reported, by the costs of missing one and of a test in vain."""
+    """When no gap is reported."""
     sure = text.percent(GapSection.NO_GAP_PROBABILITY)
     return (
-        f"A missed gap is taken to cost {text.number(GapSection.MISSED_GAP_COST)} times a further"
-        " test in vain: no gap is reported where noise, with or without what is too"
-        f" small for these readings to show, has {sure} or more. What is less likely"
-        " than noise is a reason to read again, and is not corrected."
+        "No gap is reported where noise alone, or effects too small for these readings to"
+        f" show, have a probability of {sure} or more. What is less likely than noise is a"
+        " reason to read again, and is not corrected."
     )
 
 

@@ -40,6 +40,12 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
+def printed(result: StudyResult) -> list[Block]:
+    """The parameters that are delivered."""
+    section = None if result.gap is None else result.gap.mixture
+    return [] if section is None else [_parameters(section)]
+
+
 def _choices(section: MixtureSection, prediction: PredictionSection) -> Table:
     """A row for each compensation."""
     names = list(prediction.components)
@@ -118,4 +124,4 @@ def _parameters(section: MixtureSection) -> Table:
     return Table(columns, rows, caption)
 
 
-CHAPTER: Final = Chapter("mixture", "Over all answers", blocks)
+CHAPTER: Final = Chapter("mixture", "Over all hypotheses", blocks, printed)

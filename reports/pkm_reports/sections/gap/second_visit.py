@@ -25,4 +25,4 @@ def blocks(result: StudyResult) -> list[Block]:
     ]
 
 
-CHAPTER: Final = Chapter("second_visit", "A second visit", blocks)
+CHAPTER: Final = Chapter("second_visit", "A second visit", blocks, blocks)

@@ -50,6 +50,14 @@ def blocks(result: StudyResult) -> list[Block]:
     ]
 
 
+def printed(result: StudyResult) -> list[Block]:
+    """Stages, and the accuracy after each."""
+    plan = result.plan
+    if plan is None or not has_schedule(plan):
+        return []
+    return [tables.schedule(plan), tables.accuracies(plan)]
+
+
 def _pictures(plan: PlanSection) -> list[Block]:
     return [
         Picture(
@@ -60,7 +68,7 @@ def _pictures(plan: PlanSection) -> list[Block]:
     ]
 
 
-CHAPTER: Final = Chapter("stages", "Which measurement at which stage", blocks)
+CHAPTER: Final = Chapter("stages", "Which measurement at which stage", blocks, printed)
 
 
 # -- the plan that allows for effects, beside one for a machine without ----------------

@@ -99,7 +99,7 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
 
 
 def offsets(texts: Texts, compensation: Compensation) -> Array:
-    """Offsets for further axes, as the table has them, SI."""
+    """Offsets for additional axes, as the table has them, SI."""
     rows = list(csv.DictReader(io.StringIO(texts[".csv"])))
     names = offset_names(compensation)
     columns = [

@@ -52,7 +52,7 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
 
     Corrected commands and joint corrections are for a controller that keeps the nominal
     model; the corrections are to be interpolated. Where the machine has no drive for a
-    motion, its offsets for further axes follow.
+    motion, its offsets for additional axes follow.
     """
     kinematics, machine = compensation.kinematics, compensation.machine
     values = compensation.identified.values
@@ -75,7 +75,7 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
 def _offset_columns(
     compensation: Compensation, command: Array
 ) -> dict[str, list[float]]:
-    """Offsets for further axes at commands (n, n_dof), by column."""
+    """Offsets for additional axes at commands (n, n_dof), by column."""
     further = compensation.further
     if not len(further):
         return {}
@@ -87,7 +87,7 @@ def _offset_columns(
 
 
 def offset_names(compensation: Compensation) -> list[tuple[str, str]]:
-    """Columns of the offsets for further axes, `x_offset_um`, with their units."""
+    """Columns of the offsets for additional axes, `x_offset_um`, with their units."""
     fine = [(axis.name, units.FINE[axis.unit]) for axis in compensation.further.axes]
     return [(f"{name}_offset_{unit}", unit) for name, unit in fine]
 
@@ -165,7 +165,7 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
 
 
 def offsets(texts: Texts, compensation: Compensation) -> Array:
-    """Offsets for further axes, as the table has them, SI."""
+    """Offsets for additional axes, as the table has them, SI."""
     columns = json.loads(texts[".json"])["table"]
     names = offset_names(compensation)
     return np.column_stack([units.to_si(columns[name], unit) for name, unit in names])

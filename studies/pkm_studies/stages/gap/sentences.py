@@ -354,7 +354,11 @@ def _verdict(gap: GapSection) -> list[str]:
         ]
     probability = probability_of_causes(gap)
     chance = _chance(gap, probability)
-    comes = "comes" if probability >= GapSection.EVEN_PROBABILITY else "may come"
+    comes = "may come"
+    if probability >= SURE_PROBABILITY:
+        comes = "comes"
+    elif probability >= GapSection.EVEN_PROBABILITY:
+        comes = "probably comes"
     if gap.verdict == "class":
         return [
             f"The gap {comes} from {_classes(gap)}; these readings cannot tell which"

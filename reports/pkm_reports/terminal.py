@@ -1,0 +1,53 @@
+"""What a terminal shows of a report: its first lines, and one accuracy a component."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+from oed.result import StudyResult
+from pkm_reports import text
+from pkm_reports.blocks import Block, Notice, Paragraph, Table
+from pkm_reports.sections import answer_parts
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class FirstLines:
+    """The first page in a few lines.
+
+    sentences    what was read or is to be, how accurate, the main doubt
+    table        of the accuracy; None without a prediction
+    actions      what to do next, of a diagnosis
+    warnings     those beside the main doubt
+    """
+
+    sentences: list[str]
+    table: Table | None
+    actions: list[str]
+    warnings: list[str]
+
+
+def first_lines(result: StudyResult) -> FirstLines:
+    """The lines of a result, plain: no typographic spaces."""
+    parts: dict[str, Sequence[Block]] = {
+        "short": (),
+        "how-accurate": (),
+        "warnings": (),
+    }
+    parts |= {part.anchor: part.blocks for part in answer_parts(result)}
+    tables = [block for block in parts["how-accurate"] if isinstance(block, Table)]
+    return FirstLines(
+        sentences=_sentences(parts["short"]),
+        table=tables[0] if tables else None,
+        actions=[] if result.gap is None else text.sentences(result.gap.next[:1]),
+        warnings=_sentences(b for b in parts["warnings"] if isinstance(b, Notice)),
+    )
+
+
+def _sentences(blocks: Iterable[Block]) -> list[str]:
+    """The words of paragraphs and notices, as a terminal shows them."""
+    return [
+        text.plain(block.text)
+        for block in blocks
+        if isinstance(block, Paragraph | Notice)
+    ]
