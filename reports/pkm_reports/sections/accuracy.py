@@ -72,15 +72,14 @@ def blocks(result: StudyResult) -> list[Block]:
 
 
 def printed(result: StudyResult) -> list[Block]:
-    """Bars, and what a single machine can expect."""
+    """The bars."""
     prediction = result.prediction
     if prediction is None:
         return []
-    components = prediction.components
-    bars = Picture(
-        "accuracy", lambda: accuracy.draw(prediction), _bars_caption(components)
-    )
-    return [bars, *accuracy_ranges.intervals(components)]
+    caption = _bars_caption(prediction.components)
+    if prediction.budget is not None and prediction.budget.unmodelled:
+        caption += " Geometry alone; the first page counts usual effects as well."
+    return [Picture("accuracy", lambda: accuracy.draw(prediction), caption)]
 
 
 # -- what the controller can correct ---------------------------------------------------

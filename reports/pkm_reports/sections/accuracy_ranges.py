@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from oed.result import ComponentAccuracy, PredictionSection, SpreadRecord, ToolAccuracy
+from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
 from pkm_reports import text
 from pkm_reports.blocks import Block, Table, TableColumn, number_columns
 
@@ -19,19 +19,15 @@ NAMES: Final = {
 
 def blocks(prediction: PredictionSection) -> list[Block]:
     """Intervals over machines, each reference, each tool; what is stored of them."""
-    content = intervals(prediction.components)
+    content: list[Block] = []
+    after = {name: c.after for name, c in prediction.components.items()}
+    if any(spread.rms_interval for spread in after.values()):
+        content.append(_intervals(after))
     if prediction.references:
         content.append(_references(prediction.references))
     if prediction.tools:
         content.append(_tools(prediction.tools))
     return content
-
-
-def intervals(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
-    """What a single machine can expect after compensation."""
-    after = {name: c.after for name, c in components.items()}
-    stated = any(spread.rms_interval for spread in after.values())
-    return [_intervals(after)] if stated else []
 
 
 def _intervals(after: Mapping[str, SpreadRecord]) -> Table:
@@ -41,7 +37,7 @@ def _intervals(after: Mapping[str, SpreadRecord]) -> Table:
         cells = [_span(spread, figure) for figure in ("rms", "p95", "max")]
         rows.append([f"{name} [{text.unit_symbol(spread.unit)}]", *cells])
     caption = (
-        "What a single machine can expect after compensation: 95 % of the machines have"
+        "What a single machine can expect of the geometry alone: 95 % of the machines have"
         " these figures over their workspace between these ends."
     )
     return Table(columns, rows, caption)

@@ -68,7 +68,6 @@ def _table(
     gap: GapSection, ranked: Sequence[str], corrected: CorrectedSection | None
 ) -> Table:
     columns = [
-        TableColumn("Rank", number=True),
         TableColumn("Cause"),
         *number_columns("Probability"),
         # of one channel a number, of six a list
@@ -78,7 +77,7 @@ def _table(
     ]
     sizes = {size.effect: size for size in gap.sizes}
     rows = []
-    for k, name in enumerate(ranked, 1):
+    for name in ranked:
         rms = remaining = ""
         if name in sizes:
             rms = explanations.size_in_readings(gap, sizes[name].rms)
@@ -86,7 +85,6 @@ def _table(
         chance = missing.entry(gap.marginal, name)
         rows.append(
             [
-                str(k),
                 "an effect of unknown form" if name == "unknown" else spoken(name),
                 _probability(chance),
                 rms or text.MISSING,

@@ -23,7 +23,7 @@ Bar = tuple[State, str, str]
 BARS: Final[tuple[Bar, ...]] = (
     ("before", "before", style.LIGHT),
     ("after", "after correction by the controller", style.BLUE),
-    ("known", "if additional axes corrected it too", style.GREEN),
+    ("known", "with additional axes", style.GREEN),
 )
 REALISED: Final = "realised, virtual machine"
 #: width of a bar, and distance between the bars of a component
