@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
+from typing import Final
 
 from oed.result import StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph, Table
 from pkm_reports.sections import answer_parts
+
+#: sentences of a diagnosis, the verdict among them
+MOST_FINDINGS: Final = 3
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -17,12 +21,14 @@ class FirstLines:
 
     sentences    what was read or is to be, how accurate, the main doubt
     table        of the accuracy; None without a prediction
-    actions      what to do next, of a diagnosis
+    findings     of a diagnosis: how large the causes are, and where
+    actions      what to do next
     warnings     those beside the main doubt
     """
 
     sentences: list[str]
     table: Table | None
+    findings: list[str]
     actions: list[str]
     warnings: list[str]
 
@@ -35,11 +41,13 @@ def first_lines(result: StudyResult) -> FirstLines:
         "warnings": (),
     }
     parts |= {part.anchor: part.blocks for part in answer_parts(result)}
+    gap = result.gap
     tables = [block for block in parts["how-accurate"] if isinstance(block, Table)]
     return FirstLines(
         sentences=_sentences(parts["short"]),
         table=tables[0] if tables else None,
-        actions=[] if result.gap is None else text.sentences(result.gap.next[:1]),
+        findings=[] if gap is None else text.sentences(gap.words[1:MOST_FINDINGS]),
+        actions=[] if gap is None else text.sentences(gap.next[:1]),
         warnings=_sentences(b for b in parts["warnings"] if isinstance(b, Notice)),
     )
 

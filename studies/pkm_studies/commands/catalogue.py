@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import enum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from oed.text import suggest
 from pkm_studies import console
+from pkm_studies.base import InputError
 from pkm_studies.console import DONE
 
 if TYPE_CHECKING:
@@ -26,25 +28,73 @@ class Kind(enum.StrEnum):
     studies = enum.auto()
 
 
+class Entry(NamedTuple):
+    """An entry of the catalogue: its name, the lines about it, and all of it for JSON."""
+
+    name: str
+    lines: list[str]
+    record: dict[str, Any]
+
+
 def list_entries(
     kind: Annotated[Kind, typer.Argument(show_default=False)],
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="All about one of them, with its source.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> int:
-    """List the catalogue: machines, instruments, effects, importers and others."""
+    """List machines, instruments, effects, importers and others, or all about one."""
+    entries = _entries(kind)
+    if name is not None:
+        names = [entry.name for entry in entries]
+        if name not in names:
+            problem = f"{name} is none of the {kind.value}"
+            raise InputError(problem, suggest(name, names), field="NAME")
+        entries = [entry for entry in entries if entry.name == name]
+    if as_json:
+        console.print_json([entry.record for entry in entries])
+        return DONE
+    width = max((len(entry.name) for entry in entries), default=0)
+    for entry in entries:
+        lines = entry.lines if name is not None else entry.lines[:1]
+        for label, line in zip([entry.name, *[""] * len(lines)], lines, strict=False):
+            print(f"{label:<{width}}  {line}")
+    return DONE
+
+
+def _entries(kind: Kind) -> list[Entry]:
+    """The entries of a kind."""
     if kind is Kind.studies:
-        return _list_studies(as_json)
+        from pkm_studies import shipped
+
+        return [
+            Entry(s.name, [s.title, s.question], _record(s.name, s.title, s.question))
+            for s in shipped.studies().values()
+        ]
     if kind is Kind.importers:
-        return _list_importers(as_json)
+        from pkm_studies.importers import importers
+
+        return [
+            Entry(name, [one.about], {"name": name, "about": one.about})
+            for name, one in importers().items()
+        ]
     import dataclasses
 
     from pkm_studies.resolve import conventions_listing
 
-    entries = conventions_listing(kind.value)
-    if as_json:
-        console.print_json([dataclasses.asdict(entry) for entry in entries])
-        return DONE
-    _print_rows([(e.name, _entry_lines(e)) for e in entries])
-    return DONE
+    return [
+        Entry(entry.name, _entry_lines(entry), dataclasses.asdict(entry))
+        for entry in conventions_listing(kind.value)
+    ]
+
+
+def _record(name: str, title: str, question: str) -> dict[str, Any]:
+    return {"name": name, "title": title, "question": question}
 
 
 def _entry_lines(entry: CatalogueEntry) -> list[str]:
@@ -52,39 +102,6 @@ def _entry_lines(entry: CatalogueEntry) -> list[str]:
     listed = [c for c in entry.columns if c["role"] != "parameter"]
     columns = [f"{c['name']}: {c['role']}: {c['about']}" for c in listed]
     return [entry.about, f"source: {entry.source}", *entry.frames, *columns]
-
-
-def _list_studies(as_json: bool) -> int:
-    from pkm_studies import shipped
-
-    studies = list(shipped.studies().values())
-    if as_json:
-        entries = [
-            {"name": s.name, "title": s.title, "question": s.question} for s in studies
-        ]
-        console.print_json(entries)
-        return DONE
-    _print_rows([(s.name, [s.title, s.question]) for s in studies])
-    return DONE
-
-
-def _list_importers(as_json: bool) -> int:
-    from pkm_studies.importers import importers
-
-    listed = [(name, one.about) for name, one in importers().items()]
-    if as_json:
-        console.print_json([{"name": name, "about": about} for name, about in listed])
-        return DONE
-    _print_rows([(name, [about]) for name, about in listed])
-    return DONE
-
-
-def _print_rows(rows: list[tuple[str, list[str]]]) -> None:
-    """Print names in a column, with the lines about each next to it."""
-    width = max((len(name) for name, _ in rows), default=0)
-    for name, lines in rows:
-        for label, line in zip([name, *[""] * len(lines)], lines, strict=False):
-            print(f"{label:<{width}}  {line}")
 
 
 class Schema(enum.StrEnum):

@@ -54,6 +54,19 @@ FUNCTIONS = {
 }
 
 
+#: columns before and between the names and the texts of the help
+HELP_INDENT = 6
+#: commands by when one needs them; those of other packages come where they are named
+GROUPS = {
+    "Before the machine test": ("new", "import", "run", "plan", "simulate", "forecast"),
+    "At the machine": ("serve", "next", "check"),
+    "With readings": ("identify", "diagnose", "compensate", "adjust", "verify"),
+    "Afterwards": ("certificate", "compare", "history", "report"),
+    "Many": ("campaign",),
+    "Look up": ("list", "schema"),
+}
+
+
 class Subcommand(TyperCommand):
     """A command that refuses further readings where an option takes one file."""
 
@@ -108,6 +121,22 @@ class SubcommandGroup(TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands = cast(Any, Subcommands())  # typer changes none
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """The commands with what each does, grouped by when one needs them."""
+        names = self.list_commands(ctx)
+        grouped = {name for group in GROUPS.values() for name in group}
+        groups = {**GROUPS, "Of other packages": tuple(sorted({*names} - grouped))}
+        room = formatter.width - HELP_INDENT - max(map(len, names))
+        for title, members in groups.items():
+            rows = [
+                (name, self.commands[name].get_short_help_str(room))
+                for name in members
+                if name in names
+            ]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
 
 app = typer.Typer(

@@ -85,19 +85,21 @@ def test_every_channel_of_an_instrument_is_stated(name: str) -> None:
 
 def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) -> None:
     for kind, names in (("machines", MACHINES), ("instruments", INSTRUMENTS)):
-        assert main(["list", kind]) == 0
-        printed = capsys.readouterr().out
         assert main(["list", kind, "--json"]) == 0
         entries = {e["name"]: e for e in json.loads(capsys.readouterr().out)}
         assert list(entries) == names
         for entry in entries.values():
+            assert main(["list", kind, entry["name"]]) == 0
+            printed = capsys.readouterr().out
+            assert f"source: {entry['source']}" in printed
             assert entry["columns"]
             for c in entry["columns"]:
                 assert c["about"]
                 shown = f"{c['name']}: {c['role']}: {c['about']}" in printed
                 assert shown == (c["role"] != "parameter")
                 assert c["name"].rpartition("_")[2] in units.UNITS
-    assert "R = Rx(read_alpha) Ry(read_beta) Rz(read_gamma)" in printed
+    assert main(["list", "machines"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(MACHINES)
 
 
 # -- machines keep to it ---------------------------------------------------------------

@@ -167,12 +167,12 @@ def test_causes_are_ranked_by_size_with_their_unit_and_probability() -> None:
     raw = report_fixture.bare() | {"gap": gap}
     result = result_of(raw)
     (table,) = [b for b in causes.blocks(result) if isinstance(b, Table)]
-    assert [row[1] for row in table.rows] == ["backlash", "leg thermal", "friction"]
-    assert table.rows[0][3].replace(text.NO_BREAK, " ") == "5 µm"
-    assert table.rows[0][2].replace(text.NO_BREAK, " ") == "99 %"
+    assert [row[0] for row in table.rows] == ["backlash", "leg thermal", "friction"]
+    assert table.rows[0][2].replace(text.NO_BREAK, " ") == "5 µm"
+    assert table.rows[0][1].replace(text.NO_BREAK, " ") == "99 %"
     result = result_of(report_fixture.bare() | {"gap": gap | {"marginal": certain}})
     (table,) = [b for b in causes.blocks(result) if isinstance(b, Table)]
-    assert table.rows[0][2].replace(text.NO_BREAK, " ") == "> 99 %"
+    assert table.rows[0][1].replace(text.NO_BREAK, " ") == "> 99 %"
     words = _words(result)["causes"]
     assert "length 6 µm before, 0.500 µm after" in words
     assert "Preload the screws." in words

@@ -106,8 +106,16 @@ def test_list(kind: str, oed: Run) -> None:
     assert code == 0
     code, as_json, _ = oed("list", kind, "--json")
     entries = json.loads(as_json)
-    assert all(e["name"] in out and e["source"] in out for e in entries)
-    assert entries or "no effects yet" in out
+    assert [line.split()[0] for line in out.splitlines()] == [
+        e["name"] for e in entries
+    ]
+    one = entries[0]
+    code, out, _ = oed("list", kind, one["name"])
+    assert code == 0
+    assert one["source"] in out
+    code, _, errors = oed("list", kind, f"{one['name']}x")
+    assert code == 2
+    assert f"did you mean {one['name']}?" in errors
 
 
 @pytest.mark.parametrize("of", ["study", "result", "readings"])
