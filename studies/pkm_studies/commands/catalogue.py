@@ -28,7 +28,7 @@ class Kind(enum.StrEnum):
     studies = enum.auto()
 
 
-class Entry(NamedTuple):
+class ListedEntry(NamedTuple):
     """An entry of the catalogue: its name, the lines about it, and all of it for JSON."""
 
     name: str
@@ -67,20 +67,20 @@ def list_entries(
     return DONE
 
 
-def _entries(kind: Kind) -> list[Entry]:
+def _entries(kind: Kind) -> list[ListedEntry]:
     """The entries of a kind."""
     if kind is Kind.studies:
         from pkm_studies import shipped
 
         return [
-            Entry(s.name, [s.title, s.question], _record(s.name, s.title, s.question))
+            ListedEntry(s.name, [s.title, s.question], _record(s.name, s.title, s.question))
             for s in shipped.studies().values()
         ]
     if kind is Kind.importers:
         from pkm_studies.importers import importers
 
         return [
-            Entry(name, [one.about], {"name": name, "about": one.about})
+            ListedEntry(name, [one.about], {"name": name, "about": one.about})
             for name, one in importers().items()
         ]
     import dataclasses
@@ -88,7 +88,7 @@ def _entries(kind: Kind) -> list[Entry]:
     from pkm_studies.resolve import conventions_listing
 
     return [
-        Entry(entry.name, _entry_lines(entry), dataclasses.asdict(entry))
+        ListedEntry(entry.name, _entry_lines(entry), dataclasses.asdict(entry))
         for entry in conventions_listing(kind.value)
     ]
 
