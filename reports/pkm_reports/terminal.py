@@ -46,10 +46,14 @@ def first_lines(result: StudyResult) -> FirstLines:
     return FirstLines(
         sentences=_sentences(parts["short"]),
         table=tables[0] if tables else None,
-        findings=[] if gap is None else text.sentences(gap.words[1:MOST_FINDINGS]),
-        actions=[] if gap is None else text.sentences(gap.next[:1]),
+        findings=[] if gap is None else _plain(gap.words[1:MOST_FINDINGS]),
+        actions=[] if gap is None else _plain(gap.next[:1]),
         warnings=_sentences(b for b in parts["warnings"] if isinstance(b, Notice)),
     )
+
+
+def _plain(phrases: Sequence[str]) -> list[str]:
+    return [text.plain(sentence) for sentence in text.sentences(phrases)]
 
 
 def _sentences(blocks: Iterable[Block]) -> list[str]:

@@ -24,12 +24,14 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
+    headed_list,
     number_columns,
     wide_column,
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections import noise
 from pkm_reports.sections.answer.measure import is_plan
+from pkm_reports.sections.answer.warnings import fits_with_effects
 from pkm_reports.sections.figures import parameters, residuals, run_curves
 
 Estimates = Mapping[str, ParameterEstimate]
@@ -46,6 +48,7 @@ def blocks(result: StudyResult) -> list[Block]:
     caption = _residuals_caption(estimate)
     chapter: list[Block] = [
         Paragraph(_fit(estimate, result.goodness)),
+        *_warnings(result, estimate),
         Picture("residuals", lambda: residuals.draw(estimate), caption),
         *_runs(estimate),
         *noise.blocks(result.goodness),
@@ -59,6 +62,14 @@ def blocks(result: StudyResult) -> list[Block]:
         chapter += [_table(values), picture]
     chapter += _combinations(estimate.combinations)
     return chapter + _iterations(estimate.iterations)
+
+
+def _warnings(result: StudyResult, estimate: EstimateSection) -> list[Block]:
+    """Those of a fit that is not delivered; those of others stand on the first page."""
+    if not fits_with_effects(result):
+        return []
+    heading = "Of this fit, which has no effects in its model:"
+    return headed_list(heading, text.sentences(estimate.warnings))
 
 
 def printed(result: StudyResult) -> list[Block]:

@@ -73,7 +73,9 @@ def _entries(kind: Kind) -> list[ListedEntry]:
         from pkm_studies import shipped
 
         return [
-            ListedEntry(s.name, [s.title, s.question], _record(s.name, s.title, s.question))
+            ListedEntry(
+                s.name, [s.title, s.question], _record(s.name, s.title, s.question)
+            )
             for s in shipped.studies().values()
         ]
     if kind is Kind.importers:

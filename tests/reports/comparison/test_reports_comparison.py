@@ -19,11 +19,10 @@ from pkm_studies.commands import main
 from pkm_studies.sessions import comparison
 
 
-@pytest.fixture
-def results() -> dict[str, StudyResult]:
+def two_of_one_head(mode: str) -> dict[str, StudyResult]:
     """Two plans for one head: the second takes twice as long and halves z."""
     raw = report_fixture.sample()
-    raw["prediction"]["mode"] = "corrected"
+    raw["prediction"]["mode"] = mode
     raw["prediction"]["components"]["z"]["after"] = spread(30.0, "um")
     first = result_of(raw)
     raw["prediction"]["components"]["z"]["after"] = spread(15.0, "um")
@@ -32,14 +31,19 @@ def results() -> dict[str, StudyResult]:
     return {"one": first, "two": result_of(raw)}
 
 
+@pytest.fixture
+def results() -> dict[str, StudyResult]:
+    """Both with readings, and their effects corrected."""
+    return two_of_one_head("corrected")
+
+
 def _plain(lines: list[Any]) -> str:
     words = [item for block in lines for item in getattr(block, "items", [])]
     return " ".join(words).replace(text.NO_BREAK, " ")
 
 
-def test_differences_come_first_and_name_the_better(
-    results: dict[str, StudyResult],
-) -> None:
+def test_differences_come_first_and_name_the_better() -> None:
+    results = two_of_one_head("plan")
     words = _plain(glance.sentences(results))
     assert "one takes the least time" in words
     assert (

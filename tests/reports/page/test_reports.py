@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import hashlib
 import html
 import json
@@ -313,17 +312,17 @@ def test_text_of_the_study_is_never_markup(
     assert book.read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.slow
-def test_the_book_is_short_without_its_appendix() -> None:
-    """At most 12 pages and 3 MB for a study that asks what the A3 study asks."""
-    raw = report_fixture.sample()
-    raw["design"] |= dict.fromkeys(("robust", "how_many", "polished")) | {
-        "compared": []
-    }
-    report = build_document(result_of(raw | {"held_out": []}))
-    chapters = report.page.sections[: report.page.appendix]
-    page = dataclasses.replace(report.page, sections=chapters)
-    book = render_pdf(dataclasses.replace(report, page=page))
-    pages = max(int(n) for n in re.findall(rb"/Count (\d+)", book))
-    assert 6 <= pages <= 12
-    assert len(book) < 3_000_000
+def test_the_print_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most 4 pages for all that a study can ask, in order; in full more."""
+    monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
+    report = build_document(result_of(report_fixture.sample()))
+    pages = [
+        max(int(n) for n in re.findall(rb"/Count (\d+)", render_pdf(report, full=full)))
+        for full in (False, True)
+    ]
+    assert pages[0] <= 4
+    assert pages[1] > 2 * pages[0]
+    (more,) = [s for s in report.printed.sections if s.anchor == "more"]
+    (words,) = [b.text for b in more.blocks if isinstance(b, document.TextBlock)]
+    shown = [s.title for s in report.printed.sections]
+    assert all(s.title in words or s.title in shown for s in report.page.sections)

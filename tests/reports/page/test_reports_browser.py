@@ -81,10 +81,26 @@ def opened(browser: Any, address: str) -> Iterator[Any]:
     assert said == []
 
 
+def unfold(page: Any) -> None:
+    """Open all chapters, as a reader does one by one."""
+    for heading in page.locator("details.chapter > summary").all():
+        heading.click()
+
+
+def test_a_link_opens_the_chapter_that_it_names(opened: Any) -> None:
+    page = opened(1440)
+    chapter = page.locator("details#identification")
+    assert chapter.get_attribute("open") is None
+    page.click("nav a[href='#identification']")
+    page.wait_for_selector("details#identification[open]")
+    assert page.locator("details.chapter[open]").count() == 1
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_overflows(opened: Any, width: int, scheme: str) -> None:
     page = opened(width, scheme)
+    unfold(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
@@ -101,7 +117,7 @@ def test_everyone_can_read_the_page(opened: Any, width: int, scheme: str) -> Non
 
 def test_the_first_screen_answers_what_how_long_how_accurate(opened: Any) -> None:
     page = opened(1440)
-    for anchor in ("measure", "how-long", "how-accurate"):
+    for anchor in ("short", "measure", "how-accurate"):
         box = page.locator(f"#{anchor} h2").bounding_box()
         assert box["y"] + box["height"] < WIDTHS[1440]
     rows = page.locator("#how-accurate tbody tr").last.bounding_box()
@@ -111,6 +127,7 @@ def test_the_first_screen_answers_what_how_long_how_accurate(opened: Any) -> Non
 def test_letters_of_figures_can_be_read_on_a_telephone(opened: Any) -> None:
     """Drawn at 8 points for 6.7 inches: at least 9 pixels high at 390 pixels."""
     page = opened(390)
+    unfold(page)
     widths = page.eval_on_selector_all(
         "figure.picture img:not(.small)", "images => images.map(i => i.clientWidth)"
     )
@@ -132,6 +149,7 @@ def test_the_button_changes_the_theme(opened: Any) -> None:
 
 def test_a_table_is_saved_as_csv(opened: Any, result: StudyResult) -> None:
     page = opened(1440)
+    unfold(page)
     figure = page.locator("figure.table", has=page.locator("tr[data-reading]"))
     with page.expect_download() as download:
         figure.locator("button.export").click()
@@ -235,6 +253,7 @@ def test_the_view_turns_and_the_picked_reading_is_where_it_belongs(
 
 def test_a_reading_is_found_in_table_residuals_and_circle(opened: Any) -> None:
     page = opened(1440)
+    unfold(page)
     page.locator("figure.table tr[data-reading='7']").click()
     marked = page.locator("[data-reading].picked")
     assert {node.get_attribute("data-reading") for node in marked.all()} == {"7"}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from oed import trust
 from oed.result import ForecastSection, GapSection, StudyResult
-from pkm_reports import text
+from pkm_reports import missing, text
 from pkm_reports.blocks import Block, Notice, Paragraph
 from pkm_reports.sections.answer import accuracy, duration, measure, warnings
 
@@ -14,16 +15,21 @@ def title(result: StudyResult) -> str:
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """One paragraph, and the main doubt with what removes it."""
+    """One paragraph, and the main doubt with what removes it; a bad fit before all."""
     sentences = [
         *_causes(result.gap),
         *_readings(result),
+        *_fit(result),
         *_accuracy(result),
         *_forecast(result.forecast),
     ]
     doubt = warnings.main_doubt(result)
     content: list[Block] = [Paragraph(" ".join(sentences))] if sentences else []
-    return [*content, Notice(doubt)] if doubt else content
+    if not doubt:
+        return content
+    if trust.objections(result):
+        return [Notice(doubt), *content]
+    return [*content, Notice(doubt)]
 
 
 def _causes(gap: GapSection | None) -> list[str]:
@@ -42,6 +48,21 @@ def _readings(result: StudyResult) -> list[str]:
         sentence += f" with the {text.listing(instruments)}"
     minutes = duration.minutes(result)
     return [f"{sentence}: {minutes}." if minutes else f"{sentence}."]
+
+
+def _fit(result: StudyResult) -> list[str]:
+    """What the fit leaves of the readings; a diagnosis says it for its hypotheses."""
+    estimate = result.estimate
+    if estimate is None or result.gap is not None or measure.is_plan(result):
+        return []
+    changes = [
+        f"{channel} from {text.channel_value(channel, before, estimate.units)} to"
+        f" {text.channel_value(channel, after, estimate.units)}"
+        for channel, after in estimate.rms_after.items()
+        for before in [missing.entry(estimate.rms_before, channel)]
+    ]
+    number = text.count(estimate.readings, "reading")
+    return [f"The fit of {number} changes the rms residual of {text.listing(changes)}."]
 
 
 def _accuracy(result: StudyResult) -> list[str]:

@@ -35,8 +35,11 @@ def title(result: StudyResult) -> str:
 
 
 def is_plan(result: StudyResult) -> bool:
-    """Whether the report tells which readings to take."""
-    return result.design is not None or has_schedule(result.plan)
+    """Whether the report tells which readings to take; not where they are recorded."""
+    prediction = result.judged_prediction
+    of_readings = prediction is not None and prediction.mode != "plan"
+    planned = result.design is not None or has_schedule(result.plan)
+    return planned and not of_readings and result.gap is None
 
 
 def blocks(result: StudyResult) -> list[Block]:

@@ -54,6 +54,11 @@ def _effects_doubt(prediction: PredictionSection | None) -> str:
     )
 
 
+def fits_with_effects(result: StudyResult) -> bool:
+    """Whether the fit with effects is delivered, and nothing speaks against it."""
+    return result.corrected is not None and not result.corrected.warnings
+
+
 def ranked(result: StudyResult) -> Iterator[str]:
     """All warnings of a result, those that spoil the most first.
 
@@ -77,6 +82,6 @@ def ranked(result: StudyResult) -> Iterator[str]:
         yield f"The corrected accuracy rests on these conditions: {conditions}"
     if result.corrected is not None:
         yield from result.corrected.warnings
-    if result.estimate is not None:
+    if result.estimate is not None and not fits_with_effects(result):
         yield from result.estimate.warnings
     yield from result.warnings

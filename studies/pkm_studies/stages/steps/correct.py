@@ -200,10 +200,11 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
         return state
     goodness = alarm.resolved_section(state.goodness, section, checked.findings)
     true = alarm.resolved_sentences(section, checked.findings)
-    for warning in state.estimate_section.warnings:
-        true[warning] = f"without effects in the model, {warning}"
     state = state.add_sections(goodness=goodness)
-    return state.replace(warnings=tuple(true.get(w, w) for w in state.warnings))
+    # The fit without effects is not delivered: its own section keeps its warnings.
+    plain = set(state.estimate_section.warnings)
+    stated = [true.get(w, w) for w in state.warnings if w not in plain]
+    return state.replace(warnings=tuple(stated))
 
 
 def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Array:
