@@ -26,6 +26,7 @@ knocked does not drift.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,6 +48,8 @@ MAX_INFORMED = 1.0 - 1e-9
 N_DIRECTIONS = 200
 #: log of the largest factor on the usual growth within which the provable one is sought
 LOG_BRACKET = 12.0
+#: p-value of what parameters leave of a change, from which they explain it
+P_EXPLAINED = 0.01
 #: p-value below which the sessions do not lie on a line, and intervals are widened
 P_UNEVEN = 0.01
 
@@ -68,17 +71,16 @@ class CombinationChange:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class SingleCause:
-    """One parameter as the only one that changed.
+class Cause:
+    """One parameter, or two, as all that changed.
 
-    change, sd  of the parameter, all others unchanged
-    chi2        of what it does not explain
-    p_value     of chi2, for one degree of freedom less than the test over all
+    changes, sds  by parameter, all others unchanged
+    chi2          of what they do not explain
+    p_value       of chi2, for the degrees of freedom that they leave
     """
 
-    parameter: str
-    change: float
-    sd: float
+    changes: dict[str, float]
+    sds: dict[str, float]
     chi2: float
     p_value: float
 
@@ -89,7 +91,7 @@ class SessionChange:
 
     chi2, dof, p_value  test of no change at all
     combinations        that both sessions determine, the most changed first
-    causes              single parameters, the best explanation first
+    causes              one parameter or two, the best explanation first
     undetermined        number of directions that one session or both leave open
     """
 
@@ -97,7 +99,7 @@ class SessionChange:
     dof: int
     p_value: float
     combinations: tuple[CombinationChange, ...]
-    causes: tuple[SingleCause, ...]
+    causes: tuple[Cause, ...]
     undetermined: int
 
 
@@ -248,27 +250,52 @@ def combinations(
 
 
 def _causes(
-    names: Sequence[str], tolerance: Array, root: Array, white: Array
-) -> tuple[SingleCause, ...]:
-    """Each parameter as the only one that changed, if the sessions determine it."""
-    chi2, dof = float(white @ white), len(white)
-    causes = []
-    for name, column, unit in zip(names, root.T, tolerance, strict=True):
-        information = float(column @ column)
-        if information <= MIN_INFORMATION:
-            continue
-        estimate = float(column @ white) / information
-        rest = chi2 - estimate**2 * information
-        causes.append(
-            SingleCause(
-                parameter=name,
-                change=float(estimate * unit),
-                sd=float(unit / np.sqrt(information)),
-                chi2=rest,
-                p_value=float(special.chdtrc(dof - 1, rest)) if dof > 1 else 1.0,
-            )
-        )
-    return tuple(sorted(causes, key=lambda c: c.chi2))
+    names: Sequence[str],
+    tolerance: Array,
+    root: Array,
+    white: Array,
+    widening: float = 1.0,
+) -> tuple[Cause, ...]:
+    """Single parameters as all that changed, the best explanation first.
+
+    Where none explains the change, pairs of those that the sessions determine apart.
+    """
+    seen = [k for k, column in enumerate(root.T) if column @ column > MIN_INFORMATION]
+    for size in (1, 2):
+        sets = itertools.combinations(seen, size)
+        tried = [_cause(names, tolerance, root, white, ks, widening) for ks in sets]
+        causes = sorted((c for c in tried if c is not None), key=lambda c: c.chi2)
+        if not causes or causes[0].p_value >= P_EXPLAINED:
+            break
+    return tuple(causes)
+
+
+def _cause(
+    names: Sequence[str],
+    tolerance: Array,
+    root: Array,
+    white: Array,
+    members: Sequence[int],
+    widening: float,
+) -> Cause | None:
+    """These parameters as all that changed; None where they are not told apart."""
+    columns = root[:, list(members)]
+    gram = columns.T @ columns
+    if np.linalg.eigvalsh(gram)[0] <= MIN_INFORMATION:
+        return None
+    estimates = np.linalg.solve(gram, columns.T @ white)
+    rest = max(float(white @ white - estimates @ gram @ estimates), 0.0)
+    rest /= widening**2
+    freedom = len(white) - len(members)
+    units = tolerance[list(members)]
+    sds = widening * units * np.sqrt(np.diag(np.linalg.inv(gram)))
+    of = [names[k] for k in members]
+    return Cause(
+        changes=dict(zip(of, (estimates * units).tolist(), strict=True)),
+        sds=dict(zip(of, sds.tolist(), strict=True)),
+        chi2=rest,
+        p_value=float(special.chdtrc(freedom, rest)) if freedom > 0 else 1.0,
+    )
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -279,6 +306,7 @@ class SessionDrift:
     rest, rest_dof      chi2 of what a line leaves, and its degrees of freedom
     widening            factor on all standard deviations where a line does not suit
     combinations        that the sessions determine, the surest drift first
+    causes              one parameter or two as all that drifts, the best first
     rate                (n,) drift of each parameter; 0 along undetermined directions
     covariance          (n, n) of `rate`, widened
     undetermined        number of directions whose drift stays unseen
@@ -291,6 +319,7 @@ class SessionDrift:
     rest_dof: int
     widening: float
     combinations: tuple[CombinationChange, ...]
+    causes: tuple[Cause, ...]
     rate: Array
     covariance: Array
     undetermined: int
@@ -331,6 +360,7 @@ def estimate_drift(
         rest_dof=rest_dof,
         widening=widening,
         combinations=tuple(rates),
+        causes=_causes(names, scale, root, white, widening),
         rate=(back @ white) * scale,
         covariance=covariance,
         undetermined=len(tolerance) - dof,

@@ -10,10 +10,11 @@ import numpy as np
 
 from oed import trust
 from oed.history import (
+    P_EXPLAINED,
+    Cause,
     CombinationChange,
     Session,
     SessionChange,
-    SingleCause,
     compare_sessions,
 )
 from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
@@ -169,7 +170,7 @@ def _session(names: list[str], estimate: Fitted) -> Session:
 
 
 def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]:
-    """The test, the combinations, and single parameters that explain the change."""
+    """The test, parameters that explain the change, and the combinations."""
     if not change.dof:
         yield "The two sessions determine no common combination of parameters."
         return
@@ -184,14 +185,14 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
             f"{change.undetermined} of {len(units)} directions {verb} not determined by"
             " both sessions: a change there stays unseen."
         )
+    if change.p_value < ALARM:
+        yield from explanations(change.causes, units)
     # Sidak: the smallest of dof p-values, each uniform where nothing changed
     threshold = 1.0 - (1.0 - ALARM) ** (1.0 / change.dof)
     yield f"Changes (* beyond chance among {change.dof}, at {ALARM:g}):"
     for combination in change.combinations[:SHOWN]:
         mark = "*" if combination.p_value < threshold else " "
         yield f"  {mark} {_combination(combination, units)}"
-    if change.p_value < ALARM:
-        yield from _explanations(change, units)
 
 
 def _combination(combination: CombinationChange, units: Mapping[str, str]) -> str:
@@ -225,23 +226,27 @@ def _amount(size: float, unit: str, of_unit: str) -> str:
     return "" if abs(size - 1.0) < ONE else f"{size:.3g} times "
 
 
-def _explanations(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]:
-    """Single parameters whose change explains all of it, or that none does."""
-    enough = [cause for cause in change.causes if cause.p_value >= ALARM]
+def explanations(
+    causes: Sequence[Cause], units: Mapping[str, str], per: str = ""
+) -> Iterator[str]:
+    """Parameters whose change explains all of it, or that no two do; `per`: a time."""
+    enough = [cause for cause in causes if cause.p_value >= P_EXPLAINED]
     if not enough:
-        yield "No single parameter explains the change."
+        yield "No single parameter explains the change, nor do two."
         return
-    yield "A change of one parameter alone explains all of it:"
+    count = "one parameter" if len(enough[0].changes) == 1 else "two parameters"
+    yield f"A change of {count} alone explains all of it:"
     for cause in enough[:SHOWN]:
-        yield f"    {_cause(cause, units)}"
+        yield f"    {_cause(cause, units, per)}"
 
 
-def _cause(cause: SingleCause, units: Mapping[str, str]) -> str:
-    unit = units[cause.parameter]
-    return (
-        f"{cause.parameter}: {cause.change:+.4g} {unit}, sd {cause.sd:.2g} {unit};"
-        f" chi2 falls to {cause.chi2:.4g}, p = {cause.p_value:.2g}"
-    )
+def _cause(cause: Cause, units: Mapping[str, str], per: str) -> str:
+    parts = [
+        f"{name}: {change:+.4g} {units[name]}{per}, sd {cause.sds[name]:.2g} {units[name]}"
+        for name, change in cause.changes.items()
+    ]
+    rest = f"chi2 falls to {cause.chi2:.4g}, p = {cause.p_value:.2g}"
+    return f"{' and '.join(parts)}; {rest}"
 
 
 def write_comparison(folders: Sequence[Path], out: Path) -> tuple[Path, ...]:

@@ -37,6 +37,8 @@ ALARM = 0.01
 POWER = 0.9
 #: combinations that are printed
 SHOWN = 10
+#: p-value of no drift from which a combination is not shown: its 95 % interval has 0
+DOUBTFUL = 0.05
 #: limit of the rms error over that right after a calibration, where none is given
 LIMIT = 2.0
 
@@ -91,6 +93,7 @@ def machine_history(
         *doubts,
         _sessions_text(sessions),
         *_verdict(drifted),
+        *_causes(drifted, shown, sessions.unit),
         *_combinations(drifted, shown, sessions.unit),
         *(outlook if drifted.dof else ()),
     ]
@@ -180,13 +183,20 @@ def _verdict(drifted: SessionDrift) -> Iterator[str]:
         yield f"{directions} not determined: a drift there stays unseen."
 
 
+def _causes(drifted: SessionDrift, shown: dict[str, str], unit: str) -> Iterator[str]:
+    """Parameters whose drift explains all of a proven one."""
+    if drifted.dof and drifted.p_value < ALARM:
+        yield from comparison.explanations(drifted.causes, shown, f" a {unit}")
+
+
 def _combinations(
     drifted: SessionDrift, shown: dict[str, str], unit: str
 ) -> Iterator[str]:
     if not drifted.dof:
         return
     yield f"Drift a {unit}, with its 95 % interval:"
-    for combination in drifted.combinations[:SHOWN]:
+    proven = [c for c in drifted.combinations if c.p_value < DOUBTFUL]
+    for combination in (proven or drifted.combinations[:1])[:SHOWN]:
         yield f"  {_line(combination, shown, unit)}"
 
 

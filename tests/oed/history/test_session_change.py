@@ -67,9 +67,28 @@ def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
         assert combination.change == pytest.approx(row @ fitted[d], rel=1e-5)
         variance = row @ covariance[d, d] @ row
         assert combination.sd == pytest.approx(np.sqrt(variance), rel=1e-5)
-    assert change.causes[0].parameter == "p0"
-    assert change.causes[0].change == pytest.approx(0.9, abs=5 * change.causes[0].sd)
-    assert change.p_value < 1e-6 < change.causes[0].p_value
+    first = change.causes[0]
+    assert list(first.changes) == ["p0"]
+    assert first.changes["p0"] == pytest.approx(0.9, abs=5 * first.sds["p0"])
+    assert change.p_value < 1e-6 < first.p_value
+
+
+def test_two_changes_at_once_are_two_parameters() -> None:
+    """No single parameter explains them; the pair has its fit by the normal equations."""
+    rng = np.random.default_rng(7)
+    h1, h2 = slopes(rng, 40), slopes(rng, 40)
+    moved = np.array([0.9, 0.0, -1.5, 0.0, 0.0])
+    sessions = [
+        session(h, readings(rng, h, machine))
+        for h, machine in ((h1, np.zeros(N)), (h2, moved))
+    ]
+    change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
+    first = change.causes[0]
+    assert set(first.changes) == {"p0", "p2"}
+    assert first.p_value > history.P_EXPLAINED
+    for name, true in (("p0", 0.9), ("p2", -1.5)):
+        assert first.changes[name] == pytest.approx(true, abs=4 * first.sds[name])
+    assert first.chi2 < change.chi2 - 100.0
 
 
 def turned_sessions(angle: float) -> list[Session]:

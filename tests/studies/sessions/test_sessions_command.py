@@ -111,6 +111,10 @@ def test_the_command_tells_the_drift_and_the_next_date(
     assert out.startswith("3 sessions over 60 days.\nThe machine drifts")
     assert "100 um are reached after" in out
     assert "Calibrate again by 2026-" in out
+    (cause,) = out.partition("alone explains all of it:\n")[2].splitlines()[:1]
+    name, rate, unit, *_ = cause.split()
+    assert (name, unit) == ("dq1:", "mm")
+    assert float(rate) == pytest.approx(0.002, rel=0.2)  # mm a day
     code, _, error = oed("history", drifting, "--limit", "z_um=-5")
     assert code == 2
     assert "not a positive number" in error
