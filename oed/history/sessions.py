@@ -260,9 +260,11 @@ def _causes(
 
     Where none explains the change, pairs of those that the sessions determine apart.
     """
-    seen = [k for k, column in enumerate(root.T) if column @ column > MIN_INFORMATION]
+    determined = [
+        k for k, column in enumerate(root.T) if column @ column > MIN_INFORMATION
+    ]
     for size in (1, 2):
-        sets = itertools.combinations(seen, size)
+        sets = itertools.combinations(determined, size)
         tried = [_cause(names, tolerance, root, white, ks, widening) for ks in sets]
         causes = sorted((c for c in tried if c is not None), key=lambda c: c.chi2)
         if not causes or causes[0].p_value >= P_EXPLAINED:

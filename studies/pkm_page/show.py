@@ -70,7 +70,6 @@ def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
         "finished": known.remaining(advice) == 0 and not advice.objections,
         "time_left": _time_left(state),
         "is_wanted": is_wanted,
-        "gain": text.percent(advice.gain),
         "repeated": pose.repeated,
         **_pose_values(session, state, pose),
     }

@@ -81,6 +81,7 @@ const live = {
       if (live.parts[name] === words) continue;
       const kept = name === 'pose' && before === state.version ? live.typed() : null;
       live.parts[name] = words;
+      if (name === 'pose') document.getElementById('pose').after(document.getElementById('ask'));
       live.node(name).innerHTML = words;
       if (kept) live.retype(kept);
     }
@@ -123,6 +124,8 @@ const live = {
     const box = document.getElementById('ask');
     box.hidden = !sentences.length;
     document.getElementById('ask-words').replaceChildren(...sentences.map(words => element('p', {}, words)));
+    // A doubt stands beside the entry that it doubts.
+    if (sentences.length) document.querySelector('#entry .values')?.after(box);
     if (sentences.length) { document.getElementById('ask-no').focus(); box.scrollIntoView({block: 'nearest'}); }
   },
 
