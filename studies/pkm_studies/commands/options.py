@@ -24,6 +24,30 @@ StudyPath = Annotated[
         show_default=False,
     ),
 ]
+OptionalStudy = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="STUDY",
+        help="A study file, or the name of a shipped study [--machine].",
+        show_default=False,
+    ),
+]
+OwnMachine = Annotated[
+    str | None,
+    typer.Option(
+        help="In place of a study: a machine of `oed list machines`, or MY.py.",
+        show_default=False,
+    ),
+]
+OwnNumbers = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME_UNIT=NUMBER",
+        help="A number of that machine, as it has it now; again for a further one.",
+        show_default=False,
+    ),
+]
 MachineStudy = Annotated[
     Path | None,
     typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,9 +10,13 @@ import typer
 
 from oed import safe_files
 from pkm_studies import console
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import (
     AllowCode,
+    OptionalStudy,
     OutFolder,
+    OwnMachine,
+    OwnNumbers,
     Quiet,
     Seed,
     StudyPath,
@@ -70,7 +75,6 @@ def simulate(
 
 
 def identify(
-    study: StudyPath,
     readings: Annotated[
         list[Path],
         typer.Option(
@@ -80,6 +84,9 @@ def identify(
         ),
     ],
     out: OutFolder,
+    study: OptionalStudy = None,
+    machine: OwnMachine = None,
+    numbers: OwnNumbers = None,
     effects: Annotated[
         str | None,
         typer.Option(
@@ -93,9 +100,20 @@ def identify(
     verbose: Verbose = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Identify the machine from readings."""
+    """Identify the machine from readings: of a study, or of a machine by name."""
     from pkm_studies.commands import display
 
+    if (study is None) == (machine is None) or (numbers and machine is None):
+        raise InputError(
+            "it is not said whose readings these are",
+            "give a STUDY, or --machine NAME, with --set NAME_UNIT=NUMBER for its numbers",
+        )
+    if study is None:
+        study, taken = own_study(
+            machine or "", numbers or [], readings, out, allow_code
+        )
+        if not quiet:
+            print(*taken, f"Study: {study}", sep="\n")
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import stages
 
@@ -105,10 +123,30 @@ def identify(
             folder,
             seed=seed,
             progress=progress,
-            readings=readings,
+            readings=None if machine else readings,
             effects=effects.replace(",", " ").split() if effects else (),
         )
+    if machine is not None and not quiet:
+        from pkm_studies.own_numbers import calibration_answer, parameter_sentence
+
+        print(calibration_answer(loaded, result).sentence)
+        print(parameter_sentence(loaded, result))
     return report_outcome(result, folder, quiet, verbose=verbose)
+
+
+def own_study(
+    machine: str,
+    numbers: Sequence[str],
+    readings: Sequence[Path],
+    out: Path,
+    allow_code: bool,
+) -> tuple[Path, Sequence[str]]:
+    """The study of a machine by name with a user's readings, and what was taken for what."""
+    from pkm_studies.own_numbers import import_numbers
+    from pkm_studies.user_code import consent
+
+    given = consent(allow_code=allow_code)
+    return import_numbers(machine, numbers, readings, out, given)
 
 
 def diagnose(
@@ -251,8 +289,6 @@ def load_for(
 
 def _check_apart(study: Study, folder: Path) -> None:
     """Raises InputError where the study takes its prior from the folder of its results."""
-    from pkm_studies.base import InputError
-
     named = {"earlier": [study.prior.earlier or ""], "from": study.prior.from_}
     for key, names in named.items():
         for name in filter(None, names):

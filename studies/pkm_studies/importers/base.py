@@ -9,6 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from oed import csv_text
 from oed.dataset import commented
+from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent
 
 #: cells of a row of the readings file, by column
@@ -23,7 +24,7 @@ class ImportRequest:
 
     files    the files to read, at least one
     name     of the study
-    machine  the model that the user names, if any
+    machine  the model that the user names, or its table [machine], if any
     map      the user's column map, a TOML file, if any
     folder   where the study goes: paths in the study are relative to it
     consent  to run Python files that the user, or his map, names
@@ -33,7 +34,7 @@ class ImportRequest:
 
     files: tuple[Path, ...]
     name: str
-    machine: str | None = None
+    machine: str | MachineTable | None = None
     map: Path | None = None
     folder: Path = Path()
     consent: Consent = Consent.RECORDED

@@ -64,7 +64,7 @@ def model(request: ImportRequest, column_map: ColumnMap, location: Location) -> 
 
     --machine is a model, a file of the user's, or a study whose machine is meant.
     """
-    if request.machine is not None and request.machine.endswith(".toml"):
+    if isinstance(request.machine, str) and request.machine.endswith(".toml"):
         study = studies.load(request.machine, request.consent)
         machine = study_machine(study)
         return _model(machine, study.machine, study.folder, request)

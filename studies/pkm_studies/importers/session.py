@@ -13,6 +13,7 @@ from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import comments_of_study, resolve, with_readings
 from pkm_studies.study import SUFFIX, load, parse
+from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent
 
 
@@ -22,7 +23,7 @@ def import_files(
     out: Path,
     *,
     name: str | None = None,
-    machine: str | None = None,
+    machine: str | MachineTable | None = None,
     column_map: Path | None = None,
     mesh: MeshUse = "hold-out",
     consent: Consent = Consent.RECORDED,

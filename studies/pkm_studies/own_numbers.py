@@ -1,0 +1,165 @@
+"""A user's own readings of a machine that he names: to parameters, and a plain answer.
+
+With the numbers that the machine has now its errors have the rms b, with the identified
+ones a, and before any reading p. Numbers that are right have b^2 = 2 a^2 at most on
+average, as the estimate then errs by no more than its own uncertainty. So they are
+
+    good  if b <= sqrt(2) a,    not good  if b >= 2 a,    else the readings cannot tell,
+
+and readings that leave a > p / 2 tell nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+
+from oed import trust, units
+from oed.accuracy import Reference, error_maps
+from oed.result import PredictionSection, StudyResult
+from oed.text import format_number, join_words
+from pkm_studies import catalogue
+from pkm_studies.base import Location
+from pkm_studies.earlier_result import controller_values
+from pkm_studies.importers import import_files
+from pkm_studies.quantities import display_unit
+from pkm_studies.resolve import resolve
+from pkm_studies.study import Study
+from pkm_studies.tables import MachineTable
+from pkm_studies.user_code import Consent, Origin
+
+#: errors over those of identified numbers that right numbers have at most, and from which
+#: on numbers are not good
+RIGHT: Final = math.sqrt(2.0)
+WRONG: Final = 2.0
+#: share of the errors before any reading that readings must leave less than
+SEEN: Final = 0.5
+
+
+def import_numbers(
+    machine: str,
+    numbers: Sequence[str],
+    readings: Sequence[Path],
+    out: Path,
+    consent: Consent,
+) -> tuple[Path, Sequence[str]]:
+    """Write the study of a machine with its readings into `out`; its path, and sentences.
+
+    numbers  such as `radius_mm=125`, of the machine's geometry or of its parameters
+
+    Raises InputError.
+    """
+    described: str | MachineTable = machine
+    if numbers:
+        described = _described(machine, numbers, consent)
+    path, session = import_files(
+        "numbers", readings, out, machine=described, consent=consent
+    )
+    return path, session.statements
+
+
+def _described(machine: str, numbers: Sequence[str], consent: Consent) -> MachineTable:
+    """The table [machine] of a model with a user's numbers. Raises InputError."""
+    location = Location("--set")
+    model = catalogue.machine(machine, Origin.command(consent), Location("--machine"))
+    dimensions = () if model.family is None else model.family.dimensions
+    sizes = {d.name for d in dimensions}
+    geometry: dict[str, Any] = {}
+    nominal: dict[str, Any] = {}
+    for text in numbers:
+        key, _, value = text.partition("=")
+        try:
+            number = tomllib.loads(f"number = {value}")["number"]
+        except tomllib.TOMLDecodeError:
+            remedy = "write NAME_UNIT=NUMBER, such as radius_mm=125, or a list [1, 2]"
+            raise location.error("this is no number", remedy, text) from None
+        is_size = key.strip().rpartition("_")[0] in sizes
+        (geometry if is_size else nominal)[key.strip()] = number
+    return MachineTable(model=machine, geometry=geometry, nominal=nominal)
+
+
+@dataclasses.dataclass(frozen=True)
+class CalibrationAnswer:
+    """Whether the numbers that a machine has are good, as a judgement and a sentence."""
+
+    judgement: str
+    sentence: str
+
+
+def calibration_answer(study: Study, result: StudyResult) -> CalibrationAnswer:
+    """Whether the numbers of the study's machine are good, by its readings."""
+    section = result.judged_prediction
+    doubts = trust.objections(result)
+    if section is None or doubts:
+        reason = doubts[0] if doubts else "no accuracy could be predicted"
+        return _answer("cannot tell", f"{reason}.")
+    driven = {n: c for n, c in section.components.items() if c.compensatable}
+    ratios = [c.before.rms / c.after.rms for c in driven.values() if c.after.rms > 0.0]
+    now = _errors({n: c.before.rms for n, c in driven.items()}, section)
+    then = _errors({n: c.after.rms for n, c in driven.items()}, section)
+    errors = f"with the numbers that the machine has now it errs by {now} rms"
+    unseen = [
+        name
+        for name, prior in _prior_errors(study, section).items()
+        if name in driven and driven[name].after.rms > SEEN * prior
+    ]
+    if unseen:
+        words = join_words(unseen)
+        return _answer("cannot tell", f"these readings hardly see errors of {words}.")
+    if max(ratios, default=1.0) >= WRONG:
+        return _answer("no", f"{errors}, with the identified ones by {then}.")
+    if max(ratios, default=1.0) <= RIGHT:
+        return _answer("yes", f"{errors}, and better ones cannot be told: {then}.")
+    return _answer("cannot tell", f"{errors}, with the identified ones by {then}.")
+
+
+def parameter_sentence(study: Study, result: StudyResult) -> str:
+    """The machine's parameters as a controller gets them, beside those that it has."""
+    machine = resolve(study).machine
+    if result.final_estimate is None:
+        return "No parameters."
+    values, sd = controller_values(result, machine, with_effects=False)
+    parts = []
+    for k, p in enumerate(machine.parameters):
+        if values[k] == p.nominal:
+            continue
+        unit = display_unit(p.unit)
+        number, spread, now = units.from_si([values[k], sd[k], p.nominal], unit)
+        parts.append(f"{p.name} {number:.6g} +- {spread:.2g} {unit} (now {now:.6g})")
+    return f"Parameters: {'; '.join(parts)}."
+
+
+def _answer(judgement: str, reason: str) -> CalibrationAnswer:
+    return CalibrationAnswer(
+        judgement, f"Is the calibration good? {judgement.capitalize()}: {reason}"
+    )
+
+
+def _errors(values: Mapping[str, float], section: PredictionSection) -> str:
+    return ", ".join(
+        f"{name} {format_number(value)} {section.unit[name]}"
+        for name, value in values.items()
+    )
+
+
+def _prior_errors(study: Study, section: PredictionSection) -> dict[str, float]:
+    """Rms error of each component before any reading, in its fine unit."""
+    resolved = resolve(study)
+    if resolved.prediction is None:
+        return {}
+    measurement = resolved.measurement
+    command = resolved.prediction.command
+    reference = cast(Reference, section.reference)
+    maps = error_maps(measurement.kinematics, command, reference)
+    tolerance = measurement.tolerance[: len(measurement.machine.parameters)]
+    rms = np.sqrt(np.mean(np.sum((maps.raw * tolerance) ** 2, axis=2), axis=0))
+    return {
+        name: units.number(float(value), section.unit[name])
+        for name, value in zip(maps.names, rms, strict=True)
+    }
