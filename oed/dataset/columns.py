@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Final
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.instrument import Channel
+from oed.instrument import Channel, Instrument
 from oed.model import Coordinate, Machine
 
 # What a column of poses may mean instead of what its header says.
@@ -212,11 +212,15 @@ def tension_columns(machine: Machine) -> list[str]:
     return [f"{TENSION}{k + 1}" for k in range(len(machine.joints))]
 
 
-def expected_columns(machine: Machine, channels: Iterable[Channel]) -> dict[str, str]:
+def expected_columns(
+    machine: Machine, instruments: Sequence[Instrument]
+) -> dict[str, str]:
     """SI unit of every stem that a column may have, temperatures aside."""
-    channels = tuple(channels)
+    channels = [c for instrument in instruments for c in instrument.channels]
     expected = {c.name: c.unit for c in (*machine.command, *machine.joints)}
     expected |= {c.name: c.unit for c in channels} | sigma_units(channels)
+    for instrument in instruments:
+        expected |= instrument.inner_columns
     tensions = dict.fromkeys(tension_columns(machine), "N")
     return {**expected, **COVARIATES, **tensions}
 

@@ -52,8 +52,7 @@ MAX_LISTED = 24
 def expected_columns(measurement: Measurement) -> dict[str, str]:
     """SI unit of every stem that a column may have, temperatures aside."""
     instruments = [s.instrument for s in measurement.setups.values()]
-    channels = [c for instrument in instruments for c in instrument.channels]
-    return columns.expected_columns(measurement.machine, channels)
+    return columns.expected_columns(measurement.machine, instruments)
 
 
 def pose_groups(measurement: Measurement) -> list[list[str]]:
@@ -103,8 +102,13 @@ def _check_channels(
 ) -> None:
     """Check the rows of one set-up; `channels` are those of all set-ups."""
     stems = [c.name for c in setup.instrument.channels]
+    inner = [name for name in setup.instrument.inner_columns if name in table.columns]
+    for stem in stems if inner else []:
+        if stem in table.columns:
+            problem = f"{inner[0]} is given as well, of which it follows"
+            raise table.error(problem, "keep one of the two", int(rows[0]), stem)
     for channel in setup.instrument.channels:
-        implied = setup.instrument.implied is not None
+        implied = setup.instrument.implied is not None or bool(inner)
         if channel.name not in table.columns and not implied:
             column = ReadingsColumn.of(channel.name, channel.unit).name
             problem = f"{setup.name} reads {channel.name}, which has no column"
@@ -362,9 +366,10 @@ class _SetupReadings:
 def _setup_readings(
     merged: ReadingsFile, measurement: Measurement, name: str
 ) -> _SetupReadings:
-    instrument = measurement.setups[name].instrument
+    setup = measurement.setups[name]
+    instrument = setup.instrument
     rows = np.flatnonzero((merged.frame["setup"] == name).to_numpy())
-    frame = merged.frame.iloc[rows]
+    frame = _with_channels(merged.frame.iloc[rows], setup)
     reference = np.zeros(len(rows), dtype=bool)
     if instrument.reference == "run":
         reference = ~frame.duplicated("run").to_numpy()
@@ -384,6 +389,19 @@ def _setup_readings(
         covariates=_covariates(frame[taken], merged.frame[FILE]),
         dropped=int((~taken & ~reference).sum()),
     )
+
+
+def _with_channels(frame: pd.DataFrame, setup: Setup) -> pd.DataFrame:
+    """Rows of a set-up with the channels that follow from numbers read inside."""
+    instrument = setup.instrument
+    if instrument.from_inner is None or not set(instrument.inner_columns) & set(frame):
+        return frame
+    absent = pd.Series(np.nan, index=frame.index)
+    raw = {
+        stem: frame.get(stem, absent).to_numpy(dtype=float)
+        for stem in instrument.inner_columns
+    }
+    return frame.assign(**instrument.from_inner(raw, setup.settings))
 
 
 def _channel_values(

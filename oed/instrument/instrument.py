@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.base import Index, Orientation
+from oed.base import Array, Index, Orientation
 from oed.model import Expr, Machine, Parameter, Values
 from oed.noise import NOTHING_STATED, NoiseStatement
 
@@ -113,6 +113,10 @@ class InnerReading:
 
 #: channels of a reading from frames, nuisances and settings
 Observe = Callable[[Sequence[Frame], Values, Values], Sequence[Expr]]
+#: channels of a reading from the numbers that were read inside, and settings
+FromInner = Callable[[Mapping[str, Array], Mapping[str, float]], Mapping[str, Array]]
+#: names of the balls whose inner numbers an instrument reads one after the other
+BALLS = "ab"
 #: slopes of the channels over independent errors inside the instrument
 Sources = Callable[[Sequence[Frame], Values, Values], Expr]
 
@@ -138,6 +142,9 @@ class Instrument:
                            c by sigma over the default of channel c
     inner                  numbers read inside the instrument, of which `sources` has the
                            errors: a zero that is wrong displaces all of them alike
+    from_inner(raw, k)     values (n,) by channel of recorded inner numbers (n,), SI, by
+                           `inner_columns`; NaN where one is missing. None: no file has
+                           them
     fixed_reading(k)       value (SI) of the first channel that the poses are chosen to
                            keep, such as a ball bar's length; None where there is none
     renewed                names of the unknowns that each run seats anew, such as the
@@ -178,6 +185,7 @@ class Instrument:
     adapt: Callable[[Machine], Instrument] | None = None
     orientation: Orientation | None = None
     inner: tuple[InnerReading, ...] = ()
+    from_inner: FromInner | None = None
     single: bool = False
     fixed_point: bool = False
     held: tuple[Parameter, ...] = ()
@@ -213,6 +221,17 @@ class Instrument:
             sources=None if self.sources is None else _rows(self.sources, rows),
             fixed_reading=self.fixed_reading if self.single or rows[0] == 0 else None,
         )
+
+    @property
+    def inner_columns(self) -> dict[str, str]:
+        """SI unit of the recorded inner numbers by stem, such as `range_a` of ball A."""
+        if self.from_inner is None:
+            return {}
+        return {
+            f"{one.name}_{ball}": one.unit
+            for one in self.inner
+            for ball in BALLS[: len(one.sources)]
+        }
 
     @property
     def arity(self) -> int:

@@ -25,6 +25,11 @@ as good to 0.1 mm and 0.1 mrad here. It hides two directions of a `prs_spindle`:
 shifting all sliders along X or Y is shifting the frame. Its rotations are seen against
 the guides, which are vertical, and its height, hardly, against the struts' lengths.
 
+A file may have R, theta and phi of A and B themselves (section 5.2, (c) and (d)):
+`range_a`, `elevation_a`, `azimuth_a` and so on, with theta up from the horizontal and phi
+from x to y. Then A = G + R (cos theta cos phi, cos theta sin phi, sin theta), and n is that
+of A - B.
+
 The paper's three laser scales on the sliders are no readings of this kind: with them
 the sliders' true heights, the joints q, are known, whatever the machine's own scales
 show. A readings file gives them as q1_mm, q2_mm, q3_mm.
@@ -33,11 +38,12 @@ show. A readings file gives them as q1_mm, q2_mm, q3_mm.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
+import numpy as np
 
-from oed.base import direction
+from oed.base import Array, direction
 from oed.instrument import Channel, Cost, Frame, InnerReading, Instrument, Setting
 from oed.model import Expr, Values
 from pkm_models.instruments import registration
@@ -116,6 +122,29 @@ def _spread(point: Expr, k: Values) -> Expr:
     )
 
 
+def _from_inner(raw: Mapping[str, Array], k: Mapping[str, float]) -> dict[str, Array]:
+    """Place of A and direction of the axis, from R, theta and phi (n,) of A and B."""
+    gimbal = np.array([k["at_x"], k["at_y"], k["at_z"]])
+    a, b = (_from_gimbal(raw, ball) for ball in "ab")
+    d = a - b
+    return {
+        **{f"read_{n}": gimbal[i] + a[:, i] for i, n in enumerate("xyz")},
+        "read_alpha": np.arctan2(-d[:, 1], d[:, 2]),
+        "read_beta": np.arctan2(d[:, 0], np.hypot(d[:, 1], d[:, 2])),
+    }
+
+
+def _from_gimbal(raw: Mapping[str, Array], ball: str) -> Array:
+    """Place (n, 3) of a ball from the gimbal; NaN where it was not read."""
+    names = [f"{one[0]}_{ball}" for one in INNER]
+    absent = np.full(len(raw["range_a"]), np.nan)
+    r, up, around = (raw.get(name, absent) for name in names)
+    flat = r * np.cos(up)
+    return np.column_stack(
+        [flat * np.cos(around), flat * np.sin(around), r * np.sin(up)]
+    )
+
+
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return _offset(*_ends(frames[0], s, k))
 
@@ -151,6 +180,7 @@ instrument = Instrument(
     observe=_observe,
     sources=_sources,
     inner=_inner(2),
+    from_inner=_from_inner,
     orientation=ORIENTATION,
 )
 
@@ -165,4 +195,5 @@ position = Instrument(
     observe=_observe_position,
     sources=_sources_position,
     inner=_inner(1),
+    from_inner=_from_inner,
 )

@@ -151,7 +151,7 @@ def mapped_columns(
 
     What the map does not say is taken where the CSV's name is a readings column.
     """
-    unit_of = expected_columns(machine, tool.channels)
+    unit_of = expected_columns(machine, [tool])
     columns = dict(mapping.columns)
     field = location.key("columns")
     for name, source in column_sources.names(columns).items():
@@ -192,6 +192,14 @@ def read_channels(
 ) -> list[str]:
     """Channels that the file has, in the instrument's order."""
     stems = {_stem(name) for name in columns}
+    if tool.from_inner is not None:
+        # which channels follow shows where absent numbers make none
+        raw = {
+            name: np.array([1.0 if name in stems else np.nan])
+            for name in tool.inner_columns
+        }
+        made = tool.from_inner(raw, {s.name: 0.0 for s in tool.settings})
+        stems |= {name for name, value in made.items() if np.isfinite(value[0])}
     return [channel.name for channel in tool.channels if channel.name in stems]
 
 
