@@ -2,6 +2,7 @@
 
 compensated_joints    joints that hold commands on a machine with other parameters
 joint_corrections     what a controller with the nominal model adds to its joints
+commands_of_added     commands that a nominal controller needs for such additions
 undriven_components   pose components that no joint drives, in words
 joint_motion          motion of the driven components per unit of each joint
 GridAxis              a command coordinate of a table
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
         joint_motion,
     )
     from oed.compensate.exact import (
+        commands_of_added,
         compensated_joints,
         joint_corrections,
         undriven_components,

@@ -34,6 +34,17 @@ def joint_corrections(
     return needed - modelled
 
 
+def commands_of_added(kinematics: Kinematics, command: Array, added: Array) -> Array:
+    """Commands (n, n_dof) at which the nominal model has what is `added` (n, nq) to its joints.
+
+    Raises AssemblyError.
+    """
+    nominal = kinematics.machine.nominal
+    start, joints = kinematics.inverse(command)
+    pose = kinematics.forward(joints + added, nominal, start)
+    return kinematics.command_of_pose(pose, command, NO_TOOL)
+
+
 def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
     """A sentence on components without a drive, from their errors (n, k), SI.
 

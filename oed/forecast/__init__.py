@@ -10,6 +10,7 @@ ErrorField       errors of the driven components, given readings
 fit_error_field  the field that readings make most probable
 Forecast         a controller's table and what it leaves
 forecast_table   the table of an estimated field
+INTERVAL_LEVELS  probabilities of the ends of the interval of what it leaves
 """
 
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.forecast.error_field import (
+        INTERVAL_LEVELS,
         ErrorField,
         Forecast,
         Kernel,

@@ -218,6 +218,10 @@ class ForecastSection(Record, frozen=True):
     minutes     time of mounting it and of reading all nodes
     readings    number of rows read
     table       nodes of the controller's table along each command coordinate
+    places      places of these nodes, by column of the command
+    corrections  what the table adds to the joints at its nodes, by column, the last
+                coordinate running fastest
+    whole       whether these also hold what identified parameters correct
     sentences   what the figures rest on
     """
 
@@ -228,6 +232,9 @@ class ForecastSection(Record, frozen=True):
     minutes: float
     readings: int = 0
     table: dict[str, int] = {}
+    places: dict[str, list[float]] = {}
+    corrections: dict[str, list[float]] = {}
+    whole: bool = False
     sentences: list[str] = []
 
 

@@ -66,6 +66,8 @@ class Compensation:
     held        what the controller holds so far, as the study names it; "" for nominal
                 numbers. The export takes its place
     draws       (n, np) parameters drawn from the posterior, for formats that hold them
+    forecast    joints (n, nq) to add at commands, SI, for errors that were measured at
+                nodes; None without
     """
 
     study: str
@@ -81,6 +83,7 @@ class Compensation:
     controller: ControllerTable | None = None
     held: str = ""
     draws: Array | None = None
+    forecast: Callable[[Array], Array] | None = None
 
     @property
     def tabled(self) -> Array:

@@ -15,14 +15,20 @@ from oed.base import Array
 from oed.compensate import GridAxis, compensated_joints, undriven_components
 from oed.mechanism import component_errors
 from oed.model import Machine
-from oed.result import StudyResult
+from oed.result import ForecastSection, StudyResult
 from oed.safe_files import write_own
 from oed.text import format_number
 from oed.units import quantity
 from oed.verdict import accuracy_verdicts
 from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Location
-from pkm_studies.catalogue import Compensation, ControllerFormat, MeasuringPose, Texts
+from pkm_studies.catalogue import (
+    Compensation,
+    ControllerFormat,
+    Identified,
+    MeasuringPose,
+    Texts,
+)
 from pkm_studies.compensation import identified, table_grid
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result
@@ -58,6 +64,10 @@ def build_compensation(
     kinematics, tables = study_kinematics(study), controller.tables
     machine = kinematics.machine
     parameters = identified.identified_parameters(result, machine, tables=tables)
+    measured = result.forecast is not None and bool(result.forecast.corrections)
+    if parameters is None and measured:
+        nothing = np.zeros(len(machine.parameters))
+        parameters = Identified(machine.nominal, nothing, "machine: nominal numbers")
     if parameters is None:
         raise InputError(
             "this result has no identified parameters",
@@ -83,12 +93,32 @@ def build_compensation(
         controller=study.controller,
         held=joint_values or "",
     )
+    if result.forecast is not None and measured:
+        content = _add_forecast(content, result.forecast, controller)
     if controller.draws:
         draws = identified.drawn_parameters(result, machine, parameters, folder)
         content = dataclasses.replace(content, draws=draws)
     if not controller.table:
         return content
     return _add_grid(content, result, workspace_axes(study, machine), largest)
+
+
+def _add_forecast(
+    content: Compensation, section: ForecastSection, controller: ControllerFormat
+) -> Compensation:
+    """The content with the measured errors, in a format whose table takes them.
+
+    Where the controller holds an earlier compensation, they were measured under it.
+    """
+    phrase = "errors measured at nodes (oed forecast)"
+    if not controller.table or content.held:
+        note = f"{phrase} are not in this file: forecast_table.csv comes on top of it"
+        return dataclasses.replace(content, notes=(*content.notes, note))
+    forecast = table_grid.forecast_corrections(
+        section, content.kinematics, content.identified.values
+    )
+    note = f"{phrase} are part of the table"
+    return dataclasses.replace(content, forecast=forecast, notes=(*content.notes, note))
 
 
 def replaces_values(controller: str) -> str:
@@ -107,7 +137,7 @@ def _add_grid(
 ) -> Compensation:
     """The content with the grid of its table, where its workspace is in reach."""
     kinematics = content.kinematics
-    correction = table_grid.table_correction(content.further, content.identified.values)
+    correction = table_grid.table_correction(content)
     want = table_grid.add_offsets(
         table_grid.table_accuracy(kinematics, result.final_prediction),
         content.further,
@@ -274,10 +304,12 @@ def export_result(
         content, notes=(*content.notes, *controller.notes(content))
     )
     texts = controller.write(content)
-    whole = complete_budget(controller, content, result)
+    # a forecast corrects what the model lacks: it is no cost of the file
+    modelled = dataclasses.replace(content, forecast=None)
+    whole = complete_budget(controller, modelled, result)
     sentences = (
         *content.notes,
-        *cost(controller, content),
+        *cost(controller, modelled),
         *verdict_sentences(
             result,
             corrects_effects=controller.tables and bool(content.tables),

@@ -9,19 +9,22 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from oed import units
-from oed.base import Array
+from oed.base import Array, grid_nodes
 from oed.compensate import (
     CommandGrid,
     FurtherAxes,
     GridAxis,
+    InterpolationTable,
+    box_axes,
     choose_command_grid,
     joint_corrections,
     joint_motion,
 )
 from oed.mechanism import AssemblyError, Kinematics
-from oed.result import PredictionSection
+from oed.result import ForecastSection, PredictionSection
 from oed.units import quantity
 from pkm_studies.base import InputError
+from pkm_studies.catalogue import Compensation
 from pkm_studies.quantities import display_unit
 
 #: largest number of commands of a table, unless the user gives another
@@ -126,17 +129,44 @@ def _joint_offsets(kinematics: Kinematics) -> TableAccuracy:
     )
 
 
-def table_correction(
-    further: FurtherAxes, parameters: Array
-) -> Callable[[Array], Array]:
+def table_correction(content: Compensation) -> Callable[[Array], Array]:
     """What a table holds, as a single state: joint corrections, then offsets."""
+    further, parameters = content.further, content.identified.values
 
     def correction(command: Array) -> Array:
         joints = joint_corrections(further.kinematics, command, parameters)
+        if content.forecast is not None:
+            joints = joints + content.forecast(command)
         offsets = further.offsets(command, parameters)
         return np.hstack([joints, offsets])[:, None]
 
     return correction
+
+
+def forecast_corrections(
+    section: ForecastSection, kinematics: Kinematics, parameters: Array
+) -> Callable[[Array], Array]:
+    """What a measured forecast adds (n, nq) to the joints for the parameters, SI."""
+    columns = [
+        units.to_si(values, units.split(name)[1])
+        for name, values in section.corrections.items()
+    ]
+    knots = [
+        units.to_si(places, units.split(name)[1])
+        for name, places in section.places.items()
+    ]
+    command = grid_nodes(tuple(knots))
+    turns = {axis.name: axis.turn for axis in box_axes(kinematics.machine, command)}
+    counts = [len(places) for places in knots]
+    table = InterpolationTable(
+        tuple(turns),
+        tuple(knots),
+        np.column_stack(columns).reshape(*counts, -1),
+        tuple(turns.values()),
+    )
+    if not section.whole:
+        return table.at
+    return lambda c: table.at(c) - joint_corrections(kinematics, c, parameters)
 
 
 def command_grid(

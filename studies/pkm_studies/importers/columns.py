@@ -198,8 +198,8 @@ def read_channels(
             name: np.array([1.0 if name in stems else np.nan])
             for name in tool.inner_columns
         }
-        made = tool.from_inner(raw, {s.name: 0.0 for s in tool.settings})
-        stems |= {name for name, value in made.items() if np.isfinite(value[0])}
+        values = tool.from_inner(raw, {s.name: 0.0 for s in tool.settings})
+        stems |= {name for name, value in values.items() if np.isfinite(value[0])}
     return [channel.name for channel in tool.channels if channel.name in stems]
 
 

@@ -10,7 +10,11 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.compensate import compensated_joints, joint_corrections
+from oed.compensate import (
+    commands_of_added,
+    compensated_joints,
+    joint_corrections,
+)
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.quantities import column, display_unit
 
@@ -60,6 +64,10 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
     corrected = kinematics.corrected_commands(command, values)
     joints = compensated_joints(kinematics, command, values)
     added = joint_corrections(kinematics, command, values)
+    if compensation.forecast is not None:
+        forecast = compensation.forecast(command)
+        joints, added = joints + forecast, added + forecast
+        corrected = commands_of_added(kinematics, command, added)
     columns = {}
     for prefix, block in (("", command), ("corrected_", corrected)):
         for k, c in enumerate(machine.command):

@@ -9,9 +9,10 @@ import numpy as np
 
 from oed import csv_text, units
 from oed.base import Array
+from oed.compensate import commands_of_added
 from oed.dataset import commented
 from oed.forecast import Forecast
-from oed.mechanism import NO_TOOL, Kinematics
+from oed.mechanism import Kinematics
 from oed.model import Component
 from pkm_studies import csv_table, describe
 from pkm_studies.base import InputError
@@ -108,15 +109,12 @@ def _check_range(
 def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
     """Corrections of the joints and corrected commands over the grid of commands."""
     machine, command = kinematics.machine, forecast.grid.commands
-    start, joints = kinematics.inverse(command)
-    pose = kinematics.forward(joints + forecast.joints, machine.nominal, start)
-    corrected = kinematics.command_of_pose(pose, command, NO_TOOL)
+    corrected = commands_of_added(kinematics, command, forecast.joints)
     columns: dict[str, Array] = {}
     for k, c in enumerate(machine.command):
         columns[column(c.name, c.unit)] = _shown(command[:, k], c.unit)
-    for k, joint in enumerate(machine.joints):
-        name = column(f"correction_{joint.name}", joint.unit)
-        columns[name] = _shown(forecast.joints[:, k], joint.unit)
+    for name, values in table_corrections(kinematics, forecast).items():
+        columns[name] = np.array(values)
     for k, c in enumerate(machine.command):
         columns[column(f"corrected_{c.name}", c.unit)] = _shown(corrected[:, k], c.unit)
     rows = (
@@ -126,6 +124,22 @@ def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
     return commented(_table_comments(kinematics)) + csv_text.of_rows(
         [[*columns], *rows]
     )
+
+
+def table_places(kinematics: Kinematics, forecast: Forecast) -> dict[str, list[float]]:
+    """Places of the table's nodes by column of the command."""
+    pairs = zip(kinematics.machine.command, forecast.grid.knots, strict=True)
+    return {column(c.name, c.unit): _shown(k, c.unit).tolist() for c, k in pairs}
+
+
+def table_corrections(
+    kinematics: Kinematics, forecast: Forecast
+) -> dict[str, list[float]]:
+    """What the table adds to the joints at its nodes, by column."""
+    return {
+        column(f"correction_{j.name}", j.unit): _shown(values, j.unit).tolist()
+        for j, values in zip(kinematics.machine.joints, forecast.joints.T, strict=True)
+    }
 
 
 def _table_comments(kinematics: Kinematics) -> Iterator[str]:

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
+from scipy import special
 
 from oed import units
 from oed.base import Array, Index
 from oed.compensate import InterpolationTable, joint_motion
 from oed.forecast import (
+    INTERVAL_LEVELS,
     ErrorField,
     Forecast,
     NodeDesign,
@@ -23,6 +25,7 @@ from oed.result import ForecastComponent, ForecastSection
 from oed.units import quantity
 from pkm_studies import describe
 from pkm_studies.base import InputError
+from pkm_studies.quantities import format_value
 from pkm_studies.stages.forecast import files
 from pkm_studies.stages.forecast.task import ForecastTask
 
@@ -124,8 +127,10 @@ def measured(
     node = _node_of_readings(field, command)
     figures = _figures(errors, field, forecast, node)
     sentences = [*section.sentences, *_doubts(task, field, command, node)]
-    if check is not None:
-        figures |= _checked(task, field, forecast, check)
+    if check is None:
+        sentences += _unseen_waves(task, command)
+    else:
+        figures |= _checked(task, field, forecast, check, figures)
     if not forecast.grid.is_fine:
         sentences.append(
             f"the table has {len(forecast.joints)} commands, and interpolation in it"
@@ -139,9 +144,32 @@ def measured(
         components=components,
         readings=len(command),
         table=dict(zip(names, forecast.grid.counts, strict=True)),
+        places=files.table_places(task.kinematics, forecast),
+        corrections=files.table_corrections(task.kinematics, forecast),
+        whole=bool(correctable.any()),
         sentences=sentences,
     )
     return filled, files.table_csv(task.kinematics, forecast)
+
+
+def _unseen_waves(task: ForecastTask, command: Array) -> Iterator[str]:
+    """The shortest wave along a joint that nodes (n, n_dof) can tell from noise.
+
+    It is twice the distance between neighbours (Nyquist), in the travel of the joint that
+    moves most between them.
+    """
+    nodes = np.unique(np.round(command, 9), axis=0)
+    unit = task.kinematics.machine.joints[0].unit
+    alike = [joint.unit == unit for joint in task.kinematics.machine.joints]
+    joints = task.kinematics.inverse(nodes)[1][:, alike]
+    travel = np.abs(joints[:, None] - joints[None]).max(axis=2)
+    np.fill_diagonal(travel, np.inf)
+    wave = format_value(2.0 * float(np.median(travel.min(axis=1))), unit)
+    yield (
+        f"waves along a joint that are shorter than {wave}, such as those of a screw's"
+        " pitch, look like noise at these nodes, and the predicted error lacks them: read"
+        " one line finer, and give it as `check`"
+    )
 
 
 #: factor between the errors of the nodes and those expected from which a unit is in doubt
@@ -204,9 +232,18 @@ def _rms(errors: Array) -> Array:
 
 
 def _checked(
-    task: ForecastTask, field: ErrorField, forecast: Forecast, path: Path
+    task: ForecastTask,
+    field: ErrorField,
+    forecast: Forecast,
+    path: Path,
+    figures: Figures,
 ) -> Figures:
-    """What the table leaves at nodes that were not fitted, with their noise."""
+    """What the table leaves at nodes that were not fitted, with their noise.
+
+    Errors there beyond those predicted, as of waves that the fitted nodes do not see,
+    widen the predicted `figures`: of n residuals of mean square s, that of the machine is
+    within n s / chi2 of n degrees of freedom.
+    """
     command, errors, sigma = files.read_nodes(task, path)
     grid = forecast.grid
     table = InterpolationTable(
@@ -218,7 +255,14 @@ def _checked(
     motion = joint_motion(task.kinematics, command)
     residual = errors + np.einsum("nkq,nq->nk", motion, table.at(command))
     variance = np.diag(field.covariance(command)).reshape(errors.shape) + sigma**2
-    return {
+    count = np.isfinite(residual).sum(axis=0)
+    square = np.nansum(residual**2, axis=0)
+    upper, lower = (special.chdtri(count, level) for level in INTERVAL_LEVELS)
+    widened = {}
+    for name, freedom in (("predicted", count), ("low", upper), ("high", lower)):
+        beyond = np.maximum(square / freedom - variance.mean(axis=0), 0.0)
+        widened[name] = np.sqrt(figures[name] ** 2 + beyond)
+    return widened | {
         "checked": _rms(residual),
         "checked_predicted": np.sqrt(variance.mean(axis=0)),
         "checked_max": np.nanmax(np.abs(residual), axis=0),
