@@ -211,6 +211,8 @@ class Effect:
                          `payload`, `tension`, `time or temp_leg`; `direction: both`, `payload: 2`
                          and `feed: 2` need as many different values
     constants            nonlinear constants, each with the values to marginalise over
+    of_drive             the constant that a stated drive fixes: turns of its wheels a turn
+                         of the joint, or the lead of its screw; "" for none
     proportional         {constant: expected size, m, at which its values hold}, of
                          lengths in proportion to the effect's size
     remedy               what a machine builder does about it
@@ -242,6 +244,7 @@ class Effect:
     columns: Callable[..., Iterable[Column]]
     needs: tuple[str, ...] = ()
     constants: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
+    of_drive: str = ""
     proportional: Mapping[str, float] = dataclasses.field(default_factory=dict)
     remedy: str = ""
     exposed_by: str = ""

@@ -40,6 +40,7 @@ effect = Effect(
     about="an eccentric wheel of each joint's gear, once a turn of the wheel",
     columns=columns,
     constants={"ratio": RATIOS},
+    of_drive="ratio",
     units={"*": "rad"},
     remedy="renew or centre the wheel, or correct the joint by an encoder at its output",
     nature=natures.TRAVEL,

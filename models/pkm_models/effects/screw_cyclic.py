@@ -4,9 +4,8 @@ second harmonic.
 ISO 3408-3 allows 6 (class 3) to 8 um (class 5) from end to end within a turn. Over a
 joint's travel the phase slips by many turns between two neighbouring pitches, so only
 leads that screws are made with are tried (ISO 3408-2, and 15, 30 and 50 mm of
-catalogues; 2 and 2.5 mm are the second harmonics of 4 and 5). For a lead of one's own,
-a file with `effect = dataclasses.replace(screw_cyclic.effect, constants={"pitch":
-(7e-3,)})`.
+catalogues; 2 and 2.5 mm are the second harmonics of 4 and 5), unless a study states its
+own, `drive = { kind = "screw", lead_mm = 7 }`.
 """
 
 from __future__ import annotations
@@ -43,6 +42,7 @@ effect = Effect(
     about="cyclic error of each screw, once a turn",
     columns=columns,
     constants={"pitch": LEADS},
+    of_drive="pitch",
     remedy=(
         "align the screw's bearings and coupling, or close the loop by a linear encoder"
     ),

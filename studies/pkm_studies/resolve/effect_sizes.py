@@ -1,7 +1,10 @@
-"""Expected sizes of effects as a study states them: [effects], `leg_thermal_C = 1`."""
+"""Effects as a study states them: expected sizes ([effects], `leg_thermal_C = 1`), gears."""
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+import operator
 from collections.abc import Iterable, Mapping
 
 from oed import units
@@ -9,6 +12,7 @@ from oed.effect_model import Effect
 from oed.text import suggest
 from pkm_studies import catalogue
 from pkm_studies.study import Study
+from pkm_studies.tables import DriveTable
 
 #: how a quotient is written in the name of a field: `ppm_per_C`
 PER = "_per_"
@@ -39,7 +43,13 @@ def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
 
 
 def effect_with_sizes(effect: Effect, study: Study) -> Effect:
-    """The effect with the sizes that the study expects of it."""
+    """The effect with the sizes that the study expects of it, and the study's drive."""
+    drive = study.machine.drive
+    if effect.of_drive and isinstance(drive, DriveTable):
+        values = _drive_values(drive)
+        if values:
+            constants = {**effect.constants, effect.of_drive: values}
+            effect = dataclasses.replace(effect, constants=constants)
     factors = _factors(effect)
     for field, value in study.effects.items():
         unit = field.removeprefix(f"{effect.name}_")
@@ -47,6 +57,14 @@ def effect_with_sizes(effect: Effect, study: Study) -> Effect:
             si, factor = factors[unit]
             effect = effect.with_expected_size(si, value * factor)
     return effect
+
+
+def _drive_values(drive: DriveTable) -> tuple[float, ...]:
+    """Turns of each wheel a turn of the joint, or the lead of the screw, m."""
+    if drive.kind == "screw":
+        return () if drive.lead_mm is None else (drive.lead_mm * units.MM,)
+    stages = drive.stages if drive.ratio is None else [drive.ratio]
+    return tuple(itertools.accumulate([1.0, *stages], operator.mul)) if stages else ()
 
 
 def _effect_of(field: str, allowed: Iterable[str]) -> str | None:

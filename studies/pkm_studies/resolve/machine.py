@@ -17,7 +17,7 @@ from pkm_studies import catalogue, quantities, user_code
 from pkm_studies.base import Location
 from pkm_studies.resolve import lookup, reach
 from pkm_studies.study import Study
-from pkm_studies.tables import AdjustTable, MachineTable
+from pkm_studies.tables import AdjustTable, DriveTable, MachineTable
 from pkm_studies.user_code import Origin
 
 # What moves the parameters of a machine, as [[machine.adjust]] states it.
@@ -137,9 +137,29 @@ def _described(
     machine = _replace_nominal(table, machine, location)
     machine = _replace_ranges(table, machine, location)
     changed = machine is not model or user_code.is_file(table.model)
-    if table.drive is not None:
+    if isinstance(table.drive, DriveTable):
+        _check_drive(table.drive, machine, location.key("drive"))
+        machine = dataclasses.replace(machine, drive=table.drive.kind)
+    elif table.drive is not None:
         machine = dataclasses.replace(machine, drive=table.drive)
     return add_adjustments(table, machine, location), changed
+
+
+def _check_drive(table: DriveTable, machine: Machine, location: Location) -> None:
+    """Raises InputError for numbers that the drive or the joints of a machine lack."""
+    turns = any(joint.unit == "rad" for joint in machine.joints)
+    stated = {
+        "ratio": (table.ratio is not None, turns and table.kind in ("gear", "belt")),
+        "stages": (bool(table.stages), turns and table.kind in ("gear", "belt")),
+        "lead_mm": (table.lead_mm is not None, table.kind == "screw"),
+    }
+    for name, (is_stated, is_possible) in stated.items():
+        if is_stated and not is_possible:
+            problem = f"a {table.kind} on the joints of {machine.name} has none"
+            raise location.key(name).error(problem, "leave it out, or correct `kind`")
+    if table.ratio is not None and table.stages:
+        remedy = "give one of the two: ratio is the product of stages"
+        raise location.key("stages").error("ratio is given as well", remedy)
 
 
 def has_own_numbers(table: MachineTable) -> bool:

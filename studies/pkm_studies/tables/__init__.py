@@ -37,6 +37,7 @@ from pkm_studies.tables.machine import (
     AdjustTable,
     BoundsTable,
     ControllerTable,
+    DriveTable,
     MachineTable,
     SetupTable,
     ToleranceTable,

@@ -17,6 +17,9 @@ from pkm_studies.tables.base import (
     Triple,
 )
 
+#: what moves the joints of a machine
+DriveKind = Literal["screw", "belt", "cable", "gear", "linear_motor"]
+
 
 class AdjustTable(StudyTable, frozen=True, kw_only=True):
     """[[machine.adjust]]: what moves some parameters at the machine; later tables win.
@@ -33,6 +36,21 @@ class AdjustTable(StudyTable, frozen=True, kw_only=True):
     amounts: dict[str, float] = {}
 
 
+class DriveTable(StudyTable, frozen=True, kw_only=True):
+    """`drive` of [machine] with its numbers, as in `{ kind = "gear", ratio = 50 }`.
+
+    kind     what moves the joints
+    ratio    turns of the motor a turn of the joint
+    stages   in its place, the ratio of each stage from the joint to the motor
+    lead_mm  travel of a screw's nut in a turn
+    """
+
+    kind: DriveKind
+    ratio: Positive | None = None
+    stages: list[Positive] = []
+    lead_mm: Positive | None = None
+
+
 class MachineTable(StudyTable, frozen=True, kw_only=True):
     """[machine]: the model and its numbers.
 
@@ -43,7 +61,8 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     home       command of the home pose, as in `z_mm = 20`
     travel     ranges of the joints, as in `q1_mm = [0, 600]`
     fixed      parameters that are not identified, in place of the model's list
-    drive      what moves the joints; effects that it cannot have are left out
+    drive      what moves the joints, with its gears where they are known; effects that it
+               cannot have are left out
     adjust     [[machine.adjust]] tables, in place of the model's adjustments
     controller what the controller holds of an earlier calibration, relative to the study:
                the folder of its result, or a file of `oed compensate --to json|csv`;
@@ -57,7 +76,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     home: dict[str, float] = {}
     travel: dict[str, Pair] = {}
     fixed: list[str] | None = None
-    drive: Literal["screw", "belt", "cable", "gear", "linear_motor"] | None = None
+    drive: DriveKind | DriveTable | None = None
     adjust: list[AdjustTable] | None = None
     controller: str | None = None
 
