@@ -44,11 +44,13 @@ class CsvTable:
     file    path, for errors
     header  names of the columns
     lines   numbered lines of cells, as many each as the header has
+    above   numbered lines above the header: facts of the whole file
     """
 
     file: str
     header: tuple[str, ...]
     lines: tuple[Line, ...]
+    above: tuple[Line, ...] = ()
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -111,6 +113,7 @@ def read(path: Path) -> CsvTable:
         file=str(path),
         header=header,
         lines=tuple(_body(below, width, str(path))),
+        above=tuple(lines[:start]),
     )
 
 

@@ -71,7 +71,7 @@ class ColumnsImporter:
             complete,
             model,
             tool,
-            setup=setup_table(complete, reference, tool),
+            setups=[setup_table(complete, reference, tool)],
             rows=placed,
             statements=[
                 *statements(table, columns, mapping, tool, model.machine),
@@ -96,16 +96,16 @@ def session(
     model: column_map.Model,
     tool: Instrument,
     *,
-    setup: Mapping[str, object],
+    setups: Sequence[Mapping[str, object]],
     rows: Sequence[Row],
     statements: Sequence[str],
     errors: PredictionReference = "home",
 ) -> ImportedSession:
-    """The session of a complete map: a study with one set-up, and what was read."""
+    """The session of a complete map: a study with its set-ups, and what was read."""
     title = f"{model.machine.name} read by {tool.name}"
     return ImportedSession(
         study=column_map.imported_study(
-            request, model, title, [setup], complete.noise, errors
+            request, model, title, setups, complete.noise, errors
         ),
         rows=rows,
         statements=statements,
@@ -136,7 +136,8 @@ def joined(tables: Sequence[CsvTable]) -> CsvTable:
             raise InputError(problem, "rename one of them", file=other.file)
         pairs = zip(first.lines, other.lines, strict=True)
         lines = tuple((number, [*cells, *more]) for (number, cells), (_, more) in pairs)
-        first = CsvTable(first.file, (*first.header, *other.header), lines)
+        header = (*first.header, *other.header)
+        first = CsvTable(first.file, header, lines, first.above)
     return first
 
 

@@ -105,6 +105,8 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     setup         name of the set-up
     registration  of a tracker: "free" (identified), "best_fit" (held) or "known"
     tool_mm       tool point in the platform's frame
+    targets       of a tracker that reads several: tool point of each, mm, by its name in
+                  the column `setup`. They share the frame
     columns       column of the CSV, by column of the readings; or a table with its factor
                   and offset
     orientation   columns of a quaternion, a rotation vector or a direction
@@ -120,6 +122,7 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     setup: str = "setup1"
     registration: Literal["free", "best_fit", "known"] = "free"
     tool_mm: Triple = (0.0, 0.0, 0.0)
+    targets: dict[str, Triple] = {}
     columns: dict[str, str | ColumnSource] = {}
     orientation: OrientationColumns | None = None
     settings: dict[str, float] = {}

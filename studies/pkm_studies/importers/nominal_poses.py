@@ -26,7 +26,28 @@ def nominal_frames(
 
     At the recorded joints where there are any, else at the commands. Raises InputError.
     """
-    machine, tool = kinematics.machine, units.to_si(mapping.tool_mm, "mm")
+    rotations = np.full((len(rows), 3, 3), np.nan)
+    points = np.full((len(rows), 3), np.nan)
+    for name, members in members_by_setup(rows).items():
+        tool = units.to_si(mapping.targets.get(name, mapping.tool_mm), "mm")
+        of_target = [rows[k] for k in members]
+        rotations[members], points[members] = _frames(of_target, kinematics, tool)
+    return rotations, points
+
+
+def members_by_setup(rows: Sequence[Row]) -> dict[str, list[int]]:
+    """Numbers of the rows of each set-up, from 0."""
+    members: dict[str, list[int]] = {}
+    for k, row in enumerate(rows):
+        members.setdefault(row["setup"], []).append(k)
+    return members
+
+
+def _frames(
+    rows: Sequence[Row], kinematics: Kinematics, tool: Array
+) -> tuple[Array, Array]:
+    """The same of one target at a tool point (3,), m."""
+    machine = kinematics.machine
     stems = {name.rpartition("_")[0]: name for name in rows[0]}
     joints = [stems.get(joint.name, "") for joint in machine.joints]
     if not all(joints):

@@ -6,15 +6,18 @@ frame is free within tolerances, or held there.
 
 Read are the forms that files of trackers are known to have: X [mm] and U(95) X [mm] of
 Hexagon's tracker software, with a unit each, and SpatialAnalyzer's names of the columns in
-a comment, without one; of motion capture Position over X, and TX over mm. Points without
+a comment, without one; of motion capture Position over X with Motive's Length Units, TX over
+mm, and Qualisys's names of markers above the numbers. Points without
 a unit are taken for millimetres, which their best fit to the machine confirms or refuses.
 Everything else needs a map.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -34,8 +37,14 @@ from pkm_studies.importers import (
     columns,
     nominal_poses,
     orientations,
+    targets,
 )
-from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
+from pkm_studies.importers.base import (
+    ImportedSession,
+    ImportRequest,
+    Row,
+    line_field,
+)
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
@@ -53,7 +62,7 @@ CHANNELS = ("read_x", "read_y", "read_z")
 UNIT = r"(?:[\[(]\s*(?P<unit>mm|m|in|um)\s*[\])])"
 #: measured coordinates: X, x [mm], x_meas, Position X, TX [mm]
 MEASURED = re.compile(
-    rf"\s*(?:position\s+|t)?(?P<axis>[xyz])\s*(?:{UNIT}|_?meas(?:ured)?|_?m)?\s*",
+    rf"\s*(?:position\s+|meas(?:ured)?[ ._]+|t)?(?P<axis>[xyz])\s*(?:{UNIT}|_?meas(?:ured)?|_?m)?\s*",
     re.IGNORECASE,
 )
 #: expanded uncertainty of a coordinate, of coverage 95 %
@@ -64,6 +73,11 @@ UNCERTAINTY = re.compile(
     r"\s*(?:u|u95|std|stdev|sigma|sd|unc|uncertainty)[ _.]*[(]?[xyz]\b.*", re.IGNORECASE
 )
 DELETED = "Delete"
+#: the cell before the unit of a Motive file, and its units
+LENGTH_UNITS = "Length Units"
+UNIT_WORDS = {"millimeters": "mm", "meters": "m", "inches": "in"}
+#: the cells before the names of markers or bodies of a Qualisys file
+NAMES = ("MARKER_NAMES", "BODY_NAMES")
 
 
 class BestFit(NamedTuple):
@@ -92,7 +106,7 @@ class TrackerImporter:
         tool, reference = column_map.instrument(
             request, mapping, location, model.machine, INSTRUMENT
         )
-        table = columns.joined(read_tables(request.files))
+        table = columns.joined(list(map(named_markers, read_tables(request.files))))
         mapping = msgspec.structs.replace(mapping, columns=add_measured(mapping, table))
         mapped = columns.mapped_columns(mapping, table, model.machine, tool, location)
         complete = msgspec.structs.replace(
@@ -101,13 +115,15 @@ class TrackerImporter:
         rows = columns.rows(table, mapped, mapping, tool, location)
         rows, left_out = columns.drop_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
+        rows = targets.at_targets(rows, mapping, kinematics, location)
         rows, sentence = _registered(rows, mapping, kinematics, tool, table, location)
+        rows, channels = targets.split_by_channels(rows, tool)
         return columns.session(
             request,
             complete,
             model,
             tool,
-            setup=_setup(complete, reference, tool),
+            setups=_setups(complete, reference, tool, channels),
             rows=rows,
             statements=[
                 *columns.statements(table, mapped, mapping, tool, model.machine),
@@ -250,14 +266,68 @@ def _frame_sentences(fit: BestFit, mapping: ColumnMap) -> list[str]:
     ]
 
 
-def _setup(mapping: ColumnMap, reference: str, tool: Instrument) -> dict[str, object]:
-    tolerance = {name: 0.0 for name in FREE}
-    if mapping.registration == "free":
-        tolerance = dict(FREE)
-    return {**columns.setup_table(mapping, reference, tool), "tolerance": tolerance}
+def _setups(
+    mapping: ColumnMap,
+    reference: str,
+    tool: Instrument,
+    channels: Mapping[str, Sequence[str]],
+) -> list[dict[str, object]]:
+    """The [[setup]] tables, by set-up the channels that it read; they share the frame."""
+    tolerance = (
+        dict(FREE) if mapping.registration == "free" else dict.fromkeys(FREE, 0.0)
+    )
+    tables = []
+    for name, read in channels.items():
+        table: dict[str, object] = {"name": name, "instrument": reference}
+        place = units.from_si(targets.tool_of(name, mapping), "mm").tolist()
+        table |= {"tolerance": tolerance, **mapping.settings}
+        if len(read) < len(tool.channels):
+            table["channels"] = list(read)
+        if any(place):
+            table["tool_mm"] = place
+        if len(channels) > 1:
+            table["station"] = targets.STATION
+        tables.append(table)
+    return tables
 
 
 # -- columns that a header explains ----------------------------------------------------
+
+
+def named_markers(table: CsvTable) -> CsvTable:
+    """The table with plain names of a single Qualisys marker's or body's columns.
+
+    Several are named each by its own name, which a map can choose from.
+    """
+    rows = [cells for _, cells in table.above if cells and cells[0] in NAMES]
+    names = [name for name in rows[0][1:] if name] if rows else []
+    header = list(table.header)
+    first = len(header) - 3 * len(names)
+    if names and first >= 0 and header == [str(k + 1) for k in range(len(header))]:
+        header[first:] = [f"{name} {axis}" for name in names for axis in "XYZ"]
+    if len(names) == 1:
+        header = [name.removeprefix(f"{names[0]} ") for name in header]
+    return dataclasses.replace(table, header=tuple(header))
+
+
+def stated_unit(table: CsvTable) -> str:
+    """The unit of lengths that lines above the header state; mm where none does.
+
+    Raises InputError for another word.
+    """
+    for number, cells in table.above:
+        if LENGTH_UNITS in cells[:-1]:
+            word = cells[cells.index(LENGTH_UNITS) + 1]
+            if word.lower() not in UNIT_WORDS:
+                raise InputError(
+                    "no unit that is read",
+                    f"export in one of {', '.join(UNIT_WORDS)}, or write a map",
+                    file=table.file,
+                    field=line_field(number, LENGTH_UNITS),
+                    value=word,
+                )
+            return UNIT_WORDS[word.lower()]
+    return "mm"
 
 
 def add_measured(mapping: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
@@ -272,14 +342,15 @@ def add_measured(mapping: ColumnMap, table: CsvTable) -> dict[str, str | ColumnS
     _check_deleted(table)
     others = set(column_sources.names(mapped).values())
     axes: dict[str, str] = {}
+    unit = stated_unit(table)
     for header in [name for name in table.header if name not in others]:
         match, spread = MEASURED.fullmatch(header), U95.fullmatch(header)
         if match:
             axis = match["axis"].lower()
             _check_alone(table, axis, header, axes)
-            mapped[f"read_{axis}_{_unit(match)}"] = axes[axis] = header
+            mapped[f"read_{axis}_{_unit(match, unit)}"] = axes[axis] = header
         if spread:
-            name = f"sigma_read_{spread['axis'].lower()}_{_unit(spread)}"
+            name = f"sigma_read_{spread['axis'].lower()}_{_unit(spread, unit)}"
             mapped[name] = ColumnSource(column=header, k=COVERAGE)
     return mapped
 
@@ -298,8 +369,8 @@ def uncertainty_sentences(
     ]
 
 
-def _unit(match: re.Match[str]) -> str:
-    return (match["unit"] or "mm").lower()
+def _unit(match: re.Match[str], unit: str) -> str:
+    return (match["unit"] or unit).lower()
 
 
 def _check_alone(table: CsvTable, axis: str, header: str, axes: dict[str, str]) -> None:

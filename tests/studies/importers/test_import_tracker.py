@@ -257,6 +257,14 @@ Format Version,1.25,Take Name,Take 1,Capture Frame Rate,120.0,Length Units,Milli
 ,ID,"A1","A1","A1","A1","A1","A1","A1","A1"
 ,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error
 Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,"""
+MOTIVE_METRES = MOTIVE.replace("Millimeters", "Meters")
+QUALISYS = """\
+NO_OF_FRAMES\t18
+NO_OF_CAMERAS\t8
+NO_OF_MARKERS\t1
+FREQUENCY\t100
+DATA_INCLUDED\t3D
+MARKER_NAMES\tnest"""
 VICON = """\
 Segments
 120
@@ -269,6 +277,15 @@ Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ
     ("header", "line", "factor", "name"),
     [
         (MOTIVE, "{k},0.{k:02d},0,0,0,1,{x},{y},{z},0.0001", 1.0, "Position X"),
+        (MOTIVE_METRES, "{k},0,0,0,0,1,{x},{y},{z},0.0001", 1e-3, "Position X"),
+        (QUALISYS, "{x}\t{y}\t{z}", 1.0, "X"),
+        (
+            QUALISYS + "\nFrame\tTime\tnest X\tnest Y\tnest Z",
+            "{k}\t0\t{x}\t{y}\t{z}",
+            1.0,
+            "X",
+        ),
+        ("Name;Meas X;Meas Y;Meas Z;Dev", "p{k};{x};{y};{z};0.1", 1.0, "Meas X"),
         (VICON.format(unit="mm"), "{k},0,1,2,3,{x},{y},{z}", 1.0, "TX [mm]"),
         pytest.param(
             *(VICON.format(unit="m"), "{k},0,1,2,3,{x},{y},{z}", 1e-3, "TX [m]"),
@@ -288,6 +305,29 @@ def test_points_of_motion_capture_need_no_map(
     estimate = oed.identify(oed.read_readings(oed.load_study(study)))
     # exact points of the true delta: radii, arms and angles explain them
     assert max(estimate.section.rms_after.values()) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("header", "line", "words"),
+    [
+        (
+            MOTIVE.replace("Millimeters", "Centimeters"),
+            "{k},0,0,0,0,1,{x},{y},{z},0",
+            r"line 1, Length Units = Centimeters: no unit",
+        ),
+        (
+            QUALISYS.replace("nest", "a\tb"),
+            "{x}\t{y}\t{z}\t{x}\t{y}\t{z}",
+            r"the file has a X, a Y, a Z, b X",
+        ),
+    ],
+)
+def test_words_of_motion_capture_that_are_not_read(
+    header: str, line: str, words: str, tmp_path: Path
+) -> None:
+    files = exported(tmp_path, header, line, np.array(1.0))
+    with pytest.raises(InputError, match=words):
+        import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
 def test_two_files_without_names_of_columns_say_so(tmp_path: Path) -> None:
