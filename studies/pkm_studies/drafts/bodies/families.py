@@ -26,7 +26,7 @@ from pkm_studies.drafts.bodies.limbs import (
     DrawnMachine,
     drawn_machine,
 )
-from pkm_studies.drafts.bodies.tree import turn
+from pkm_studies.drafts.bodies.tree import detached, turn
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import replace_nominal, unreachable
 from pkm_studies.user_code import Origin
@@ -63,7 +63,7 @@ def described(path: Path, loops: Path | None) -> Described:
     else:
         if loops is not None:
             raise location.error("MJCF holds its own loops", "leave out --loops")
-        tree = mjcf_file.read(path)
+        tree = detached(mjcf_file.read(path))
     drawn = drawn_machine(tree, location)
     kinds = {limb.kind for limb in drawn.limbs}
     key = (kinds.pop() if len(kinds) == 1 else "", len(drawn.axes), drawn.turns)

@@ -199,9 +199,12 @@ class _Reader:
 
     def _loop(self, element: ET.Element) -> BodyLoop:
         """A connection; the point on the second body follows from the drawing."""
-        if element.tag != "connect" or element.get("active") == "false":
+        closes = element.tag in ("connect", "weld")
+        if not closes or element.get("active") == "false":
             problem = f"<equality> holds <{element.tag}> that is no active connection"
-            raise self.location.error(problem, "close loops with <connect> alone")
+            raise self.location.error(problem, "close loops with <connect> or <weld>")
+        if element.tag == "weld":
+            return self._weld(element)
         if element.get("site1") is not None:
             first, second = (self._site(element.get(f"site{k}", "")) for k in (1, 2))
             return BodyLoop(*first, *second)
@@ -213,6 +216,23 @@ class _Reader:
                 )
         anchor = self._numbers(element.get("anchor", ""))
         return BodyLoop(names[0], anchor, names[1], np.full(3, np.nan))
+
+    def _weld(self, element: ET.Element) -> BodyLoop:
+        """A weld as a connection: at the ball joint on which one of its bodies hangs."""
+        tree = BodyTree(self.bodies, (), {})
+        names = [element.get("body1", ""), element.get("body2", WORLD)]
+        for first, second in (names, names[::-1]):
+            body = self.bodies.get(first)
+            if body is None or [j.kind for j in body.joints] != [BALL]:
+                continue
+            if second in self.bodies or second == WORLD:
+                at = tree.local(body.parent, tree.point(first, body.joints[0].at))
+                return BodyLoop(body.parent, at, second, np.full(3, np.nan))
+        raise self.location.error(
+            f"a <weld> joins {' and '.join(map(repr, names))}, neither of which hangs on a"
+            " ball joint alone",
+            "end each limb in a body on a ball joint, or close it with <connect>",
+        )
 
     def _site(self, name: str) -> tuple[str, Array]:
         if name not in self.sites:
@@ -243,7 +263,6 @@ def _closed(bodies: dict[str, Body], loops: list[BodyLoop]) -> list[BodyLoop]:
         if np.isfinite(loop.on_second).all():
             closed.append(loop)
             continue
-        location, rotation = tree.frame(loop.second)
-        there = rotation.T @ (tree.point(loop.first, loop.on_first) - location)
+        there = tree.local(loop.second, tree.point(loop.first, loop.on_first))
         closed.append(BodyLoop(loop.first, loop.on_first, loop.second, there))
     return closed

@@ -13,6 +13,10 @@ from oed.base import Array
 
 HINGE, SLIDE, BALL, FREE = "hinge", "slide", "ball", "free"
 WORLD = "world"
+#: what a hinge's direction may lack of 1 along z: rounding
+LEVEL = 1e-12
+#: the point in which the chains of a five-bar meet
+TOOL = "the tool point"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +106,11 @@ class BodyTree:
         origin, rotation = self.frame(name)
         return np.asarray(origin + rotation @ local)
 
+    def local(self, name: str, point: Array) -> Array:
+        """A point (3,) of the base frame in the frame of a body, as drawn."""
+        origin, rotation = self.frame(name)
+        return np.asarray(rotation.T @ (point - origin))
+
     def joints(self, name: str) -> list[PlacedJoint]:
         """The joints from the base to a body."""
         return [
@@ -111,6 +120,49 @@ class BodyTree:
             for body in reversed(self.chain(name))
             for j in body.joints
         ]
+
+
+def detached(tree: BodyTree) -> BodyTree:
+    """The tree with a platform of its own, where the file hangs it on a limb or has none.
+
+    A platform that all loops share and that hangs on a ball joint of a limb is cut there:
+    free, with a further loop. Two chains of two hinges, closed once, meet in a point that
+    moves in their plane: it becomes the platform of a five-bar.
+    """
+    shared = set.intersection(*({loop.first, loop.second} for loop in tree.loops))
+    if len(tree.loops) == 1:
+        (loop,) = tree.loops
+        ends = [loop.first, loop.second]
+        if not all(_is_level_chain(tree.joints(end)) for end in ends):
+            return tree
+        at = tree.point(loop.first, loop.on_first)
+        slides = tuple(
+            BodyJoint(f"tool {axis}", SLIDE, np.eye(3)["xy".index(axis)], np.zeros(3))
+            for axis in "xy"
+        )
+        platform = Body(TOOL, WORLD, at, np.eye(3), slides)
+        loops = tuple(BodyLoop(e, tree.local(e, at), TOOL, np.zeros(3)) for e in ends)
+    elif len(shared) == 1 and WORLD not in shared:
+        (name,) = shared
+        body = tree.bodies[name]
+        if body.parent == WORLD or [j.kind for j in body.joints] != [BALL]:
+            return tree
+        origin, rotation = tree.frame(name)
+        free = (BodyJoint("platform", FREE, np.array([0.0, 0.0, 1.0]), np.zeros(3)),)
+        platform = Body(name, WORLD, origin, rotation, free)
+        at = body.joints[0].at
+        on_limb = tree.local(body.parent, tree.point(name, at))
+        loops = (BodyLoop(body.parent, on_limb, name, at), *tree.loops)
+    else:
+        return tree
+    bodies = tree.bodies | {platform.name: platform}
+    return BodyTree(bodies, loops, tree.tools, tree.ignored)
+
+
+def _is_level_chain(joints: Sequence[PlacedJoint]) -> bool:
+    """Whether joints are two hinges about z, up or down."""
+    level = [abs(p.axis[2]) > 1.0 - LEVEL for p in joints if p.joint.kind == HINGE]
+    return len(joints) == 2 and len(level) == 2 and all(level)
 
 
 def turn(axis: Sequence[float] | Array, angle: float) -> Array:
