@@ -8,7 +8,7 @@ default four cables hold a point: two more than its coordinates.
 from __future__ import annotations
 
 from oed.model import Family, Machine
-from pkm_models.machines.parts import cables, families
+from pkm_models.machines.parts import cables
 from pkm_models.machines.parts.families import Geometry
 
 NAME = "cables_planar"
@@ -19,7 +19,7 @@ DIMENSIONS = cables.dimensions(2, ANCHORS, None, (0.0, 0.0), 0.5)
 
 def build(geometry: Geometry) -> Machine:
     """A planar cable robot. Raises ValueError where it has too few cables."""
-    table = families.completed(DIMENSIONS, geometry)
+    table = cables.completed(DIMENSIONS, geometry)
     about = "planar cable robot, any number of cables: x, y (and spin) driven"
     return Machine(**cables.build(NAME, SOURCE, table, 2), about=about, family=family)
 

@@ -70,6 +70,8 @@ class NumbersImporter:
         mapped = columns.mapped_columns(mapping, table, model.machine, tool, location)
         rows = columns.rows(table, mapped, mapping, tool, location)
         model = _widened(model, rows)
+        if tool.implied is not None:
+            model = _without_zeros(model)
         setup = columns.setup_table(
             msgspec.structs.replace(mapping, columns=mapped), measured.instrument, tool
         )
@@ -200,13 +202,28 @@ def _ranges(
     return ranges
 
 
+def _without_zeros(model: Model) -> Model:
+    """The machine without zeros and scales of its joints: no closure alone tells them."""
+    names = {_stem(p.name) for p in model.machine.parameters}
+    zeros = sorted(f"{stem}*" for stem in names - _sized_stems(model.machine))
+    fixed = [*model.machine.frame, *zeros]
+    return Model(model.machine, msgspec.structs.replace(model.table, fixed=fixed))
+
+
+def _sized_stems(machine: Machine) -> set[str]:
+    """Stems of parameters that are places or lengths, such as `anchor` of `anchor1x`."""
+    return {_stem(p.name) for p in machine.parameters if p.unit == "m" and p.nominal}
+
+
+def _stem(name: str) -> str:
+    return name.rstrip("xyz").rstrip("0123456789")
+
+
 def _prior(machine: Machine) -> tuple[str, str]:
     """The tables [[prior.tolerance]] of places and lengths, and a sentence on them."""
-    lengths = [p for p in machine.parameters if p.unit == "m" and p.tolerance > 0.0]
-    size = max((abs(p.nominal) for p in lengths), default=0.0)
+    size = max((abs(p.nominal) for p in machine.parameters if p.unit == "m"), default=0)
     sigma = float(f"{units.number(RELATIVE_TOLERANCE * size, 'mm'):.2g}")
-    sized = {p.name.rstrip("xyz").rstrip("0123456789") for p in lengths if p.nominal}
-    patterns = sorted(f"{stem}*" for stem in sized)
+    patterns = sorted(f"{stem}*" for stem in _sized_stems(machine))
     tables = {"prior": {"tolerance": [{"parameters": patterns, "sigma_mm": sigma}]}}
     names = ", ".join(patterns)
     return tomli_w.dumps(tables), f"Known before to {sigma:g} mm: {names}."

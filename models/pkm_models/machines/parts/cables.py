@@ -39,6 +39,8 @@ SCALE_SD = 0.5e-3
 ATTACH = "the cables' points on the mover, from the tool point; all 0 for a point"
 STIFFNESS = "E A of each cable, which recorded tensions stretch; none: not known"
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}
+#: share of the smallest side of the anchors' box that a workspace amid them reaches
+REACH = 0.25
 #: sense of the joints, and of z of a mover that turns
 PAID_OUT = "length of cable {} that its drum has paid out, less its zero"
 TOOL_AXIS = "z of the frame of the cables' points on the mover"
@@ -58,6 +60,17 @@ def dimensions(
         Dimension("stiffness", "N", (None,), None, STIFFNESS),
         families.tolerance_dimension(),
     )
+
+
+def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, Any]:
+    """The table with defaults; home is amid stated anchors that do not hold its default."""
+    table = families.completed(dimensions, geometry)
+    anchors, home = families.array(table, "anchor"), families.array(table, "home")
+    low, high = anchors.min(axis=0), anchors.max(axis=0)
+    if "home" not in geometry and not ((low < home) & (home < high)).all():
+        reach = REACH * float((high - low).min())
+        table |= {"home": anchors.mean(axis=0), "reach": reach} | geometry
+    return table
 
 
 def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
