@@ -11,10 +11,9 @@ and readings that leave a > p / 2 tell nothing.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -40,6 +39,8 @@ RIGHT: Final = math.sqrt(2.0)
 WRONG: Final = 2.0
 #: share of the errors before any reading that readings must leave less than
 SEEN: Final = 0.5
+#: what counts as none, in any unit: rounding
+ZERO: Final = 1e-12
 
 
 def import_numbers(
@@ -84,39 +85,37 @@ def _described(machine: str, numbers: Sequence[str], consent: Consent) -> Machin
     return MachineTable(model=machine, geometry=geometry, nominal=nominal)
 
 
-@dataclasses.dataclass(frozen=True)
-class CalibrationAnswer:
-    """Whether the numbers that a machine has are good, as a judgement and a sentence."""
-
-    judgement: str
-    sentence: str
-
-
-def calibration_answer(study: Study, result: StudyResult) -> CalibrationAnswer:
-    """Whether the numbers of the study's machine are good, by its readings."""
+def calibration_answer(study: Study, result: StudyResult) -> str:
+    """A sentence on whether the numbers of the study's machine are good."""
     section = result.judged_prediction
     doubts = trust.objections(result)
     if section is None or doubts:
         reason = doubts[0] if doubts else "no accuracy could be predicted"
         return _answer("cannot tell", f"{reason}.")
     driven = {n: c for n, c in section.components.items() if c.compensatable}
-    ratios = [c.before.rms / c.after.rms for c in driven.values() if c.after.rms > 0.0]
-    now = _errors({n: c.before.rms for n, c in driven.items()}, section)
-    then = _errors({n: c.after.rms for n, c in driven.items()}, section)
-    errors = f"with the numbers that the machine has now it errs by {now} rms"
-    unseen = [
-        name
-        for name, prior in _prior_errors(study, section).items()
-        if name in driven and driven[name].after.rms > SEEN * prior
-    ]
+    prior = _prior_errors(study, section)
+    unseen = [n for n, c in driven.items() if c.after.rms > SEEN * prior[n]]
     if unseen:
         words = join_words(unseen)
         return _answer("cannot tell", f"these readings hardly see errors of {words}.")
-    if max(ratios, default=1.0) >= WRONG:
-        return _answer("no", f"{errors}, with the identified ones by {then}.")
-    if max(ratios, default=1.0) <= RIGHT:
-        return _answer("yes", f"{errors}, and better ones cannot be told: {then}.")
-    return _answer("cannot tell", f"{errors}, with the identified ones by {then}.")
+    ratio = max(c.before.rms / max(c.after.rms, ZERO) for c in driven.values())
+    now, then = (
+        ", ".join(
+            f"{name} {format_number(spread.rms)} {section.unit[name]}"
+            for name, spread in spreads.items()
+        )
+        for spreads in (
+            {n: c.before for n, c in driven.items()},
+            {n: c.after for n, c in driven.items()},
+        )
+    )
+    reason = (
+        f"with the numbers that the machine has now it errs by {now} rms, with the"
+        f" identified ones by {then}."
+    )
+    if ratio <= RIGHT:
+        return _answer("yes", reason)
+    return _answer("no" if ratio >= WRONG else "cannot tell", reason)
 
 
 def parameter_sentence(study: Study, result: StudyResult) -> str:
@@ -127,7 +126,7 @@ def parameter_sentence(study: Study, result: StudyResult) -> str:
     values, sd = controller_values(result, machine, with_effects=False)
     parts = []
     for k, p in enumerate(machine.parameters):
-        if values[k] == p.nominal:
+        if abs(values[k] - p.nominal) < ZERO:
             continue
         unit = display_unit(p.unit)
         number, spread, now = units.from_si([values[k], sd[k], p.nominal], unit)
@@ -135,24 +134,14 @@ def parameter_sentence(study: Study, result: StudyResult) -> str:
     return f"Parameters: {'; '.join(parts)}."
 
 
-def _answer(judgement: str, reason: str) -> CalibrationAnswer:
-    return CalibrationAnswer(
-        judgement, f"Is the calibration good? {judgement.capitalize()}: {reason}"
-    )
-
-
-def _errors(values: Mapping[str, float], section: PredictionSection) -> str:
-    return ", ".join(
-        f"{name} {format_number(value)} {section.unit[name]}"
-        for name, value in values.items()
-    )
+def _answer(judgement: str, reason: str) -> str:
+    return f"Is the calibration good? {judgement.capitalize()}: {reason}"
 
 
 def _prior_errors(study: Study, section: PredictionSection) -> dict[str, float]:
     """Rms error of each component before any reading, in its fine unit."""
     resolved = resolve(study)
-    if resolved.prediction is None:
-        return {}
+    assert resolved.prediction is not None  # the section comes of it
     measurement = resolved.measurement
     command = resolved.prediction.command
     reference = cast(Reference, section.reference)

@@ -66,10 +66,11 @@ def answered(
     study.write_text(text + QUICK)
     loaded = load(study)
     result = stages.run_study(loaded, folder / "fit", report=False)
-    answer = calibration_answer(loaded, result)
+    sentence = calibration_answer(loaded, result)
+    judgement = sentence.removeprefix("Is the calibration good? ").partition(":")[0]
     assert result.estimate is not None
     values = {n: p.value for n, p in result.estimate.parameters.items()}
-    return answer.judgement, answer.sentence, values
+    return judgement, sentence, values
 
 
 def test_twenty_measured_positions_of_four_belts(tmp_path: Path) -> None:
@@ -80,7 +81,7 @@ def test_twenty_measured_positions_of_four_belts(tmp_path: Path) -> None:
         tmp_path / "sheet.csv", "X;Y;X measured;Y measured", np.c_[PLACES, read]
     )
     judgement, sentence, values = answered(file, "cables_planar", ANCHOR_TEXT)
-    assert judgement == "no", sentence
+    assert judgement == "No", sentence
     anchors = np.array(
         [[values[f"anchor{k}{axis}"] for axis in "xy"] for k in (1, 2, 3, 4)]
     )
@@ -96,7 +97,7 @@ def test_numbers_that_are_right(tmp_path: Path) -> None:
     read = PLACES + rng.normal(0.0, 0.5, PLACES.shape)
     file = write(tmp_path / "sheet.csv", "x;y;actual x;actual y", np.c_[PLACES, read])
     judgement, sentence, _ = answered(file, "cables_planar", ANCHOR_TEXT)
-    assert judgement == "yes", sentence
+    assert judgement == "Yes", sentence
 
 
 def test_belts_alone_by_their_corners(tmp_path: Path) -> None:
@@ -179,7 +180,7 @@ def test_twenty_distances_of_a_delta(tmp_path: Path) -> None:
     judgement, sentence, values = answered(
         file, "linear_delta", *numbers, fixed=DELTA_FIXED
     )
-    assert judgement == "no", sentence
+    assert judgement == "No", sentence
     start = np.array([now[0], *now[2]])
     weak = lambda v: (v[1:].mean() - 300.0) * 1e-4  # no distance sees it  # noqa: E731
     fit = least_squares(

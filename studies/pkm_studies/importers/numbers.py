@@ -7,7 +7,7 @@ as a tape measure finds them, and the noise for an assumption that the readings 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -34,16 +34,10 @@ RELATIVE_TOLERANCE: Final = 0.01
 #: mm; lengths and places by a tape measure, heights by a probe
 TAPE_MM: Final = 0.5
 PROBE_MM: Final = 0.1
+CONTACT: Final = "contact_probe"
+REDUNDANCY: Final = "redundancy"
 #: share of a range by which joints may pass what the readings need
 MARGIN: Final = 0.1
-
-
-class MeasuredKind(NamedTuple):
-    """What was measured: the instrument, its noise, and what errors refer to."""
-
-    instrument: str
-    noise: dict[str, float]
-    errors: PredictionReference
 
 
 class NumbersImporter:
@@ -60,33 +54,33 @@ class NumbersImporter:
         table = columns.joined(read_tables(request.files))
         stems = plain_header.quantities(table, model.machine)
         table, stems = _ends_as_rows(table, stems)
-        measured = _measured_kind(set(stems.values()), model.machine, table)
+        kind = _instrument(set(stems.values()), model.machine, table)
         origin = Origin.command(request.consent)
-        tool = catalogue.instrument(measured.instrument, origin, location)
-        tool = tool.for_machine(model.machine)
+        tool = catalogue.instrument(kind, origin, location).for_machine(model.machine)
         mapping = ColumnMap(columns={stem: name for name, stem in stems.items()})
-        if measured.instrument == "contact_probe":
+        if kind == CONTACT:
             mapping.columns["z_mm"] = mapping.columns.pop("height_mm")
         mapped = columns.mapped_columns(mapping, table, model.machine, tool, location)
         rows = columns.rows(table, mapped, mapping, tool, location)
         model = _widened(model, rows)
-        if tool.implied is not None:
+        if kind == REDUNDANCY:
             model = _without_zeros(model)
-        setup = columns.setup_table(
-            msgspec.structs.replace(mapping, columns=mapped), measured.instrument, tool
-        )
+        complete = msgspec.structs.replace(mapping, columns=mapped)
+        setup: dict[str, Any] = columns.setup_table(complete, kind, tool)
         title = f"{model.machine.name} read by {tool.name}"
-        noise = {"assumed": True, **measured.noise}
         prior, known = _prior(model.machine)
-        study = column_map.imported_study(
-            request, model, title, [setup], noise, measured.errors
-        )
+        is_height = "height" in tool.channels[0].name
+        read = setup.get("channels", [c.name for c in tool.channels])
+        sigma = PROBE_MM if is_height else TAPE_MM
+        noise = {"assumed": True, **{f"{c}_mm": sigma for c in read}}
+        errors: PredictionReference = "home" if is_height else "best_fit"
+        study = column_map.imported_study(request, model, title, [setup], noise, errors)
         return ImportedSession(
             study=f"{study}\n{prior}",
             rows=rows,
             statements=[
                 *columns.statements(table, mapped, mapping, tool, model.machine),
-                f"Instrument: {measured.instrument}, noise assumed.",
+                f"Instrument: {kind}, noise assumed.",
                 known,
             ],
         )
@@ -95,28 +89,20 @@ class NumbersImporter:
 importer = NumbersImporter()
 
 
-def _measured_kind(stems: set[str], machine: Machine, table: CsvTable) -> MeasuredKind:
-    """What was measured, from columns of the readings. Raises InputError."""
+def _instrument(stems: set[str], machine: Machine, table: CsvTable) -> str:
+    """What was measured with, from columns of the readings. Raises InputError."""
     names = {stem.rpartition("_")[0] for stem in stems}
-    axes = [axis for axis in "xyz" if f"read_{axis}" in names]
-    if axes:
-        is_planar = axes == ["x", "y"] and "z" not in {c.name for c in machine.pose}
-        noise = {f"read_{axis}_mm": TAPE_MM for axis in axes}
-        kind = "planar_position" if is_planar else "camera"
-        return MeasuredKind(kind, noise, "best_fit")
+    if "read_x" in names and "z" not in {c.name for c in machine.pose}:
+        return "planar_position"
+    if {"read_x", "read_y", "read_z"} & names:
+        return "camera"
     if "length" in names:
-        return MeasuredKind("calliper", {"length_mm": TAPE_MM}, "best_fit")
+        return "calliper"
     if "height" in names:
-        kind = "height_probe" if "z" in names else "contact_probe"
-        return MeasuredKind(kind, {"height_mm": PROBE_MM}, "home")
-    redundancy = len(machine.joints) - len(machine.command)
-    if redundancy > 0 and {joint.name for joint in machine.joints} <= names:
-        gaps = (
-            ["gap"] if redundancy == 1 else [f"gap{k + 1}" for k in range(redundancy)]
-        )
-        return MeasuredKind(
-            "redundancy", {f"{gap}_mm": TAPE_MM for gap in gaps}, "best_fit"
-        )
+        return "height_probe" if "z" in names else CONTACT
+    is_redundant = len(machine.joints) > len(machine.command)
+    if is_redundant and {joint.name for joint in machine.joints} <= names:
+        return REDUNDANCY
     raise InputError(
         "nothing was measured: all columns are commands or joints",
         "add columns such as measured x, measured y; height; or x1, y1, x2, y2, distance",
@@ -161,44 +147,39 @@ def _ends_as_rows(
 def _widened(model: Model, rows: list[Row]) -> Model:
     """The machine with workspace and travel that hold the readings too."""
     machine = model.machine
-    command = _values(rows, machine.command)
-    joints = _values(rows, machine.joints)
-    if command is not None and joints is None:
+    stems = {name.rpartition("_")[0]: name for name in rows[0]}
+    values = [
+        nominal_poses.si_numbers(rows, [stems[c.name] for c in coordinates])
+        if all(c.name in stems for c in coordinates)
+        else np.full((1, len(coordinates)), np.nan)
+        for coordinates in (machine.command, machine.joints)
+    ]
+    if np.isnan(values[1]).all():
         try:
-            _, joints = Kinematics(machine).inverse(command)
+            values[1] = Kinematics(machine).inverse(values[0])[1]
         except AssemblyError:
             return model  # the check of the study says which pose is out of reach
     table = msgspec.structs.replace(
         model.table,
-        workspace=_ranges(machine.command, command) | model.table.workspace,
-        travel=_ranges(machine.joints, joints) | model.table.travel,
+        workspace=_ranges(machine.command, values[0]) | model.table.workspace,
+        travel=_ranges(machine.joints, values[1]) | model.table.travel,
     )
     return Model(machine, table)
 
 
-def _values(rows: list[Row], coordinates: tuple[Coordinate, ...]) -> Array | None:
-    """Values (n, k) of coordinates, SI; None where a column is missing."""
-    stems = {name.rpartition("_")[0]: name for name in rows[0]}
-    names = [stems.get(c.name, "") for c in coordinates]
-    return nominal_poses.si_numbers(rows, names) if all(names) else None
-
-
 def _ranges(
-    coordinates: tuple[Coordinate, ...], values: Array | None
+    coordinates: tuple[Coordinate, ...], values: Array
 ) -> dict[str, tuple[float, float]]:
     """Ranges, in their usual unit, of coordinates whose values (n, k) pass their own."""
     ranges = {}
-    for k, c in enumerate(coordinates):
-        if values is None or np.isnan(values[:, k]).all():
-            continue
-        low, high = float(np.nanmin(values[:, k])), float(np.nanmax(values[:, k]))
-        if low >= c.lower and high <= c.upper:
-            continue
-        margin = MARGIN * (high - low)
-        key = usual_column(c.name, c.unit)
-        ends = min(low - margin, c.lower), max(high + margin, c.upper)
-        first, last = (units.number(v, key.rpartition("_")[2]) for v in ends)
-        ranges[key] = (round(first, 6), round(last, 6))
+    for c, column in zip(coordinates, values.T, strict=True):
+        low, high = np.fmin.reduce(column), np.fmax.reduce(column)
+        if low < c.lower or high > c.upper:
+            margin = MARGIN * (high - low)
+            key = usual_column(c.name, c.unit)
+            ends = [min(low - margin, c.lower), max(high + margin, c.upper)]
+            first, last = units.from_si(ends, key.rpartition("_")[2])
+            ranges[key] = (round(float(first), 6), round(float(last), 6))
     return ranges
 
 

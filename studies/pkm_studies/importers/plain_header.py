@@ -10,6 +10,8 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
+import numpy as np
+
 from oed.dataset import UNITLESS, is_remark
 from oed.model import Machine
 from oed.units import UNITS
@@ -31,13 +33,6 @@ CHANNELS: Final = {
 }
 #: ends of a measured distance, as in x1, y1, x2, y2
 ENDS: Final = ("1", "2")
-#: corners of a frame by the sides on which their anchor lies: left of the middle, above it
-CORNERS: Final = {
-    (True, True): "tl",
-    (False, True): "tr",
-    (False, False): "br",
-    (True, False): "bl",
-}
 
 
 def quantities(table: CsvTable, machine: Machine) -> dict[str, str]:
@@ -67,8 +62,7 @@ def quantities(table: CsvTable, machine: Machine) -> dict[str, str]:
 
 def _meanings(machine: Machine) -> dict[str, tuple[str, str]]:
     """Stem and SI unit of a quantity, by its words without a unit."""
-    meanings = {name: (name, "m") for name in CHANNELS.values()}
-    meanings |= {word: (channel, "m") for word, channel in CHANNELS.items()}
+    meanings = {word: (channel, "m") for word, channel in CHANNELS.items()}
     for c in machine.command:
         meanings[_key(c.name)] = (c.name, c.unit)
         ends = {f"{_key(c.name)} {end}": (f"{c.name}{end}", c.unit) for end in ENDS}
@@ -82,42 +76,31 @@ def _meanings(machine: Machine) -> dict[str, tuple[str, str]]:
 
 
 def _corners(machine: Machine) -> dict[str, tuple[str, str]]:
-    """Joints of four cables in a plane, by the corner in which their anchor lies."""
+    """Joints of four cables in a plane by the corner of their anchor, such as `tl`."""
     nominal = {p.name: p.nominal for p in machine.parameters}
-    places = [
-        [nominal.get(f"anchor{k}{axis}") for axis in "xy"]
-        for k in range(1, len(machine.joints) + 1)
-    ]
-    if len(places) != len(CORNERS) or "z" in {c.name for c in machine.pose}:
+    if len(machine.joints) != 4 or "anchor4y" not in nominal or "anchor4z" in nominal:
         return {}
-    known = [[v for v in place if v is not None] for place in places]
-    if any(len(place) < 2 for place in known):
-        return {}
-    middle = [sum(values) / len(values) for values in zip(*known, strict=True)]
+    places = np.array([[nominal[f"anchor{k}{a}"] for a in "xy"] for k in range(1, 5)])
+    right, top = (places > places.mean(axis=0)).T
     return {
-        CORNERS[x < middle[0], y > middle[1]]: (joint.name, joint.unit)
-        for joint, (x, y) in zip(machine.joints, known, strict=True)
+        f"{'bt'[int(top[k])]}{'lr'[int(right[k])]}": (joint.name, joint.unit)
+        for k, joint in enumerate(machine.joints)
     }
 
 
 def _column(name: str, meanings: Mapping[str, tuple[str, str]]) -> str | None:
     """Column of the readings of a name of the header; None for no quantity."""
     words = _key(name).split()
-    stated = [word for word in words[1:] if word in UNITS and not word.isdigit()]
-    words = [word for word in words if word not in stated and word not in COMMANDED]
-    is_measured = bool(MEASURED & set(words))
-    words = [word for word in words if word not in MEASURED]
-    key = " ".join((["measured"] if is_measured else []) + words)
-    if key not in meanings and is_measured:
-        key = " ".join(words)
-        if key.partition(" ")[0] not in CHANNELS:
-            return None
-    if key not in meanings or len(stated) > 1:
+    units = [word for word in words[1:] if word in UNITS and not word.isdigit()]
+    plain = " ".join(w for w in words if w not in {*units, *COMMANDED, *MEASURED})
+    is_point = bool(MEASURED & set(words)) and plain not in CHANNELS
+    key = f"measured {plain}" if is_point else plain
+    if key not in meanings or len(units) > 1:
         return None
     stem, unit = meanings[key]
-    if not stated:
+    if not units:
         return usual_column(stem, unit)
-    return f"{stem}_{stated[0]}" if UNITS[stated[0]][0] == unit else None
+    return f"{stem}_{units[0]}" if UNITS[units[0]][0] == unit else None
 
 
 def _key(name: str) -> str:

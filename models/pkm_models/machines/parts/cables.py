@@ -69,7 +69,7 @@ def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, 
     low, high = anchors.min(axis=0), anchors.max(axis=0)
     if "home" not in geometry and not ((low < home) & (home < high)).all():
         reach = REACH * float((high - low).min())
-        table |= {"home": anchors.mean(axis=0), "reach": reach} | geometry
+        table |= {"home": anchors.mean(axis=0), "reach": reach, **geometry}
     return table
 
 
