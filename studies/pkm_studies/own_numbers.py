@@ -12,24 +12,24 @@ and readings that leave a > p / 2 tell nothing.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import numpy as np
 
 from oed import trust, units
 from oed.accuracy import Reference, error_maps
 from oed.result import PredictionSection, StudyResult
-from oed.text import format_number, join_words
+from oed.text import join_words
 from pkm_studies import catalogue
 from pkm_studies.base import Location
 from pkm_studies.earlier_result import controller_values
 from pkm_studies.importers import import_files
 from pkm_studies.quantities import display_unit
 from pkm_studies.resolve import resolve
-from pkm_studies.study import Study
+from pkm_studies.results import error_quantities
+from pkm_studies.study import Study, decode_table, tables_of
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
@@ -39,6 +39,7 @@ RIGHT: Final = math.sqrt(2.0)
 WRONG: Final = 2.0
 #: share of the errors before any reading that readings must leave less than
 SEEN: Final = 0.5
+REMEDY: Final = "write NAME_UNIT=NUMBER, such as radius_mm=125, or a list [1, 2]"
 #: what counts as none, in any unit: rounding
 ZERO: Final = 1e-12
 
@@ -56,9 +57,7 @@ def import_numbers(
 
     Raises InputError.
     """
-    described: str | MachineTable = machine
-    if numbers:
-        described = _described(machine, numbers, consent)
+    described = _described(machine, numbers, consent) if numbers else machine
     path, session = import_files(
         "numbers", readings, out, machine=described, consent=consent
     )
@@ -67,22 +66,14 @@ def import_numbers(
 
 def _described(machine: str, numbers: Sequence[str], consent: Consent) -> MachineTable:
     """The table [machine] of a model with a user's numbers. Raises InputError."""
-    location = Location("--set")
     model = catalogue.machine(machine, Origin.command(consent), Location("--machine"))
+    table = tables_of("\n".join(numbers), Location("--set"), REMEDY)
     dimensions = () if model.family is None else model.family.dimensions
     sizes = {d.name for d in dimensions}
-    geometry: dict[str, Any] = {}
-    nominal: dict[str, Any] = {}
-    for text in numbers:
-        key, _, value = text.partition("=")
-        try:
-            number = tomllib.loads(f"number = {value}")["number"]
-        except tomllib.TOMLDecodeError:
-            remedy = "write NAME_UNIT=NUMBER, such as radius_mm=125, or a list [1, 2]"
-            raise location.error("this is no number", remedy, text) from None
-        is_size = key.strip().rpartition("_")[0] in sizes
-        (geometry if is_size else nominal)[key.strip()] = number
-    return MachineTable(model=machine, geometry=geometry, nominal=nominal)
+    geometry = {k: v for k, v in table.items() if k.rpartition("_")[0] in sizes}
+    nominal = {k: v for k, v in table.items() if k not in geometry}
+    described = {"model": machine, "geometry": geometry, "nominal": nominal}
+    return decode_table(MachineTable, described, Location("--set"))
 
 
 def calibration_answer(study: Study, result: StudyResult) -> str:
@@ -99,16 +90,9 @@ def calibration_answer(study: Study, result: StudyResult) -> str:
         words = join_words(unseen)
         return _answer("cannot tell", f"these readings hardly see errors of {words}.")
     ratio = max(c.before.rms / max(c.after.rms, ZERO) for c in driven.values())
-    now, then = (
-        ", ".join(
-            f"{name} {format_number(spread.rms)} {section.unit[name]}"
-            for name, spread in spreads.items()
-        )
-        for spreads in (
-            {n: c.before for n, c in driven.items()},
-            {n: c.after for n, c in driven.items()},
-        )
-    )
+    units_of = {name: section.unit[name] for name in driven}
+    now = error_quantities({n: c.before.rms for n, c in driven.items()}, units_of)
+    then = error_quantities({n: c.after.rms for n, c in driven.items()}, units_of)
     reason = (
         f"with the numbers that the machine has now it errs by {now} rms, with the"
         f" identified ones by {then}."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +23,7 @@ from pkm_studies.commands.options import (
 )
 from pkm_studies.console import DONE, FAILED
 from pkm_studies.stages import report_outcome
+from pkm_studies.user_code import consent
 
 if TYPE_CHECKING:
     from pkm_studies.study import Study
@@ -109,9 +109,11 @@ def identify(
             "give a STUDY, or --machine NAME, with --set NAME_UNIT=NUMBER for its numbers",
         )
     if study is None:
-        study, taken = own_study(
-            machine or "", numbers or [], readings, out, allow_code
-        )
+        from pkm_studies.own_numbers import import_numbers
+
+        given = consent(allow_code=allow_code)
+        numbers = numbers or []
+        study, taken = import_numbers(machine or "", numbers, readings, out, given)
         if not quiet:
             print(*taken, f"Study: {study}", sep="\n")
     loaded, folder = load_for(study, allow_code, out)
@@ -132,21 +134,6 @@ def identify(
         print(calibration_answer(loaded, result))
         print(parameter_sentence(loaded, result))
     return report_outcome(result, folder, quiet, verbose=verbose)
-
-
-def own_study(
-    machine: str,
-    numbers: Sequence[str],
-    readings: Sequence[Path],
-    out: Path,
-    allow_code: bool,
-) -> tuple[Path, Sequence[str]]:
-    """The study of a machine by name with a user's readings, and what was taken for what."""
-    from pkm_studies.own_numbers import import_numbers
-    from pkm_studies.user_code import consent
-
-    given = consent(allow_code=allow_code)
-    return import_numbers(machine, numbers, readings, out, given)
 
 
 def diagnose(
@@ -265,7 +252,6 @@ def forecast(
 def load(path: Path, allow_code: bool) -> Study:
     """The study of a file or of a shipped study's name."""
     from pkm_studies import shipped, study
-    from pkm_studies.user_code import consent
 
     return study.load(shipped.study_path(path), consent(allow_code=allow_code))
 

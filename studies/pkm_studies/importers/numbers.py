@@ -6,6 +6,7 @@ as a tape measure finds them, and the noise for an assumption that the readings 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -26,7 +27,6 @@ from pkm_studies.importers.column_map import Model
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import ColumnMap
 from pkm_studies.quantities import column as usual_column
-from pkm_studies.tables import PredictionReference
 from pkm_studies.user_code import Origin
 
 #: share of the machine's size to which a user knows its places and lengths: some cm of 3 m
@@ -65,25 +65,29 @@ class NumbersImporter:
         model = _widened(model, rows)
         if kind == REDUNDANCY:
             model = _without_zeros(model)
-        complete = msgspec.structs.replace(mapping, columns=mapped)
-        setup: dict[str, Any] = columns.setup_table(complete, kind, tool)
-        title = f"{model.machine.name} read by {tool.name}"
-        prior, known = _prior(model.machine)
+        setup: dict[str, Any] = columns.setup_table(
+            msgspec.structs.replace(mapping, columns=mapped), kind, tool
+        )
         is_height = "height" in tool.channels[0].name
         read = setup.get("channels", [c.name for c in tool.channels])
-        sigma = PROBE_MM if is_height else TAPE_MM
-        noise = {"assumed": True, **{f"{c}_mm": sigma for c in read}}
-        errors: PredictionReference = "home" if is_height else "best_fit"
-        study = column_map.imported_study(request, model, title, [setup], noise, errors)
-        return ImportedSession(
-            study=f"{study}\n{prior}",
+        noise = {f"{c}_mm": PROBE_MM if is_height else TAPE_MM for c in read}
+        prior, known = _prior(model.machine)
+        session = columns.session(
+            request,
+            msgspec.structs.replace(mapping, noise={"assumed": True, **noise}),
+            model,
+            tool,
+            setups=[setup],
             rows=rows,
             statements=[
                 *columns.statements(table, mapped, mapping, tool, model.machine),
                 f"Instrument: {kind}, noise assumed.",
                 known,
             ],
+            errors="home" if is_height else "best_fit",
         )
+        study = f"{session.study}\n{prior}"
+        return dataclasses.replace(session, study=study, column_map=None)
 
 
 importer = NumbersImporter()
