@@ -1,12 +1,13 @@
 """A user's own readings of a machine that he names: to parameters, and a plain answer.
 
-With the numbers that the machine has now its errors have the rms b, with the identified
-ones a, and before any reading p. Numbers that are right have b^2 = 2 a^2 at most on
-average, as the estimate then errs by no more than its own uncertainty. So they are
+The identified numbers differ from those that the machine has by d. With the covariance S of
+the estimate and the prior's L, right numbers have d with the covariance S - S L^-1 S: what the
+noise does. So the answer is
 
-    good  if b <= sqrt(2) a,    not good  if b >= 2 a,    else the readings cannot tell,
-
-and readings that leave a > p / 2 tell nothing.
+    no           where errors by such d are as large as those of the machine in 5 % at most,
+    yes          otherwise, if they are at most sqrt(2) times those that are left,
+    cannot tell  otherwise, with a bad fit, or where more than half is left of what was
+                 possible before any reading.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ import numpy as np
 
 from oed import trust, units
 from oed.accuracy import Reference, error_maps
+from oed.base import Array
+from oed.linear_algebra import covariance_root
 from oed.result import PredictionSection, StudyResult
 from oed.text import join_words
 from pkm_studies import catalogue
 from pkm_studies.base import Location
-from pkm_studies.earlier_result import controller_values
+from pkm_studies.earlier_result import controller_values, known_parameters
 from pkm_studies.importers import import_files
 from pkm_studies.quantities import display_unit
 from pkm_studies.resolve import resolve
@@ -33,12 +36,14 @@ from pkm_studies.study import Study, decode_table, tables_of
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
-#: errors over those of identified numbers that right numbers have at most, and from which
-#: on numbers are not good
+#: probability of so large errors of right numbers below which numbers are not good
+RARE: Final = 0.05
+#: errors over those of identified numbers that right numbers have at most on average
 RIGHT: Final = math.sqrt(2.0)
-WRONG: Final = 2.0
 #: share of the errors before any reading that readings must leave less than
 SEEN: Final = 0.5
+#: estimates of right numbers that are drawn: 5 % of them within a tenth
+DRAWS: Final = 2000
 REMEDY: Final = "write NAME_UNIT=NUMBER, such as radius_mm=125, or a list [1, 2]"
 #: what counts as none, in any unit: rounding
 ZERO: Final = 1e-12
@@ -76,30 +81,43 @@ def _described(machine: str, numbers: Sequence[str], consent: Consent) -> Machin
     return decode_table(MachineTable, described, Location("--set"))
 
 
-def calibration_answer(study: Study, result: StudyResult) -> str:
-    """A sentence on whether the numbers of the study's machine are good."""
+def calibration_answer(study: Study, result: StudyResult, folder: Path) -> str:
+    """A sentence on whether the numbers of the study's machine are good.
+
+    folder  of the result
+    """
     section = result.judged_prediction
     doubts = trust.objections(result)
     if section is None or doubts:
         reason = doubts[0] if doubts else "no accuracy could be predicted"
         return _answer("cannot tell", f"{reason}.")
     driven = {n: c for n, c in section.components.items() if c.compensatable}
-    prior = _prior_errors(study, section)
-    unseen = [n for n, c in driven.items() if c.after.rms > SEEN * prior[n]]
+    units_of = {name: section.unit[name] for name in driven}
+    before, after = (
+        np.array([spread.rms for spread in spreads])
+        for spreads in (
+            [c.before for c in driven.values()],
+            [c.after for c in driven.values()],
+        )
+    )
+    prior, by_noise = _possible_errors(study, result, section, folder)
+    unseen = [n for k, n in enumerate(driven) if after[k] > SEEN * prior[k]]
     if unseen:
         words = join_words(unseen)
         return _answer("cannot tell", f"these readings hardly see errors of {words}.")
-    ratio = max(c.before.rms / max(c.after.rms, ZERO) for c in driven.values())
-    units_of = {name: section.unit[name] for name in driven}
-    now = error_quantities({n: c.before.rms for n, c in driven.items()}, units_of)
-    then = error_quantities({n: c.after.rms for n, c in driven.items()}, units_of)
+    now = error_quantities(dict(zip(driven, before, strict=True)), units_of)
+    then = error_quantities(dict(zip(driven, after, strict=True)), units_of)
     reason = (
         f"with the numbers that the machine has now it errs by {now} rms, with the"
         f" identified ones by {then}."
     )
-    if ratio <= RIGHT:
-        return _answer("yes", reason)
-    return _answer("no" if ratio >= WRONG else "cannot tell", reason)
+    changed = np.sqrt(np.maximum(before**2 - after**2, 0.0))
+    scale = np.maximum(after, ZERO)
+    is_as_large = (by_noise / scale).max(axis=1) >= (changed / scale).max()
+    if np.mean(is_as_large) <= RARE:
+        return _answer("no", reason)
+    is_right = (before <= RIGHT * after).all()
+    return _answer("yes" if is_right else "cannot tell", reason)
 
 
 def parameter_sentence(study: Study, result: StudyResult) -> str:
@@ -122,17 +140,29 @@ def _answer(judgement: str, reason: str) -> str:
     return f"Is the calibration good? {judgement.capitalize()}: {reason}"
 
 
-def _prior_errors(study: Study, section: PredictionSection) -> dict[str, float]:
-    """Rms error of each component before any reading, in its fine unit."""
+def _possible_errors(
+    study: Study, result: StudyResult, section: PredictionSection, folder: Path
+) -> tuple[Array, Array]:
+    """Rms errors (k,) before any reading, and (DRAWS, k) of estimates of right numbers.
+
+    They are those of the k driven components, in their fine units.
+    """
     resolved = resolve(study)
     assert resolved.prediction is not None  # the section comes of it
-    measurement = resolved.measurement
+    measurement, machine = resolved.measurement, resolved.machine
     command = resolved.prediction.command
     reference = cast(Reference, section.reference)
     maps = error_maps(measurement.kinematics, command, reference)
-    tolerance = measurement.tolerance[: len(measurement.machine.parameters)]
-    rms = np.sqrt(np.mean(np.sum((maps.raw * tolerance) ** 2, axis=2), axis=0))
-    return {
-        name: units.number(float(value), section.unit[name])
-        for name, value in zip(maps.names, rms, strict=True)
-    }
+    tolerance = measurement.tolerance[: len(machine.parameters)]
+    free = np.flatnonzero(tolerance > 0.0)
+    names = [machine.parameters[k].name for k in free]
+    driven = [k for k, c in enumerate(machine.components) if c.compensatable]
+    factors = [units.factor(section.unit[machine.components[k].name]) for k in driven]
+    raw = maps.raw[:, driven][:, :, free] / np.array(factors)[:, None]
+    prior = np.sqrt(np.mean(np.sum((raw * tolerance[free]) ** 2, axis=2), axis=0))
+    _, covariance, _ = known_parameters(result, machine.name, names, folder)
+    by_noise = covariance - (covariance / tolerance[free] ** 2) @ covariance
+    root = covariance_root(by_noise)
+    drawn = np.random.default_rng(0).standard_normal((DRAWS, len(root))) @ root.T
+    errors = np.einsum("nkf,df->dnk", raw, drawn)
+    return prior, np.sqrt(np.mean(errors**2, axis=1))

@@ -131,7 +131,7 @@ def identify(
     if machine is not None and not quiet:
         from pkm_studies.own_numbers import calibration_answer, parameter_sentence
 
-        print(calibration_answer(loaded, result))
+        print(calibration_answer(loaded, result, folder))
         print(parameter_sentence(loaded, result))
     return report_outcome(result, folder, quiet, verbose=verbose)
 
