@@ -93,13 +93,8 @@ def calibration_answer(study: Study, result: StudyResult, folder: Path) -> str:
         return _answer("cannot tell", f"{reason}.")
     driven = {n: c for n, c in section.components.items() if c.compensatable}
     units_of = {name: section.unit[name] for name in driven}
-    before, after = (
-        np.array([spread.rms for spread in spreads])
-        for spreads in (
-            [c.before for c in driven.values()],
-            [c.after for c in driven.values()],
-        )
-    )
+    before = np.array([c.before.rms for c in driven.values()])
+    after = np.array([c.after.rms for c in driven.values()])
     prior, by_noise = _possible_errors(study, result, section, folder)
     unseen = [n for k, n in enumerate(driven) if after[k] > SEEN * prior[k]]
     if unseen:
