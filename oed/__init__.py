@@ -52,6 +52,8 @@ _STUDIES = (
     "sample",
     "predict",
     "diagnose",
+    "next_reading",
+    "verify",
     "run",
     "write_report",
     "write_compensation",

@@ -18,12 +18,14 @@ from pkm_studies.notebook.notebook import choose_design as choose_design
 from pkm_studies.notebook.notebook import diagnose as diagnose
 from pkm_studies.notebook.notebook import identify as identify
 from pkm_studies.notebook.notebook import load_study as load_study
+from pkm_studies.notebook.notebook import next_reading as next_reading
 from pkm_studies.notebook.notebook import plan as plan
 from pkm_studies.notebook.notebook import predict as predict
 from pkm_studies.notebook.notebook import read_readings as read_readings
 from pkm_studies.notebook.notebook import run as run
 from pkm_studies.notebook.notebook import sample as sample
 from pkm_studies.notebook.notebook import simulate as simulate
+from pkm_studies.notebook.notebook import verify as verify
 from pkm_studies.notebook.notebook import write_compensation as write_compensation
 from pkm_studies.notebook.notebook import write_report as write_report
 from pkm_studies.study import Study as Study

@@ -26,10 +26,12 @@ from pkm_studies.notebook.views import (
     PlanView,
     PosteriorView,
     ReadingsView,
+    Said,
     View,
 )
 from pkm_studies.stages import (
     Fitted,
+    Measured,
     designed,
     diagnosed,
     fit_checked,
@@ -168,7 +170,7 @@ def identify(
     >>> estimate.theta.shape == estimate.sd.shape
     True
     """
-    state = readings.state
+    state = _with_readings(readings)
     if effects is not None:
         table = msgspec.structs.replace(
             state.study.identify, effects=_effects_value(effects)
@@ -189,6 +191,20 @@ def identify(
     if effects is None or effects == "none":
         return EstimateView(fitted)
     return EstimateView(diagnosed(fitted))
+
+
+def _with_readings(source: Any) -> Measured:
+    """The state of readings. Raises InputError where there are none."""
+    state = getattr(source, "state", None)
+    if isinstance(state, Measured):
+        return state
+    study = source if isinstance(source, Study) else getattr(state, "study", None)
+    if study is None:
+        raise TypeError(f"readings are needed, here is {type(source).__name__}")
+    raise study.location.error(
+        "there are no readings to identify from",
+        'take `oed.read_readings(study, "mine.csv")`, or `oed.simulate(study)`',
+    )
 
 
 def _effects_value(
@@ -271,10 +287,57 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     >>> diagnosis.section.verdict
     'none'
     """
-    state = source.state
+    state = _with_readings(source)
     if not isinstance(state, Fitted):
         state = fit_checked(state)
     return DiagnosisView(diagnosed(state))
+
+
+def next_reading(study: Study, readings: str | Path, *, wanted: str = "") -> Said:
+    """The best next reading after those of a file, and whether to stop.
+
+    wanted  rms errors at which to stop, `z_um=30,theta_arcsec=5`; by default the study's
+
+    Raises InputError.
+
+    >>> import oed
+    >>> study = oed.load_study("a3_ball_bar")
+    >>> oed.simulate(study).to_pandas().head(6).to_csv("few.csv", index=False)
+    >>> advice = oed.next_reading(study, "few.csv")
+    >>> 0.0 < advice.outcome.gain < 1.0
+    True
+    """
+    from pkm_studies.sessions import Adviser, advice_sentences
+
+    adviser = Adviser(study, wanted)
+    advice = adviser.advise(Path(readings))
+    return Said(tuple(advice_sentences(adviser, advice)), advice)
+
+
+def verify(
+    folder: str | Path, readings: str | Path | None = None, *, promise: str = ""
+) -> Said:
+    """Plan the acceptance test of the result in a folder, or judge its readings.
+
+    readings  the filled-in acceptance.csv of that folder; without, the test is planned
+    promise   rms errors to confirm, `z_um=30`; by default the predicted ones
+
+    Raises InputError.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> result = oed.run(study, "out/planar")
+    >>> oed.verify("out/planar").sentences[-1]
+    'To fill in: out/planar/acceptance.csv'
+    """
+    from pkm_studies import acceptance
+
+    if readings is not None:
+        verdict = acceptance.judge_folder(Path(folder), Path(readings))
+        return Said(tuple(acceptance.verdict_sentences(verdict)), verdict)
+    section, path = acceptance.plan_folder(Path(folder), promised=promise)
+    sentences = acceptance.plan_sentences(section)
+    return Said((*sentences, f"To fill in: {path}"), section)
 
 
 def run(

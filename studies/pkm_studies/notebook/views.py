@@ -332,7 +332,11 @@ class DiagnosisView(View[Fitted]):
 
     @property
     def title(self) -> str:
-        return self.section.words[0] if self.section.words else self.section.verdict
+        section = self.section
+        if not section.words:
+            return section.verdict
+        # the verdict, a sentence on the size of each cause, and the place
+        return " ".join(section.words[: 2 + len(section.selected)])
 
     def to_pandas(self) -> pd.DataFrame:
         import pandas as pd
@@ -352,3 +356,18 @@ class DiagnosisView(View[Fitted]):
         from pkm_reports import axes as figures
 
         return figures.causes(self.section, axes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Said:
+    """What a command of the machine says, and what it is made of.
+
+    sentences   as the command prints them
+    outcome     the advice, the planned test, or its verdict
+    """
+
+    sentences: tuple[str, ...]
+    outcome: Any
+
+    def __repr__(self) -> str:
+        return "\n".join(self.sentences)

@@ -38,7 +38,7 @@ def estimate(readings):
 
 
 def test_every_public_name_is_there() -> None:
-    assert 20 <= len(oed.__all__) <= 30
+    assert 20 <= len(oed.__all__) <= 32
     for name in oed.__all__:
         assert getattr(oed, name) is not None
         assert name in dir(oed)
@@ -228,3 +228,22 @@ def test_a_posterior_goes_to_arviz(estimate) -> None:
     assert posterior.theta == pytest.approx(mean)
     assert np.abs(posterior.theta - estimate.theta).max() < estimate.sd.max()
     assert posterior.sd == pytest.approx(draws.std(["chain", "draw"]).values, rel=0.01)
+
+
+# -- without readings; at the machine --------------------------------------------------
+
+
+def test_a_study_is_no_readings() -> None:
+    study = oed.load_study("planar_step_calibration")
+    with pytest.raises(oed.InputError, match=r"no readings .*oed\.read_readings"):
+        oed.identify(study)  # type: ignore[arg-type]
+    with pytest.raises(oed.InputError, match="no readings"):
+        oed.diagnose(oed.choose_design(oed.load_study("a3_ball_bar")))  # type: ignore[arg-type]
+
+
+def test_the_acceptance_test_is_a_function(tmp_path: Path) -> None:
+    study = oed.load_study("planar_step_calibration")
+    oed.run(study, tmp_path / "run")
+    test = oed.verify(tmp_path / "run")
+    assert len(test.outcome.poses) > 0
+    assert (tmp_path / "run" / "acceptance.csv").is_file()
