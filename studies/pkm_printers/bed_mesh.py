@@ -16,7 +16,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from oed.base import Array, Mask
-from pkm_printers.delta_study import slope_lines
+from pkm_printers.delta_study import EXACT_TRIGGER, setup_table
 from pkm_printers.probed_point import ProbedPoint, contact_row
 from pkm_studies.importers import MeshUse, Row
 
@@ -57,10 +57,10 @@ class BedMesh:
         """Largest distance of a point from the middle, mm."""
         return max(math.hypot(p.x, p.y) for p in self.points)
 
-    def rows(self, slope_ppm: tuple[float, float] = (0.0, 0.0)) -> list[Row]:
+    def rows(self) -> list[Row]:
         """Rows of the readings file."""
         points = enumerate(self.points, start=1)
-        return [contact_row(k, p, slope_ppm, self.setup) for k, p in points]
+        return [contact_row(k, p, self.setup) for k, p in points]
 
     def rows_at(self, height: float) -> list[Row]:
         """The same with the height (mm) at which the probe triggers as reading.
@@ -71,22 +71,12 @@ class BedMesh:
         raised = dataclasses.replace(self, points=tuple(places))
         return [{**row, "height_mm": repr(height)} for row in raised.rows()]
 
-    def setup_table(
-        self,
-        slope_ppm: tuple[float, float] = (0.0, 0.0),
-        *,
-        is_reference: bool = False,
-    ) -> str:
+    def setup_table(self, *, is_reference: bool = False) -> str:
         """The table [[setup]] of a study; a reference states where the bed is."""
         level, why = LEVEL, "the level of a mesh is its own"
         if is_reference:
-            level, why = 0.0, "the firmware takes the trigger height as exact"
-        return f"""
-[[setup]]
-name = "{self.setup}"
-instrument = "contact_probe"
-tolerance = {{ offset_mm = {level} }}  # {why}
-{slope_lines(slope_ppm)}"""
+            level, why = 0.0, EXACT_TRIGGER
+        return setup_table(self.setup, self.points[0].probe, level, why)
 
     def sentence(self, use: MeshUse) -> str:
         """What was read, in words."""

@@ -25,10 +25,16 @@ def changed(geometry: DeltaGeometry, change: Array) -> DeltaGeometry:
 
 
 def travels_to_bed(places: Array, geometry: DeltaGeometry) -> Array:
-    """Travels (n, 3) down from the endstops to the bed at places (n, 2), mm."""
+    """Travels (n, 3) down from the endstops to z = 0 along the towers at places (n, 2), mm."""
     feet, top = _towers(geometry)
     across = ((places[:, None] - feet) ** 2).sum(axis=2)
     return np.asarray(top - np.sqrt(np.asarray(geometry.arms) ** 2 - across))
+
+
+def travels(commands: Array, geometry: DeltaGeometry) -> Array:
+    """Travels (n, 3) at commands (n, 3), whose z counts from the firmware's bed, mm."""
+    raised = commands[:, 2] + commands[:, :2] @ np.asarray(geometry.bed_slope)
+    return np.asarray(travels_to_bed(commands[:, :2], geometry) - raised[:, None])
 
 
 @np.errstate(all="ignore")

@@ -20,6 +20,8 @@ ANGLES = (210.0, 330.0, 90.0)
 #: parameters of a delta with one radius, and of one with a radius for each tower
 ONE_RADIUS = ("arm", "angle", "endstop")
 FAMILY = ("radius", *ONE_RADIUS, "lean", "tip")
+#: names of the slopes of the bed, of a delta that has them
+SLOPES = ("bed_slope_x", "bed_slope_y")
 #: mm by which radii may differ, and a tower may lean over the workspace; the export
 #: states what that costs
 SLACK = 0.02
@@ -30,7 +32,8 @@ class DeltaNumbers:
     """Radius, arms (3,), tower angles (3,) and heights of the endstops (3,), mm, deg.
 
     The height of an endstop is the tool's where all carriages stand as this one does.
-    `trim` (3,) is what the firmware adds to the radius of each tower.
+    `trim` (3,) is what the firmware adds to the radius of each tower, `slope` (2,) what it adds
+    to z along x and y.
     """
 
     radius: float
@@ -38,6 +41,7 @@ class DeltaNumbers:
     angles: Array
     endstops: Array
     trim: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
+    slope: Array = dataclasses.field(default_factory=lambda: np.zeros(2))
 
     @property
     def radii(self) -> Array:
@@ -62,7 +66,12 @@ def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:
         return units.from_si(values, unit)
 
     added = trims(compensation, name, "radius_trim_mm")
-    if "radius" in {p.name for p in compensation.machine.parameters}:
+    slope = np.zeros(2)
+    if has_slopes(compensation.machine):
+        common = units.number(compensation.parameter("radius"), "mm")
+        radius = _common_radius(common + read("trim", "mm") - added)
+        slope = np.array([compensation.parameter(s) for s in SLOPES])
+    elif "radius" in {p.name for p in compensation.machine.parameters}:
         radius = units.number(compensation.parameter("radius"), "mm")
     else:
         _check_upright(compensation, read("lean", "rad"), read("tip", "rad"))
@@ -73,6 +82,31 @@ def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:
         angles=read("angle", "deg"),
         endstops=read("endstop", "mm"),
         trim=added,
+        slope=slope,
+    )
+
+
+def has_slopes(machine: Machine) -> bool:
+    """Whether the slopes of the bed are parameters of a machine."""
+    return set(SLOPES) <= {p.name for p in machine.parameters}
+
+
+def check_level(compensation: Compensation, numbers: DeltaNumbers, title: str) -> None:
+    """Refuse a bed that leans, for a firmware without a word for it. Raises InputError."""
+    places = units.from_si(compensation.command[:, :2], "mm")
+    rise = np.abs(places @ numbers.slope).max()
+    if rise <= SLACK:
+        return
+    slopes = ", ".join(
+        f"{axis} {100.0 * s:+.3f} %"
+        for axis, s in zip("xy", numbers.slope, strict=True)
+    )
+    raise InputError(
+        f"{title} has no word for a bed that leans, and this one rises along {slopes}: without"
+        f" it the nozzle is up to {rise:.3f} mm off the bed",
+        "shim the bed by as much and probe again; or import with a line factors = 6, whose"
+        " numbers hide the lean as well as they can",
+        value="--to",
     )
 
 
@@ -127,7 +161,8 @@ def delta_joints(
     angle = units.to_si(numbers.angles, "deg")
     tower = numbers.radii[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     across = ((point[:, None, :2] - tower) ** 2).sum(axis=2)
-    height = point[:, 2:] + np.sqrt(numbers.arms**2 - across)
+    raised = point[:, 2] + point[:, :2] @ numbers.slope
+    height = raised[:, None] + np.sqrt(numbers.arms**2 - across)
     return units.to_si(carriages - height, "mm")
 
 
@@ -135,7 +170,9 @@ def not_a_delta(machine: Machine) -> str | None:
     """Why a machine is no linear delta with a parameter for each tower."""
     names = {p.name for p in machine.parameters}
     one_radius = {"radius"} | _tower_values(ONE_RADIUS)
-    if names in (one_radius, _tower_values(FAMILY)):
+    if names in (one_radius, _tower_values(FAMILY)) or (
+        has_slopes(machine) and one_radius <= names
+    ):
         return None
     return "it writes linear deltas (radius, arms, tower angles, endstops)"
 

@@ -2,9 +2,8 @@
 
 At contact the tool is at the trigger height over the bed, while the firmware, with the
 geometry it has, believes in (x, y, z). A delta moves along z alike everywhere, so the
-trigger height drops out: that command gives the joints, and the reading is 0. A firmware
-that raises z with x and y, for a bed that leans, has its carriages at the raised z, and
-its bed leans as much.
+trigger height drops out: that command gives the joints, and the reading is 0. Slopes of the
+bed are numbers of the machine, so z counts from the bed of a firmware that raises z by them.
 """
 
 from __future__ import annotations
@@ -12,14 +11,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pkm_printers.bed_lean import default_factors, lean_sentences
 from pkm_printers.bed_mesh import BedMesh, distinct, explanations
-from pkm_printers.delta_study import DeltaGeometry, DeltaStudy, Firmware, noise_table
-from pkm_printers.probed_point import ProbedPoint, contact_row
+from pkm_printers.delta_study import (
+    FACTORS,
+    TILTING,
+    DeltaGeometry,
+    DeltaStudy,
+    Firmware,
+    noise_table,
+)
+from pkm_printers.probed_point import ProbedPoint, contact_rows, probes_of
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, MeshUse
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
+#: by whether the rods are fitted
+WHY_NOT_ARMS = {False: "; heights alone do not give the arms", True: ""}
 NOISE = "standard deviation of one reading, the bed's flatness included"
 
 
@@ -36,7 +45,7 @@ def delta_session(
     points: Sequence[ProbedPoint],
     accounts: Sequence[str],
     notes: Sequence[str],
-    bed_slope_ppm: tuple[float, float] = (0.0, 0.0),
+    factors: int | None = None,
     meshes: Sequence[BedMesh] = (),
     mesh: MeshUse = "hold-out",
 ) -> ImportedSession:
@@ -44,7 +53,8 @@ def delta_session(
 
     accounts       sentences on what became of the words of the files
     notes          further sentences, on places and heights
-    bed_slope_ppm  what the firmware adds to z along x and y
+    factors        that a user wants fitted; None for what the firmware holds and the
+                   heights can tell
     meshes         further heights of the same bed, for which use; without points, the
                    first one states where the bed is
     """
@@ -52,38 +62,38 @@ def delta_session(
     meshes, mesh_notes = distinct(meshes)
     mesh_notes += [one.sentence(mesh) for one in meshes]
     mesh_notes += explanations(meshes, "M665 and M666")
-    notes = [*mesh_notes, *notes]
+    probed = points or [point for one in meshes[:1] for point in one.points]
+    number = factors or default_factors(firmware, geometry, probed)
+    lean = lean_sentences(geometry, probed, number)
+    notes = [*mesh_notes, *lean, *_tilt_sentences(probed), *notes]
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
         firmware=firmware,
         files=files,
         geometry=geometry,
-        fixed=("angle3", "arm1", "arm2", "arm3"),
-        fixed_because="heights alone do not give the arms",
+        free=(*FACTORS[number], *(TILTING if _is_beside(probed) else ())),
+        fixed_because=f"{number} factors are fitted{WHY_NOT_ARMS[number in (7, 9)]}",
         noise=noise_table(NOISE, HEIGHT_UM),
         calliper=False,
         probed_radius=max((math.hypot(p.x, p.y) for p in points), default=radius),
         heights=(0.0, 50.0),
-        bed_slope_ppm=bed_slope_ppm,
+        probes=probes_of(points),
         accounts=[*notes, *accounts],
         mesh_setups="".join(
-            one.setup_table(bed_slope_ppm, is_reference=not points and k == 0)
+            one.setup_table(is_reference=not points and k == 0)
             for k, one in enumerate(meshes)
         ),
         mesh_radius=radius,
-        has_probe=bool(points),
         predict=[one.setup for one in meshes] if mesh == "hold-out" else [],
     )
-    rows = [
-        contact_row(k, point, bed_slope_ppm) for k, point in enumerate(points, start=1)
-    ]
+    rows = contact_rows(points)
     for one in meshes:
-        rows += one.rows(bed_slope_ppm)
-    probed = f"Readings: {len(points)} points of contact with the bed as set-up probe."
+        rows += one.rows()
+    counted = f"Readings: {len(points)} points of contact with the bed as set-up probe."
     statements = [
         geometry.sentence(),
-        *([probed] if points else []),
+        *([counted] if points else []),
         "The geometry must be the one that the printer had while it probed.",
     ]
     return ImportedSession(
@@ -93,11 +103,29 @@ def delta_session(
     )
 
 
+def _is_beside(points: Sequence[ProbedPoint]) -> bool:
+    """Whether a probe stands beside the nozzle."""
+    return any(any(point.probe) for point in points)
+
+
+def _tilt_sentences(points: Sequence[ProbedPoint]) -> list[str]:
+    """What becomes of the tilts of the effector."""
+    if not _is_beside(points):
+        return []
+    return [
+        "Effector: a probe beside the nozzle also reads how the effector tilts over the bed."
+        " The study has that as six unknowns, of rods of a pair and of carriages that are right"
+        " by 0.05 mm over 50 mm (1 mrad, standard deviation). Where it tilts by more, probe"
+        " with the nozzle itself, or type the heights of the nozzle at several places too."
+    ]
+
+
 def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
     """Raises InputError for a point that no machine has."""
     for point in points:
-        if max(map(abs, point)) > LARGEST:
-            listed = ", ".join(f"{v:g}" for v in point)
+        place = point.x, point.y, point.z
+        if max(map(abs, place)) > LARGEST:
+            listed = ", ".join(f"{v:g}" for v in place)
             raise InputError(
                 f"a point at x, y, z = {listed} mm is on no bed",
                 "correct it in a copy of the file",

@@ -9,16 +9,41 @@ from collections.abc import Mapping, Sequence
 from pkm_printers import words
 from pkm_studies.importers import readings_name
 
-#: model of a delta with one radius, and of one with a radius for each tower
-MODEL, FAMILY = "linear_delta", "delta"
+MODEL = "delta_printer"
 TOWERS = (1, 2, 3)
+PPM = 1e-6
+#: place (2,) of a probe from the nozzle, mm
+Offset = tuple[float, float]
 #: share of the probed radius that the accuracy is predicted on
 SHARE = 0.7
 #: half the workspace's width over the delta's radius, at least
 WIDTH_SHARE = 0.8
-#: correlation of the errors of the three radii: their differences are held within 10 um
+#: correlation of the errors of the three arms: their differences are held within 10 um
 COMMON = 0.999998
+#: parameters that a firmware frees with a number of factors: endstops, radius, angles of
+#: two towers, length of the rods, slopes of the bed
+ENDSTOPS = ("endstop1", "endstop2", "endstop3")
+ANGLES = ("angle1", "angle2")
+ARMS = ("arm1", "arm2", "arm3")
+SLOPES = ("bed_slope_x", "bed_slope_y")
+FACTORS: Mapping[int, tuple[str, ...]] = {
+    3: ENDSTOPS,
+    4: (*ENDSTOPS, "radius"),
+    6: (*ENDSTOPS, "radius", *ANGLES),
+    7: (*ENDSTOPS, "radius", *ANGLES, *ARMS),
+    8: (*ENDSTOPS, "radius", *ANGLES, *SLOPES),
+    9: (*ENDSTOPS, "radius", *ANGLES, *ARMS, *SLOPES),
+}
+#: what tilts the effector, which only a probe beside the nozzle reads: differences of the
+#: rods of a pair, turns of the carriages
+TILTING = ("pair1", "pair2", "pair3", "turn1", "turn2", "turn3")
+#: all parameters of the model
+PARAMETERS = (
+    *("radius", *ARMS, *ANGLES, "angle3", *ENDSTOPS),
+    *("trim1", "trim2", "trim3", *SLOPES, *TILTING),
+)
 #: standard deviations of an assembled printer's numbers about those of its firmware
+EXACT_TRIGGER = "the firmware takes the trigger height as exact"
 TOLERANCES = """\
 # How far the true numbers may be from those of the firmware (standard deviations).
 [[prior.tolerance]]
@@ -33,10 +58,10 @@ sigma_mm = 5.0
 parameters = ["angle*"]
 sigma_deg = 2.0
 """
-COMMON_RADIUS = f"""
-# The firmware has one radius; its trims by tower are taken as right.
+COMMON_ARM = f"""
+# The firmware has one length of the rods.
 [[prior.correlated]]
-parameters = ["radius*"]
+parameters = ["arm*"]
 correlation = {COMMON}
 """
 CALLIPER = """
@@ -56,6 +81,7 @@ class DeltaGeometry:
     angles       of the towers (3,), counter-clockwise from x
     endstops     height (3,) of the tool over the bed at each endstop
     radius_trim  (3,) what each tower adds to the radius
+    bed_slope    (2,) what the firmware adds to z along x and y, mm/mm
     """
 
     radius: float
@@ -63,34 +89,16 @@ class DeltaGeometry:
     angles: tuple[float, ...]
     endstops: tuple[float, ...]
     radius_trim: tuple[float, ...] = (0.0, 0.0, 0.0)
+    bed_slope: tuple[float, float] = (0.0, 0.0)
 
     @property
     def radii(self) -> tuple[float, ...]:
         """Radius (3,) of each tower."""
         return tuple(self.radius + trim for trim in self.radius_trim)
 
-    @property
-    def has_radii(self) -> bool:
-        """Whether the towers have radii of their own."""
-        return any(self.radius_trim)
-
-    @property
-    def model(self) -> str:
-        """The model of the study."""
-        return FAMILY if self.has_radii else MODEL
-
-    @property
-    def further_fixed(self) -> tuple[str, ...]:
-        """Parameters of the model that no firmware has."""
-        stems = ("lean", "tip") if self.has_radii else ()
-        return tuple(f"{stem}{i}" for stem in stems for i in TOWERS)
-
     def table(self) -> str:
         """The table [machine.nominal] of a study."""
-        radii = {"radius": self.radius}
-        if self.has_radii:
-            radii = _tower_values("radius", self.radii)
-        lines = [f"{name}_mm = {value!r}" for name, value in radii.items()]
+        lines = [f"radius_mm = {self.radius!r}"]
         for stem, values, unit in (
             ("arm", self.arms, "mm"),
             ("angle", self.angles, "deg"),
@@ -98,12 +106,18 @@ class DeltaGeometry:
         ):
             numbers = _tower_values(stem, values)
             lines += [f"{name}_{unit} = {value!r}" for name, value in numbers.items()]
+        if any(self.radius_trim):
+            trims = _tower_values("trim", self.radius_trim)
+            lines += [f"{name}_mm = {value!r}" for name, value in trims.items()]
+        for name, slope in zip(SLOPES, self.bed_slope, strict=True):
+            if slope:
+                lines.append(f"{name}_ppm = {slope / PPM!r}")
         return "\n".join(["[machine.nominal]", *lines, ""])
 
     def sentence(self) -> str:
         """The geometry in words."""
         radius = f"radius {self.radius:g} mm"
-        if self.has_radii:
+        if any(self.radius_trim):
             radius = f"radii {_listed(self.radii)} mm"
         return (
             f"Machine: delta, {radius}, arms {_listed(self.arms)} mm, towers at"
@@ -163,35 +177,33 @@ class Firmware:
 class DeltaStudy:
     """What the study of a delta printer says.
 
-    fixed          parameters that are not identified, and why in `fixed_because`
+    free           parameters that are identified, and why no others in `fixed_because`
     noise          the lines of [noise]
     calliper       whether distances were read as well
     probed_radius  mm, of the bed
     heights        mm, at which the accuracy is predicted
-    bed_slope_ppm  rise (2,) of the bed along x and y
+    probes         places (2,) from the nozzle, mm, of the probes that read, by set-up
     accounts       sentences on what became of the words of the files
     mesh_setups    tables [[setup]] of bed meshes
     mesh_radius    mm, of their places
     predict        set-ups that are predicted, not fitted
-    has_probe      whether there are readings of the set-up `probe`
     """
 
     name: str
     firmware: Firmware
     files: str
     geometry: DeltaGeometry
-    fixed: tuple[str, ...]
+    free: tuple[str, ...]
     fixed_because: str
     noise: str
     calliper: bool
     probed_radius: float
     heights: tuple[float, ...]
-    bed_slope_ppm: tuple[float, float] = (0.0, 0.0)
+    probes: Mapping[str, Offset]
     accounts: Sequence[str] = ()
     mesh_setups: str = ""
     mesh_radius: float = 0.0
     predict: Sequence[str] = ()
-    has_probe: bool = True
 
     @property
     def title(self) -> str:
@@ -202,12 +214,12 @@ class DeltaStudy:
 
     def text(self) -> str:
         """The text of the study."""
-        fixed = (*self.fixed, *self.geometry.further_fixed)
+        fixed = (p for p in PARAMETERS if p not in self.free)
         listed = ", ".join(f'"{parameter}"' for parameter in fixed)
         reach = round(SHARE * self.probed_radius, 1)
         tolerances = TOLERANCES
-        if self.geometry.has_radii:
-            tolerances += COMMON_RADIUS
+        if "arm1" in self.free and not self.calliper:
+            tolerances += COMMON_ARM
         return f"""\
 # A delta printer, imported from {self.files}: geometry and readings of {self.firmware.title}.
 # `oed run` calibrates it; every number has its unit in the name of its field.
@@ -220,7 +232,7 @@ question = "What do the readings say about the geometry, and how accurate is it 
 seed = 1
 
 [machine]
-model = "{self.geometry.model}"
+model = "{MODEL}"
 fixed = [{listed}]  # {self.fixed_because}
 
 # The geometry that the firmware has now.
@@ -244,7 +256,10 @@ z_mm = {[float(h) for h in self.heights]}
         """The tables of workspace, home and travel, after the printer's size; mm."""
         geometry = self.geometry
         probed = max(self.probed_radius, self.mesh_radius)
+        # ranges move with the tool of a set-up; a command is that of the nozzle
+        offsets = [abs(v) for probe in self.probes.values() for v in probe]
         width = max(1.05 * probed, WIDTH_SHARE * geometry.radius)
+        width += max(offsets, default=0.0)
         width = round(width, 1)
         stop = min(geometry.endstops)
         low, high = round(-0.1 * stop, 1), round(0.9 * stop, 1)
@@ -264,19 +279,13 @@ z_mm = {round(0.05 * stop, 1)}
 """
 
     def _setups(self) -> str:
-        """The probe, and the calliper where distances were read."""
-        if not self.has_probe:
-            return self.mesh_setups
-        lines = [
-            "[[setup]]",
-            'name = "probe"',
-            'instrument = "contact_probe"',
-            "tolerance = { offset_mm = 0.0 }  # the firmware takes the trigger height as"
-            " exact",
+        """The probes, and the calliper where distances were read."""
+        probes = [
+            setup_table(name, offset, 0.0, EXACT_TRIGGER)
+            for name, offset in self.probes.items()
         ]
-        text = "\n".join([*lines, slope_lines(self.bed_slope_ppm)])
         calliper = CALLIPER if self.calliper else ""
-        return text + calliper + self.mesh_setups
+        return "".join(probes) + calliper + self.mesh_setups
 
     def _predict(self) -> str:
         """Which set-ups are held out of the fit."""
@@ -286,14 +295,21 @@ z_mm = {round(0.05 * stop, 1)}
         return f"predict = [{listed}]  # held out of the fit, to see whether it holds\n"
 
 
-def slope_lines(slope_ppm: tuple[float, float]) -> str:
-    """The lines of a set-up on how the bed rises; none for a level one."""
-    lines = [
-        f"bed_slope_{axis}_ppm = {slope!r}  # the firmware raises z by it\n"
-        for axis, slope in zip("xy", slope_ppm, strict=True)
-        if slope
-    ]
-    return "".join(lines)
+def setup_table(name: str, offset: Offset, level_mm: float, why: str) -> str:
+    """The table [[setup]] of a probe at an offset (2,), mm, from the nozzle.
+
+    level_mm  standard deviation of the height at which it triggers, and why
+    """
+    tool = ""
+    if any(offset):
+        x, y = offset
+        tool = f"tool_mm = [{x!r}, {y!r}, 0.0]  # the probe, from the nozzle\n"
+    return f"""
+[[setup]]
+name = "{name}"
+instrument = "contact_probe"
+tolerance = {{ offset_mm = {level_mm} }}  # {why}
+{tool}"""
 
 
 def noise_table(comment: str, height: float, distance: float | None = None) -> str:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 
 from oed.text import suggest
-from pkm_printers import gcode
+from pkm_printers import delta_study, gcode
 from pkm_printers.gcode import TextLine
 
 #: how many numbers each has
@@ -23,8 +23,8 @@ COUNTS = {
     "radius_trim_mm": 3,
     "rod_trim_mm": 3,
 }
-VERSION = "firmware_version"
-FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version)\s*=(.*)")
+VERSION, FACTORS = "firmware_version", "factors"
+FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version|factors)\s*=(.*)")
 
 
 def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
@@ -32,7 +32,7 @@ def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
     facts = {}
     for line in lines:
         match = FACT.fullmatch(line.text)
-        if match is None or match[1] == VERSION:
+        if match is None or match[1] in (VERSION, FACTORS):
             continue
         name = match[1]
         if name not in COUNTS:
@@ -48,9 +48,29 @@ def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
 
 def version(lines: Sequence[TextLine]) -> str | None:
     """The version of the firmware as a user states it; None without."""
+    stated = _stated(lines, VERSION)
+    return None if stated is None else stated[1]
+
+
+def factors(lines: Sequence[TextLine]) -> int | None:
+    """How many factors a user wants fitted; None without. Raises InputError."""
+    stated = _stated(lines, FACTORS)
+    if stated is None:
+        return None
+    line, text = stated
+    if text not in map(str, delta_study.FACTORS):
+        numbers_of = ", ".join(map(str, delta_study.FACTORS))
+        raise line.error(
+            f"firmwares fit {numbers_of} factors", "choose one of them", FACTORS
+        )
+    return int(text)
+
+
+def _stated(lines: Sequence[TextLine], name: str) -> tuple[TextLine, str] | None:
+    """The last line that a user added by this name, and its text; None without."""
     stated = None
     for line in lines:
         match = FACT.fullmatch(line.text)
-        if match is not None and match[1] == VERSION:
-            stated = match[2].strip()
+        if match is not None and match[1] == name:
+            stated = line, match[2].strip()
     return stated

@@ -18,7 +18,16 @@ from oed.base import Array
 from pkm_printers import klipper_config, klipper_mesh
 from pkm_printers.bed_mesh import distinct, explanations
 from pkm_printers.delta_contact import tool_heights
-from pkm_printers.delta_study import DeltaGeometry, DeltaStudy, Firmware, noise_table
+from pkm_printers.delta_study import (
+    ARMS,
+    FACTORS,
+    TILTING,
+    DeltaGeometry,
+    DeltaStudy,
+    Firmware,
+    Offset,
+    noise_table,
+)
 from pkm_printers.klipper_account import config_account
 from pkm_printers.klipper_config import Entry, KlipperConfig
 from pkm_studies.base import InputError
@@ -27,14 +36,16 @@ from pkm_studies.importers import ImportedSession, ImportRequest, Row
 #: distance from the bed, over the height of the lowest endstop, of a position that is wrong
 FAR = 0.2
 #: factors of the steps between which one that fits is sought
-FACTORS = (0.05, 20.0)
+STEP_FACTORS = (0.05, 20.0)
 REMEDY = (
     "these steps were saved with other microsteps, rotation_distance or gear_ratio: give"
     " those of then, or remove these positions and measure them again"
 )
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 ANGLES = (210.0, 330.0, 90.0)
-SAVED = "delta_calibrate"
+SAVED, PROBE = "delta_calibrate", "probe"
+#: endstops, radius and two angles, beside the arms
+KLIPPER_FACTORS = 6
 #: weight of a height's square over that of a distance, times heights over distances
 MEASURE_WEIGHT = 0.5
 #: mm; one probed height, with the bed's flatness, and one calliper distance
@@ -72,12 +83,14 @@ class KlipperImporter:
         meshes, mesh_notes = distinct(klipper_mesh.meshes(config))
         mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
         mesh_notes += explanations(meshes, GEOMETRY_WORDS)
+        probes = {PROBE: klipper_mesh.probe_offset(config)}
         study = DeltaStudy(
             name=request.name,
             firmware=Firmware(name="klipper", title="Klipper"),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
-            fixed=("angle3",) if distances else ("angle3", "arm1", "arm2", "arm3"),
+            free=_free(probes, is_measured=bool(distances)),
+            probes=probes,
             fixed_because=_fixed_because(bool(distances)),
             noise=_noise(len(heights), count),
             calliper=bool(distances),
@@ -235,6 +248,13 @@ def _travels(config: KlipperConfig, key: str, steps: list[float]) -> list[float]
     return [count * step for count, step in zip(counts, steps, strict=True)]
 
 
+def _free(probes: Mapping[str, Offset], *, is_measured: bool) -> tuple[str, ...]:
+    """Parameters that are identified: Klipper's, and tilts that a probe beside reads."""
+    arms = ARMS if is_measured else ()
+    tilts = TILTING if any(map(any, probes.values())) else ()
+    return (*FACTORS[KLIPPER_FACTORS], *arms, *tilts)
+
+
 def _noise(heights: int, distances: int) -> str:
     """The table [noise], with the weights of Klipper's fit."""
     if not distances:
@@ -332,7 +352,7 @@ def _factor(travels: Array, height: float, geometry: DeltaGeometry) -> float | N
         # travels too far apart to assemble are too long
         return -1e3 if np.isnan(z) else z - height
 
-    low, high = FACTORS
+    low, high = STEP_FACTORS
     if miss(low) <= 0.0 or miss(high) >= 0.0:
         return None
     return float(brentq(miss, low, high, xtol=1e-6))

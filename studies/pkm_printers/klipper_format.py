@@ -21,6 +21,10 @@ WHERE = (
     "put these values into the sections of your printer.cfg, above the block of"
     " SAVE_CONFIG: there they win over it"
 )
+BED_TILT = (
+    "[bed_tilt] raises z by the rise of the bed. Klipper takes either it or [bed_mesh]: with a"
+    " mesh leave it out, and probe the mesh anew"
+)
 
 
 def write(compensation: Compensation) -> Texts:
@@ -33,12 +37,19 @@ def write(compensation: Compensation) -> Texts:
     for tower, endstop, arm, angle in rows:
         lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
         lines += [f"arm_length: {arm:.6f}", f"angle: {angle:.6f}"]
+    if numbers.slope.any():
+        lines += ["", "[bed_tilt]"]
+        rises = zip("xy", numbers.slope, strict=True)
+        lines += [f"{axis}_adjust: {rise:.8f}" for axis, rise in rises]
     return {".cfg": "\n".join([*lines, ""])}
 
 
 def notes(compensation: Compensation) -> tuple[str, ...]:
-    """What the file does not hold."""
-    return tuple(home_notes(compensation, NAME))
+    """What the file does not hold, and what it goes together with."""
+    sentences = home_notes(compensation, NAME)
+    if delta_numbers(compensation, NAME).slope.any():
+        sentences.append(BED_TILT)
+    return tuple(sentences)
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
@@ -54,6 +65,9 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
         arms=read("arm_length"),
         angles=read("angle"),
         endstops=read("position_endstop"),
+        slope=np.array(
+            [parser.getfloat("bed_tilt", f"{a}_adjust", fallback=0.0) for a in "xy"]
+        ),
     )
     return delta_joints(numbers, numbers.carriages, compensation)
 

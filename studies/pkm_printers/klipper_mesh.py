@@ -17,6 +17,7 @@ import numpy as np
 from oed.base import Array, Mask
 from pkm_printers import klipper_config
 from pkm_printers.bed_mesh import BedMesh, copied_margin
+from pkm_printers.delta_study import Offset
 from pkm_printers.klipper_config import KlipperConfig
 from pkm_printers.probed_point import ProbedPoint
 
@@ -41,10 +42,12 @@ def _mesh(config: KlipperConfig, section: str) -> BedMesh:
     x = _places(config, section, "x", z.shape[1])
     y = _places(config, section, "y", z.shape[0])
     unread = copied_margin(x, y, z) | _is_in_faulty_region(config, x, y)
-    offset = np.array([_probe_offset(config, axis) for axis in "xy"])
+    offset = probe_offset(config)
     rows, columns = np.nonzero(~unread)
     points = [
-        ProbedPoint(float(x[j] - offset[0]), float(y[i] - offset[1]), float(z[i, j]))
+        ProbedPoint(
+            float(x[j] - offset[0]), float(y[i] - offset[1]), float(z[i, j]), offset
+        )
         for i, j in zip(rows, columns, strict=True)
     ]
     name = section.removeprefix(PREFIX).strip()
@@ -80,8 +83,12 @@ def _places(config: KlipperConfig, section: str, axis: str, count: int) -> Array
     return np.linspace(low, high, count)
 
 
-def _probe_offset(config: KlipperConfig, axis: str) -> float:
-    """Place of the probe from the nozzle, mm; 0 without a probe of its own place."""
+def probe_offset(config: KlipperConfig) -> Offset:
+    """Place (2,) of the probe from the nozzle, mm; 0 without a probe of its own place."""
+    return _along(config, "x"), _along(config, "y")
+
+
+def _along(config: KlipperConfig, axis: str) -> float:
     for section in PROBES:
         if config.find(section, f"{axis}_offset") is not None:
             return config.number(section, f"{axis}_offset")

@@ -24,7 +24,7 @@ from oed.base import Array
 from pkm_printers import facts, gcode, marlin_home
 from pkm_printers.bed_mesh import ROUNDING, BedMesh
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import DeltaGeometry, Firmware
+from pkm_printers.delta_study import DeltaGeometry, Firmware, Offset
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.marlin_home import Home
 from pkm_printers.marlin_log import Settings, probing
@@ -132,6 +132,9 @@ class MarlinImporter:
         home = marlin_home.home(settings, given, rules)
         geometry = _geometry(settings, given, b, home)
         points, about_means = points_of_contacts(probed.contacts, geometry)
+        points = [
+            point._replace(probe=_probe_place(settings, given)) for point in points
+        ]
         meshes, about_grid = mesh_grids(lines, given, probed.offset, points)
         return delta_session(
             name=request.name,
@@ -158,6 +161,7 @@ class MarlinImporter:
                 *home.notes,
                 *gcode.order_text(lines),
             ],
+            factors=facts.factors(lines),
             meshes=meshes,
             mesh=request.mesh,
         )
@@ -230,6 +234,15 @@ def _geometry(
         endstops=home.endstops,
         radius_trim=given.get("radius_trim_mm", NO_TRIMS),
     )
+
+
+def _probe_place(settings: Settings, given: Given) -> Offset:
+    """Place (2,) of the probe from the nozzle, mm, whichever of the two G33 puts there."""
+    if "probe_offset_mm" in given:
+        x, y = given["probe_offset_mm"]
+        return x, y
+    probe = settings.command("M851")
+    return probe.number("X", 0.0), probe.number("Y", 0.0)
 
 
 def _points_over_bed(
@@ -319,7 +332,7 @@ def mesh_grids(
     middle = np.array([x.mean(), y.mean()])
     reach = settings.get("mesh_radius_mm", (min(np.ptp(x), np.ptp(y)) / 2.0,))[0]
     points = [
-        ProbedPoint(float(px) - offset[0], float(py) - offset[1], float(z))
+        ProbedPoint(float(px) - offset[0], float(py) - offset[1], float(z), offset)
         for py, row in zip(y, heights, strict=True)
         for px, z in zip(x, row, strict=True)
         if math.isfinite(z)

@@ -12,6 +12,7 @@ from pkm_printers import marlin_version
 from pkm_printers.delta_numbers import (
     ANGLES,
     DeltaNumbers,
+    check_level,
     delta_joints,
     delta_numbers,
     firmware_of,
@@ -94,6 +95,7 @@ def write(compensation: Compensation) -> Texts:
     that lack the words, and for rods that a version cannot have.
     """
     numbers, rods = _numbers(compensation)
+    check_level(compensation, numbers, "Marlin")
     target = _target(compensation, rods)
     rod = float(rods.mean())
     lean = numbers.angles - ANGLES

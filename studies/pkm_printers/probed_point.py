@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from pkm_printers.delta_study import Offset
 from pkm_studies.importers import Row
 
-PPM = 1e-6
+SETUP = "probe"
 
 
 class ProbedPoint(NamedTuple):
-    """Where the nozzle was at contact, and the height that the firmware believed in; mm."""
+    """Where the nozzle was at contact, and the height that the firmware believed in; mm.
+
+    probe  place of the probe from the nozzle
+    """
 
     x: float
     y: float
     z: float
+    probe: Offset = (0.0, 0.0)
 
 
-def contact_row(
-    order: int,
-    point: ProbedPoint,
-    slope_ppm: tuple[float, float],
-    setup: str = "probe",
-) -> Row:
+def probes_of(points: Iterable[ProbedPoint]) -> dict[str, Offset]:
+    """The places of the probes by set-up: `probe`, then `probe_2` and so on."""
+    offsets = dict.fromkeys(point.probe for point in points)
+    names = [SETUP, *(f"{SETUP}_{k}" for k in range(2, len(offsets) + 1))]
+    return dict(zip(names, offsets, strict=False))
+
+
+def contact_rows(points: Sequence[ProbedPoint]) -> list[Row]:
+    """Rows of the readings file, each with the set-up of its probe."""
+    setups = {offset: name for name, offset in probes_of(points).items()}
+    return [
+        contact_row(k, point, setups[point.probe])
+        for k, point in enumerate(points, start=1)
+    ]
+
+
+def contact_row(order: int, point: ProbedPoint, setup: str) -> Row:
     """A row of the readings file: the command at contact; its reading is 0."""
     label = {"setup": setup, "run": "1", "order": str(order)}
-    raised = point.z + PPM * (slope_ppm[0] * point.x + slope_ppm[1] * point.y)
-    pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(raised)}
+    pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(point.z)}
     return label | pose

@@ -51,7 +51,7 @@ PROBE = re.compile(
 REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
 ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
 #: M666 A and B are in percent
-PERCENT_PPM = 1e4
+PERCENT = 1e-2
 VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
 MESH_HEADING: Final = re.compile(r"RepRapFirmware height map file v(\d+)")
 MESH_FILE_LIMIT: Final = 4_000_000
@@ -99,25 +99,15 @@ class RrfImporter:
         notes: list[str] = []
         if has_heights(order) or not maps or request.mesh != "readings":
             points, notes = probed_points(order, given)
-        slope = (
-            PERCENT_PPM * stops.number("A", 0.0),
-            PERCENT_PPM * stops.number("B", 0.0),
-        )
-        if any(slope):
-            notes.append(
-                "Bed: M666 A and B raise z by"
-                f" {slope[0] / PERCENT_PPM:g} % of x and {slope[1] / PERCENT_PPM:g} % of y;"
-                " z of the study counts along the towers, and the export keeps A and B."
-            )
         return delta_session(
             name=request.name,
-            firmware=_firmware(order, delta, stops, given),
+            firmware=_firmware(order, delta, given),
             files=", ".join(path.name for path in request.files),
             geometry=_geometry(delta, stops, given),
             points=points,
             accounts=account.sentences(),
             notes=[*notes, *order.notes, *gcode.order_text(texts)],
-            bed_slope_ppm=slope,
+            factors=facts.factors(lines),
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,
         )
@@ -163,26 +153,28 @@ def _geometry(
         angles=tuple(angle + delta.number(t, 0.0) for t, angle in ANGLES.items()),
         endstops=tuple(height + stops.number(tower, 0.0) for tower in ANGLES),
         radius_trim=given.get("radius_trim_mm", (0.0, 0.0, 0.0)),
+        bed_slope=(
+            PERCENT * stops.number("A", 0.0),
+            PERCENT * stops.number("B", 0.0),
+        ),
     )
 
 
 def _firmware(
     order: ExecutionOrder,
     delta: Command,
-    stops: Command,
     given: dict[str, tuple[float, ...]],
 ) -> Firmware:
     """The firmware, with the words that calibration leaves as they are."""
     lines = order.lines
     printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
-    bed = {letter: stops.words[letter] for letter in "AB" if letter in stops.words}
     reach = {letter: delta.words[letter] for letter in "BS" if letter in delta.words}
     return Firmware(
         name="rrf",
         title="RepRapFirmware",
         version=facts.version(lines) or (printed[-1] if printed else None),
         file=order.stored,
-        keep={"M665": _written(reach), "M666": _written(bed)},
+        keep={"M665": _written(reach)},
         radius_trim_mm=given.get("radius_trim_mm", ()),
     )
 
@@ -245,7 +237,9 @@ def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
                 continue
             height = _mesh_number(cell, path, number)
             points.append(
-                ProbedPoint(float(across) - offset[0], float(along) - offset[1], height)
+                ProbedPoint(
+                    float(across) - offset[0], float(along) - offset[1], height, offset
+                )
             )
     for places, axis in ((x, "x"), (y, "y")):
         if places[-1] > grid[f"{axis}max"] + MESH_ROUNDING:

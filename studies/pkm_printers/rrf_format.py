@@ -7,10 +7,12 @@ import numpy as np
 from oed.base import Array
 from pkm_printers.delta_numbers import (
     ANGLES,
+    SLACK,
     DeltaNumbers,
     delta_joints,
     delta_numbers,
     firmware_of,
+    has_slopes,
     home_notes,
     not_a_delta,
     trim_notes,
@@ -29,6 +31,7 @@ UNKNOWN_WORDS = (
     "B of M665 (printable radius) and A, B of M666 (bed tilt) are not written, as the study"
     " does not know them: keep those of the printer"
 )
+BED = "A and B of M666 are the rise of the bed along x and y, in percent"
 
 
 def notes(compensation: Compensation) -> tuple[str, ...]:
@@ -45,6 +48,8 @@ def notes(compensation: Compensation) -> tuple[str, ...]:
         sentences.append(STORED.format(file=file))
     if firmware is None:
         sentences.append(UNKNOWN_WORDS)
+    elif has_slopes(compensation.machine):
+        sentences.append(BED)
     sentences += home_notes(compensation, NAME)
     return (*sentences, *trim_notes(compensation, NAME))
 
@@ -69,6 +74,9 @@ def write(compensation: Compensation) -> Texts:
         f" H{height:.4f} X{lean[0]:.4f} Y{lean[1]:.4f} Z{lean[2]:.4f}"
     )
     stops = f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}"
+    if has_slopes(compensation.machine):
+        rise = 100.0 * numbers.slope
+        stops += f" A{rise[0]:.4f} B{rise[1]:.4f}"
     lines += [
         f"{delta} {retained.get('M665', '')}".rstrip(),
         f"{stops} {retained.get('M666', '')}".rstrip(),
@@ -78,16 +86,19 @@ def write(compensation: Compensation) -> Texts:
 
 
 def _rods(numbers: DeltaNumbers) -> list[str]:
-    """Lengths of the rods as they are written."""
-    return [f"{arm:.4f}" for arm in numbers.arms]
+    """Lengths of the rods as they are written; one where they hardly differ."""
+    is_common = np.ptp(numbers.arms) <= SLACK
+    arms = np.full(3, numbers.arms.mean()) if is_common else numbers.arms
+    return [f"{arm:.4f}" for arm in arms]
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Travels of a printer with these commands.
 
-    The study's z counts along the towers, as the firmware's does once it has raised it
-    by M666 A and B.
+    z of a study without slopes of the bed counts along the towers, as the firmware's does
+    once it has raised it by M666 A and B.
     """
+    has_bed = has_slopes(compensation.machine)
     geometry = words(texts[".g"], "M665")
     adjust = words(texts[".g"], "M666")
     numbers = DeltaNumbers(
@@ -96,6 +107,7 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
         angles=np.array(ANGLES) + [geometry[k][0] for k in "XYZ"],
         endstops=geometry["H"][0] + np.array([adjust[k][0] for k in "XYZ"]),
         trim=trims(compensation, NAME, "radius_trim_mm"),
+        slope=np.array([adjust[k][0] if has_bed else 0.0 for k in "AB"]) / 100.0,
     )
     return delta_joints(numbers, numbers.carriages, compensation)
 

@@ -46,7 +46,7 @@ class ProbePoint:
         """Where the nozzle was at a height, mm."""
         x, y = (0.0, 0.0) if self.is_typed or self.offset is None else self.offset
         return ProbedPoint(
-            self.place.number("X") - x, self.place.number("Y") - y, height
+            self.place.number("X") - x, self.place.number("Y") - y, height, (x, y)
         )
 
 

@@ -34,6 +34,7 @@ from oed.model import (
     Parameter,
     PassiveJoint,
     Start,
+    Strut,
     Values,
 )
 from pkm_models.machines import linear_delta
@@ -108,6 +109,11 @@ def guess(c: Values, p: Values) -> Start:
     return [c["x"], c["y"], c["z"]], joints
 
 
+def struts(x: Values, q: Values, p: Values) -> list[Strut]:
+    """Arms: carriage and tool."""
+    return [(_carriage(i, q, p), tool_point(x)) for i in TOWERS]
+
+
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Towers and arms."""
     lines = []
@@ -120,8 +126,8 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
     """Joints of the arms at the carriages: first axes across the towers' radii."""
-    struts = [(_carriage(i, q, p), tool_point(x)) for i in TOWERS]
-    return translation.tangential_joints(struts, [p[f"angle{i}"] for i in TOWERS])
+    angles = [p[f"angle{i}"] for i in TOWERS]
+    return translation.tangential_joints(struts(x, q, p), angles)
 
 
 def build(geometry: Geometry) -> Machine:
@@ -151,7 +157,7 @@ def build(geometry: Geometry) -> Machine:
         closure=closure,
         guess=guess,
         skeleton=skeleton,
-        struts=lambda x, q, p: [(_carriage(i, q, p), tool_point(x)) for i in TOWERS],
+        struts=struts,
         passive=passive_joints,
         # Turning or tilting all towers together only turns the base frame.
         frame=("angle3",),

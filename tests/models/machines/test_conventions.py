@@ -188,6 +188,7 @@ LENGTHS = {
 CARRIAGES = {
     "linear_delta": (2, -1.0),
     "delta": (2, -1.0),
+    "delta_printer": (2, -1.0),
     "planar_2dof": (2, 1.0),
     "prs_spindle": (2, 1.0),
     "prs_spindle_struts": (2, 1.0),

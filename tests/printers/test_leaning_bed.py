@@ -1,0 +1,201 @@
+"""A delta whose bed leans and whose effector tilts, with a probe beside the nozzle.
+
+From the files of RepRapFirmware to the lines that are pasted into config.g. The printer is
+the oracle's, with six rods: it shares no code with the toolkit.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.firmware import rrf
+from oracles.firmware.geometry import Probe, delta, disc, spiral
+from oracles.firmware.klipper import parse
+from oracles.firmware.six_rods import SixRods
+from shipped_models import delta_printer
+
+import oed
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
+from pkm_studies.results import load_result
+from printers.delta_printer import compensate, said, take
+
+NOISE, LEAN, REACH = 0.015, 3.5e-3, 100.0
+#: tip of the probe from the nozzle, mm
+PROBE = np.array([25.0, 0.0, -1.5])
+CONFIG = "M669 K3\nM665 L300.0 R150.0 H350.0 B120 X0 Y0 Z0\nM666 X0 Y0 Z0 A0 B0\n"
+PLACES = spiral(24, REACH)
+
+
+def printer(rng: np.random.Generator) -> SixRods:
+    """A printer of 0.05 mm parts over 50 mm, whose bed leans in any direction."""
+    direction = rng.uniform(0.0, 2.0 * np.pi)
+    return SixRods(
+        radius=150.0 + rng.normal(0.0, 0.5),
+        arm=300.0,
+        angles=np.array([210.0, 330.0, 90.0]) + np.append(rng.normal(0.0, 0.2, 2), 0.0),
+        endstops=350.0 + rng.normal(0.0, 0.4, 3),
+        turns=rng.normal(0.0, 1e-3, 3),
+        pairs=rng.normal(0.0, 0.05, 3),
+        lean=LEAN * np.array([np.cos(direction), np.sin(direction)]),
+    )
+
+
+def files_of(real: SixRods, rng: np.random.Generator) -> dict[str, str]:
+    """config.g, bed.g and the log of one G32."""
+    firmware = rrf.RepRapFirmware(CONFIG)
+    height = real.trigger_height(firmware, PROBE)
+    config = CONFIG + f"G31 P500 X{PROBE[0]:g} Y{PROBE[1]:g} Z{height:.4f}\n"
+    firmware = rrf.RepRapFirmware(config)
+    z = real.contacts(firmware, PROBE, PLACES - PROBE[:2])
+    heights = z - firmware.offset[2] + rng.normal(0.0, NOISE, len(z))
+    cells = " ".join(f"{h:.3f}" for h in heights)
+    log = f"G32 bed probe heights: {cells}, mean 0.0, deviation from mean 0.1\n"
+    return {"config.g": config, "bed.g": rrf.bed_file(PLACES), "log.txt": log}
+
+
+def bed_error(real: SixRods, text: str) -> float:
+    """Root mean square height, mm, of the nozzle over the bed where z = 0 is commanded."""
+    places = disc(REACH, 15)
+    points = np.column_stack([places, np.zeros(len(places))])
+    nozzle, _ = real.poses(rrf.RepRapFirmware(text).travel(points))
+    return float(np.sqrt((real.over_bed(nozzle) ** 2).mean()))
+
+
+def realised(real: SixRods, text: str, study: Path) -> np.ndarray:
+    """Root mean square errors (3,), mm, on the study's grid, zeroed at home, z of the bed."""
+    table = tomllib.loads(study.read_text())
+    axes = [table["prediction"][f"{name}_mm"] for name in "xyz"]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    home = [0.0, 0.0, table["machine"]["home"]["z_mm"]]
+    points = np.vstack([grid, home])
+    nozzle, _ = real.poses(rrf.RepRapFirmware(text).travel(points))
+    errors = np.column_stack([nozzle[:, :2], real.over_bed(nozzle)]) - points
+    return np.sqrt(((errors[:-1] - errors[-1]) ** 2).mean(axis=0))
+
+
+def calibrated(seed: int, folder: Path) -> tuple[float, np.ndarray, np.ndarray]:
+    """Error of the bed, realised and predicted errors (3,) of one printer, mm."""
+    rng = np.random.default_rng(seed)
+    real = printer(rng)
+    study, _ = take("rrf", files_of(real, rng), folder)
+    text = compensate(study, "rrf")
+    prediction = load_result(folder / "study" / "r").prediction
+    assert prediction is not None
+    predicted = [1e-3 * prediction.components[name].after.rms for name in "xyz"]
+    return bed_error(real, text), realised(real, text, study), np.array(predicted)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(
+    seed: int, tmp_path: Path
+) -> None:
+    bed, errors, predicted = calibrated(seed, tmp_path)
+    assert bed < 2.0 * NOISE
+    assert (errors < 2.5 * predicted).all()
+
+
+@pytest.mark.slow
+def test_twenty_printers_are_as_good_as_predicted(tmp_path: Path) -> None:
+    results = [calibrated(seed, tmp_path / str(seed)) for seed in range(20)]
+    beds, errors, predicted = (
+        np.array(column) for column in zip(*results, strict=True)
+    )
+    print("bed, um:", 1e3 * beds.round(4))
+    ratio = np.sqrt((errors**2).mean(axis=0) / (predicted**2).mean(axis=0))
+    print("realised over predicted in x, y, z:", ratio.round(3))
+    assert (beds < 2.0 * NOISE).all()
+
+
+# -- the choice of factors, and what few heights hide ----------------------------------
+
+#: a level printer of the oracle's deltas, whose bed leans
+LEANING = delta(150.3, 300.0, [210.2, 329.9, 90.0], [350.2, 349.8, 350.1], (0.0, -LEAN))
+
+
+def files_with(places: np.ndarray, line: str = "") -> dict[str, str]:
+    """Files of one G32, its log with a line that a user added."""
+    config = CONFIG + "G31 X0 Y0 Z0.7\n"
+    firmware, bed_file = rrf.RepRapFirmware(config), rrf.bed_file(places)
+    probe = Probe(z=0.7, sigma=0.005)
+    log = firmware.g32(bed_file, LEANING, probe, np.random.default_rng(4))
+    return {"config.g": config, "bed.g": bed_file, "log.txt": line + log}
+
+
+def free(study: Path) -> set[str]:
+    """Parameters that are identified."""
+    machine = oed.load_study(study).machine
+    names = {p.name for p in delta_printer.machine.parameters}
+    return names - set(machine.fixed)
+
+
+ENDSTOPS, ANGLES = {"endstop1", "endstop2", "endstop3"}, {"angle1", "angle2"}
+ARMS, SLOPES = {"arm1", "arm2", "arm3"}, {"bed_slope_x", "bed_slope_y"}
+FITTED = {
+    3: ENDSTOPS,
+    4: ENDSTOPS | {"radius"},
+    6: ENDSTOPS | ANGLES | {"radius"},
+    7: ENDSTOPS | ANGLES | {"radius"} | ARMS,
+    8: ENDSTOPS | ANGLES | {"radius"} | SLOPES,
+    9: ENDSTOPS | ANGLES | {"radius"} | ARMS | SLOPES,
+}
+
+
+@pytest.mark.parametrize("number", FITTED)
+def test_a_line_chooses_the_factors(number: int, tmp_path: Path) -> None:
+    """As S of G30 does in RepRapFirmware."""
+    line = f"factors = {number}\n"
+    study, imported = take("rrf", files_with(PLACES, line), tmp_path)
+    assert free(study) == FITTED[number]
+    end = (
+        "fitted."
+        if number >= 8
+        else "not fitted; a line factors = 8 in the log fits it."
+    )
+    assert f"it is {end}" in said(imported)
+
+
+def test_factors_that_no_firmware_fits_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"line 1, factors.*fit 3, 4, 6, 7, 8, 9"):
+        take("rrf", files_with(PLACES, "factors = 5\n"), tmp_path)
+
+
+def test_a_lean_that_few_heights_hide_is_said_to_be_hidden(tmp_path: Path) -> None:
+    """Seven heights of one ring and the middle fit six factors and tell nothing of a lean."""
+    angle = np.radians(60.0 * np.arange(6))
+    ring = REACH * np.column_stack([np.cos(angle), np.sin(angle)])
+    few = np.vstack([ring, [[0.0, 0.0]]])
+    study, imported = take("rrf", files_with(few), tmp_path)
+    assert "these 7 heights cannot tell a bed that leans" in said(imported)
+    assert free(study) == FITTED[6]
+    again, imported = take("rrf", files_with(PLACES), tmp_path / "more")
+    assert free(again) == FITTED[8]
+    shown = re.search(r"y ([-+][\d.]+) \+- ([\d.]+) %", said(imported))
+    assert shown is not None
+    assert float(shown[1]) == pytest.approx(-100.0 * LEAN, abs=3.0 * float(shown[2]))
+    assert float(shown[2]) < 0.1
+
+
+def test_a_lean_goes_where_a_firmware_has_a_word_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Klipper's [bed_tilt] raises z as M666 A and B do; Marlin has none: what is lost."""
+    study, _ = take("rrf", files_with(PLACES), tmp_path)
+    rise = rrf.RepRapFirmware(compensate(study, "rrf")).tilt
+    assert rise == pytest.approx([0.0, -LEAN], abs=6e-4)
+    result = tmp_path / "study" / "r"
+    assert main(["compensate", str(result), "--to", "klipper"]) == 0
+    tilt = parse((result / "compensation.cfg").read_text())["bed_tilt"]
+    written = [float(tilt[f"{axis}_adjust"]) for axis in "xy"]
+    assert written == pytest.approx(rise, abs=1e-6)
+    capsys.readouterr()
+    assert main(["compensate", str(result), "--to", "marlin"]) == 2
+    printed = capsys.readouterr().err
+    # over the corners of the study's grid, 70 % of the probed radius
+    lost = float(re.search(r"up to ([\d.]+) mm off", printed)[1])
+    assert lost == pytest.approx(70.0 * np.abs(rise).sum(), abs=0.05)
+    assert "shim the bed" in printed
