@@ -22,6 +22,7 @@ from pkm_printers.delta_study import (
     noise_table,
 )
 from pkm_printers.probed_point import ProbedPoint, contact_rows, probes_of
+from pkm_printers.repeated import Spread, by_place, pooled
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, MeshUse
 
@@ -29,6 +30,10 @@ from pkm_studies.importers import ImportedSession, MeshUse
 HEIGHT_UM = 100.0
 #: by whether the rods are fitted
 WHY_NOT_ARMS = {False: "; heights alone do not give the arms", True: ""}
+ASSUMED = (
+    f"Noise: no place was probed twice, so {HEIGHT_UM:g} um is assumed for one height. Probe one"
+    " place ten times, and leave the lines in the log."
+)
 NOISE = "standard deviation of one reading, the bed's flatness included"
 
 
@@ -46,6 +51,7 @@ def delta_session(
     accounts: Sequence[str],
     notes: Sequence[str],
     factors: int | None = None,
+    repeated: Sequence[Sequence[float]] = (),
     meshes: Sequence[BedMesh] = (),
     mesh: MeshUse = "hold-out",
 ) -> ImportedSession:
@@ -55,6 +61,7 @@ def delta_session(
     notes          further sentences, on places and heights
     factors        that a user wants fitted; None for what the firmware holds and the
                    heights can tell
+    repeated       further readings of the probe at one place, in lists by place, mm
     meshes         further heights of the same bed, for which use; without points, the
                    first one states where the bed is
     """
@@ -63,9 +70,12 @@ def delta_session(
     mesh_notes += [one.sentence(mesh) for one in meshes]
     mesh_notes += explanations(meshes, "M665 and M666")
     probed = points or [point for one in meshes[:1] for point in one.points]
+    at_places = by_place(((p.x, p.y, *p.probe), p.z) for p in points)
+    spread = pooled([*at_places, *repeated])
     number = factors or default_factors(firmware, geometry, probed)
     lean = lean_sentences(geometry, probed, number)
-    notes = [*mesh_notes, *lean, *_tilt_sentences(probed), *notes]
+    about_noise = [spread.sentence()] if spread is not None else [ASSUMED]
+    notes = [*mesh_notes, *about_noise, *lean, *_tilt_sentences(probed), *notes]
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
@@ -74,7 +84,7 @@ def delta_session(
         geometry=geometry,
         free=(*FACTORS[number], *(TILTING if _is_beside(probed) else ())),
         fixed_because=f"{number} factors are fitted{WHY_NOT_ARMS[number in (7, 9)]}",
-        noise=noise_table(NOISE, HEIGHT_UM),
+        noise=_noise(spread),
         calliper=False,
         probed_radius=max((math.hypot(p.x, p.y) for p in points), default=radius),
         heights=(0.0, 50.0),
@@ -101,6 +111,14 @@ def delta_session(
         rows=rows,
         statements=[*statements, *notes, *accounts],
     )
+
+
+def _noise(spread: Spread | None) -> str:
+    """The table [noise]: of repeated readings, or assumed as the last resort."""
+    if spread is None or not spread.is_known:
+        return noise_table(NOISE, HEIGHT_UM)
+    comment = f"repeated readings, {spread.freedom} degrees of freedom"
+    return noise_table(comment, round(1e3 * spread.sigma, 3), is_measured=True)
 
 
 def _is_beside(points: Sequence[ProbedPoint]) -> bool:

@@ -312,13 +312,23 @@ tolerance = {{ offset_mm = {level_mm} }}  # {why}
 {tool}"""
 
 
-def noise_table(comment: str, height: float, distance: float | None = None) -> str:
-    """The table [noise] of an assumed noise; um."""
-    lines = [
-        f"[noise]  # {comment}",
-        "assumed = true  # nobody measured it: give your probe's standard deviation",
-        f"height_um = {height:.9g}",
+def noise_table(
+    comment: str,
+    height: float,
+    distance: float | None = None,
+    *,
+    is_measured: bool = False,
+) -> str:
+    """The table [noise] of a noise that was measured by repeated readings, or assumed; um."""
+    origin = [
+        "assumed = true  # nobody measured it: give your probe's standard deviation"
     ]
+    if is_measured:
+        origin = [
+            "estimate = true  # repeated readings do not show how flat the bed is",
+            "carried = 0.0",
+        ]
+    lines = [f"[noise]  # {comment}", *origin, f"height_um = {height:.9g}"]
     if distance is not None:
         lines.append(f"length_um = {distance:.9g}")
     return "\n".join([*lines, ""])

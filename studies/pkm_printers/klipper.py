@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from oed.base import Array
-from pkm_printers import klipper_config, klipper_mesh
+from pkm_printers import gcode, klipper_config, klipper_mesh
 from pkm_printers.bed_mesh import distinct, explanations
 from pkm_printers.delta_contact import tool_heights
 from pkm_printers.delta_study import (
@@ -30,6 +30,7 @@ from pkm_printers.delta_study import (
 )
 from pkm_printers.klipper_account import config_account
 from pkm_printers.klipper_config import Entry, KlipperConfig
+from pkm_printers.repeated import Spread, pooled, repeated_in_log
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, ImportRequest, Row
 
@@ -43,7 +44,14 @@ REMEDY = (
 )
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 ANGLES = (210.0, 330.0, 90.0)
-SAVED, PROBE = "delta_calibrate", "probe"
+SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
+AT_NOZZLE: Offset = (0.0, 0.0)
+#: ends of the names of files of the console, in which each sample of the probe is a line
+LOGS = (".log", ".txt")
+ASSUMED = (
+    "Noise: no readings are repeated in these files, so 100 um is assumed for one height. Run"
+    " PROBE_ACCURACY, and give klippy.log, or the console's lines as a text file, as well."
+)
 #: endstops, radius and two angles, beside the arms
 KLIPPER_FACTORS = 6
 #: weight of a height's square over that of a distance, times heights over distances
@@ -67,7 +75,9 @@ class KlipperImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry, heights and distances. Raises InputError."""
-        config = klipper_config.read(request.files)
+        logs = [path for path in request.files if path.suffix.lower() in LOGS]
+        config = klipper_config.read([p for p in request.files if p not in logs])
+        spread = pooled(repeated_in_log(gcode.read(logs)))
         _check_delta(config)
         steps = [_step_distance(config, stepper) for stepper in STEPPERS]
         _check_partners(config)
@@ -83,7 +93,10 @@ class KlipperImporter:
         meshes, mesh_notes = distinct(klipper_mesh.meshes(config))
         mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
         mesh_notes += explanations(meshes, GEOMETRY_WORDS)
-        probes = {PROBE: klipper_mesh.probe_offset(config)}
+        noise_notes = [ASSUMED if spread is None else spread.sentence()]
+        setups = {row["setup"] for row in heights}
+        offsets = {PROBE: klipper_mesh.probe_offset(config), NOZZLE: AT_NOZZLE}
+        probes = {name: offsets[name] for name in offsets if name in setups}
         study = DeltaStudy(
             name=request.name,
             firmware=Firmware(name="klipper", title="Klipper"),
@@ -92,11 +105,11 @@ class KlipperImporter:
             free=_free(probes, is_measured=bool(distances)),
             probes=probes,
             fixed_because=_fixed_because(bool(distances)),
-            noise=_noise(len(heights), count),
+            noise=_noise(len(heights), count, spread, config),
             calliper=bool(distances),
             probed_radius=config.positive(SAVED, "radius", geometry.radius / 2.0),
             heights=tuple(height + rise for rise in RISES),
-            accounts=[*mesh_notes, *account],
+            accounts=[*noise_notes, *mesh_notes, *account],
             mesh_setups="".join(mesh.setup_table() for mesh in meshes),
             mesh_radius=max((mesh.radius for mesh in meshes), default=0.0),
             predict=[m.setup for m in meshes] if request.mesh == "hold-out" else [],
@@ -110,6 +123,7 @@ class KlipperImporter:
             ],
             statements=[
                 *_statements(config, geometry, steps, len(heights), count),
+                *noise_notes,
                 *mesh_notes,
                 *account,
             ],
@@ -180,13 +194,15 @@ def _geometry(config: KlipperConfig) -> DeltaGeometry:
 
 
 def _heights(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
-    """Rows of probed heights, then of those typed by hand."""
+    """Rows of probed heights, then of those typed by hand, which are of the nozzle."""
     order = 0
-    for prefix in ("height", "manual_height"):
+    is_beside = any(klipper_mesh.probe_offset(config))
+    setups = {"height": PROBE, "manual_height": NOZZLE if is_beside else PROBE}
+    for prefix, setup in setups.items():
         for i in config.indices(SAVED, rf"{prefix}(\d+)"):
             key, order = f"{prefix}{i}", order + 1
             height = config.number(SAVED, key)
-            label = {"setup": "probe", "run": "1", "order": str(order)}
+            label = {"setup": setup, "run": "1", "order": str(order)}
             joints = _joints(config, f"{key}_pos", steps)
             yield label | joints | {"height_mm": repr(height)}
 
@@ -255,8 +271,18 @@ def _free(probes: Mapping[str, Offset], *, is_measured: bool) -> tuple[str, ...]
     return (*FACTORS[KLIPPER_FACTORS], *arms, *tilts)
 
 
-def _noise(heights: int, distances: int) -> str:
-    """The table [noise], with the weights of Klipper's fit."""
+def _noise(
+    heights: int, distances: int, spread: Spread | None, config: KlipperConfig
+) -> str:
+    """The table [noise]: of repeated readings, or assumed with the weights of Klipper's fit.
+
+    A saved height is the mean or median of the probe's samples.
+    """
+    if spread is not None and spread.is_known:
+        height = 1e3 * spread.sigma / math.sqrt(klipper_mesh.samples(config))
+        distance = 1e3 * DISTANCE_SIGMA if distances else None
+        comment = f"repeated readings, {spread.freedom} degrees of freedom"
+        return noise_table(comment, round(height, 3), distance, is_measured=True)
     if not distances:
         comment = "standard deviation of one reading, the bed's flatness included"
         return noise_table(comment, 1000.0 * HEIGHT_SIGMA)

@@ -88,6 +88,14 @@ def probe_offset(config: KlipperConfig) -> Offset:
     return _along(config, "x"), _along(config, "y")
 
 
+def samples(config: KlipperConfig) -> float:
+    """How often the probe touches for one height."""
+    for section in PROBES:
+        if config.find(section, "samples") is not None:
+            return config.positive(section, "samples")
+    return 1.0
+
+
 def _along(config: KlipperConfig, axis: str) -> float:
     for section in PROBES:
         if config.find(section, f"{axis}_offset") is not None:

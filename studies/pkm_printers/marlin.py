@@ -41,6 +41,7 @@ from pkm_printers.marlin_version import (
     printed_version,
 )
 from pkm_printers.probed_point import ProbedPoint
+from pkm_printers.repeated import repeated_in_log
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
 from pkm_studies.importers import ImportedSession, ImportRequest
 
@@ -162,6 +163,7 @@ class MarlinImporter:
                 *gcode.order_text(lines),
             ],
             factors=facts.factors(lines),
+            repeated=repeated_in_log(lines),
             meshes=meshes,
             mesh=request.mesh,
         )

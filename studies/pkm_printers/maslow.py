@@ -8,6 +8,7 @@ the origin, the lower right one lies on the x axis, and the belts' lengths are r
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import Final
@@ -16,6 +17,7 @@ import numpy as np
 
 from pkm_printers import gcode, words
 from pkm_printers.gcode import ENDS, NUMBER, TextLine
+from pkm_printers.repeated import pooled, repeated_in_log
 from pkm_printers.words import (
     HARMLESS,
     OTHERS,
@@ -96,6 +98,13 @@ ANCHORS: Final[dict[str, Word]] = {
     ),
 }
 WORDS: Final[WordTable] = {GROUP: ANCHORS, OLD_GROUP: {OTHERS: OLD_KEYS}}
+#: readings of a belt at a waypoint, of which the firmware takes the mean
+READINGS: Final = 4
+ASSUMED: Final = {"assumed": True, "gap1_mm": 0.5, "gap2_mm": 0.5}
+NOT_REPEATED: Final = (
+    "Noise: the log has no single readings of the belts, so 0.5 mm is assumed for what they"
+    " fail to meet by."
+)
 PRIOR: Final = """
 # How far the true anchors may be from those of the file (standard deviation).
 [[prior.tolerance]]
@@ -120,6 +129,8 @@ class MaslowImporter:
         belts, notes = _belts(lines)
         notes += gcode.order_text(lines)
         _check_closing(belts, anchors, lines)
+        noise, about_noise = _noise(lines)
+        notes.append(about_noise)
         table = MachineTable(
             model=MODEL,
             fixed=list(FIXED),
@@ -133,7 +144,6 @@ class MaslowImporter:
             table, Origin.command(request.consent), Location("")
         )
         setup = {"name": "belts", "instrument": "redundancy"}
-        noise = {"assumed": True, "gap1_mm": 0.5, "gap2_mm": 0.5}
         text = imported_study(
             request,
             Model(machine, table),
@@ -269,6 +279,26 @@ def _belts(lines: Sequence[TextLine]) -> tuple[list[dict[str, float]], list[str]
         repeated = count - len(waypoints)
         notes.append(f"Not read: {repeated} waypoints that the log prints again.")
     return list(waypoints.values()), notes
+
+
+def _noise(lines: Sequence[TextLine]) -> tuple[dict[str, float], str]:
+    """The table [noise], and a sentence.
+
+    A length is the mean of four readings of a belt. The gaps are orthonormal combinations of
+    the errors of four lengths, over the root of 4.
+    """
+    spread = pooled(repeated_in_log(lines))
+    if spread is None:
+        return ASSUMED, NOT_REPEATED
+    if not spread.is_known:
+        return ASSUMED, spread.sentence()
+    gap = round(spread.sigma / math.sqrt(READINGS) / math.sqrt(len(CORNERS)), 6)
+    return {
+        "estimate": True,
+        "carried": 0.0,
+        "gap1_mm": gap,
+        "gap2_mm": gap,
+    }, spread.sentence()
 
 
 def _check_closing(

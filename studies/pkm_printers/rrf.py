@@ -27,6 +27,7 @@ from pkm_printers.delta_probe import delta_session
 from pkm_printers.delta_study import DeltaGeometry, Firmware
 from pkm_printers.gcode import NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
+from pkm_printers.repeated import repeated_in_log
 from pkm_printers.rrf_points import has_heights, mesh_offset, probed_points
 from pkm_printers.rrf_sequence import ExecutionOrder, execution_order
 from pkm_printers.rrf_words import WORDS
@@ -108,6 +109,7 @@ class RrfImporter:
             accounts=account.sentences(),
             notes=[*notes, *order.notes, *gcode.order_text(texts)],
             factors=facts.factors(lines),
+            repeated=repeated_in_log(lines),
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,
         )

@@ -11,6 +11,7 @@ from pkm_printers.gcode import Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.rrf_sequence import ExecutionOrder
 from pkm_studies.base import InputError
+from pkm_studies.csv_table import plain_number
 
 HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
 CALIBRATED = re.compile(r"Calibrated \d+ factors", re.IGNORECASE)
@@ -22,6 +23,10 @@ NO_HEIGHTS = (
 #: heights from which on Z of G30 is the height itself, and nothing is probed
 TYPED = -9999.0
 
+#: commands whose words change the geometry, or the place of the probe
+CHANGING = ("M665", "M666", "M558", "G31", "M851", "M92")
+#: a line of heights, and its cells
+Report = tuple[TextLine, list[str]]
 #: place of the probe from the nozzle (2,), mm; None where no G31 has it
 Offset = tuple[float, float] | None
 
@@ -78,11 +83,43 @@ def probed_points(
         raise line.error(problem, "give the bed.g that was probed")
     _check_not_calibrated(lines, line)
     notes = [*reset, _places_text(points, "probe_offset_mm" in given)]
-    if len(reports) > 1:
-        notes.append(f"Not read: {len(reports) - 1} earlier lines of heights.")
-    heights = [gcode.finite(cell, line) for cell in cells]
-    pairs = zip(points.values(), heights, strict=True)
-    return [point.contact(height) for point, height in pairs], notes
+    alike = _with_one_geometry(lines, reports)
+    if len(alike) > 1:
+        notes.append(f"Heights: {len(alike)} passes over all points with one geometry.")
+    if len(reports) > len(alike):
+        notes.append(f"Not read: {len(reports) - len(alike)} earlier lines of heights.")
+    return [
+        point.contact(gcode.finite(cell, report))
+        for report, of_report in alike
+        for point, cell in zip(points.values(), of_report, strict=True)
+    ], notes
+
+
+def _with_one_geometry(
+    lines: Sequence[TextLine], reports: Sequence[Report]
+) -> Sequence[Report]:
+    """The last reports between which nothing changed the printer, with as many heights."""
+    first, last = reports[-1]
+    since = len(reports) - 1
+    while since > 0:
+        line, cells = reports[since - 1]
+        between = lines[lines.index(line) : lines.index(first)]
+        if len(cells) != len(last) or not all(map(_is_number, cells)):
+            break
+        if line.file != first.file or any(map(_changes, between)):
+            break
+        first, since = line, since - 1
+    return reports[since:]
+
+
+def _is_number(cell: str) -> bool:
+    return plain_number(cell) is not None
+
+
+def _changes(line: TextLine) -> bool:
+    """Whether a line of a log changes the geometry or the probe."""
+    is_set = any(command.words for command in gcode.commands([line], *CHANGING))
+    return is_set or CALIBRATED.search(line.text) is not None
 
 
 def mesh_offset(

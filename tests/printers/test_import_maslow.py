@@ -1,5 +1,6 @@
 """`oed import maslow`: anchors from the configuration, belts from the calibration's log."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +174,26 @@ def test_an_option_that_is_not_read_is_refused(option: str, tmp_path: Path) -> N
         import_files(
             "maslow", [tmp_path / "m.yaml"], tmp_path, **{option: given[option]}
         )
+
+
+def test_four_readings_of_a_belt_give_the_noise(tmp_path: Path) -> None:
+    """A length is the mean of four, and a gap a combination of four lengths over 2."""
+    labels = ("Top Left", "Top Right", "Bottom Right", "Bottom Left")
+    rng = np.random.default_rng(5)
+    readings = 2000.0 + rng.normal(0.0, 0.2, (3, 4, 4)).round(3)
+    lines = "".join(
+        "".join(f"[MSG:INFO: {name} {v:.3f}]\n" for v in belt)
+        + f"[MSG:INFO: Measured waypoint {k}]\n" * (name == labels[-1])
+        for k, waypoint in enumerate(readings)
+        for name, belt in zip(labels, waypoint, strict=True)
+    )
+    files = {"maslow.yaml": YAML, "cal.log": lines + log(belts())}
+    path, statements, _ = taken(files, tmp_path)
+    spread = np.sqrt(readings.var(axis=2, ddof=1).mean())
+    noise = tomllib.loads(path.read_text())["noise"]
+    assert noise["gap1_mm"] == pytest.approx(spread / 4.0, abs=1e-6)
+    assert "assumed" not in noise
+    assert "at 12 places" in statements
+    assert "36 degrees of freedom" in statements
+    path, statements, _ = taken(files | {"cal.log": log(belts())}, tmp_path / "b")
+    assert "no single readings of the belts, so 0.5 mm is assumed" in statements

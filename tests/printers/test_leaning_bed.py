@@ -46,7 +46,7 @@ def printer(rng: np.random.Generator) -> SixRods:
 
 
 def files_of(real: SixRods, rng: np.random.Generator) -> dict[str, str]:
-    """config.g, bed.g and the log of one G32."""
+    """config.g, bed.g and the log of ten stops in the middle and one G32."""
     firmware = rrf.RepRapFirmware(CONFIG)
     height = real.trigger_height(firmware, PROBE)
     config = CONFIG + f"G31 P500 X{PROBE[0]:g} Y{PROBE[1]:g} Z{height:.4f}\n"
@@ -54,7 +54,9 @@ def files_of(real: SixRods, rng: np.random.Generator) -> dict[str, str]:
     z = real.contacts(firmware, PROBE, PLACES - PROBE[:2])
     heights = z - firmware.offset[2] + rng.normal(0.0, NOISE, len(z))
     cells = " ".join(f"{h:.3f}" for h in heights)
-    log = f"G32 bed probe heights: {cells}, mean 0.0, deviation from mean 0.1\n"
+    stops = height + rng.normal(0.0, NOISE, 10)
+    log = "".join(f"G30 S-1\nStopped at height {v:.3f} mm\n" for v in stops)
+    log += f"G32 bed probe heights: {cells}, mean 0.0, deviation from mean 0.1\n"
     return {"config.g": config, "bed.g": rrf.bed_file(PLACES), "log.txt": log}
 
 
@@ -105,10 +107,11 @@ def test_twenty_printers_are_as_good_as_predicted(tmp_path: Path) -> None:
     beds, errors, predicted = (
         np.array(column) for column in zip(*results, strict=True)
     )
-    print("bed, um:", 1e3 * beds.round(4))
-    ratio = np.sqrt((errors**2).mean(axis=0) / (predicted**2).mean(axis=0))
-    print("realised over predicted in x, y, z:", ratio.round(3))
     assert (beds < 2.0 * NOISE).all()
+    ratio = np.sqrt((errors**2).mean(axis=0) / (predicted**2).mean(axis=0))
+    # errors along x and y are those of the two slopes: 20 printers give the ratio to 11 %
+    assert 0.9 < ratio[2] < 1.1
+    assert (np.abs(ratio[:2] - 1.0) < 0.3).all()
 
 
 # -- the choice of factors, and what few heights hide ----------------------------------
