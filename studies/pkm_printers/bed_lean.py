@@ -18,7 +18,7 @@ from scipy import optimize, stats
 
 from oed.base import Array
 from pkm_printers.delta_contact import changed, tool_heights, travels
-from pkm_printers.delta_study import DeltaGeometry, Firmware
+from pkm_printers.delta_study import FACTORS, DeltaGeometry, Firmware
 from pkm_printers.probed_point import ProbedPoint
 
 #: firmwares that hold slopes of the bed
@@ -52,13 +52,10 @@ class Lean:
     probability: float
 
 
-def default_factors(
-    firmware: Firmware, geometry: DeltaGeometry, points: Sequence[ProbedPoint]
-) -> int:
-    """Factors that are fitted where nobody says how many."""
-    if firmware.name not in WITH_SLOPES:
-        return PLAIN
-    return PLAIN if lean_of(geometry, points) is None else LEANING
+def default_factors(firmware: Firmware, lean: Lean | None) -> tuple[str, ...]:
+    """Parameters that are fitted where nobody says which."""
+    has_lean = firmware.name in WITH_SLOPES and lean is not None
+    return FACTORS[LEANING if has_lean else PLAIN]
 
 
 def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | None:
@@ -97,31 +94,26 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
     )
 
 
-def lean_sentences(
-    geometry: DeltaGeometry, points: Sequence[ProbedPoint], factors: int
-) -> list[str]:
+def lean_sentence(lean: Lean | None, count: int, *, is_fitted: bool) -> str:
     """What the heights say of the bed, and whether the lean is fitted."""
-    lean = lean_of(geometry, points)
     if lean is None:
-        return [
-            f"Bed: these {len(points)} heights cannot tell a bed that leans from errors of"
-            f" the towers. At least {LEAST} heights at several radii do, out to the edge."
-        ]
-    is_fitted = factors >= LEANING
+        return (
+            f"Bed: these {count} heights cannot tell a bed that leans from errors of the"
+            f" towers. At least {LEAST} heights at several radii do, out to the edge."
+        )
     shown = ", ".join(
         f"{axis} {100.0 * slope:+.2f} +- {100.0 * sd:.2f} %"
         for axis, slope, sd in zip("xy", lean.slope, lean.sd, strict=True)
     )
     if lean.probability > SIGNIFICANT:
         beyond = f"{100.0 * SEEN * lean.sd.max():.2g}"
-        return [
+        return (
             f"Bed: its rise is {shown}. These heights show a lean that the firmware does not"
             f" know from {beyond} % on, and show none."
-        ]
-    remedy = "" if is_fitted else "; a line factors = 8 in the log fits it"
-    return [
+        )
+    end = "fitted" if is_fitted else "not fitted; a line factors = 8 in the log fits it"
+    return (
         f"Bed: it rises by {shown}. Heights scatter by {1e3 * lean.scatter:.3g} um with this"
         f" lean, by {1e3 * lean.plain:.3g} um with the one that the firmware has (probability"
-        f" by chance {lean.probability:.1g}); it is {'fitted' if is_fitted else 'not fitted'}"
-        f"{remedy}."
-    ]
+        f" by chance {lean.probability:.1g}); it is {end}."
+    )

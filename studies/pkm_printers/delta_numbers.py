@@ -54,11 +54,15 @@ class DeltaNumbers:
         return self.endstops + np.sqrt(self.arms**2 - self.radii**2)
 
 
-def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:
+def delta_numbers(
+    compensation: Compensation, name: str, *, by_tower: bool = False
+) -> DeltaNumbers:
     """The identified delta, for the firmware of this name.
 
-    Raises InputError where a delta has radii or tilts of its towers that no firmware
-    holds.
+    by_tower  whether the firmware takes a radius for each tower
+
+    Raises InputError where a delta has radii or tilts of its towers that the firmware does
+    not hold.
     """
 
     def read(stem: str, unit: str) -> Array:
@@ -67,23 +71,26 @@ def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:
 
     added = trims(compensation, name, "radius_trim_mm")
     slope = np.zeros(2)
-    if has_slopes(compensation.machine):
-        common = units.number(compensation.parameter("radius"), "mm")
-        radius = _common_radius(common + read("trim", "mm") - added)
-        slope = np.array([compensation.parameter(s) for s in SLOPES])
-    elif "radius" in {p.name for p in compensation.machine.parameters}:
-        radius = units.number(compensation.parameter("radius"), "mm")
+    if "radius" in {p.name for p in compensation.machine.parameters}:
+        radii = np.full(3, units.number(compensation.parameter("radius"), "mm")) + added
     else:
         _check_upright(compensation, read("lean", "rad"), read("tip", "rad"))
-        radius = _common_radius(read("radius", "mm") - added)
-    return DeltaNumbers(
-        radius=radius,
+        radii = read("radius", "mm")
+    if has_slopes(compensation.machine):
+        radii = radii - added + read("trim", "mm")
+        slope = np.array([compensation.parameter(s) for s in SLOPES])
+    numbers = DeltaNumbers(
+        radius=float((radii - added).mean()),
         arms=read("arm", "mm"),
         angles=read("angle", "deg"),
         endstops=read("endstop", "mm"),
         trim=added,
         slope=slope,
     )
+    if by_tower:
+        return dataclasses.replace(numbers, trim=radii - numbers.radius)
+    _check_radii(compensation, numbers, radii)
+    return numbers
 
 
 def has_slopes(machine: Machine) -> bool:
@@ -193,21 +200,33 @@ def _check_upright(compensation: Compensation, lean: Array, tip: Array) -> None:
     sizes = (
         f"{name} {units.number(tilt, 'mrad'):.3g}" for name, tilt in leaning.items()
     )
+    lost = max(map(abs, leaning.values())) * rise
     names = ", ".join(f'"{name}"' for name in tilts)
     raise InputError(
-        f"no firmware has towers that lean, and these do: {', '.join(sizes)} mrad",
+        f"no firmware has towers that lean, and these do: {', '.join(sizes)} mrad, which"
+        f" moves their carriages by up to {lost:.3f} mm over the workspace",
         f"set them to 0 and hold them in [machine] of the study, fixed = [{names}, ...],"
         " and identify again; or take csv",
     )
 
 
-def _common_radius(radii: Array) -> float:
-    """The one radius of a firmware, mm. Raises InputError where the towers have three."""
-    if np.ptp(radii) <= SLACK:
-        return float(radii.mean())
+def _check_radii(
+    compensation: Compensation, numbers: DeltaNumbers, radii: Array
+) -> None:
+    """Refuse towers of three radii (3,), mm, for a firmware of one. Raises InputError."""
+    if np.ptp(radii - numbers.trim) <= SLACK:
+        return
+    wanted = dataclasses.replace(numbers, trim=radii - numbers.radius)
+    # carriages from their switches down to the bed, by either
+    first, second = (
+        delta_joints(one, one.carriages, compensation) for one in (wanted, numbers)
+    )
+    lost = units.number(float(np.ptp(first - second)), "mm")
     sizes = ", ".join(f"radius{i} {v:.3f}" for i, v in zip(TOWERS, radii, strict=True))
     raise InputError(
-        f"the firmware has one radius, and the towers have three: {sizes} mm",
+        f"the firmware has one radius, and the towers have three: {sizes} mm; with their mean"
+        f" carriages are up to {lost:.3f} mm off",
         'take model = "linear_delta", which has one radius, or hold radius1, radius2 and'
-        " radius3 at one value with fixed in [machine], and identify again; or take csv",
+        " radius3 (trim1 to trim3) at one value with fixed in [machine], and identify again;"
+        " or take csv, or smoothie, which has a radius for each tower",
     )

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pkm_printers.bed_lean import default_factors, lean_sentences
+from pkm_printers.bed_lean import default_factors, lean_of, lean_sentence
 from pkm_printers.bed_mesh import BedMesh, distinct, explanations
 from pkm_printers.delta_study import (
-    FACTORS,
+    SLOPES,
     TILTING,
     DeltaGeometry,
     DeltaStudy,
@@ -28,8 +28,7 @@ from pkm_studies.importers import ImportedSession, MeshUse
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
-#: by whether the rods are fitted
-WHY_NOT_ARMS = {False: "; heights alone do not give the arms", True: ""}
+FIXED_BECAUSE = "not among the fitted factors; heights alone give the arms badly"
 ASSUMED = (
     f"Noise: no place was probed twice, so {HEIGHT_UM:g} um is assumed for one height. Probe one"
     " place ten times, and leave the lines in the log."
@@ -50,7 +49,7 @@ def delta_session(
     points: Sequence[ProbedPoint],
     accounts: Sequence[str],
     notes: Sequence[str],
-    factors: int | None = None,
+    free: tuple[str, ...] | None = None,
     repeated: Sequence[Sequence[float]] = (),
     meshes: Sequence[BedMesh] = (),
     mesh: MeshUse = "hold-out",
@@ -59,8 +58,8 @@ def delta_session(
 
     accounts       sentences on what became of the words of the files
     notes          further sentences, on places and heights
-    factors        that a user wants fitted; None for what the firmware holds and the
-                   heights can tell
+    free           parameters that a user wants fitted; None for what the firmware holds and
+                   the heights can tell
     repeated       further readings of the probe at one place, in lists by place, mm
     meshes         further heights of the same bed, for which use; without points, the
                    first one states where the bed is
@@ -72,18 +71,19 @@ def delta_session(
     probed = points or [point for one in meshes[:1] for point in one.points]
     at_places = by_place(((p.x, p.y, *p.probe), p.z) for p in points)
     spread = pooled([*at_places, *repeated])
-    number = factors or default_factors(firmware, geometry, probed)
-    lean = lean_sentences(geometry, probed, number)
+    lean = lean_of(geometry, probed)
+    free = free or default_factors(firmware, lean)
+    about_lean = lean_sentence(lean, len(probed), is_fitted=set(SLOPES) <= set(free))
     about_noise = [spread.sentence()] if spread is not None else [ASSUMED]
-    notes = [*mesh_notes, *about_noise, *lean, *_tilt_sentences(probed), *notes]
+    notes = [*mesh_notes, *about_noise, about_lean, *_tilt_sentences(probed), *notes]
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
         firmware=firmware,
         files=files,
         geometry=geometry,
-        free=(*FACTORS[number], *(TILTING if _is_beside(probed) else ())),
-        fixed_because=f"{number} factors are fitted{WHY_NOT_ARMS[number in (7, 9)]}",
+        free=(*free, *(TILTING if _is_beside(probed) else ())),
+        fixed_because=FIXED_BECAUSE,
         noise=_noise(spread),
         calliper=False,
         probed_radius=max((math.hypot(p.x, p.y) for p in points), default=radius),

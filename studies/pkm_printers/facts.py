@@ -52,8 +52,11 @@ def version(lines: Sequence[TextLine]) -> str | None:
     return None if stated is None else stated[1]
 
 
-def factors(lines: Sequence[TextLine]) -> int | None:
-    """How many factors a user wants fitted; None without. Raises InputError."""
+def factors(lines: Sequence[TextLine]) -> tuple[str, ...] | None:
+    """Parameters of the factors that a user wants fitted; None without.
+
+    Raises InputError.
+    """
     stated = _stated(lines, FACTORS)
     if stated is None:
         return None
@@ -63,7 +66,7 @@ def factors(lines: Sequence[TextLine]) -> int | None:
         raise line.error(
             f"firmwares fit {numbers_of} factors", "choose one of them", FACTORS
         )
-    return int(text)
+    return delta_study.FACTORS[int(text)]
 
 
 def _stated(lines: Sequence[TextLine], name: str) -> tuple[TextLine, str] | None:

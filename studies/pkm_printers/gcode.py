@@ -33,6 +33,14 @@ COMMAND = re.compile(
 )
 WORD = re.compile(rf"({LETTER})({VALUE})")
 
+#: numbers of Repetier's EEPROM (M205), and its heights
+REPETIER = re.compile(r"EPR:\d \d+ |Z-probe:\s*[-\d]")
+OF_REPETIER = (
+    "this is a log of Repetier, whose Z-probe lines count from a start that they do not show",
+    "write its numbers as a config.g and a log of RepRapFirmware, as the page on imports has"
+    " them under Repetier, and take rrf",
+)
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TextLine:
@@ -168,6 +176,9 @@ def merged(lines: Sequence[TextLine], name: str, remedy: str) -> Command:
         places |= dict.fromkeys(command.words, command.line)
         last = command
     if last is None:
+        for line in lines:
+            if REPETIER.search(line.text):
+                raise line.error(*OF_REPETIER)
         raise InputError(f"no {name} in it", remedy, file=files_of(lines))
     return Command(name, words, last.line, places)
 

@@ -162,7 +162,7 @@ class MarlinImporter:
                 *home.notes,
                 *gcode.order_text(lines),
             ],
-            factors=facts.factors(lines),
+            free=facts.factors(lines),
             repeated=repeated_in_log(lines),
             meshes=meshes,
             mesh=request.mesh,

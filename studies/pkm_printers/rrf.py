@@ -108,7 +108,7 @@ class RrfImporter:
             points=points,
             accounts=account.sentences(),
             notes=[*notes, *order.notes, *gcode.order_text(texts)],
-            factors=facts.factors(lines),
+            free=facts.factors(lines),
             repeated=repeated_in_log(lines),
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,

@@ -1,0 +1,143 @@
+"""Smoothieware: M665, M666 and M206 of M503, and the heights of G29 or G32.
+
+M665 A, B, C are trims of the towers' radii, D, E, H of their angles, I, J, K of the rods, Z is
+the height at home. A carriage at its switch is above that by M206 Z less M666: after
+`LinearDeltaSolution` and `Endstops` of the firmware. Places are those of the nozzle. Heights are
+printed against the start of the probing, so that the one in the middle stays as the firmware has
+it. Letters of G32 are what it fits: G32 XYZRDE.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from pkm_printers import facts, gcode
+from pkm_printers.delta_probe import delta_session
+from pkm_printers.delta_study import DeltaGeometry, Firmware, Offset
+from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
+from pkm_printers.probed_point import ProbedPoint
+from pkm_printers.repeated import repeated_in_log
+from pkm_printers.words import HARMLESS, READ, WordTable, costs, refused, same
+from pkm_studies.base import InputError
+from pkm_studies.importers import ImportedSession, ImportRequest
+
+#: lines of a probed point, and the sign of the height in them: of a spiral and of G32, of the
+#: seven points as distances down, and as heights
+POINTS: Final = (
+    (rf"PROBE:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}", 1.0),
+    (rf"^\W*X:({NUMBER})\s+Y:({NUMBER})\s+Z:({NUMBER})\s+A:", -1.0),
+    (rf"^\W*X({NUMBER}) Y({NUMBER}) Z({NUMBER})\s*$", 1.0),
+)
+#: parameters by letter of G32
+LETTERS: Final[Mapping[str, tuple[str, ...]]] = {
+    **{axis: (f"endstop{k}",) for k, axis in enumerate("XYZ", start=1)},
+    **{letter: (f"trim{k}",) for k, letter in enumerate("ABC", start=1)},
+    "R": ("radius",),
+    "D": ("angle1",),
+    "E": ("angle2",),
+    "L": ("arm1", "arm2", "arm3"),
+    "U": ("bed_slope_x",),
+    "V": ("bed_slope_y",),
+}
+TOWER_ANGLES: Final = {"D": 210.0, "E": 330.0, "H": 90.0}
+NO_POINTS: Final = "log the answer of G29.1 I30 (delta-grid) or G29 (delta-calibration)"
+NO_M503: Final = "log the answer of M503 as well"
+WORDS: Final[WordTable] = {
+    "M665": {**same(READ, "LRZABCDEHIJK"), "S": HARMLESS},
+    "M666": same(READ, "XYZ"),
+    "M206": {
+        "Z": READ,
+        **same(costs("it moves the middle at home, which is taken as 0, 0"), "XY"),
+    },
+    "M565": {**same(READ, "XY"), "Z": costs("heights count from the middle")},
+    "M375": {"": costs("a grid that is on bends z: clear it with M370, then probe")},
+    "G32": {**same(READ, LETTERS), **same(HARMLESS, "IJKPOQ")},
+    "G29": same(HARMLESS, "IJPR"),
+    "M92": same(
+        costs("steps per mm are taken as right: an error scales the towers' travel"),
+        "XYZEABCS",
+    ),
+    "G20": {"": refused("the numbers are in inches", "give them in mm")},
+    "M670": {},
+}
+
+
+class SmoothieImporter:
+    """Reads logs with the answers of M503 and of probing."""
+
+    name = "smoothie"
+    about = "Smoothieware delta: log with M665, M666 (M503) and G29, G29.1 or G32"
+    unused = ("--machine", "--map", "--mesh")
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """Geometry and probed points. Raises InputError."""
+        lines = gcode.read(request.files)
+        delta = gcode.merged(lines, "M665", NO_M503)
+        given = facts.numbers(lines)
+        offset = given.get("probe_offset_mm") or _setting(lines, "M565", "XY")
+        home = _setting(lines, "M206", "Z")[0]
+        geometry = _geometry(delta, _setting(lines, "M666", "XYZ"), home)
+        return delta_session(
+            name=request.name,
+            firmware=Firmware(
+                name="smoothie", title="Smoothieware", home_offset_mm=home
+            ),
+            files=", ".join(path.name for path in request.files),
+            geometry=geometry,
+            points=_points(lines, (offset[0], offset[1])),
+            accounts=gcode.account_of(lines, WORDS).sentences(),
+            notes=["Heights: the one nearest the middle stays as the firmware has it."],
+            free=facts.factors(lines) or _fitted(lines),
+            repeated=repeated_in_log(lines),
+        )
+
+
+importer = SmoothieImporter()
+
+
+def _setting(lines: Sequence[TextLine], name: str, letters: str) -> tuple[float, ...]:
+    """Numbers of a setting command, the last of every letter; 0 without."""
+    if not any(gcode.commands(lines, name)):
+        return (0.0,) * len(letters)
+    setting = gcode.merged(lines, name, "")
+    return tuple(setting.number(letter, 0.0) for letter in letters)
+
+
+def _geometry(delta: Command, trims: Sequence[float], home: float) -> DeltaGeometry:
+    rod, height = delta.number("L"), delta.number("Z") + home
+    return DeltaGeometry(
+        radius=delta.number("R"),
+        arms=tuple(rod + delta.number(letter, 0.0) for letter in "IJK"),
+        angles=tuple(v + delta.number(k, 0.0) for k, v in TOWER_ANGLES.items()),
+        endstops=tuple(height - trim for trim in trims),
+        radius_trim=tuple(delta.number(letter, 0.0) for letter in "ABC"),
+    )
+
+
+def _fitted(lines: Sequence[TextLine]) -> tuple[str, ...] | None:
+    """Parameters of the letters of the last G32 that has any; None without."""
+    fitted = None
+    for command in gcode.commands(lines, "G32"):
+        letters = [letter for letter in command.words if letter in LETTERS]
+        names = (name for letter in letters for name in LETTERS[letter])
+        fitted = tuple(names) or fitted
+    return fitted
+
+
+def _points(lines: Sequence[TextLine], offset: Offset) -> list[ProbedPoint]:
+    """The probed points, heights against that of the one nearest the middle, mm."""
+    points = []
+    for line in lines:
+        for pattern, sign in POINTS:
+            match = re.search(pattern, line.text)
+            if match is not None:
+                x, y, z = (gcode.finite(cell, line) for cell in match.groups())
+                points.append(ProbedPoint(x, y, sign * z, offset))
+    if not points:
+        raise InputError(
+            "no probed points in it", NO_POINTS, file=gcode.files_of(lines)
+        )
+    middle = min(points, key=lambda point: point.x**2 + point.y**2)
+    return [point._replace(z=point.z - middle.z) for point in points]
