@@ -18,11 +18,9 @@ from scipy import optimize, stats
 
 from oed.base import Array
 from pkm_printers.delta_contact import changed, tool_heights, travels
-from pkm_printers.delta_study import FACTORS, DeltaGeometry, Firmware
+from pkm_printers.delta_study import DeltaGeometry
 from pkm_printers.probed_point import ProbedPoint
 
-#: firmwares that hold slopes of the bed
-WITH_SLOPES = ("rrf",)
 #: factors without the lean, and with it
 PLAIN, LEANING = 6, 8
 #: heights that give the lean with one degree of freedom to spare
@@ -52,12 +50,6 @@ class Lean:
     probability: float
 
 
-def default_factors(firmware: Firmware, lean: Lean | None) -> tuple[str, ...]:
-    """Parameters that are fitted where nobody says which."""
-    has_lean = firmware.name in WITH_SLOPES and lean is not None
-    return FACTORS[LEANING if has_lean else PLAIN]
-
-
 def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | None:
     """The lean of the bed; None where the heights hide it."""
     if len(points) < LEAST:
@@ -67,7 +59,7 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
 
     def heights(change: Array) -> Array:
         """Heights (n,) of the tool over the bed, mm."""
-        slope = np.asarray(geometry.bed_slope) + change[6:]
+        slope = geometry.bed_slope + change[6:]
         raised = tool_heights(moved, changed(geometry, change[:6]))
         return np.asarray(raised - commands[:, :2] @ slope)
 
@@ -86,7 +78,7 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
         return None
     gain = (without.cost - with_lean.cost) / max(with_lean.cost, 1e-300) * freedom / 2.0
     return Lean(
-        slope=np.asarray(geometry.bed_slope) + with_lean.x[PLAIN:],
+        slope=geometry.bed_slope + with_lean.x[PLAIN:],
         sd=scatter * unit,
         plain=math.sqrt(2.0 * without.cost / (len(points) - PLAIN)),
         scatter=scatter,

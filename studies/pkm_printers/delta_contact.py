@@ -17,24 +17,18 @@ def changed(geometry: DeltaGeometry, change: Array) -> DeltaGeometry:
     return dataclasses.replace(
         geometry,
         radius=geometry.radius + radius,
-        angles=(angles[0] + first, angles[1] + second, angles[2]),
-        endstops=tuple(
-            stop + more for stop, more in zip(geometry.endstops, endstops, strict=True)
-        ),
+        angles=angles + np.array([first, second, 0.0]),
+        endstops=geometry.endstops + endstops,
     )
 
 
-def travels_to_bed(places: Array, geometry: DeltaGeometry) -> Array:
-    """Travels (n, 3) down from the endstops to z = 0 along the towers at places (n, 2), mm."""
-    feet, top = _towers(geometry)
-    across = ((places[:, None] - feet) ** 2).sum(axis=2)
-    return np.asarray(top - np.sqrt(np.asarray(geometry.arms) ** 2 - across))
-
-
 def travels(commands: Array, geometry: DeltaGeometry) -> Array:
-    """Travels (n, 3) at commands (n, 3), whose z counts from the firmware's bed, mm."""
-    raised = commands[:, 2] + commands[:, :2] @ np.asarray(geometry.bed_slope)
-    return np.asarray(travels_to_bed(commands[:, :2], geometry) - raised[:, None])
+    """Travels (n, 3) down from the endstops at commands (n, 3), z from the bed, mm."""
+    feet, top = _towers(geometry)
+    places = commands[:, :2]
+    across = ((places[:, None] - feet) ** 2).sum(axis=2)
+    raised = commands[:, 2] + places @ geometry.bed_slope
+    return np.asarray(top - np.sqrt(geometry.arms**2 - across) - raised[:, None])
 
 
 @np.errstate(all="ignore")
@@ -46,7 +40,7 @@ def tool_heights(travels: Array, geometry: DeltaGeometry) -> Array:
     NaN where the arms cannot reach it.
     """
     feet, top = _towers(geometry)
-    arms = np.asarray(geometry.arms)
+    arms = geometry.arms
     height = top - travels
     # |t - c_i|^2 = a_i^2: differences are linear in t, which leaves a line along z
     # towers at one angle, or numbers beyond all sizes, give no tool
@@ -70,7 +64,7 @@ def tool_heights(travels: Array, geometry: DeltaGeometry) -> Array:
 def _towers(geometry: DeltaGeometry) -> tuple[Array, Array]:
     """Places (3, 2) of the towers, and heights (3,) of the carriages at the endstops."""
     angle = np.radians(geometry.angles)
-    arms, radii = np.asarray(geometry.arms), np.asarray(geometry.radii)
+    arms, radii = geometry.arms, np.asarray(geometry.radii)
     feet = radii[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    top = np.asarray(geometry.endstops) + np.sqrt(arms**2 - radii**2)
+    top = geometry.endstops + np.sqrt(arms**2 - radii**2)
     return feet, top

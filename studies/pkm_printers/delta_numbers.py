@@ -10,13 +10,13 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from oed.model import Machine
+from pkm_printers.delta_contact import travels
+from pkm_printers.delta_study import DeltaGeometry
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation
 from pkm_studies.tables import NOT_KNOWN, ControllerTable
 
 TOWERS = (1, 2, 3)
-#: angles of the towers from which firmwares count corrections, degrees
-ANGLES = (210.0, 330.0, 90.0)
 #: parameters of a delta with one radius, and of one with a radius for each tower
 ONE_RADIUS = ("arm", "angle", "endstop")
 FAMILY = ("radius", *ONE_RADIUS, "lean", "tip")
@@ -27,36 +27,9 @@ SLOPES = ("bed_slope_x", "bed_slope_y")
 SLACK = 0.02
 
 
-@dataclasses.dataclass(frozen=True)
-class DeltaNumbers:
-    """Radius, arms (3,), tower angles (3,) and heights of the endstops (3,), mm, deg.
-
-    The height of an endstop is the tool's where all carriages stand as this one does.
-    `trim` (3,) is what the firmware adds to the radius of each tower, `slope` (2,) what it adds
-    to z along x and y.
-    """
-
-    radius: float
-    arms: Array
-    angles: Array
-    endstops: Array
-    trim: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
-    slope: Array = dataclasses.field(default_factory=lambda: np.zeros(2))
-
-    @property
-    def radii(self) -> Array:
-        """Radius (3,) of each tower."""
-        return self.radius + self.trim
-
-    @property
-    def carriages(self) -> Array:
-        """Heights (3,) of the carriages at their endstops."""
-        return self.endstops + np.sqrt(self.arms**2 - self.radii**2)
-
-
 def delta_numbers(
     compensation: Compensation, name: str, *, by_tower: bool = False
-) -> DeltaNumbers:
+) -> DeltaGeometry:
     """The identified delta, for the firmware of this name.
 
     by_tower  whether the firmware takes a radius for each tower
@@ -79,16 +52,16 @@ def delta_numbers(
     if has_slopes(compensation.machine):
         radii = radii - added + read("trim", "mm")
         slope = np.array([compensation.parameter(s) for s in SLOPES])
-    numbers = DeltaNumbers(
+    numbers = DeltaGeometry(
         radius=float((radii - added).mean()),
         arms=read("arm", "mm"),
         angles=read("angle", "deg"),
         endstops=read("endstop", "mm"),
-        trim=added,
-        slope=slope,
+        radius_trim=added,
+        bed_slope=slope,
     )
     if by_tower:
-        return dataclasses.replace(numbers, trim=radii - numbers.radius)
+        return dataclasses.replace(numbers, radius_trim=radii - numbers.radius)
     _check_radii(compensation, numbers, radii)
     return numbers
 
@@ -98,15 +71,15 @@ def has_slopes(machine: Machine) -> bool:
     return set(SLOPES) <= {p.name for p in machine.parameters}
 
 
-def check_level(compensation: Compensation, numbers: DeltaNumbers, title: str) -> None:
+def check_level(compensation: Compensation, numbers: DeltaGeometry, title: str) -> None:
     """Refuse a bed that leans, for a firmware without a word for it. Raises InputError."""
     places = units.from_si(compensation.command[:, :2], "mm")
-    rise = np.abs(places @ numbers.slope).max()
+    rise = np.abs(places @ numbers.bed_slope).max()
     if rise <= SLACK:
         return
     slopes = ", ".join(
         f"{axis} {100.0 * s:+.3f} %"
-        for axis, s in zip("xy", numbers.slope, strict=True)
+        for axis, s in zip("xy", numbers.bed_slope, strict=True)
     )
     raise InputError(
         f"{title} has no word for a bed that leans, and this one rises along {slopes}: without"
@@ -157,20 +130,10 @@ def home_notes(compensation: Compensation, name: str) -> list[str]:
     ]
 
 
-def delta_joints(
-    numbers: DeltaNumbers, carriages: Array, compensation: Compensation
-) -> Array:
-    """Travels (n, 3) down from the endstops, m, by the formula of delta firmwares.
-
-    carriages  (3,) heights of the carriages at their endstops, mm
-    """
-    point = units.from_si(compensation.command, "mm")
-    angle = units.to_si(numbers.angles, "deg")
-    tower = numbers.radii[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    across = ((point[:, None, :2] - tower) ** 2).sum(axis=2)
-    raised = point[:, 2] + point[:, :2] @ numbers.slope
-    height = raised[:, None] + np.sqrt(numbers.arms**2 - across)
-    return units.to_si(carriages - height, "mm")
+def delta_joints(geometry: DeltaGeometry, compensation: Compensation) -> Array:
+    """Travels (n, 3) down from the endstops, m, by the formula of delta firmwares."""
+    commands = units.from_si(compensation.command, "mm")
+    return units.to_si(travels(commands, geometry), "mm")
 
 
 def not_a_delta(machine: Machine) -> str | None:
@@ -211,17 +174,14 @@ def _check_upright(compensation: Compensation, lean: Array, tip: Array) -> None:
 
 
 def _check_radii(
-    compensation: Compensation, numbers: DeltaNumbers, radii: Array
+    compensation: Compensation, numbers: DeltaGeometry, radii: Array
 ) -> None:
     """Refuse towers of three radii (3,), mm, for a firmware of one. Raises InputError."""
-    if np.ptp(radii - numbers.trim) <= SLACK:
+    if np.ptp(radii - numbers.radius_trim) <= SLACK:
         return
-    wanted = dataclasses.replace(numbers, trim=radii - numbers.radius)
-    # carriages from their switches down to the bed, by either
-    first, second = (
-        delta_joints(one, one.carriages, compensation) for one in (wanted, numbers)
-    )
-    lost = units.number(float(np.ptp(first - second)), "mm")
+    wanted = dataclasses.replace(numbers, radius_trim=radii - numbers.radius)
+    off = delta_joints(wanted, compensation) - delta_joints(numbers, compensation)
+    lost = units.number(float(np.ptp(off)), "mm")
     sizes = ", ".join(f"radius{i} {v:.3f}" for i, v in zip(TOWERS, radii, strict=True))
     raise InputError(
         f"the firmware has one radius, and the towers have three: {sizes} mm; with their mean"

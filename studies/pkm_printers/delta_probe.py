@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pkm_printers.bed_lean import default_factors, lean_of, lean_sentence
+from pkm_printers.bed_lean import LEANING, PLAIN, lean_of, lean_sentence
 from pkm_printers.bed_mesh import BedMesh, distinct, explanations
 from pkm_printers.delta_study import (
+    FACTORS,
     SLOPES,
     TILTING,
     DeltaGeometry,
@@ -28,7 +29,8 @@ from pkm_studies.importers import ImportedSession, MeshUse
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
-FIXED_BECAUSE = "not among the fitted factors; heights alone give the arms badly"
+#: the firmware that holds slopes of the bed
+WITH_SLOPES = "rrf"
 ASSUMED = (
     f"Noise: no place was probed twice, so {HEIGHT_UM:g} um is assumed for one height. Probe one"
     " place ten times, and leave the lines in the log."
@@ -72,7 +74,8 @@ def delta_session(
     at_places = by_place(((p.x, p.y, *p.probe), p.z) for p in points)
     spread = pooled([*at_places, *repeated])
     lean = lean_of(geometry, probed)
-    free = free or default_factors(firmware, lean)
+    has_lean = lean is not None and firmware.name == WITH_SLOPES
+    free = free or FACTORS[LEANING if has_lean else PLAIN]
     about_lean = lean_sentence(lean, len(probed), is_fitted=set(SLOPES) <= set(free))
     about_noise = [spread.sentence()] if spread is not None else [ASSUMED]
     notes = [*mesh_notes, *about_noise, about_lean, *_tilt_sentences(probed), *notes]
@@ -83,7 +86,6 @@ def delta_session(
         files=files,
         geometry=geometry,
         free=(*free, *(TILTING if _is_beside(probed) else ())),
-        fixed_because=FIXED_BECAUSE,
         noise=_noise(spread),
         calliper=False,
         probed_radius=max((math.hypot(p.x, p.y) for p in points), default=radius),
@@ -117,8 +119,8 @@ def _noise(spread: Spread | None) -> str:
     """The table [noise]: of repeated readings, or assumed as the last resort."""
     if spread is None or not spread.is_known:
         return noise_table(NOISE, HEIGHT_UM)
-    comment = f"repeated readings, {spread.freedom} degrees of freedom"
-    return noise_table(comment, round(1e3 * spread.sigma, 3), is_measured=True)
+    height = round(1e3 * spread.sigma, 3)
+    return noise_table(NOISE, height, freedom=spread.freedom)
 
 
 def _is_beside(points: Sequence[ProbedPoint]) -> bool:

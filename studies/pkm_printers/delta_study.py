@@ -6,11 +6,16 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from oed.base import Array
 from pkm_printers import words
 from pkm_studies.importers import readings_name
 
 MODEL = "delta_printer"
 TOWERS = (1, 2, 3)
+#: angles of the towers from which firmwares count corrections, degrees
+TOWER_ANGLES = np.array([210.0, 330.0, 90.0])
 PPM = 1e-6
 #: place (2,) of a probe from the nozzle, mm
 Offset = tuple[float, float]
@@ -43,6 +48,7 @@ PARAMETERS = (
     *("trim1", "trim2", "trim3", *SLOPES, *TILTING),
 )
 #: standard deviations of an assembled printer's numbers about those of its firmware
+FIXED_BECAUSE = "not among what is fitted; heights alone give the arms badly"
 EXACT_TRIGGER = "the firmware takes the trigger height as exact"
 TOLERANCES = """\
 # How far the true numbers may be from those of the firmware (standard deviations).
@@ -85,16 +91,16 @@ class DeltaGeometry:
     """
 
     radius: float
-    arms: tuple[float, ...]
-    angles: tuple[float, ...]
-    endstops: tuple[float, ...]
-    radius_trim: tuple[float, ...] = (0.0, 0.0, 0.0)
-    bed_slope: tuple[float, float] = (0.0, 0.0)
+    arms: Array
+    angles: Array
+    endstops: Array
+    radius_trim: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
+    bed_slope: Array = dataclasses.field(default_factory=lambda: np.zeros(2))
 
     @property
-    def radii(self) -> tuple[float, ...]:
+    def radii(self) -> Array:
         """Radius (3,) of each tower."""
-        return tuple(self.radius + trim for trim in self.radius_trim)
+        return self.radius + self.radius_trim
 
     def table(self) -> str:
         """The table [machine.nominal] of a study."""
@@ -109,7 +115,7 @@ class DeltaGeometry:
         if any(self.radius_trim):
             trims = _tower_values("trim", self.radius_trim)
             lines += [f"{name}_mm = {value!r}" for name, value in trims.items()]
-        for name, slope in zip(SLOPES, self.bed_slope, strict=True):
+        for name, slope in zip(SLOPES, self.bed_slope.tolist(), strict=True):
             if slope:
                 lines.append(f"{name}_ppm = {slope / PPM!r}")
         return "\n".join(["[machine.nominal]", *lines, ""])
@@ -177,7 +183,7 @@ class Firmware:
 class DeltaStudy:
     """What the study of a delta printer says.
 
-    free           parameters that are identified, and why no others in `fixed_because`
+    free           parameters that are identified
     noise          the lines of [noise]
     calliper       whether distances were read as well
     probed_radius  mm, of the bed
@@ -194,7 +200,6 @@ class DeltaStudy:
     files: str
     geometry: DeltaGeometry
     free: tuple[str, ...]
-    fixed_because: str
     noise: str
     calliper: bool
     probed_radius: float
@@ -233,7 +238,7 @@ seed = 1
 
 [machine]
 model = "{MODEL}"
-fixed = [{listed}]  # {self.fixed_because}
+fixed = [{listed}]  # {FIXED_BECAUSE}
 
 # The geometry that the firmware has now.
 {self.geometry.table()}
@@ -316,27 +321,27 @@ def noise_table(
     comment: str,
     height: float,
     distance: float | None = None,
-    *,
-    is_measured: bool = False,
+    freedom: int | None = None,
 ) -> str:
-    """The table [noise] of a noise that was measured by repeated readings, or assumed; um."""
-    origin = [
+    """The table [noise], um, of repeated readings with degrees of freedom, or assumed."""
+    origin = (
         "assumed = true  # nobody measured it: give your probe's standard deviation"
-    ]
-    if is_measured:
-        origin = [
-            "estimate = true  # repeated readings do not show how flat the bed is",
-            "carried = 0.0",
-        ]
-    lines = [f"[noise]  # {comment}", *origin, f"height_um = {height:.9g}"]
+    )
+    if freedom is not None:
+        comment = f"repeated readings, {freedom} degrees of freedom"
+        origin = (
+            "estimate = true  # they do not show how flat the bed is\ncarried = 0.0"
+        )
+    lines = [f"[noise]  # {comment}", origin, f"height_um = {height:.9g}"]
     if distance is not None:
         lines.append(f"length_um = {distance:.9g}")
     return "\n".join([*lines, ""])
 
 
-def _tower_values(stem: str, values: Sequence[float]) -> dict[str, float]:
-    return {f"{stem}{i}": value for i, value in zip(TOWERS, values, strict=True)}
+def _tower_values(stem: str, values: Array) -> dict[str, float]:
+    pairs = zip(TOWERS, values.tolist(), strict=True)
+    return {f"{stem}{i}": value for i, value in pairs}
 
 
-def _listed(values: Sequence[float]) -> str:
+def _listed(values: Array) -> str:
     return ", ".join(f"{value:g}" for value in values)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oed.base import Array
 from pkm_printers.words import WordAccount, WordTable, WrittenWord, account
 from pkm_studies import files
 from pkm_studies.base import InputError
@@ -90,6 +91,10 @@ class Command:
                 problem, "give the full command, as the printer has it"
             )
         return finite(text.split(":")[0], self.line_of(letter))
+
+    def numbers(self, letters: str) -> Array:
+        """Numbers (n,) of words; 0 of those that it lacks. Raises InputError."""
+        return np.array([self.number(letter, 0.0) for letter in letters])
 
 
 def read(paths: Sequence[Path]) -> list[TextLine]:
@@ -181,6 +186,13 @@ def merged(lines: Sequence[TextLine], name: str, remedy: str) -> Command:
                 raise line.error(*OF_REPETIER)
         raise InputError(f"no {name} in it", remedy, file=files_of(lines))
     return Command(name, words, last.line, places)
+
+
+def optional(lines: Sequence[TextLine], name: str) -> Command:
+    """The same, without words where the lines have no such command."""
+    if any(commands(lines, name)):
+        return merged(lines, name, "")
+    return Command(name, {}, lines[0])
 
 
 def files_of(lines: Sequence[TextLine]) -> str:

@@ -22,6 +22,7 @@ from pkm_printers.delta_study import (
     ARMS,
     FACTORS,
     TILTING,
+    TOWER_ANGLES,
     DeltaGeometry,
     DeltaStudy,
     Firmware,
@@ -43,7 +44,6 @@ REMEDY = (
     " those of then, or remove these positions and measure them again"
 )
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
-ANGLES = (210.0, 330.0, 90.0)
 SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
 AT_NOZZLE: Offset = (0.0, 0.0)
 #: ends of the names of files of the console, in which each sample of the probe is a line
@@ -104,7 +104,6 @@ class KlipperImporter:
             geometry=geometry,
             free=_free(probes, is_measured=bool(distances)),
             probes=probes,
-            fixed_because=_fixed_because(bool(distances)),
             noise=_noise(len(heights), count, spread, config),
             calliper=bool(distances),
             probed_radius=config.positive(SAVED, "radius", geometry.radius / 2.0),
@@ -172,15 +171,15 @@ def _gear_ratio(config: KlipperConfig, stepper: str) -> float:
 def _geometry(config: KlipperConfig) -> DeltaGeometry:
     """The geometry in use; towers b and c take what they do not say from tower a."""
     arm = config.positive(STEPPERS[0], "arm_length")
-    endstop = config.number(STEPPERS[0], "position_endstop")
+    stop = config.number(STEPPERS[0], "position_endstop")
+    angles = zip(STEPPERS, TOWER_ANGLES.tolist(), strict=True)
     geometry = DeltaGeometry(
         radius=config.positive("printer", "delta_radius"),
-        arms=tuple(config.positive(s, "arm_length", arm) for s in STEPPERS),
-        angles=tuple(
-            config.number(stepper, "angle", angle)
-            for stepper, angle in zip(STEPPERS, ANGLES, strict=True)
+        arms=np.array([config.positive(s, "arm_length", arm) for s in STEPPERS]),
+        angles=np.array([config.number(s, "angle", angle) for s, angle in angles]),
+        endstops=np.array(
+            [config.number(s, "position_endstop", stop) for s in STEPPERS]
         ),
-        endstops=tuple(config.number(s, "position_endstop", endstop) for s in STEPPERS),
     )
     if geometry.radius >= min(geometry.arms):
         raise InputError(
@@ -281,8 +280,7 @@ def _noise(
     if spread is not None and spread.is_known:
         height = 1e3 * spread.sigma / math.sqrt(klipper_mesh.samples(config))
         distance = 1e3 * DISTANCE_SIGMA if distances else None
-        comment = f"repeated readings, {spread.freedom} degrees of freedom"
-        return noise_table(comment, round(height, 3), distance, is_measured=True)
+        return noise_table("", round(height, 3), distance, spread.freedom)
     if not distances:
         comment = "standard deviation of one reading, the bed's flatness included"
         return noise_table(comment, 1000.0 * HEIGHT_SIGMA)
@@ -301,12 +299,6 @@ def _unused(config: KlipperConfig) -> list[str]:
         for (section, key), saved in sorted(config.unused.items())
         if section in sections
     ]
-
-
-def _fixed_because(distances: bool) -> str:
-    if distances:
-        return "turning all towers together only turns the printer"
-    return "as Klipper does: heights alone do not give the arms"
 
 
 def _statements(

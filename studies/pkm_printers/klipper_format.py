@@ -8,12 +8,12 @@ import numpy as np
 
 from oed.base import Array
 from pkm_printers.delta_numbers import (
-    DeltaNumbers,
     delta_joints,
     delta_numbers,
     home_notes,
     not_a_delta,
 )
+from pkm_printers.delta_study import DeltaGeometry
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME, TOWERS = "klipper", "abc"
@@ -37,9 +37,9 @@ def write(compensation: Compensation) -> Texts:
     for tower, endstop, arm, angle in rows:
         lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
         lines += [f"arm_length: {arm:.6f}", f"angle: {angle:.6f}"]
-    if numbers.slope.any():
+    if numbers.bed_slope.any():
         lines += ["", "[bed_tilt]"]
-        rises = zip("xy", numbers.slope, strict=True)
+        rises = zip("xy", numbers.bed_slope, strict=True)
         lines += [f"{axis}_adjust: {rise:.8f}" for axis, rise in rises]
     return {".cfg": "\n".join([*lines, ""])}
 
@@ -47,7 +47,7 @@ def write(compensation: Compensation) -> Texts:
 def notes(compensation: Compensation) -> tuple[str, ...]:
     """What the file does not hold, and what it goes together with."""
     sentences = home_notes(compensation, NAME)
-    if delta_numbers(compensation, NAME).slope.any():
+    if delta_numbers(compensation, NAME).bed_slope.any():
         sentences.append(BED_TILT)
     return tuple(sentences)
 
@@ -60,16 +60,16 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     def read(option: str) -> Array:
         return np.array([parser.getfloat(f"stepper_{t}", option) for t in TOWERS])
 
-    numbers = DeltaNumbers(
+    numbers = DeltaGeometry(
         radius=parser.getfloat("printer", "delta_radius"),
         arms=read("arm_length"),
         angles=read("angle"),
         endstops=read("position_endstop"),
-        slope=np.array(
+        bed_slope=np.array(
             [parser.getfloat("bed_tilt", f"{a}_adjust", fallback=0.0) for a in "xy"]
         ),
     )
-    return delta_joints(numbers, numbers.carriages, compensation)
+    return delta_joints(numbers, compensation)
 
 
 controller = ControllerFormat(

@@ -85,22 +85,20 @@ def _places(config: KlipperConfig, section: str, axis: str, count: int) -> Array
 
 def probe_offset(config: KlipperConfig) -> Offset:
     """Place (2,) of the probe from the nozzle, mm; 0 without a probe of its own place."""
-    return _along(config, "x"), _along(config, "y")
+    return _of_probe(config, "x_offset", 0.0), _of_probe(config, "y_offset", 0.0)
 
 
 def samples(config: KlipperConfig) -> float:
     """How often the probe touches for one height."""
-    for section in PROBES:
-        if config.find(section, "samples") is not None:
-            return config.positive(section, "samples")
-    return 1.0
+    return max(1.0, _of_probe(config, "samples", 1.0))
 
 
-def _along(config: KlipperConfig, axis: str) -> float:
+def _of_probe(config: KlipperConfig, key: str, default: float) -> float:
+    """A number of the section of the probe."""
     for section in PROBES:
-        if config.find(section, f"{axis}_offset") is not None:
-            return config.number(section, f"{axis}_offset")
-    return 0.0
+        if config.find(section, key) is not None:
+            return config.number(section, key)
+    return default
 
 
 def _is_in_faulty_region(config: KlipperConfig, x: Array, y: Array) -> Mask:

@@ -24,7 +24,7 @@ from oed.base import Array
 from pkm_printers import facts, gcode, marlin_home
 from pkm_printers.bed_mesh import ROUNDING, BedMesh
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import DeltaGeometry, Firmware, Offset
+from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry, Firmware, Offset
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.marlin_home import Home
 from pkm_printers.marlin_log import Settings, probing
@@ -75,7 +75,6 @@ G33: Final[dict[str, Word]] = {
 BED_LEVELING: Final = costs(
     "with bed leveling on, heights may be those over the mesh: probe with M420 S0"
 )
-ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
 NO_TRIMS = (0.0, 0.0, 0.0)
 #: M665 B, mm, above which it cannot be the trim of a rod
 LONGEST_TRIM = 10.0
@@ -227,24 +226,22 @@ def _geometry(
     delta = settings.command("M665")
     trims = given.get("rod_trim_mm", NO_TRIMS)
     if b == ROD_TRIM:
-        trims = tuple(delta.number(letter, 0.0) for letter in "ABC")
+        trims = tuple(delta.numbers("ABC"))
     rod = delta.number("L")
     return DeltaGeometry(
         radius=delta.number("R"),
-        arms=tuple(rod + trim for trim in trims),
-        angles=tuple(angle + delta.number(t, 0.0) for t, angle in ANGLES.items()),
-        endstops=home.endstops,
-        radius_trim=given.get("radius_trim_mm", NO_TRIMS),
+        arms=rod + np.array(trims),
+        angles=TOWER_ANGLES + delta.numbers("XYZ"),
+        endstops=np.array(home.endstops),
+        radius_trim=np.array(given.get("radius_trim_mm", NO_TRIMS)),
     )
 
 
 def _probe_place(settings: Settings, given: Given) -> Offset:
     """Place (2,) of the probe from the nozzle, mm, whichever of the two G33 puts there."""
-    if "probe_offset_mm" in given:
-        x, y = given["probe_offset_mm"]
-        return x, y
-    probe = settings.command("M851")
-    return probe.number("X", 0.0), probe.number("Y", 0.0)
+    stated = settings.command("M851").numbers("XY").tolist()
+    x, y = given.get("probe_offset_mm", stated)
+    return x, y
 
 
 def _points_over_bed(

@@ -10,8 +10,6 @@ import numpy as np
 from oed.base import Array
 from pkm_printers import marlin_version
 from pkm_printers.delta_numbers import (
-    ANGLES,
-    DeltaNumbers,
     check_level,
     delta_joints,
     delta_numbers,
@@ -20,6 +18,7 @@ from pkm_printers.delta_numbers import (
     trim_notes,
     trims,
 )
+from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.marlin_version import (
     LEAST_STEPS,
     NOT_READ,
@@ -98,7 +97,7 @@ def write(compensation: Compensation) -> Texts:
     check_level(compensation, numbers, "Marlin")
     target = _target(compensation, rods)
     rod = float(rods.mean())
-    lean = numbers.angles - ANGLES
+    lean = numbers.angles - TOWER_ANGLES
     # the firmware's carriage height at home is that of the tool there, tower by tower
     height = float(numbers.endstops.min()) - target.down
     adjust = height - numbers.endstops
@@ -127,7 +126,7 @@ def notes(compensation: Compensation) -> tuple[str, ...]:
     return (*sentences, *target.home_notes, *trim_notes(compensation, NAME))
 
 
-def _numbers(compensation: Compensation) -> tuple[DeltaNumbers, Array]:
+def _numbers(compensation: Compensation) -> tuple[DeltaGeometry, Array]:
     """The delta, and its rods (3,) without the trims that are compiled in, mm.
 
     Raises InputError, also for versions whose M665 has no H and no tower angles.
@@ -227,14 +226,14 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     adjust = words(texts[".gcode"], "M666")
     written = np.array([geometry.get(k, [0.0])[0] for k in "ABC"])
     home = geometry["H"][0] + _home_offset(compensation)
-    numbers = DeltaNumbers(
+    numbers = DeltaGeometry(
         radius=geometry["R"][0],
         arms=geometry["L"][0] + written + trims(compensation, NAME, "rod_trim_mm"),
-        angles=np.array(ANGLES) + [geometry[k][0] for k in "XYZ"],
+        angles=TOWER_ANGLES + [geometry[k][0] for k in "XYZ"],
         endstops=home - np.array([adjust[k][0] for k in "XYZ"]),
-        trim=trims(compensation, NAME, "radius_trim_mm"),
+        radius_trim=trims(compensation, NAME, "radius_trim_mm"),
     )
-    return delta_joints(numbers, numbers.carriages, compensation)
+    return delta_joints(numbers, compensation)
 
 
 def _home_offset(compensation: Compensation) -> float:

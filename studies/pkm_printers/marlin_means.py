@@ -192,7 +192,7 @@ def _corrections(
     starts = np.cumsum([0, *counts[:-1]])
     for row, (start, contact) in enumerate(zip(starts, contacts, strict=True)):
         means[row, start : start + len(contact.weights)] = contact.weights
-    travels = delta_contact.travels_to_bed(places, geometry)
+    travels = _to_bed(places, geometry)
 
     def believed(change: Array, travels: Array) -> Array:
         changed = delta_contact.changed(geometry, change)
@@ -204,5 +204,10 @@ def _corrections(
 
     change = optimize.least_squares(misses, np.zeros(len(TOLERANCE))).x
     single = np.array([[contact.x, contact.y] for contact in contacts])
-    at_place = believed(change, delta_contact.travels_to_bed(single, geometry))
+    at_place = believed(change, _to_bed(single, geometry))
     return at_place - means @ believed(change, travels)
+
+
+def _to_bed(places: Array, geometry: DeltaGeometry) -> Array:
+    """Travels (n, 3) to z = 0 at places (n, 2), mm."""
+    return delta_contact.travels(np.pad(places, ((0, 0), (0, 1))), geometry)

@@ -9,7 +9,6 @@ upward.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -121,8 +120,7 @@ def by_place(
     readings: Iterable[tuple[tuple[float, ...], float]],
 ) -> list[list[float]]:
     """Readings (place, value), in lists by place."""
-    ordered = sorted(readings)
-    return [
-        [value for _, value in group]
-        for _, group in itertools.groupby(ordered, key=lambda reading: reading[0])
-    ]
+    groups: dict[tuple[float, ...], list[float]] = {}
+    for place, value in readings:
+        groups.setdefault(place, []).append(value)
+    return list(groups.values())

@@ -24,7 +24,7 @@ import numpy as np
 from pkm_printers import facts, gcode
 from pkm_printers.bed_mesh import BedMesh
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import DeltaGeometry, Firmware
+from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry, Firmware
 from pkm_printers.gcode import NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
@@ -50,7 +50,6 @@ PROBE = re.compile(
     rf"\s+Y(?P<Y>{NUMBER})"
 )
 REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
-ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
 #: M666 A and B are in percent
 PERCENT = 1e-2
 VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
@@ -94,7 +93,7 @@ class RrfImporter:
         _check_kinematics(lines)
         given = facts.numbers(lines)
         delta = gcode.merged(lines, "M665", "give the config.g that has M665")
-        stops = _adjustments(lines)
+        stops = gcode.optional(lines, "M666")
         account = gcode.account_of(lines, WORDS)
         points: list[ProbedPoint] = []
         notes: list[str] = []
@@ -129,13 +128,6 @@ def _check_kinematics(lines: Sequence[TextLine]) -> None:
             )
 
 
-def _adjustments(lines: Sequence[TextLine]) -> Command:
-    """M666; without words where the files have none."""
-    if any(gcode.commands(lines, "M666")):
-        return gcode.merged(lines, "M666", "")
-    return Command("M666", {}, lines[0])
-
-
 def _geometry(
     delta: Command, stops: Command, given: dict[str, tuple[float, ...]]
 ) -> DeltaGeometry:
@@ -151,14 +143,11 @@ def _geometry(
     height = delta.number("H")
     return DeltaGeometry(
         radius=delta.number("R"),
-        arms=tuple(rod + trim for rod, trim in zip(rods, trims, strict=True)),
-        angles=tuple(angle + delta.number(t, 0.0) for t, angle in ANGLES.items()),
-        endstops=tuple(height + stops.number(tower, 0.0) for tower in ANGLES),
-        radius_trim=given.get("radius_trim_mm", (0.0, 0.0, 0.0)),
-        bed_slope=(
-            PERCENT * stops.number("A", 0.0),
-            PERCENT * stops.number("B", 0.0),
-        ),
+        arms=np.array(rods) + trims,
+        angles=TOWER_ANGLES + delta.numbers("XYZ"),
+        endstops=height + stops.numbers("XYZ"),
+        radius_trim=np.array(given.get("radius_trim_mm", (0.0, 0.0, 0.0))),
+        bed_slope=PERCENT * stops.numbers("AB"),
     )
 
 
@@ -170,19 +159,15 @@ def _firmware(
     """The firmware, with the words that calibration leaves as they are."""
     lines = order.lines
     printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
-    reach = {letter: delta.words[letter] for letter in "BS" if letter in delta.words}
+    reach = [f"{k}{delta.words[k]}" for k in "BS" if k in delta.words]
     return Firmware(
         name="rrf",
         title="RepRapFirmware",
         version=facts.version(lines) or (printed[-1] if printed else None),
         file=order.stored,
-        keep={"M665": _written(reach)},
+        keep={"M665": " ".join(reach)},
         radius_trim_mm=given.get("radius_trim_mm", ()),
     )
-
-
-def _written(words: dict[str, str]) -> str:
-    return " ".join(f"{letter}{text}" for letter, text in words.items())
 
 
 # -- replies as commands ---------------------------------------------------------------

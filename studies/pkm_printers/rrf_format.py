@@ -6,9 +6,7 @@ import numpy as np
 
 from oed.base import Array
 from pkm_printers.delta_numbers import (
-    ANGLES,
     SLACK,
-    DeltaNumbers,
     delta_joints,
     delta_numbers,
     firmware_of,
@@ -18,6 +16,7 @@ from pkm_printers.delta_numbers import (
     trim_notes,
     trims,
 )
+from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.marlin_format import words
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
@@ -61,7 +60,7 @@ def write(compensation: Compensation) -> Texts:
     adjustment is the height of an endstop.
     """
     numbers = delta_numbers(compensation, NAME)
-    lean = numbers.angles - ANGLES
+    lean = numbers.angles - TOWER_ANGLES
     height = float(np.mean(numbers.endstops))
     adjust = numbers.endstops - height
     arms = _rods(numbers)
@@ -75,7 +74,7 @@ def write(compensation: Compensation) -> Texts:
     )
     stops = f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}"
     if has_slopes(compensation.machine):
-        rise = 100.0 * numbers.slope
+        rise = 100.0 * numbers.bed_slope
         stops += f" A{rise[0]:.4f} B{rise[1]:.4f}"
     lines += [
         f"{delta} {retained.get('M665', '')}".rstrip(),
@@ -85,7 +84,7 @@ def write(compensation: Compensation) -> Texts:
     return {".g": "\n".join(lines)}
 
 
-def _rods(numbers: DeltaNumbers) -> list[str]:
+def _rods(numbers: DeltaGeometry) -> list[str]:
     """Lengths of the rods as they are written; one where they hardly differ."""
     is_common = np.ptp(numbers.arms) <= SLACK
     arms = np.full(3, numbers.arms.mean()) if is_common else numbers.arms
@@ -101,15 +100,15 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     has_bed = has_slopes(compensation.machine)
     geometry = words(texts[".g"], "M665")
     adjust = words(texts[".g"], "M666")
-    numbers = DeltaNumbers(
+    numbers = DeltaGeometry(
         radius=geometry["R"][0],
         arms=np.array(geometry["L"]) * np.ones(3),
-        angles=np.array(ANGLES) + [geometry[k][0] for k in "XYZ"],
+        angles=TOWER_ANGLES + [geometry[k][0] for k in "XYZ"],
         endstops=geometry["H"][0] + np.array([adjust[k][0] for k in "XYZ"]),
-        trim=trims(compensation, NAME, "radius_trim_mm"),
-        slope=np.array([adjust[k][0] if has_bed else 0.0 for k in "AB"]) / 100.0,
+        radius_trim=trims(compensation, NAME, "radius_trim_mm"),
+        bed_slope=np.array([adjust[k][0] if has_bed else 0.0 for k in "AB"]) / 100.0,
     )
-    return delta_joints(numbers, numbers.carriages, compensation)
+    return delta_joints(numbers, compensation)
 
 
 controller = ControllerFormat(

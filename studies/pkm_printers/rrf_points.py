@@ -11,7 +11,6 @@ from pkm_printers.gcode import Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.rrf_sequence import ExecutionOrder
 from pkm_studies.base import InputError
-from pkm_studies.csv_table import plain_number
 
 HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
 CALIBRATED = re.compile(r"Calibrated \d+ factors", re.IGNORECASE)
@@ -23,6 +22,8 @@ NO_HEIGHTS = (
 #: heights from which on Z of G30 is the height itself, and nothing is probed
 TYPED = -9999.0
 
+#: cells of a line of heights of which one was not probed
+NOT_PROBED = {"set", "failed"}
 #: commands whose words change the geometry, or the place of the probe
 CHANGING = ("M665", "M666", "M558", "G31", "M851", "M92")
 #: a line of heights, and its cells
@@ -76,7 +77,7 @@ def probed_points(
     if not points:
         raise _missing(lines, "no probe points in it", NO_POINT)
     line, cells = reports[-1]
-    if {"set", "failed"} & set(cells):
+    if NOT_PROBED & set(cells):
         raise line.error("a point was not probed", "probe all points again")
     if len(cells) != len(points):
         problem = f"{len(cells)} heights for {len(points)} probe points"
@@ -104,16 +105,12 @@ def _with_one_geometry(
     while since > 0:
         line, cells = reports[since - 1]
         between = lines[lines.index(line) : lines.index(first)]
-        if len(cells) != len(last) or not all(map(_is_number, cells)):
+        if len(cells) != len(last) or NOT_PROBED & set(cells):
             break
         if line.file != first.file or any(map(_changes, between)):
             break
         first, since = line, since - 1
     return reports[since:]
-
-
-def _is_number(cell: str) -> bool:
-    return plain_number(cell) is not None
 
 
 def _changes(line: TextLine) -> bool:
@@ -126,9 +123,7 @@ def mesh_offset(
     order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
 ) -> tuple[float, float]:
     """Place of the probe from the nozzle (2,), mm, at the nodes of a mesh."""
-    probes = _Probes()
-    for command in gcode.commands(order.settings, "M558", "G31"):
-        probes.take(command)
+    probes = _Probes(order)
     stated = given.get("probe_offset_mm")
     if stated is not None:
         return stated[0], stated[1]
@@ -139,9 +134,7 @@ def _points(
     order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
 ) -> tuple[dict[int, ProbePoint], list[str]]:
     """The last G30 of each point, by its number, and sentences. Raises InputError."""
-    probes = _Probes()
-    for command in gcode.commands(order.settings, "M558", "G31"):
-        probes.take(command)
+    probes = _Probes(order)
     stated = given.get("probe_offset_mm")
     points: dict[int, ProbePoint] = {}
     for command in gcode.commands(order.probing, "M558", "G31", "G30"):
@@ -171,9 +164,11 @@ def _check_place(command: Command) -> None:
 class _Probes:
     """Where the probes are from the nozzle, by number (K) and kind (T of G31)."""
 
-    def __init__(self) -> None:
+    def __init__(self, order: ExecutionOrder) -> None:
         self.words: dict[tuple[str, str], Command] = {}
         self.notes: list[str] = []
+        for command in gcode.commands(order.settings, "M558", "G31"):
+            self.take(command)
 
     def take(self, command: Command) -> None:
         """Take M558 or G31."""

@@ -15,7 +15,7 @@ from typing import Final
 
 from pkm_printers import facts, gcode
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import DeltaGeometry, Firmware, Offset
+from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry, Firmware, Offset
 from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
@@ -41,7 +41,6 @@ LETTERS: Final[Mapping[str, tuple[str, ...]]] = {
     "U": ("bed_slope_x",),
     "V": ("bed_slope_y",),
 }
-TOWER_ANGLES: Final = {"D": 210.0, "E": 330.0, "H": 90.0}
 NO_POINTS: Final = "log the answer of G29.1 I30 (delta-grid) or G29 (delta-calibration)"
 NO_M503: Final = "log the answer of M503 as well"
 WORDS: Final[WordTable] = {
@@ -76,17 +75,17 @@ class SmoothieImporter:
         lines = gcode.read(request.files)
         delta = gcode.merged(lines, "M665", NO_M503)
         given = facts.numbers(lines)
-        offset = given.get("probe_offset_mm") or _setting(lines, "M565", "XY")
-        home = _setting(lines, "M206", "Z")[0]
-        geometry = _geometry(delta, _setting(lines, "M666", "XYZ"), home)
+        probe = gcode.optional(lines, "M565").numbers("XY").tolist()
+        x, y = given.get("probe_offset_mm", probe)
+        home = gcode.optional(lines, "M206").number("Z", 0.0)
         return delta_session(
             name=request.name,
             firmware=Firmware(
                 name="smoothie", title="Smoothieware", home_offset_mm=home
             ),
             files=", ".join(path.name for path in request.files),
-            geometry=geometry,
-            points=_points(lines, (offset[0], offset[1])),
+            geometry=_geometry(delta, gcode.optional(lines, "M666"), home),
+            points=_points(lines, (x, y)),
             accounts=gcode.account_of(lines, WORDS).sentences(),
             notes=["Heights: the one nearest the middle stays as the firmware has it."],
             free=facts.factors(lines) or _fitted(lines),
@@ -97,22 +96,13 @@ class SmoothieImporter:
 importer = SmoothieImporter()
 
 
-def _setting(lines: Sequence[TextLine], name: str, letters: str) -> tuple[float, ...]:
-    """Numbers of a setting command, the last of every letter; 0 without."""
-    if not any(gcode.commands(lines, name)):
-        return (0.0,) * len(letters)
-    setting = gcode.merged(lines, name, "")
-    return tuple(setting.number(letter, 0.0) for letter in letters)
-
-
-def _geometry(delta: Command, trims: Sequence[float], home: float) -> DeltaGeometry:
-    rod, height = delta.number("L"), delta.number("Z") + home
+def _geometry(delta: Command, trims: Command, home: float) -> DeltaGeometry:
     return DeltaGeometry(
         radius=delta.number("R"),
-        arms=tuple(rod + delta.number(letter, 0.0) for letter in "IJK"),
-        angles=tuple(v + delta.number(k, 0.0) for k, v in TOWER_ANGLES.items()),
-        endstops=tuple(height - trim for trim in trims),
-        radius_trim=tuple(delta.number(letter, 0.0) for letter in "ABC"),
+        arms=delta.number("L") + delta.numbers("IJK"),
+        angles=TOWER_ANGLES + delta.numbers("DEH"),
+        endstops=delta.number("Z") + home - trims.numbers("XYZ"),
+        radius_trim=delta.numbers("ABC"),
     )
 
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from oed.base import Array
 from pkm_printers.delta_numbers import (
-    ANGLES,
-    DeltaNumbers,
     check_level,
     delta_joints,
     delta_numbers,
@@ -15,6 +13,7 @@ from pkm_printers.delta_numbers import (
     home_notes,
     not_a_delta,
 )
+from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.marlin_format import words
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
@@ -36,8 +35,8 @@ def write(compensation: Compensation) -> Texts:
         "L": rod,
         "R": numbers.radius,
         "Z": height - _home_offset(compensation),
-        **dict(zip(RADII, numbers.trim, strict=True)),
-        **dict(zip(TURNS, numbers.angles - ANGLES, strict=True)),
+        **dict(zip(RADII, numbers.radius_trim, strict=True)),
+        **dict(zip(TURNS, numbers.angles - TOWER_ANGLES, strict=True)),
         **dict(zip(RODS, numbers.arms - rod, strict=True)),
     }
     trims = dict(zip("XYZ", height - numbers.endstops, strict=True))
@@ -69,14 +68,14 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
         return np.array([geometry[letter][0] for letter in letters])
 
     height = geometry["Z"][0] + _home_offset(compensation)
-    numbers = DeltaNumbers(
+    numbers = DeltaGeometry(
         radius=geometry["R"][0],
         arms=geometry["L"][0] + read(RODS),
-        angles=np.array(ANGLES) + read(TURNS),
+        angles=TOWER_ANGLES + read(TURNS),
         endstops=height - np.array([trims[axis][0] for axis in "XYZ"]),
-        trim=read(RADII),
+        radius_trim=read(RADII),
     )
-    return delta_joints(numbers, numbers.carriages, compensation)
+    return delta_joints(numbers, compensation)
 
 
 controller = ControllerFormat(

@@ -19,17 +19,15 @@ bed, where trigger heights are measured: there R is 1.
 
 from __future__ import annotations
 
-import math
-
 import casadi as ca
 
-from oed.model import Expr, Parameter, PassiveJoint, Start, Values
+from oed.model import Expr, Parameter, Start, Values
 from pkm_models.machines import delta, linear_delta
 from pkm_models.machines.linear_delta import TOWERS
 from pkm_models.machines.parts import coordinates, families, six_dof
 
 #: angles of the effector's three sides, rad
-SIDES = {i: math.radians(d) for i, d in zip(TOWERS, (210.0, 330.0, 90.0), strict=True)}
+SIDES = linear_delta.ANGLE
 SLOPE_SD = 5e-3  # of a bed as it is mounted
 EDGE_SD = 1e-3  # rad: rods and carriages are right by 0.05 mm over 50 mm
 TRIM_SD = 0.1e-3  # m
@@ -65,20 +63,16 @@ def _effector_edges(p: Values) -> list[Expr]:
 
     From their nominal places the effector turns by w: e_i . (u_i x w) closes the rods there.
     """
+    edges = [_tangent(SIDES[i]) for i in TOWERS]
     normals, sides = [], []
-    for i in TOWERS:
+    for i, edge in zip(TOWERS, edges, strict=True):
         angle, radius = p[f"angle{i}"], p["radius"] + p[f"trim{i}"]
         drop = ca.sqrt(p[f"arm{i}"] ** 2 - radius**2)
         rod = ca.vertcat(-radius * ca.cos(angle), -radius * ca.sin(angle), -drop)
         rod = rod / p[f"arm{i}"]
-        edge = _tangent(SIDES[i])
         normals.append(ca.cross(edge, rod))
         sides.append(ca.dot(rod, _axis(p, i) - edge) - p[f"pair{i}"])
-    first, second, third = normals
-    across = ca.cross(second, third), ca.cross(third, first), ca.cross(first, second)
-    turn = sum(s * v for s, v in zip(sides, across, strict=True))
-    turn = turn / ca.dot(first, across[0])
-    edges = [_tangent(SIDES[i]) for i in TOWERS]
+    turn = ca.solve(ca.horzcat(*normals).T, ca.vertcat(*sides))
     return [edge + ca.cross(turn, edge) for edge in edges]
 
 
@@ -99,16 +93,6 @@ def guess(c: Values, p: Values) -> Start:
     """The commanded point, level, and each carriage at the upper end of its arm."""
     _, joints = delta.guess(_raised(c, p), _upright(p))
     return [c["x"], c["y"], c["z"], 0.0, 0.0, 0.0], joints
-
-
-def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-    """Towers and arms."""
-    return delta.skeleton(_raised(x, p), q, _upright(p))
-
-
-def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
-    """Joints of the arms at the carriages."""
-    return delta.passive_joints(_raised(x, p), q, _upright(p))
 
 
 machine = six_dof.driven(
@@ -150,8 +134,7 @@ machine = six_dof.driven(
     lever=linear_delta.RADIUS,
     closure=closure,
     guess=guess,
-    skeleton=skeleton,
+    skeleton=lambda x, q, p: delta.skeleton(_raised(x, p), q, _upright(p)),
     struts=lambda x, q, p: delta.struts(_raised(x, p), q, _upright(p)),
-    passive=passive_joints,
     frame=linear_delta.machine.frame,
 )
