@@ -11,17 +11,14 @@ from oed import units
 from oed.base import Array
 from oed.model import Machine
 from pkm_printers.delta_contact import travels
-from pkm_printers.delta_study import DeltaGeometry
+from pkm_printers.delta_study import SLOPES, TOWERS, DeltaGeometry
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation
 from pkm_studies.tables import NOT_KNOWN, ControllerTable
 
-TOWERS = (1, 2, 3)
 #: parameters of a delta with one radius, and of one with a radius for each tower
 ONE_RADIUS = ("arm", "angle", "endstop")
 FAMILY = ("radius", *ONE_RADIUS, "lean", "tip")
-#: names of the slopes of the bed, of a delta that has them
-SLOPES = ("bed_slope_x", "bed_slope_y")
 #: mm by which radii may differ, and a tower may lean over the workspace; the export
 #: states what that costs
 SLACK = 0.02

@@ -13,6 +13,11 @@ from pkm_printers import words
 from pkm_studies.importers import readings_name
 
 MODEL = "delta_printer"
+#: what to do with other machines
+OTHER_MACHINES = (
+    "this importer is for linear deltas; take `columns` with a map that states the machine: the"
+    " models rotary_delta and five_bar have a firmware's numbers as their geometry"
+)
 TOWERS = (1, 2, 3)
 #: angles of the towers from which firmwares count corrections, degrees
 TOWER_ANGLES = np.array([210.0, 330.0, 90.0])

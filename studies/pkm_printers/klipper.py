@@ -21,6 +21,7 @@ from pkm_printers.delta_contact import tool_heights
 from pkm_printers.delta_study import (
     ARMS,
     FACTORS,
+    OTHER_MACHINES,
     TILTING,
     TOWER_ANGLES,
     DeltaGeometry,
@@ -45,7 +46,6 @@ REMEDY = (
 )
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
-AT_NOZZLE: Offset = (0.0, 0.0)
 #: ends of the names of files of the console, in which each sample of the probe is a line
 LOGS = (".log", ".txt")
 ASSUMED = (
@@ -95,7 +95,7 @@ class KlipperImporter:
         mesh_notes += explanations(meshes, GEOMETRY_WORDS)
         noise_notes = [ASSUMED if spread is None else spread.sentence()]
         setups = {row["setup"] for row in heights}
-        offsets = {PROBE: klipper_mesh.probe_offset(config), NOZZLE: AT_NOZZLE}
+        offsets = {PROBE: klipper_mesh.probe_offset(config), NOZZLE: (0.0, 0.0)}
         probes = {name: offsets[name] for name in offsets if name in setups}
         study = DeltaStudy(
             name=request.name,
@@ -135,8 +135,8 @@ importer = KlipperImporter()
 def _check_delta(config: KlipperConfig) -> None:
     entry = config.find("printer", "kinematics")
     if entry is not None and entry.text != "delta":
-        remedy = "this importer is for delta printers; for others take `columns`"
-        raise entry.error("[printer] kinematics", "this is no delta", remedy)
+        problem = "this is no linear delta"
+        raise entry.error("[printer] kinematics", problem, OTHER_MACHINES)
 
 
 def _step_distance(config: KlipperConfig, stepper: str) -> float:
@@ -278,7 +278,8 @@ def _noise(
     A saved height is the mean or median of the probe's samples.
     """
     if spread is not None and spread.is_known:
-        height = 1e3 * spread.sigma / math.sqrt(klipper_mesh.samples(config))
+        touches = max(1.0, klipper_mesh.of_probe(config, "samples", 1.0))
+        height = 1e3 * spread.sigma / math.sqrt(touches)
         distance = 1e3 * DISTANCE_SIGMA if distances else None
         return noise_table("", round(height, 3), distance, spread.freedom)
     if not distances:

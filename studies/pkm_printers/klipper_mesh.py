@@ -85,15 +85,10 @@ def _places(config: KlipperConfig, section: str, axis: str, count: int) -> Array
 
 def probe_offset(config: KlipperConfig) -> Offset:
     """Place (2,) of the probe from the nozzle, mm; 0 without a probe of its own place."""
-    return _of_probe(config, "x_offset", 0.0), _of_probe(config, "y_offset", 0.0)
+    return of_probe(config, "x_offset", 0.0), of_probe(config, "y_offset", 0.0)
 
 
-def samples(config: KlipperConfig) -> float:
-    """How often the probe touches for one height."""
-    return max(1.0, _of_probe(config, "samples", 1.0))
-
-
-def _of_probe(config: KlipperConfig, key: str, default: float) -> float:
+def of_probe(config: KlipperConfig, key: str, default: float) -> float:
     """A number of the section of the probe."""
     for section in PROBES:
         if config.find(section, key) is not None:

@@ -288,17 +288,11 @@ def _noise(lines: Sequence[TextLine]) -> tuple[dict[str, float], str]:
     the errors of four lengths, over the root of 4.
     """
     spread = pooled(repeated_in_log(lines))
-    if spread is None:
-        return ASSUMED, NOT_REPEATED
-    if not spread.is_known:
-        return ASSUMED, spread.sentence()
+    if spread is None or not spread.is_known:
+        return ASSUMED, spread.sentence() if spread else NOT_REPEATED
     gap = round(spread.sigma / math.sqrt(READINGS) / math.sqrt(len(CORNERS)), 6)
-    return {
-        "estimate": True,
-        "carried": 0.0,
-        "gap1_mm": gap,
-        "gap2_mm": gap,
-    }, spread.sentence()
+    noise = {"estimate": True, "carried": 0.0, "gap1_mm": gap, "gap2_mm": gap}
+    return noise, spread.sentence()
 
 
 def _check_closing(

@@ -24,7 +24,12 @@ import numpy as np
 from pkm_printers import facts, gcode
 from pkm_printers.bed_mesh import BedMesh
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry, Firmware
+from pkm_printers.delta_study import (
+    OTHER_MACHINES,
+    TOWER_ANGLES,
+    DeltaGeometry,
+    Firmware,
+)
 from pkm_printers.gcode import NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
@@ -123,7 +128,7 @@ def _check_kinematics(lines: Sequence[TextLine]) -> None:
         if command.words.get("K", "3") != "3":
             raise command.line.error(
                 "this is no linear delta (K3)",
-                "this importer is for delta printers; for others take `columns`",
+                OTHER_MACHINES,
                 "M669 K",
             )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 
@@ -100,16 +101,13 @@ def _with_one_geometry(
     lines: Sequence[TextLine], reports: Sequence[Report]
 ) -> Sequence[Report]:
     """The last reports between which nothing changed the printer, with as many heights."""
-    first, last = reports[-1]
     since = len(reports) - 1
-    while since > 0:
-        line, cells = reports[since - 1]
-        between = lines[lines.index(line) : lines.index(first)]
-        if len(cells) != len(last) or NOT_PROBED & set(cells):
+    for (earlier, cells), (later, last) in reversed(list(itertools.pairwise(reports))):
+        between = lines[lines.index(earlier) : lines.index(later)]
+        is_whole = len(cells) == len(last) and not NOT_PROBED & set(cells)
+        if not is_whole or any(map(_changes, between)):
             break
-        if line.file != first.file or any(map(_changes, between)):
-            break
-        first, since = line, since - 1
+        since -= 1
     return reports[since:]
 
 

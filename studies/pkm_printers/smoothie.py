@@ -59,7 +59,6 @@ WORDS: Final[WordTable] = {
         "XYZEABCS",
     ),
     "G20": {"": refused("the numbers are in inches", "give them in mm")},
-    "M670": {},
 }
 
 

@@ -90,3 +90,11 @@ def test_towers_at_one_angle_are_no_traceback(tmp_path: Path) -> None:
     text = printer().text().replace("angle = 330", "angle = 210")
     with pytest.raises(InputError, match="the arms cannot reach this position"):
         take("klipper", {"printer.cfg": text}, tmp_path)
+
+
+def test_another_machine_is_refused_with_the_way_in(tmp_path: Path) -> None:
+    text = example().replace("kinematics: delta", "kinematics: rotary_delta")
+    with pytest.raises(
+        InputError, match=r"line 2, \[printer\] kin.*models rotary_delta"
+    ):
+        take("klipper", {"printer.cfg": text}, tmp_path)

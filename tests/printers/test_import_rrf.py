@@ -249,6 +249,7 @@ def test_what_a_loop_changes_is_refused(lines: str, tmp_path: Path) -> None:
             "probe_offset_mm = x, y",
         ),
         ("config.g", "M558", "M669 K0\nM558", "this is no linear delta"),
+        ("config.g", "M558", "M669 K10\nM558", r"line 4, M669 K.*models rotary_delta"),
         ("config.g", "L241.987", "L241.987:242:242:200", "not one or three"),
     ],
 )

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from oracles.firmware import rrf
 from oracles.firmware.geometry import Probe, delta, disc, spiral
-from oracles.firmware.klipper import parse
+from oracles.firmware.klipper import Klipper, example, parse
 from oracles.firmware.six_rods import SixRods
 from shipped_models import delta_printer
 
@@ -22,7 +22,7 @@ import oed
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
-from printers.delta_printer import compensate, said, take
+from printers.delta_printer import compensate, said, take, with_known_noise
 
 NOISE, LEAN, REACH = 0.015, 3.5e-3, 100.0
 #: tip of the probe from the nozzle, mm
@@ -202,3 +202,36 @@ def test_a_lean_goes_where_a_firmware_has_a_word_for_it(
     lost = float(re.search(r"up to ([\d.]+) mm off", printed)[1])
     assert lost == pytest.approx(70.0 * np.abs(rise).sum(), abs=0.05)
     assert "shim the bed" in printed
+
+
+# -- heights of the nozzle beside those of the probe -----------------------------------
+
+
+def test_heights_of_klipper_s_nozzle_are_a_set_up_of_their_own(tmp_path: Path) -> None:
+    """Heights by hand tell the tilts of the effector from the lean of the bed."""
+    real = printer(np.random.default_rng(5))
+    real.pairs = np.array([0.4, -0.3, 0.1])  # 6 to 8 mrad, far beyond parts of 0.05 mm
+    real.lean = np.zeros(2)
+    firmware = Klipper(example(150, 300, 350, probe=(*PROBE[:2], 2.0)))
+    trigger = real.trigger_height(firmware, PROBE)
+    z = real.contacts(firmware, PROBE, PLACES)
+    by_hand = real.contacts(firmware, np.zeros(3), PLACES)
+    section = firmware.saved.setdefault("delta_calibrate", {})
+    kinds = (("height", z, trigger), ("manual_height", by_hand, 0.0))
+    for name, heights, at in kinds:
+        commands = np.column_stack([PLACES, heights])
+        for k, travel in enumerate(firmware.travel(commands)):
+            section[f"{name}{k}"] = f"{at:g}"
+            steps = travel / firmware.step
+            section[f"{name}{k}_pos"] = ",".join(f"{v:.3f}" for v in steps)
+    study, imported = take("klipper", {"printer.cfg": firmware.text()}, tmp_path)
+    assert [row["setup"] for row in imported.rows] == ["probe"] * 24 + ["nozzle"] * 24
+    text = study.read_text()
+    assert text.count("tool_mm = [25.0, 0.0, 0.0]") == 1
+    wide = '\n[[prior.tolerance]]\nparameters = ["pair*"]\nsigma_mrad = 10.0\n'
+    study.write_text(text + wide)
+    with_known_noise(study, 5.0)
+    firmware.apply(compensate(study, "klipper"))
+    places = np.column_stack([disc(REACH, 15), np.zeros(len(disc(REACH, 15)))])
+    nozzle, _ = real.poses(firmware.travel(places))
+    assert np.std(real.over_bed(nozzle)) < NOISE
