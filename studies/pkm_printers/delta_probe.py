@@ -23,7 +23,7 @@ from pkm_printers.delta_study import (
     noise_table,
 )
 from pkm_printers.probed_point import ProbedPoint, contact_rows, probes_of
-from pkm_printers.repeated import Spread, by_place, pooled
+from pkm_printers.repeated import PooledSpread, by_place, pooled
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, MeshUse
 
@@ -99,9 +99,7 @@ def delta_session(
         mesh_radius=radius,
         predict=[one.setup for one in meshes] if mesh == "hold-out" else [],
     )
-    rows = contact_rows(points)
-    for one in meshes:
-        rows += one.rows()
+    rows = [*contact_rows(points), *(row for one in meshes for row in one.rows())]
     counted = f"Readings: {len(points)} points of contact with the bed as set-up probe."
     statements = [
         geometry.sentence(),
@@ -115,7 +113,7 @@ def delta_session(
     )
 
 
-def _noise(spread: Spread | None) -> str:
+def _noise(spread: PooledSpread | None) -> str:
     """The table [noise]: of repeated readings, or assumed as the last resort."""
     if spread is None or not spread.is_known:
         return noise_table(NOISE, HEIGHT_UM)

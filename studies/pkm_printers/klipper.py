@@ -32,7 +32,7 @@ from pkm_printers.delta_study import (
 )
 from pkm_printers.klipper_account import config_account
 from pkm_printers.klipper_config import Entry, KlipperConfig
-from pkm_printers.repeated import Spread, pooled, repeated_in_log
+from pkm_printers.repeated import PooledSpread, pooled, repeated_in_log
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, ImportRequest, Row
 
@@ -271,7 +271,7 @@ def _free(probes: Mapping[str, Offset], *, is_measured: bool) -> tuple[str, ...]
 
 
 def _noise(
-    heights: int, distances: int, spread: Spread | None, config: KlipperConfig
+    heights: int, distances: int, spread: PooledSpread | None, config: KlipperConfig
 ) -> str:
     """The table [noise]: of repeated readings, or assumed with the weights of Klipper's fit.
 

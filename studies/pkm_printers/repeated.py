@@ -43,7 +43,7 @@ MOVES: Final = ("G0", "G1", "G28", "M48")
 
 
 @dataclasses.dataclass(frozen=True)
-class Spread:
+class PooledSpread:
     """A pooled spread.
 
     sigma    standard deviation of one reading, mm
@@ -63,24 +63,24 @@ class Spread:
     def sentence(self) -> str:
         """What the readings say of the noise."""
         where = f"{self.places} place{'s' if self.places > 1 else ''}"
-        found = (
+        beginning = (
             f"Noise: repeated readings at {where} spread by {1e3 * self.sigma:.3g} um, with"
             f" {self.freedom} degrees of freedom"
         )
         if self.is_known:
             error = 100.0 / math.sqrt(2.0 * self.freedom)
-            return f"{found}: the noise of one reading, known to {error:.0f} %."
-        return f"{found}, too few to stand for the noise, which is assumed."
+            return f"{beginning}: the noise of one reading, known to {error:.0f} %."
+        return f"{beginning}, too few to stand for the noise, which is assumed."
 
 
-def pooled(groups: Iterable[Sequence[float]]) -> Spread | None:
+def pooled(groups: Iterable[Sequence[float]]) -> PooledSpread | None:
     """The spread of readings (n,) by place, mm; None where none is repeated."""
     repeated = [np.asarray(group, float) for group in groups if len(group) > 1]
     freedom = sum(len(group) - 1 for group in repeated)
     if not freedom:
         return None
     squares = sum(float(((group - group.mean()) ** 2).sum()) for group in repeated)
-    return Spread(math.sqrt(squares / freedom), freedom, len(repeated))
+    return PooledSpread(math.sqrt(squares / freedom), freedom, len(repeated))
 
 
 def repeated_in_log(lines: Sequence[TextLine]) -> list[list[float]]:
