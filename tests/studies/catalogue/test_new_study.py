@@ -88,7 +88,10 @@ ONLY = {
 
 #: instruments that read how a platform is turned, and machines that turn it
 OF_ORIENTATION = ("home_orientation", "level", "autocollimator")
-TURNING = ("a3_head", "hexaglide", "hexapod", "prs_spindle", "prs_spindle_struts")
+TURNING = (
+    *("a3_head", "delta_printer", "hexaglide", "hexapod"),
+    *("prs_spindle", "prs_spindle_struts"),
+)
 #: machines that turn with the tool point in a seat
 TURNING_IN_A_SEAT = ("hexaglide", "hexapod")
 #: instruments of passive joints, and machines that name none
@@ -96,7 +99,7 @@ OF_PASSIVE_JOINTS = ("passive_joint", "locked_joint")
 #: machines whose workspace is drafted in a moment
 SMALL = ("linear_delta", "planar_2dof", "micro_cmm")
 CHECKED_ELSEWHERE = tuple(new_families.CLOSURES)
-UNNAMED = ("cable_robot", "hexaglide", "planar_2dof")
+UNNAMED = ("cable_robot", "delta_printer", "hexaglide", "planar_2dof")
 
 
 def can_read(machine: str, instrument: str) -> bool:
