@@ -18,7 +18,7 @@ from scipy import optimize, stats
 
 from oed.base import Array
 from pkm_printers.delta_contact import changed, tool_heights, travels
-from pkm_printers.delta_study import DeltaGeometry
+from pkm_printers.delta_study import SPARE, DeltaGeometry
 from pkm_printers.probed_point import ProbedPoint
 
 #: factors without the lean, and with it
@@ -84,6 +84,12 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
         scatter=scatter,
         probability=float(stats.f.sf(gain, 2, freedom)),
     )
+
+
+def is_to_be_fitted(lean: Lean | None, count: int) -> bool:
+    """Whether a number of heights that tell the lean estimate their noise too, or show it."""
+    is_many = count >= LEANING + SPARE
+    return lean is not None and (is_many or lean.probability < SIGNIFICANT)
 
 
 def lean_sentence(lean: Lean | None, count: int, *, is_fitted: bool) -> str:

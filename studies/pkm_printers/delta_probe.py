@@ -9,17 +9,24 @@ bed are numbers of the machine, so z counts from the bed of a firmware that rais
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from pkm_printers.bed_lean import LEANING, PLAIN, lean_of, lean_sentence
+from pkm_printers.bed_lean import (
+    LEANING,
+    PLAIN,
+    is_to_be_fitted,
+    lean_of,
+    lean_sentence,
+)
 from pkm_printers.bed_mesh import BedMesh, distinct, explanations
 from pkm_printers.delta_study import (
     FACTORS,
     SLOPES,
-    TILTING,
     DeltaGeometry,
     DeltaStudy,
     Firmware,
+    Offset,
+    free_tilts,
     noise_table,
 )
 from pkm_printers.probed_point import ProbedPoint, contact_rows, probes_of
@@ -31,9 +38,19 @@ from pkm_studies.importers import ImportedSession, MeshUse
 HEIGHT_UM = 100.0
 #: the firmware that holds slopes of the bed
 WITH_SLOPES = "rrf"
+TILTS = "Effector: a probe beside the nozzle also reads how the effector tilts over the bed."
+TILTS_FITTED = (
+    "The study has that as six unknowns, of rods of a pair and of carriages that are right by"
+    " 0.05 mm over 50 mm (1 mrad, standard deviation). Where it tilts by more, probe with the"
+    " nozzle itself, or type the heights of the nozzle at several places too."
+)
+TILTS_LEFT_OUT = (
+    "These heights are too few for that: the predicted errors do not hold it. Probe twenty"
+    " places, or with the nozzle itself."
+)
 ASSUMED = (
     f"Noise: no place was probed twice, so {HEIGHT_UM:g} um is assumed for one height. Probe one"
-    " place ten times, and leave the lines in the log."
+    " place ten times (M48, G30 S-1, PROBE_ACCURACY), and give the log with these lines."
 )
 NOISE = "standard deviation of one reading, the bed's flatness included"
 
@@ -71,21 +88,22 @@ def delta_session(
     mesh_notes += [one.sentence(mesh) for one in meshes]
     mesh_notes += explanations(meshes, "M665 and M666")
     probed = points or [point for one in meshes[:1] for point in one.points]
-    at_places = by_place(((p.x, p.y, *p.probe), p.z) for p in points)
-    spread = pooled([*at_places, *repeated])
+    spread = pooled([*by_place(points), *repeated])
     lean = lean_of(geometry, probed)
-    has_lean = lean is not None and firmware.name == WITH_SLOPES
+    has_lean = firmware.name == WITH_SLOPES and is_to_be_fitted(lean, len(probed))
     free = free or FACTORS[LEANING if has_lean else PLAIN]
+    tilts = free_tilts((point.probe for point in probed), free, len(probed))
     about_lean = lean_sentence(lean, len(probed), is_fitted=set(SLOPES) <= set(free))
-    about_noise = [spread.sentence()] if spread is not None else [ASSUMED]
-    notes = [*mesh_notes, *about_noise, about_lean, *_tilt_sentences(probed), *notes]
+    about_noise = spread.sentence() if spread else ASSUMED
+    about_tilts = tilt_sentences((p.probe for p in probed), is_fitted=bool(tilts))
+    notes = [*mesh_notes, about_noise, about_lean, *about_tilts, *notes]
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
         firmware=firmware,
         files=files,
         geometry=geometry,
-        free=(*free, *(TILTING if _is_beside(probed) else ())),
+        free=(*free, *tilts),
         noise=_noise(spread),
         calliper=False,
         probed_radius=max((math.hypot(p.x, p.y) for p in points), default=radius),
@@ -121,21 +139,11 @@ def _noise(spread: PooledSpread | None) -> str:
     return noise_table(NOISE, height, freedom=spread.freedom)
 
 
-def _is_beside(points: Sequence[ProbedPoint]) -> bool:
-    """Whether a probe stands beside the nozzle."""
-    return any(any(point.probe) for point in points)
-
-
-def _tilt_sentences(points: Sequence[ProbedPoint]) -> list[str]:
-    """What becomes of the tilts of the effector."""
-    if not _is_beside(points):
+def tilt_sentences(probes: Iterable[Offset], *, is_fitted: bool) -> list[str]:
+    """What becomes of the tilts of the effector, for probes (2,) from the nozzle."""
+    if not any(map(any, probes)):
         return []
-    return [
-        "Effector: a probe beside the nozzle also reads how the effector tilts over the bed."
-        " The study has that as six unknowns, of rods of a pair and of carriages that are right"
-        " by 0.05 mm over 50 mm (1 mrad, standard deviation). Where it tilts by more, probe"
-        " with the nozzle itself, or type the heights of the nozzle at several places too."
-    ]
+    return [f"{TILTS} {TILTS_FITTED if is_fitted else TILTS_LEFT_OUT}"]
 
 
 def _check_places(points: Sequence[ProbedPoint], files: str) -> None:

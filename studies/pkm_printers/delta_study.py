@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -47,6 +47,8 @@ FACTORS: Mapping[int, tuple[str, ...]] = {
 #: what tilts the effector, which only a probe beside the nozzle reads: differences of the
 #: rods of a pair, turns of the carriages
 TILTING = ("pair1", "pair2", "pair3", "turn1", "turn2", "turn3")
+#: further heights that estimate how far they scatter
+SPARE = 4
 #: all parameters of the model
 PARAMETERS = (
     *("radius", *ARMS, *ANGLES, "angle3", *ENDSTOPS),
@@ -320,6 +322,14 @@ name = "{name}"
 instrument = "contact_probe"
 tolerance = {{ offset_mm = {level_mm} }}  # {why}
 {tool}"""
+
+
+def free_tilts(
+    probes: Iterable[Offset], free: Sequence[str], count: int
+) -> tuple[str, ...]:
+    """Tilts that are fitted beside what is free: of probes beside the nozzle, many heights."""
+    is_many = count >= len(free) + len(TILTING) + SPARE
+    return TILTING if is_many and any(map(any, probes)) else ()
 
 
 def noise_table(

@@ -61,11 +61,10 @@ def factors(lines: Sequence[TextLine]) -> tuple[str, ...] | None:
     if stated is None:
         return None
     line, text = stated
-    if text not in map(str, delta_study.FACTORS):
-        numbers_of = ", ".join(map(str, delta_study.FACTORS))
-        raise line.error(
-            f"firmwares fit {numbers_of} factors", "choose one of them", FACTORS
-        )
+    choices = [str(number) for number in delta_study.FACTORS]
+    if text not in choices:
+        problem = f"firmwares fit {', '.join(choices)} factors"
+        raise line.error(problem, "choose one of them", FACTORS)
     return delta_study.FACTORS[int(text)]
 
 

@@ -18,16 +18,16 @@ from oed.base import Array
 from pkm_printers import gcode, klipper_config, klipper_mesh
 from pkm_printers.bed_mesh import distinct, explanations
 from pkm_printers.delta_contact import tool_heights
+from pkm_printers.delta_probe import ASSUMED, tilt_sentences
 from pkm_printers.delta_study import (
     ARMS,
     FACTORS,
     OTHER_MACHINES,
-    TILTING,
     TOWER_ANGLES,
     DeltaGeometry,
     DeltaStudy,
     Firmware,
-    Offset,
+    free_tilts,
     noise_table,
 )
 from pkm_printers.klipper_account import config_account
@@ -48,10 +48,6 @@ STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
 #: ends of the names of files of the console, in which each sample of the probe is a line
 LOGS = (".log", ".txt")
-ASSUMED = (
-    "Noise: no readings are repeated in these files, so 100 um is assumed for one height. Run"
-    " PROBE_ACCURACY, and give klippy.log, or the console's lines as a text file, as well."
-)
 #: endstops, radius and two angles, beside the arms
 KLIPPER_FACTORS = 6
 #: weight of a height's square over that of a distance, times heights over distances
@@ -97,12 +93,15 @@ class KlipperImporter:
         setups = {row["setup"] for row in heights}
         offsets = {PROBE: klipper_mesh.probe_offset(config), NOZZLE: (0.0, 0.0)}
         probes = {name: offsets[name] for name in offsets if name in setups}
+        free = (*FACTORS[KLIPPER_FACTORS], *(ARMS if distances else ()))
+        tilts = free_tilts(probes.values(), free, len(heights) + count)
+        noise_notes += tilt_sentences(probes.values(), is_fitted=bool(tilts))
         study = DeltaStudy(
             name=request.name,
             firmware=Firmware(name="klipper", title="Klipper"),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
-            free=_free(probes, is_measured=bool(distances)),
+            free=(*free, *tilts),
             probes=probes,
             noise=_noise(len(heights), count, spread, config),
             calliper=bool(distances),
@@ -261,13 +260,6 @@ def _travels(config: KlipperConfig, key: str, steps: list[float]) -> list[float]
         raise config.missing(SAVED, key, "import the file as SAVE_CONFIG wrote it")
     counts = klipper_config.numbers(entry, f"[{SAVED}] {key}", len(STEPPERS))
     return [count * step for count, step in zip(counts, steps, strict=True)]
-
-
-def _free(probes: Mapping[str, Offset], *, is_measured: bool) -> tuple[str, ...]:
-    """Parameters that are identified: Klipper's, and tilts that a probe beside reads."""
-    arms = ARMS if is_measured else ()
-    tilts = TILTING if any(map(any, probes.values())) else ()
-    return (*FACTORS[KLIPPER_FACTORS], *arms, *tilts)
 
 
 def _noise(

@@ -17,7 +17,9 @@ from typing import Final
 import numpy as np
 
 from pkm_printers import gcode
+from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import NUMBER, TextLine
+from pkm_printers.probed_point import ProbedPoint
 
 #: degrees of freedom from which on a spread is known to a third
 LEAST_FREEDOM: Final = 4
@@ -116,11 +118,9 @@ def _with_deviation(deviation: float, samples: float) -> list[float]:
     return values + [0.0] * (count % 2)
 
 
-def by_place(
-    readings: Iterable[tuple[tuple[float, ...], float]],
-) -> list[list[float]]:
-    """Readings (place, value), in lists by place."""
-    groups: dict[tuple[float, ...], list[float]] = {}
-    for place, value in readings:
-        groups.setdefault(place, []).append(value)
+def by_place(points: Iterable[ProbedPoint]) -> list[list[float]]:
+    """Heights of points, mm, in lists by place and probe."""
+    groups: dict[tuple[float, float, Offset], list[float]] = {}
+    for point in points:
+        groups.setdefault((point.x, point.y, point.probe), []).append(point.z)
     return list(groups.values())

@@ -103,9 +103,12 @@ def _with_one_geometry(
     """The last reports between which nothing changed the printer, with as many heights."""
     since = len(reports) - 1
     for (earlier, cells), (later, last) in reversed(list(itertools.pairwise(reports))):
-        between = lines[lines.index(earlier) : lines.index(later)]
-        is_whole = len(cells) == len(last) and not NOT_PROBED & set(cells)
-        if not is_whole or any(map(_changes, between)):
+        rows = lines[lines.index(earlier) : lines.index(later)]
+        if (
+            len(cells) != len(last)
+            or NOT_PROBED & set(cells)
+            or any(map(_changes, rows))
+        ):
             break
         since -= 1
     return reports[since:]

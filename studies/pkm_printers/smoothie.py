@@ -42,7 +42,6 @@ LETTERS: Final[Mapping[str, tuple[str, ...]]] = {
     "V": ("bed_slope_y",),
 }
 NO_POINTS: Final = "log the answer of G29.1 I30 (delta-grid) or G29 (delta-calibration)"
-NO_M503: Final = "log the answer of M503 as well"
 WORDS: Final[WordTable] = {
     "M665": {**same(READ, "LRZABCDEHIJK"), "S": HARMLESS},
     "M666": same(READ, "XYZ"),
@@ -72,7 +71,7 @@ class SmoothieImporter:
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""
         lines = gcode.read(request.files)
-        delta = gcode.merged(lines, "M665", NO_M503)
+        delta = gcode.merged(lines, "M665", "log the answer of M503 as well")
         given = facts.numbers(lines)
         probe = gcode.optional(lines, "M565").numbers("XY").tolist()
         x, y = given.get("probe_offset_mm", probe)

@@ -65,7 +65,7 @@ def best_fit(config: str, bed_places: np.ndarray, log: str) -> fit.Delta:
     points = np.column_stack([bed_places - firmware.offset[:2], heights])
     stops = firmware.height + firmware.adjust
     start = delta(firmware.radius, firmware.rods, firmware.angles, stops, firmware.tilt)
-    return fit.fit(firmware.travel(points), start, leaning=True)
+    return fit.fit(firmware.travel(points), start)
 
 
 def check(study: Path, wanted: fit.Delta, tolerance: float) -> None:
@@ -85,7 +85,7 @@ def test_a_probe_beside_the_nozzle_touches_where_the_nozzle_is_not(
     study, imported = take("rrf", FILES, tmp_path)
     assert float(imported.rows[1]["x_mm"]) == pytest.approx(46.28)
     wanted = best_fit(CONFIG, PLACES, LOG)
-    assert wanted.radius[0] == pytest.approx(125.111, abs=1e-3)
+    assert wanted.radius[0] == pytest.approx(125.109, abs=1e-3)
     check(study, wanted, 0.02)
     printed = rrf.RepRapFirmware(compensate(study, "rrf"))
     assert np.ptp(bed(printed, wanted, 70.0)) < 0.01
@@ -103,7 +103,7 @@ def test_the_tilt_of_the_bed_is_read_used_and_written_back(tmp_path: Path) -> No
     wanted = best_fit(TILT_CONFIG, TILT_PLACES, TILT_LOG)
     check(study, wanted, 0.01)
     text = compensate(study, "rrf")
-    assert rrf.RepRapFirmware(text).tilt == pytest.approx([6e-3, -3.5e-3], abs=1e-4)
+    assert " A0.6000 B-0.3500\n" in text
     assert np.ptp(bed(rrf.RepRapFirmware(text), wanted, 80.0)) < 0.005
 
 
