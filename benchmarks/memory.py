@@ -3,7 +3,6 @@
     python benchmarks/memory.py                  # 1,000,000 x 21 normal rows
     python benchmarks/memory.py --count 200000
     python benchmarks/memory.py --readings       # 10,000 to 1,000,000 lines of readings
-    python benchmarks/memory.py --on-disk 20000000   # rows in a file of single precision
 
 With `--readings`, lines of a ball bar on the A3 head become series of poses, and memory
 is that over the size of the file. The limit of a session's readings is lifted for it.
@@ -32,7 +31,7 @@ import numpy as np
 
 from oed import dataset
 from oed.dataset import table
-from oed.design import CRITERIA, choose, choose_from_file, open_candidates
+from oed.design import choose, relax
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
@@ -56,7 +55,7 @@ def run(job: str, count: int) -> None:
     rows = np.random.default_rng(0).standard_normal((count, COLUMNS))
     start = time.process_time()
     if job == JOBS[0]:
-        CRITERIA.build("D", rows.shape[-1]).relax(rows, float(SIZE))
+        relax(rows, float(SIZE))
     else:
         choose(rows, SIZE, np.random.default_rng(1))
     seconds = time.process_time() - start
@@ -102,45 +101,6 @@ def read_all() -> None:
             subprocess.run([sys.executable, __file__, "--file", str(path)], check=True)
 
 
-def write_rows(path: Path, count: int) -> None:
-    """Normal rows (count, 21) in single precision, part by part."""
-    rng = np.random.default_rng(0)
-    shape, part = (count, COLUMNS), 500_000
-    rows = np.lib.format.open_memmap(path, "w+", np.float32, shape)
-    for begin in range(0, count, part):
-        end = min(begin + part, count)
-        rows[begin:end] = rng.standard_normal((end - begin, COLUMNS), np.float32)
-
-
-def choose_on_disk(path: Path) -> None:
-    """Print one row of the table of candidates on disk."""
-    start, begin = time.process_time(), time.perf_counter()
-    source = open_candidates(path)
-    design = choose_from_file(source, SIZE, np.random.default_rng(1))
-    seconds, clock = time.process_time() - start, time.perf_counter() - begin
-    size, most = path.stat().st_size / 1e6, peak() / 1e6
-    print(
-        f"| {len(source)} | {size:.0f} | {most:.0f} | {seconds:.0f} | {clock:.0f}"
-        f" | {design.value:.4f} | {design.bound:.4f} | {design.duality_gap:.0e} |"
-    )
-
-
-def choose_all_on_disk(counts: list[int]) -> None:
-    """Print the table of candidates on disk."""
-    print(
-        "| candidates | file, MB | peak, MB | s | by the clock | value | bound | gap |"
-    )
-    print("| --: | --: | --: | --: | --: | --: | --: | --: |")
-    sys.stdout.flush()
-    for count in counts:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, "rows.npy")
-            # written by a process of its own: a child's peak begins at its parent's memory
-            job = [sys.executable, __file__, "--file", str(path)]
-            subprocess.run([*job, "--write", str(count)], check=True)
-            subprocess.run(job, check=True)
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -149,19 +109,10 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1_000_000, help="of rows")
     parser.add_argument("--job", choices=JOBS, help="this one, in this process")
     parser.add_argument("--readings", action="store_true", help="lines of readings")
-    parser.add_argument("--on-disk", type=int, nargs="+", help="numbers of candidates")
     parser.add_argument("--file", type=Path, help="read it, in this process")
-    parser.add_argument("--write", type=int, help="so many rows into the file instead")
     arguments = parser.parse_args()
-    if arguments.write:
-        write_rows(arguments.file, arguments.write)
-        return
     if arguments.file is not None:
-        work = choose_on_disk if arguments.file.suffix == ".npy" else read
-        work(arguments.file)
-        return
-    if arguments.on_disk:
-        choose_all_on_disk(arguments.on_disk)
+        read(arguments.file)
         return
     if arguments.readings:
         read_all()

@@ -1,11 +1,19 @@
 """Whether a fit is to be trusted: one verdict for all that rests on a result.
 
 Exit codes, reports, exports, acceptance tests, comparisons and campaigns ask here, and
-judge nothing on their own. Fits and checks of readings have the same limits.
+judge nothing on their own. Fits and checks of readings have the same limits
+(`oed.fit_limits`).
 """
 
 from __future__ import annotations
 
+from oed.fit_limits import (
+    ALARM_PROBABILITY,
+    FAR_TOLERANCES,
+    GUESS_RATIO,
+    chi2_is_large,
+    noise_ratio,
+)
 from oed.result import (
     CompensationName,
     CorrectedSection,
@@ -14,33 +22,6 @@ from oed.result import (
     GoodnessSection,
     StudyResult,
 )
-
-#: probability of a tail below which residuals are too large or too small
-ALARM_PROBABILITY = 1e-5
-#: residuals over the stated noise up to which a noise that is to be estimated, and was
-#: stated as a guess, explains them
-GUESS_RATIO = 10.0
-#: degrees of freedom below which residuals say nothing of the noise
-MIN_DOF = 1.0
-#: tolerances from nominal from which on an estimate is far off
-FAR_TOLERANCES = 4.0
-
-
-def noise_ratio(chi2: float | None, dof: float | None) -> float | None:
-    """Residuals over the stated noise; None where too little freedom judges it."""
-    if chi2 is None or dof is None or dof < MIN_DOF:
-        return None
-    return float((chi2 / dof) ** 0.5)
-
-
-def chi2_is_large(chi2: float, dof: float) -> bool:
-    """Whether the stated noise does not explain chi2."""
-    from scipy import special
-
-    return (
-        noise_ratio(chi2, dof) is not None
-        and special.chdtrc(dof, chi2) < ALARM_PROBABILITY
-    )
 
 
 def objections(result: StudyResult) -> list[str]:

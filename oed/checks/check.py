@@ -19,8 +19,8 @@ from oed.checks.senses import contradictions
 from oed.checks.session import Ranges, SessionReadings, predict_ranges
 from oed.checks.times import wrong_times
 from oed.dataset import ReadingsColumn, temperature_body
+from oed.fit_limits import ALARM_PROBABILITY
 from oed.measurement import Measurement
-from oed.trust import ALARM_PROBABILITY
 
 # Covariates that no workshop has: temperatures in kelvin, loads of a thousand tons.
 
@@ -194,7 +194,7 @@ def check_session(
 
     `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
     in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
-    to `oed.trust.GUESS_RATIO` times as large are no bad fit. Raises AssemblyError where
+    to `oed.fit_limits.GUESS_RATIO` times as large are no bad fit. Raises AssemblyError where
     the nominal machine cannot be read.
     """
     ranges = predict_ranges(session, rng)

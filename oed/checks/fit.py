@@ -22,10 +22,10 @@ from scipy import linalg, special
 from oed.base import Array, Index, Mask
 from oed.checks.session import SessionReadings
 from oed.estimation import Estimate, Minima, minimise
+from oed.fit_limits import ALARM_PROBABILITY, GUESS_RATIO, noise_ratio
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.noise import Noise
-from oed.trust import ALARM_PROBABILITY, GUESS_RATIO, noise_ratio
 
 if TYPE_CHECKING:
     from oed.checks.mistakes.trial import MistakeTrial

@@ -26,6 +26,7 @@ from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.screening import linear_readings
 from oed.checks.session import CheckedLaw, SessionReadings
 from oed.estimation import Estimate
+from oed.fit_limits import ALARM_PROBABILITY, GUESS_RATIO
 from oed.measurement import Measurement, Series
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import (
@@ -35,7 +36,6 @@ from oed.noise_law import (
     ResidualModel,
     robust_residuals,
 )
-from oed.trust import ALARM_PROBABILITY, GUESS_RATIO
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,11 +23,11 @@ from oed.checks.fit import Fit
 from oed.checks.mistakes.suspect import Suspect
 from oed.checks.mistakes.trial import MistakeTrial
 from oed.checks.session import SessionReadings
+from oed.fit_limits import GUESS_RATIO
 from oed.linear_algebra import explained_energy
 from oed.measurement import reading_structure
 from oed.noise import Laws, Noise, ReadingStructure
 from oed.noise_law import NoisePrior, ResidualModel, log_prior_of_scale
-from oed.trust import GUESS_RATIO
 
 #: least scale of the noise over the stated one
 MIN_SCALE = 0.5

@@ -17,9 +17,9 @@ from oed.checks.outliers import OutlierSearch
 from oed.checks.senses import Contradiction
 from oed.checks.session import Ranges, SessionReadings
 from oed.dataset import Row
+from oed.fit_limits import GUESS_RATIO
 from oed.result import GoodnessSection
 from oed.text import capitalised
-from oed.trust import GUESS_RATIO
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE_RATIO = 10.0

@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array
-from oed.design import relaxation
+from oed.design import condition, relaxation
 from oed.design.copies import find_copies
 from oed.design.forms import Criterion
 from oed.design.quotas import QuotaSet
@@ -124,7 +124,7 @@ def _relax_capped(
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation over weights of at most `cap`."""
-    extreme = criterion.eigenvalue_relaxation(scaled, total, prior, cap)
+    extreme = condition.relax_criterion(criterion, scaled, total, prior, cap)
     if extreme is not None:
         return extreme
     return relaxation.relax(
@@ -161,4 +161,4 @@ def condition_bound(
         limits = rules.quotas.linear_limits()
         with contextlib.suppress(conic.NoConicAnswerError):
             return conic.relax(blocks, size, criterion, prior, 1.0, limits)
-    return criterion.eigenvalue_relaxation(blocks, size, prior, 1.0)
+    return condition.relax_criterion(criterion, blocks, size, prior, 1.0)

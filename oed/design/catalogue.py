@@ -13,13 +13,14 @@ import functools
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from oed.base import Array
-from oed.design.forms.compound import Compound
-from oed.design.forms.protocol import Criterion
+
+if TYPE_CHECKING:
+    from oed.design.forms import Criterion
 
 #: what a criterion needs besides its name
 Ingredient = Literal["none", "interest", "combination", "accuracy"]
@@ -143,11 +144,6 @@ class Catalogue:
                 f"criterion {name!r} is none of {', '.join(self.plan_names)}"
             )
         return self[name].build(columns, ingredient)
-
-    def compound(self, parts: Mapping[Criterion, float]) -> Criterion:
-        """A mean of criteria by their shares, which need not sum to 1."""
-        total = sum(parts.values())
-        return Compound(tuple(parts), tuple(s / total for s in parts.values()))
 
     # -- names -------------------------------------------------------------------------
 

@@ -33,6 +33,7 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import information
+from oed.design.forms import Criterion, ExtremeEigenvalues
 from oed.design.forms.protocol import weight_gradient
 from oed.design.interior import InteriorPath, InteriorProblem, build_problem
 from oed.design.objective import knapsack_value
@@ -427,6 +428,31 @@ def o4(
         point = follow(near, slope, line_tolerance)
         lines.append(_Line(point.dual.bound, slope, point))
         best = max(best, point, key=_o4)
+
+
+def relax_criterion(
+    criterion: Criterion,
+    blocks: Array,
+    size: float,
+    prior: Array,
+    cap: Array | float,
+) -> Relaxation | None:
+    """Weights and bound of a criterion of the extreme eigenvalues; None for another.
+
+    Raises ValueError for another ratio of the two than those of kappa and O4.
+    """
+    if not isinstance(criterion, ExtremeEigenvalues):
+        return None
+    if criterion.concave:
+        optimum = e_optimal(blocks, size, prior, cap)
+        return optimum.log_phi_relaxation(criterion.least)
+    if criterion.least == criterion.largest:
+        optimum = relax(blocks, size, prior, cap)
+        return optimum.log_phi_relaxation(-2.0 * criterion.least)
+    if criterion.least == 2.0 * criterion.largest:
+        optimum = o4(blocks, size, prior, cap)
+        return optimum.log_phi_relaxation(criterion.least)
+    raise ValueError(f"{criterion.name} has no relaxation: see oed.design.condition")
 
 
 class _Line(NamedTuple):

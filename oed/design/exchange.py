@@ -15,7 +15,6 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -156,8 +155,7 @@ def choose(
 ) -> Choice:
     """Chooses different candidates out of whitened, scaled rows.
 
-    rows       (C, n), or blocks (C, k, n). Those that are mapped from a file stay there,
-               for a number of candidates and a smooth criterion (`oed.design.large`)
+    rows       (C, n), or blocks (C, k, n)
     size       number of candidates to choose, unless `rules` are given
     prior      (n, n) prior information: tolerances, earlier stages, readings kept.
                Without it the design lives in the estimable subspace
@@ -180,10 +178,6 @@ def choose(
     >>> round(design.efficiency, 3)
     1.0
     """
-    if isinstance(rows, np.memmap) and size is not None and rules is None:
-        mapped = _choose_mapped(rows, size, rng, criterion, prior, rounds, tolerance)
-        if mapped is not None:
-            return mapped
     columns = block_array(rows).shape[2]
     rules = Rules(size=size) if rules is None else rules
     problem = pose(rows, rules, criterion, prior, tolerance)
@@ -221,31 +215,6 @@ def choose(
     if upper is None:
         return choice
     return choice.add_bound(goal, value, upper.bound, upper.duality_gap)
-
-
-def _choose_mapped(
-    rows: np.memmap[Any, Any],
-    size: int,
-    rng: np.random.Generator,
-    criterion: Criterion | str,
-    prior: Array | None,
-    rounds: int,
-    tolerance: float,
-) -> Choice | None:
-    """The choice in passes over the rows' file; None where the criterion needs all."""
-    from oed.design import large  # it imports this module
-
-    if not large.serves(criterion):
-        return None
-    return large.choose_from_file(
-        large.NumpyCandidates(rows),
-        size,
-        rng,
-        criterion,
-        prior=prior,
-        rounds=rounds,
-        tolerance=tolerance,
-    )
 
 
 def _choice(problem: Problem, best: Index, value: float, columns: int) -> Choice:

@@ -42,10 +42,10 @@ from oed import units
 from oed.base import Array
 from oed.estimation.estimate import Estimate
 from oed.estimation.law_stage import MAX_CORRELATED
+from oed.fit_limits import FAR_TOLERANCES
 from oed.measurement import Measurement, Series
 from oed.model import Parameter
 from oed.result import HeldParameter
-from oed.trust import FAR_TOLERANCES
 
 #: probability that a study whose held values are exact has one reported
 FALSE_ALARM = 0.01

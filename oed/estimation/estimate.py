@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import text, units
 from oed.base import Array
-from oed.trust import FAR_TOLERANCES, GUESS_RATIO, chi2_is_large
+from oed.fit_limits import FAR_TOLERANCES, GUESS_RATIO, chi2_is_large
 
 if TYPE_CHECKING:
     from oed.estimation.coordinates import IdentifiableCoordinates

@@ -36,6 +36,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Array, Index, Mask
+from oed.design import relax
 from oed.linear_algebra import precision_root
 from oed.planning.goal import Goal
 from oed.planning.option import Option
@@ -121,7 +122,7 @@ class CombinationBound:
             cost = seconds + extra[part_of]
             total = min(time + float(extra @ limit), float(cost.sum()))
             scaled = rows / np.sqrt(cost)[:, None, None]
-            relaxed = criterion.relax(scaled, total, base, cost, RELAXATION_TOLERANCE)
+            relaxed = relax(scaled, total, base, cost, RELAXATION_TOLERANCE, criterion)
             weights = np.asarray(relaxed.weights / cost)
             used = np.bincount(part_of, weights)
             if (used <= limit * (1.0 + LIMIT_EXCESS)).all():

@@ -7,8 +7,7 @@ Arrays are lists.
 
 from __future__ import annotations
 
-import dataclasses
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -26,45 +25,6 @@ from oed.result.prediction import (
     WantedVerdict,
 )
 from oed.result.record import Point, Record
-
-
-@dataclasses.dataclass(frozen=True)
-class MachineShape:
-    """A machine at a pose and joints, whether it assembles there or not; m.
-
-    equations  (k,) values of the closure, m or rad
-    lines      polylines of points (n, 3), as the machine draws itself
-    struts     (nq, 2, 3) ends of the strut of each joint; none where it has none
-    tool       (3,) tool point
-    axes       (3, 3) of the platform, in columns
-    """
-
-    equations: Array
-    lines: tuple[Array, ...]
-    struts: Array
-    tool: Array
-    axes: Array
-
-
-@dataclasses.dataclass(frozen=True)
-class ClosestClosure:
-    """A machine at the guess for a command, and where its equations are met best.
-
-    guess, nearest  the machine there
-    joints          names of the joints in each equation
-    line_joints     names of the joints that move each line of the drawing
-    still_open      equations, from 0, that are not met at the nearest
-    """
-
-    guess: MachineShape
-    nearest: MachineShape
-    joints: tuple[tuple[str, ...], ...]
-    line_joints: tuple[tuple[str, ...], ...]
-    still_open: tuple[int, ...]
-
-
-if TYPE_CHECKING:
-    from oed.base import Array
 
 
 class Claim(Record, frozen=True):

@@ -12,8 +12,8 @@ from oed import checks
 from oed.base import Array
 from oed.checks import CheckFinding, Severity, predict_ranges
 from oed.dataset import written
+from oed.fit_limits import GUESS_RATIO
 from oed.measurement import Measurement, Series
-from oed.trust import GUESS_RATIO
 from pkm_page import typed
 from pkm_studies.base import Stream
 from pkm_studies.sessions import Adviser, FittedReadings

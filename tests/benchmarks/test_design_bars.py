@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from oed import identifiability
-from oed.design import CRITERIA, choose
+from oed.design import choose, relax
 from pkm_studies import study
 from pkm_studies.resolve import resolve
 
@@ -90,7 +90,7 @@ def test_problem_a_by_d() -> None:
     assert len(set(choice.indices.tolist())) == 30
     assert choice.value == pytest.approx(reached, abs=1e-9)
     assert reached >= 80.146
-    relaxed = CRITERIA.build("D", rows.shape[-1]).relax(rows, 30)
+    relaxed = relax(rows, 30)
     upper = ceiling(rows, relaxed.weights, 30)
     assert choice.bound == pytest.approx(upper, abs=1e-6)
     assert upper == pytest.approx(log_det(rows, relaxed.weights), abs=1e-6)
@@ -110,7 +110,7 @@ def test_problem_a_by_e() -> None:
 
 def test_twenty_thousand_candidates_are_certified() -> None:
     rows = rows_a(20_000)
-    relaxed = CRITERIA.build("D", rows.shape[-1]).relax(rows, 30)
+    relaxed = relax(rows, 30)
     reached = log_det(rows, relaxed.weights)
     assert relaxed.weights.sum() == pytest.approx(30.0)
     assert relaxed.weights.max() <= 1.0
@@ -150,9 +150,7 @@ def test_problem_c(instance: int, efficiency: float) -> None:
         np.exp((reached - choice.bound) / 42), abs=1e-6
     )
     if instance == 0:
-        upper = ceiling(
-            blocks, CRITERIA.build("D", blocks.shape[-1]).relax(blocks, 10).weights, 10
-        )
+        upper = ceiling(blocks, relax(blocks, 10).weights, 10)
         assert choice.bound == pytest.approx(upper, abs=1e-5)
         assert choice.bound == pytest.approx(CLARABEL, abs=1e-4)
 

@@ -8,7 +8,7 @@ compound     weighted geometric means of the others
 
 from __future__ import annotations
 
-from oed.design.forms.compound import Compound
+from oed.design.forms.compound import Compound, compound
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues, PowerMean
 from oed.design.forms.protocol import Criterion, Support
@@ -23,4 +23,5 @@ __all__ = [
     "PowerMean",
     "Support",
     "Variance",
+    "compound",
 ]

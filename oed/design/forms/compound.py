@@ -10,7 +10,7 @@ so the supports of the parts join into one.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -101,6 +101,12 @@ class Compound(Criterion):
             parts = tuple(_at_level(sequence, level, levels) for sequence in sequences)
             approach.append(dataclasses.replace(self, parts=parts))
         return (*approach, self)
+
+
+def compound(parts: Mapping[Criterion, float]) -> Criterion:
+    """A mean of criteria by their shares, which need not sum to 1."""
+    total = sum(parts.values())
+    return Compound(tuple(parts), tuple(s / total for s in parts.values()))
 
 
 def _at_level(sequence: Sequence[Criterion], level: int, levels: int) -> Criterion:

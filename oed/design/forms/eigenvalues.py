@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -44,9 +44,6 @@ from oed.design.forms.protocol import (
     weight_gradient,
 )
 from oed.design.forms.variance import variance_reduction
-
-if TYPE_CHECKING:
-    from oed.design.relaxation import Relaxation
 
 #: decimal digits of 16 that the power series may lose; beyond, the eigenvalues of a
 #: shortlist are computed
@@ -327,20 +324,3 @@ class ExtremeEigenvalues(Criterion):
     def polished(self) -> Criterion | None:
         """A power mean for the least eigenvalue."""
         return PowerMean(POLISHED_POWER) if self.concave else None
-
-    def eigenvalue_relaxation(
-        self, blocks: Array, size: float, prior: Array, cap: Array | float
-    ) -> Relaxation:
-        """That of the least eigenvalue, or of the condition number.
-
-        Raises ValueError for another ratio of the two.
-        """
-        from oed.design import condition  # it takes forms of criteria
-
-        if self.concave:
-            least = condition.e_optimal(blocks, size, prior, cap)
-            return least.log_phi_relaxation(self.least)
-        if self.least != self.largest:
-            raise ValueError(f"{self.name} has no relaxation: see oed.design.condition")
-        ratio = condition.relax(blocks, size, prior, cap)
-        return ratio.log_phi_relaxation(-2.0 * self.least)

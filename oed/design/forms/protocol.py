@@ -18,14 +18,12 @@ carry all design methods:
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from oed.base import Array, Index
-
-if TYPE_CHECKING:
-    from oed.design.relaxation import Relaxation
+from oed.design.blocks import project_on_estimable
 
 FastSearch = Literal["none", "volume", "mean variance", "least eigenvalue"]
 
@@ -144,26 +142,8 @@ class Criterion(abc.ABC):
 
     def restrict_to_rows(self, rows: Array) -> tuple[Criterion, Array]:
         """The criterion over the directions (n, r) that rows (N, n) determine, and these."""
-        from oed.design.blocks import project_on_estimable
-
         basis = project_on_estimable(rows[:, None], None)[1]
         return self.restrict(basis), basis
-
-    def relax(
-        self,
-        rows: Array,
-        size: float,
-        prior: Array | None = None,
-        cap: Array | float = 1.0,
-        tolerance: float = 1e-8,
-    ) -> Relaxation:
-        """Optimal weights of rows (C, n) or blocks (C, k, n), with their bound.
-
-        Raises ValueError as `oed.design.relaxation.relax`.
-        """
-        from oed.design import relaxation
-
-        return relaxation.relax(rows, size, prior, cap, tolerance, self)
 
     @property
     def relaxed(self) -> Criterion:
@@ -181,12 +161,6 @@ class Criterion(abc.ABC):
     def expression(self, m: Any) -> Any:
         """`log_size` log phi of a CasADi SX matrix (n, n), up to a constant."""
         raise NotImplementedError
-
-    def eigenvalue_relaxation(
-        self, blocks: Array, size: float, prior: Array, cap: Array | float
-    ) -> Relaxation | None:
-        """Weights and bound of a criterion of extreme eigenvalues; None for others."""
-        return None
 
 
 def pairwise_traces(blocks: Array, first: Array, second: Array) -> Array:

@@ -26,6 +26,7 @@ from scipy import linalg, special
 
 from oed.base import Array, Index
 from oed.effect_model import UNKNOWN_SIZES
+from oed.fit_limits import chi2_is_large
 from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT, ExcessScatter
 from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
@@ -33,7 +34,6 @@ from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 from oed.noise_law import KNOWN_TO
 from oed.result import DATA_SHEET
-from oed.trust import chi2_is_large
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely
 ROUGH_SHARE = 0.5

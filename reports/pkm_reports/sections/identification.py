@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from oed.fit_limits import chi2_is_large
 from oed.result import (
     CombinationEstimate,
     EstimateSection,
@@ -15,7 +16,6 @@ from oed.result import (
     ParameterEstimate,
     StudyResult,
 )
-from oed.trust import chi2_is_large
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,

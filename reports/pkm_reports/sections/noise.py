@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from oed.fit_limits import ALARM_PROBABILITY, MIN_DOF
 from oed.result import GoodnessSection, NoiseRecord
-from oed.trust import ALARM_PROBABILITY, MIN_DOF
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table, TableColumn, number_columns
 from pkm_reports.missing import or_nan

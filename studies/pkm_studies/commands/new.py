@@ -53,7 +53,7 @@ def new(
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
     path = _new_study(name, machine, loops, instrument, source, origin)
-    from pkm_studies.study import TO_MEASURE
+    from pkm_studies.tables import TO_MEASURE
 
     first = "edit it"
     if TO_MEASURE in path.read_text(encoding="utf-8"):

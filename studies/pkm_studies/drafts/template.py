@@ -26,7 +26,7 @@ from pkm_studies.drafts.axis_lines import (
     turns_round,
 )
 from pkm_studies.quantities import column
-from pkm_studies.study import TO_MEASURE
+from pkm_studies.tables import TO_MEASURE
 
 #: a number that only the user can know, as TOML
 OPEN = f'"{TO_MEASURE}"'

@@ -7,7 +7,6 @@ Study         a study as written, with the place of its file
 SUFFIX        end of a study file's name
 decode_table  a struct from a table of TOML
 tables_of     the tables of a text in TOML
-TO_MEASURE    what stands in a draft where the user must measure
 SCHEMAS       descriptions of the files, for `oed schema`
 combinations  settings of a sweep, each with each
 vary_setting  a study with other values
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
         read_csv,
         read_json,
     )
-    from pkm_studies.study.decode import TO_MEASURE, decode_table, tables_of
+    from pkm_studies.study.decode import decode_table, tables_of
     from pkm_studies.study.loader import SUFFIX, Study, from_tables, load, parse
     from pkm_studies.study.schemas import SCHEMAS
     from pkm_studies.study.vary import combinations, vary_setting

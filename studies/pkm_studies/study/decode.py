@@ -13,16 +13,15 @@ import tomllib
 import types
 import typing
 from collections.abc import Mapping
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from oed.text import shorten, suggest
 from pkm_studies.base import NAME_PATTERN, InputError, Location
+from pkm_studies.tables import TO_MEASURE
 
 T = TypeVar("T")
-#: what a draft has in place of a number that nobody but its user knows
-TO_MEASURE: Final = "to be measured"
 #: msgspec's names of types, as words
 TYPES = {
     "float": "a number",

@@ -5,6 +5,7 @@ refused. Other rooms take them from here.
 """
 
 from pkm_studies.tables.base import (
+    TO_MEASURE,
     Count,
     CriterionName,
     NotNegative,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 import msgspec
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 else:  # as the catalogue lists them
     CriterionName = Literal[CRITERIA.plan_names]
     IndexName = Literal[CRITERIA.indices]
+#: what a draft has in place of a number that nobody but its user knows
+TO_MEASURE: Final = "to be measured"
 #: readings chosen where neither a number nor a budget is given
 READINGS = 30
 

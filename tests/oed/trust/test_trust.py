@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import msgspec
-import pytest
 from result_sample import whole
-from scipy import stats
 
 from oed import trust
 from oed.result import CorrectedSection, EstimateSection, GoodnessSection, StudyResult
-from oed.trust import ALARM_PROBABILITY, chi2_is_large, noise_ratio
 
 
 def result_of(**sections: object) -> StudyResult:
@@ -84,16 +81,6 @@ def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
         "answers": [first | {"probability": 0.4, "unseen": 0.0}, NOTHING],
     }
     assert trust.objections(good(gap=unlikely)) == []
-
-
-def test_chi2_is_large_by_its_law() -> None:
-    limit = stats.chi2.isf(ALARM_PROBABILITY, 30)
-    assert not chi2_is_large(0.999 * limit, 30)
-    assert chi2_is_large(1.001 * limit, 30)
-    assert not chi2_is_large(1e6, 0.5)
-    assert noise_ratio(80.0, 20.0) == pytest.approx(2.0)
-    assert noise_ratio(80.0, 0.9) is None
-    assert noise_ratio(None, 20.0) is None
 
 
 def test_rows_left_out_are_counted_in_words() -> None:

@@ -1,4 +1,4 @@
-"""An error names its file: draws, candidates, tables that are no such thing."""
+"""An error names its file: draws and tables that are no such thing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import xarray
 
-from oed.design import open_candidates
 from pkm_studies import csv_table
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -61,16 +60,6 @@ def test_broken_draws_are_named(tmp_path: Path, content: bytes) -> None:
     said = str(error.value)
     assert said.startswith(f"{path}: these are no draws of a posterior: ")
     assert "restore the file" in said
-
-
-@pytest.mark.parametrize("name", ["a.npy", "a.arrow", "a.feather", "a.txt"])
-@pytest.mark.parametrize("content", [b"", b"text", b"\x93NUMPY\x01\x00", b"ARROW1\0\0"])
-def test_broken_candidates_are_named(tmp_path: Path, name: str, content: bytes) -> None:
-    path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=name) as error:
-        open_candidates(path)
-    assert str(error.value).count(str(path)) == 1
 
 
 DEEP = "x = " + "[" * 5000

@@ -12,9 +12,9 @@ import msgspec
 
 from oed.checks import PHYSICAL_KINDS, CheckFinding, Severity
 from oed.corrected import TurnedRuns
+from oed.fit_limits import noise_ratio
 from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
 from oed.text import rounded
-from oed.trust import noise_ratio
 
 
 def resolves(corrected: CorrectedSection, findings: Sequence[CheckFinding]) -> bool:

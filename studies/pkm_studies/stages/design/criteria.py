@@ -14,7 +14,7 @@ import numpy as np
 
 from oed import accuracy
 from oed.base import Array
-from oed.design import CRITERIA, Candidates, Criterion
+from oed.design import CRITERIA, Candidates, Criterion, compound
 from oed.effects import PlannedEffects
 from oed.identifiability import (
     column_scale,
@@ -64,7 +64,7 @@ class StudyCriteria:
         """The criterion over the candidates' columns; "compound" is the study's own."""
         if name == "compound":
             shares = self.table.compound
-            return CRITERIA.compound(
+            return compound(
                 {self.candidates_criterion(n, candidates): shares[n] for n in shares}
             )
         ingredient = self.ingredient(name, candidates.measurement, self.effects)
@@ -74,7 +74,7 @@ class StudyCriteria:
         """The criterion over a measurement's free parameters."""
         if name == "compound":
             shares = self.table.compound
-            return CRITERIA.compound(
+            return compound(
                 {self.parameters_criterion(n, measurement): shares[n] for n in shares}
             )
         count = int(measurement.free.sum())

@@ -8,11 +8,11 @@ import msgspec
 
 from oed import units
 from oed.estimation import Estimate, noise_numbers
+from oed.fit_limits import ALARM_PROBABILITY, noise_ratio
 from oed.instrument import Setup
 from oed.noise import reach_phrase
 from oed.result import GoodnessSection, NoiseRecord
 from oed.text import rounded
-from oed.trust import ALARM_PROBABILITY, noise_ratio
 
 
 def with_noise(
