@@ -7,7 +7,7 @@ from pathlib import Path
 
 from oed.result import StudyResult
 from pkm_reports.blocks import Block, Items, Section
-from pkm_reports.comparison import accuracy, causes, glance, parameters, plans
+from pkm_reports.comparison import glance, tables
 from pkm_reports.page import Content, assembled
 from pkm_reports.report import write_document
 
@@ -42,12 +42,12 @@ def content(results: Mapping[str, StudyResult], changes: Sequence[str]) -> Conte
             Section("differences", "What differs", glance.sentences(results)),
             Section("changes", "What changed in the machine", _changes(changes)),
             Section("glance", "At a glance", glance.blocks(results)),
-            Section("side-accuracy", "How accurate", accuracy.blocks(results)),
+            Section("side-accuracy", "How accurate", tables.accuracy_blocks(results)),
         ),
         chapters=_present(
-            Section("side-plans", "Plans", plans.blocks(results)),
-            Section("side-parameters", "Parameters", parameters.blocks(results)),
-            Section("side-causes", "Causes", causes.blocks(results)),
+            Section("side-plans", "Plans", tables.blocks(results)),
+            Section("side-parameters", "Parameters", tables.parameter_blocks(results)),
+            Section("side-causes", "Causes", tables.cause_blocks(results)),
         ),
         appendix=[],
     )

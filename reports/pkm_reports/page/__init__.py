@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_reports.page.adjustment import write_adjustment_page
     from pkm_reports.page.certificate import write_certificate_page
     from pkm_reports.page.document import Content, Document, assembled, build_document
     from pkm_reports.page.html import render_html, script_digest
     from pkm_reports.page.pdf import render_pdf
-    from pkm_reports.page.sheet import write_sheet
+    from pkm_reports.page.sheet import write_adjustment_page, write_sheet
 else:
     __getattr__ = door(__name__)

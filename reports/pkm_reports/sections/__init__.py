@@ -37,7 +37,7 @@ from pkm_reports.sections import (
 from pkm_reports.sections.design import chapter as design
 from pkm_reports.sections.gap import before as gap_before
 from pkm_reports.sections.gap import chapter as gap
-from pkm_reports.sections.gap import mixture, second_visit
+from pkm_reports.sections.gap import mixture, runs
 from pkm_reports.sections.stages import chapter as stages
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pkm_reports.sections.answer.accuracy import wanted_accuracy
     from pkm_reports.sections.answer.measure import is_plan, used_setups
     from pkm_reports.sections.figures.closure import draw_closure
-    from pkm_reports.sections.figures.overview import draw_overview
+    from pkm_reports.sections.figures.machine import draw_overview
     from pkm_reports.sections.gap.explanations import explanation_row
 else:
     __getattr__ = door(__name__)
@@ -63,7 +63,7 @@ CHAPTERS: Final = (
     accuracy.CHAPTER,
     held_out.CHAPTER,
     gap.CHAPTER,
-    second_visit.CHAPTER,
+    runs.CHAPTER,
     corrected.CHAPTER,
     mixture.CHAPTER,
     adjustment.CHAPTER,

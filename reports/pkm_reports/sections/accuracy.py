@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
+from oed.base import Array
 from oed.result import (
     ComponentAccuracy,
     MapPoint,
@@ -15,7 +20,7 @@ from oed.result import (
     SpreadRecord,
     StudyResult,
 )
-from pkm_reports import text
+from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
@@ -27,7 +32,368 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.sections import accuracy_ranges
 from pkm_reports.sections import budget as budget_lines
-from pkm_reports.sections.figures import accuracy, budget, map_layout, workspace
+from pkm_reports.sections.figures import map_layout
+from pkm_reports.sections.figures.map_layout import MapLayout, choose_layout
+
+# Error after compensation over the workspace, as a map for each component.
+
+MOST_ROWS: Final = 3
+#: decimals to which commands are compared
+DECIMALS: Final = 9
+#: share of a grid's cells from which the poses count as a grid
+FILLED: Final = 0.4
+#: factor between the errors from which colours are logarithmic
+WIDE: Final = 6.0
+QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
+
+
+def draw_workspace(prediction: PredictionSection) -> Figure:
+    """A row for each component, a panel for each height, one colour scale for a row."""
+    names = shown_components(prediction)
+    if not prediction.map or not names:
+        return style.empty("No map over the workspace is stored in this result.")
+    commands = {
+        name: missing.column([point.command for point in prediction.map], name)
+        for name in prediction.map[0].command
+    }
+    if len(commands) < 2:
+        return _line_over_command(prediction, commands, names)
+    layout = choose_layout(commands)
+    panels = len(layout.levels)
+    # Single panels stand side by side; otherwise each component has a row.
+    rows, columns = (len(names), panels) if panels > 1 else (1, len(names))
+    figure = style.figure(0.35 + 2.05 * rows + (0.6 if panels == 1 else 0.0))
+    kind: Any = {"projection": "polar"} if layout.polar else {}
+    grid = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
+    grid = grid.reshape(len(names), panels)
+    for k, (row, name) in enumerate(zip(grid, names, strict=True)):
+        _component_row(figure, row, layout, commands, name, prediction)
+        for axes, level in zip(row, layout.levels, strict=True):
+            title = _level_title(layout, level) if k == 0 or panels == 1 else ""
+            axes.set_title(title, loc="center", fontsize=7.5, fontweight="normal")
+    return figure
+
+
+def shown_components(prediction: PredictionSection) -> list[str]:
+    """Up to three components, those that the controller can correct if there are any."""
+    components = prediction.components
+    correctable = [name for name, c in components.items() if c.compensatable]
+    return (correctable or list(components))[:MOST_ROWS]
+
+
+def component_errors(prediction: PredictionSection, name: str) -> Array:
+    """Error of a component after compensation at each pose of the map (n,)."""
+    return missing.column([point.after for point in prediction.map], name)
+
+
+def _component_row(
+    figure: Figure,
+    row: Any,
+    layout: MapLayout,
+    commands: Mapping[str, Array],
+    name: str,
+    prediction: PredictionSection,
+) -> None:
+    """The panels of one component and their colour bar."""
+    values = component_errors(prediction, name)
+    norm = _norm(values)
+    for axes, level in zip(row, layout.levels, strict=True):
+        at_level = layout.poses_at(level, commands)
+        across = commands[layout.across][at_level]
+        up = commands[layout.up][at_level]
+        image = _map_panel(axes, across, up, values[at_level], layout, norm)
+    single = len(row) == 1
+    place: Any = {"location": "bottom" if single else "right"}
+    place["pad"] = 0.03 if single else 0.02
+    label = style.label(_error_label(prediction, name))
+    bar: Any = figure.colorbar(
+        image,
+        ax=list(row),
+        shrink=0.85,
+        label=label,
+        **place,
+    )
+    bar.outline.set_visible(False)
+    along = "x" if single else "y"
+    if isinstance(norm, LogNorm):
+        style.log_axis(bar.ax, along)
+    else:
+        getattr(bar.ax, f"{along}axis").set_major_locator(MaxNLocator(5))
+
+
+def _error_label(prediction: PredictionSection, name: str) -> str:
+    unit = text.unit_symbol(prediction.components[name].after.unit)
+    return f"error of {name} [{unit}]"
+
+
+def _level_title(layout: MapLayout, level: float) -> str:
+    if layout.panel is None:
+        return "all poses"
+    stem, unit = text.split_unit(layout.panel)
+    return style.label(f"{stem} = {text.number(level, 4)} {text.unit_symbol(unit)}")
+
+
+def _norm(values: Array) -> Normalize:
+    """Linear colours, or logarithmic ones where a few poses would outshine the others."""
+    low = float(np.nanmin(values, initial=np.inf))
+    high = float(np.nanmax(values, initial=-np.inf))
+    if not np.isfinite(low):
+        return Normalize(0.0, 1.0)
+    if low > 0.0 and high > WIDE * low:
+        return LogNorm(low, high)
+    return Normalize(min(low, 0.8 * high), high if high > low else low + 1.0)
+
+
+def _map_panel(
+    axes: Any,
+    across: Array,
+    up: Array,
+    values: Array,
+    layout: MapLayout,
+    norm: Normalize,
+) -> Any:
+    if layout.polar:
+        across = np.radians(across)
+    cells = _cells(across, up, values)
+    shade: Any = {"cmap": style.AMOUNT, "norm": norm}
+    if cells is None:
+        marks: Any = {"s": 26, "ec": style.GREY, "lw": 0.3}
+        image = axes.scatter(across, up, c=values, **shade, **marks)
+    else:
+        image = axes.pcolormesh(*cells, rasterized=True, **shade)
+    if layout.polar:
+        _set_polar_axes(axes, up)
+    else:
+        _set_cartesian_axes(axes, layout)
+    return image
+
+
+def _cells(
+    across: Array, up: Array, values: Array
+) -> tuple[Array, Array, Array] | None:
+    """Cell edges and a grid of values with gaps as NaN; None where there is no grid."""
+    across, up = across.round(DECIMALS), up.round(DECIMALS)
+    xs, ys = np.unique(across), np.unique(up)
+    cells = len(xs) * len(ys)
+    if min(len(xs), len(ys)) < 2 or len(values) < FILLED * cells:
+        return None
+    grid = np.full((len(ys), len(xs)), np.nan)
+    grid[np.searchsorted(ys, up), np.searchsorted(xs, across)] = values
+    return _edges(xs), _edges(ys), grid
+
+
+def _edges(x: Array) -> Array:
+    """Cell edges halfway between neighbours."""
+    middle = (x[1:] + x[:-1]) / 2.0
+    first, last = 2.0 * x[0] - middle[0], 2.0 * x[-1] - middle[-1]
+    return np.concatenate([[first], middle, [last]])
+
+
+def _set_polar_axes(axes: Any, up: Array) -> None:
+    """No tilt in the centre; labels outside the coloured cells."""
+    tilts = np.unique(up)
+    axes.grid(False)
+    outer = _edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]
+    axes.set_rlim(0.0, float(outer))
+    axes.yaxis.set_major_locator(NullLocator())
+    axes.xaxis.set_major_locator(FixedLocator(QUARTERS))
+    axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
+    axes.tick_params(axis="x", pad=-2)
+    axes.spines["polar"].set_visible(False)
+
+
+def _set_cartesian_axes(axes: Axes, layout: MapLayout) -> None:
+    axes.grid(False)
+    if text.split_unit(layout.across)[1] == text.split_unit(layout.up)[1]:
+        axes.set_aspect("equal", adjustable="box")
+    axes.set(xlabel=text.heading(layout.across), ylabel=text.heading(layout.up))
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def _line_over_command(
+    prediction: PredictionSection, commands: Mapping[str, Array], names: Sequence[str]
+) -> Figure:
+    """The error of a machine with one command, along that command."""
+    ((command, values),) = commands.items()
+    figure = style.figure(2.4)
+    axes = figure.subplots()
+    order = np.argsort(values)
+    for name in names:
+        unit = text.unit_symbol(prediction.components[name].after.unit)
+        label = style.label(f"{name} [{unit}]")
+        axes.plot(
+            values[order], component_errors(prediction, name)[order], "o-", label=label
+        )
+    axes.set(xlabel=text.heading(command), ylabel="error after compensation")
+    axes.legend()
+    return figure
+
+
+# Sources of the uncertainty that remains, as shares of each component's variance.
+
+#: percent from which a share is written into its bar
+MIN_WRITTEN_SHARE: Final = 7.0
+#: characters of all names together from which the legend has fewer columns
+MAX_LEGEND_CHARACTERS: Final = 60
+
+
+def draw_budget(components: Mapping[str, ComponentAccuracy]) -> Figure:
+    """One stacked bar for each component."""
+    budgets = [component.budget for component in components.values()]
+    sources = list(dict.fromkeys(name for budget in budgets for name in budget))
+    if not sources:
+        return style.empty("No uncertainty budget is stored in this result.")
+    legend_rows = np.ceil(len(sources) / 4)
+    figure = style.figure(0.95 + 0.26 * len(components) + 0.16 * legend_rows)
+    axes = figure.subplots()
+    start = np.zeros(len(budgets))
+    for k, source in enumerate(sources):
+        percent = np.nan_to_num(100.0 * missing.column(budgets, source))
+        _stack(axes, k, source, start, percent)
+        start = start + percent
+    style.fixed_ticks(axes, "y", range(len(components)), list(components))
+    axes.set_xlim(0.0, max(100.0, start.max()))
+    axes.set_xlabel("share of the variance that remains [%]")
+    axes.set_ylim(len(components) - 0.5, -0.5)
+    axes.grid(False)
+    few = sum(map(len, sources)) < MAX_LEGEND_CHARACTERS
+    figure.legend(loc="outside lower center", ncols=5 if few else 4)
+    return figure
+
+
+def _stack(
+    axes: Axes,
+    k: int,
+    source: str,
+    start: Array,
+    percent: Array,
+) -> None:
+    """The k-th source beside those before it, hatched where the colours repeat."""
+    colour = style.CYCLE[k % len(style.CYCLE)]
+    look: Any = {
+        "height": 0.7,
+        "color": colour,
+        "hatch": "///" if k >= len(style.CYCLE) else None,
+        "ec": "white",
+        "label": style.label(source),
+    }
+    bars = axes.barh(
+        range(len(percent)),
+        percent,
+        left=start,
+        **look,
+    )
+    written = [
+        f"{share:.0f}" if share >= MIN_WRITTEN_SHARE else "" for share in percent
+    ]
+    letters: Any = {"fontsize": 7, "fontweight": "bold"}
+    letters["color"] = style.INK if colour in style.PALE else "white"
+    axes.bar_label(bars, written, label_type="center", **letters)
+
+
+# Residual accuracy of each pose component before and after calibration, as bars.
+#
+# Lengths and angles have panels of their own, each on a log scale.
+
+State = Literal["before", "after", "known"]
+#: what each bar of a component shows: attribute, label, colour
+Bar = tuple[State, str, str]
+BARS: Final[tuple[Bar, ...]] = (
+    ("before", "before", style.LIGHT),
+    ("after", "after correction by the controller", style.BLUE),
+    ("known", "with additional axes", style.GREEN),
+)
+REALISED: Final = "realised, virtual machine"
+#: width of a bar, and distance between the bars of a component
+BAR_WIDTH, BAR_STEP = 0.25, 0.27
+
+
+def draw_components(prediction: PredictionSection) -> Figure:
+    """Bars of the rms over the workspace, with a diamond for the virtual machine."""
+    components = prediction.components
+    if not components:
+        return style.empty("No predicted accuracy is stored in this result.")
+    units = list(dict.fromkeys(c.after.unit for c in components.values()))
+    groups = [
+        {name: c for name, c in components.items() if c.after.unit == unit}
+        for unit in units
+    ]
+    bars = BARS[:2] if all_correctable(components) else BARS
+    figure = style.figure(2.8)
+    widths = [len(group) for group in groups]
+    grid = figure.subplots(
+        1,
+        len(units),
+        squeeze=False,
+        width_ratios=widths,
+    )
+    for axes, unit, group in zip(grid[0], units, groups, strict=True):
+        _panel(axes, group, bars, prediction.realised or {})
+        axes.set_ylabel(f"rms error [{text.unit_symbol(unit)}]")
+    entries = style.legend_entries(grid[0][:1])
+    labels = [label for _, label, _ in bars] + [REALISED]
+    ordered = {label: entries[label] for label in labels if label in entries}
+    style.legend_below(figure, ordered, len(ordered))
+    return figure
+
+
+def all_correctable(components: Mapping[str, ComponentAccuracy]) -> bool:
+    """Whether the controller corrects all components, so that `known` adds nothing."""
+    return all(c.known.rms == c.after.rms for c in components.values())
+
+
+def _panel(
+    axes: Axes,
+    group: Mapping[str, ComponentAccuracy],
+    bars: Sequence[Bar],
+    realised: Mapping[str, SpreadRecord],
+) -> None:
+    places = np.arange(len(group))
+    for k, (state, label, colour) in enumerate(bars):
+        sizes = [spread_of(component, state).rms for component in group.values()]
+        heights = np.array(sizes)
+        shift = BAR_STEP * (k - (len(bars) - 1) / 2.0)
+        positive = np.where(heights > 0.0, heights, np.nan)
+        axes.bar(places + shift, positive, BAR_WIDTH, color=colour, label=label)
+    shown = np.array(
+        [realised[name].rms if name in realised else np.nan for name in group]
+    )
+    if np.isfinite(shown).any():
+        axes.plot(places, shown, "D", label=REALISED, **style.DIAMOND)
+    style.log_axis(axes, "y")
+    _set_limits(axes, group, shown)
+    labels = [name if c.compensatable else f"{name} *" for name, c in group.items()]
+    style.fixed_ticks(axes, "x", places.tolist(), labels)
+    axes.grid(False, axis="x")
+
+
+def spread_of(component: ComponentAccuracy, state: State) -> SpreadRecord:
+    """Errors of a component in one state."""
+    spreads = {
+        "before": component.before,
+        "after": component.after,
+        "known": component.known,
+    }
+    return spreads[state]
+
+
+def _set_limits(
+    axes: Axes, group: Mapping[str, ComponentAccuracy], realised: Array
+) -> None:
+    """From a third of the smallest to twice the largest, so that no bar vanishes."""
+    states = [state for state, _, _ in BARS]
+    heights = [
+        spread_of(component, state).rms
+        for component in group.values()
+        for state in states
+    ]
+    sizes = np.array([*heights, *realised])
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    if sizes.size:
+        axes.set_ylim(sizes.min() / 3.0, 2.0 * sizes.max())
+        style.log_axis(axes, "y")
+
 
 Components = Mapping[str, ComponentAccuracy]
 REFERENCES: Final = {
@@ -51,7 +417,7 @@ def blocks(result: StudyResult) -> list[Block]:
         Paragraph(_introduction(prediction)),
         Paragraph(_verdict(components)),
         Picture(
-            "accuracy", lambda: accuracy.draw(prediction), _bars_caption(components)
+            "accuracy", lambda: draw_components(prediction), _bars_caption(components)
         ),
         _table(components),
         *accuracy_ranges.blocks(prediction),
@@ -60,13 +426,13 @@ def blocks(result: StudyResult) -> list[Block]:
         chapter.append(_realised(prediction, prediction.realised))
     if any(component.budget for component in components.values()):
         caption = _budget_caption(components)
-        chapter.append(Picture("budget", lambda: budget.draw(components), caption))
+        chapter.append(Picture("budget", lambda: draw_budget(components), caption))
     if prediction.budget is not None:
         chapter += budget_lines.blocks(prediction.budget, components)
     if prediction.map:
         caption = _map_caption(prediction)
         chapter.append(
-            Picture("workspace", lambda: workspace.draw(prediction), caption)
+            Picture("workspace", lambda: draw_workspace(prediction), caption)
         )
     return chapter
 
@@ -79,7 +445,7 @@ def printed(result: StudyResult) -> list[Block]:
     caption = _bars_caption(prediction.components)
     if prediction.budget is not None and prediction.budget.unmodelled:
         caption += " Geometry alone; the first page counts usual effects as well."
-    return [Picture("accuracy", lambda: accuracy.draw(prediction), caption)]
+    return [Picture("accuracy", lambda: draw_components(prediction), caption)]
 
 
 # -- what the controller can correct ---------------------------------------------------
@@ -167,8 +533,8 @@ def _bars_caption(components: Components) -> str:
 
 
 def _table(components: Components) -> Table:
-    states: Sequence[accuracy.State] = ("before", "after", "known")
-    if accuracy.all_correctable(components):
+    states: Sequence[State] = ("before", "after", "known")
+    if all_correctable(components):
         states = states[:2]
     columns = [TableColumn("Component"), TableColumn("Correctable")]
     for state in states:
@@ -187,15 +553,13 @@ def _table(components: Components) -> Table:
     return Table(columns, rows, caption)
 
 
-def _row(
-    name: str, component: ComponentAccuracy, states: Sequence[accuracy.State]
-) -> list[str]:
+def _row(name: str, component: ComponentAccuracy, states: Sequence[State]) -> list[str]:
     cells = [
         f"{name} [{text.unit_symbol(component.after.unit)}]",
         "yes" if component.compensatable else "no",
     ]
     for state in states:
-        cells += _sizes(accuracy.spread(component, state))
+        cells += _sizes(spread_of(component, state))
     return cells
 
 
@@ -259,8 +623,8 @@ def _map_caption(prediction: PredictionSection) -> str:
     sentences = ["1-sigma error after compensation over the workspace."]
     if set(map_layout.POLAR) <= set(prediction.map[0].command):
         sentences.append("The angle in the figure is psi, the radius theta.")
-    for name in workspace.shown_components(prediction):
-        errors = workspace.errors(prediction, name)
+    for name in shown_components(prediction):
+        errors = component_errors(prediction, name)
         if np.isfinite(errors).any():
             worst = prediction.map[int(np.nanargmax(errors))]
             best = prediction.map[int(np.nanargmin(errors))]

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
+from oed.base import Array
 from oed.fit_limits import chi2_is_large
 from oed.result import (
     CombinationEstimate,
@@ -16,7 +20,7 @@ from oed.result import (
     ParameterEstimate,
     StudyResult,
 )
-from pkm_reports import missing, text
+from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
@@ -32,7 +36,161 @@ from pkm_reports.missing import or_nan
 from pkm_reports.sections import noise
 from pkm_reports.sections.answer.measure import is_plan
 from pkm_reports.sections.answer.warnings import fits_with_effects
-from pkm_reports.sections.figures import parameters, residuals, run_curves
+from pkm_reports.sections.figures import run_curves
+
+# Residuals of all readings, before and after the fit.
+
+#: readings from which marks are small
+MANY_READINGS: Final = 60
+
+
+def draw_residuals(estimate: EstimateSection) -> Figure:
+    """Before and after side by side, a row for each unit, each panel with its scale."""
+    before, after = estimate.residuals_before, estimate.residuals
+    panels = [
+        ("Nominal machine", missing.array(before), style.GREY),
+        ("Identified machine", missing.array(after), style.BLUE),
+    ]
+    panels = [panel for panel in panels if np.isfinite(panel[1]).any()]
+    if not panels:
+        return style.empty("No residuals are stored in this result.")
+    unit_of_each = np.array([estimate.units[name] for name in estimate.channels])
+    units = list(dict.fromkeys(unit_of_each.tolist()))
+    figure = style.figure(2.4 * len(units))
+    grid = figure.subplots(len(units), len(panels), squeeze=False)
+    for row, unit in zip(grid, units, strict=True):
+        label = f"residual [{text.unit_symbol(unit)}]"
+        for axes, (title, values, colour) in zip(row, panels, strict=True):
+            _panel(axes, title, values[unit_of_each == unit], colour)
+            axes.set(xlabel="reading, in the order of the data", ylabel=label)
+    return figure
+
+
+def _panel(
+    axes: Axes,
+    title: str,
+    values: Array,
+    colour: str,
+) -> None:
+    number = np.arange(1, len(values) + 1)
+    axes.vlines(
+        number,
+        0.0,
+        values,
+        color=colour,
+        lw=0.7,
+        alpha=0.6,
+    )
+    axes.plot(
+        number,
+        values,
+        "o",
+        ms=2.6 if len(number) > MANY_READINGS else 3.6,
+        color=colour,
+    )
+    axes.axhline(0.0, color=style.INK, lw=0.7)
+    rms = np.sqrt(np.nanmean(values**2))
+    axes.set_title(f"{title}: rms {text.number(rms)}")
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    largest = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+    axes.set_ylim(-1.15 * largest, 1.15 * largest)
+
+
+# Identified parameters against their tolerances: value, interval, improvement.
+
+TYPE_COLOURS: Final = {
+    "seen": style.BLUE,
+    "weak": style.ORANGE,
+    "prior": style.GREY,
+}
+#: what `identified` of a parameter means
+TYPE_MEANINGS: Final = {
+    "seen": "determined",
+    "weak": "weakly determined",
+    "prior": "tolerance only",
+}
+#: half-width of a 95 % interval, in standard deviations
+HALF_WIDTH_95: Final = 1.96
+
+
+def draw_parameters(parameters: Mapping[str, ParameterEstimate]) -> Figure:
+    """Intervals (95 %) in tolerances on the left, sd over tolerance on the right."""
+    rows = {name: p for name, p in parameters.items() if p.prior_sd > 0.0}
+    if not rows:
+        return style.empty("No parameter with a tolerance is stored in this result.")
+    figure = style.figure(0.9 + 0.155 * max(len(rows), 4))
+    deviations, ratios = figure.subplots(
+        1,
+        2,
+        sharey=True,
+        width_ratios=(2, 1),
+    )
+    for k, estimate in enumerate(rows.values()):
+        _interval(deviations, ratios, k, estimate)
+    _set_axes(deviations, ratios, list(rows), [shrinkage(p) for p in rows.values()])
+    style.legend_below(figure, style.legend_entries([deviations]), 5)
+    return figure
+
+
+def shrinkage(estimate: ParameterEstimate) -> float:
+    """Standard deviation after the readings over that before them."""
+    return estimate.sd / estimate.prior_sd if estimate.prior_sd > 0.0 else math.nan
+
+
+def _interval(
+    deviations: Axes,
+    ratios: Axes,
+    k: int,
+    estimate: ParameterEstimate,
+) -> None:
+    deviation = (estimate.value - estimate.nominal) / estimate.prior_sd
+    truth = (or_nan(estimate.truth) - estimate.nominal) / estimate.prior_sd
+    sd, verdict = shrinkage(estimate), estimate.identified
+    colour = TYPE_COLOURS.get(verdict, style.BLUE)
+    half = HALF_WIDTH_95 * sd
+    bar: Any = {"color": colour, "lw": 2.2, "solid_capstyle": "butt"}
+    deviations.plot([deviation - half, deviation + half], [k, k], **bar)
+    label = text.meaning(verdict, TYPE_MEANINGS)
+    deviations.plot(
+        deviation,
+        k,
+        "o",
+        color=colour,
+        ms=3.5,
+        label=label,
+    )
+    if math.isfinite(truth):
+        cross: Any = {
+            "color": style.INK,
+            "ms": 5,
+            "mew": 1.1,
+            "zorder": 4,
+        }
+        deviations.plot(truth, k, "x", label="truth (virtual machine)", **cross)
+    ratios.plot(sd, k, "o", color=colour, ms=4)
+
+
+def _set_axes(
+    deviations: Axes, ratios: Axes, names: Sequence[str], shrinkages: Sequence[float]
+) -> None:
+    deviations.axvspan(
+        -1.0,
+        1.0,
+        color=style.SHADE,
+        lw=0,
+        zorder=0,
+        label="± 1 tolerance",
+    )
+    deviations.set(xlabel="deviation from nominal [tolerances], 95 % interval")
+    ratios.axvline(1.0, color=style.GREY, ls="--", lw=0.9)
+    smallest = min([0.08, *[0.6 * sd for sd in shrinkages if sd > 0.0]])
+    ratios.set_xlim(smallest, 1.6 * max([1.0, *shrinkages]))
+    style.log_axis(ratios, "x")
+    ratios.set(xlabel="sd after / tolerance")
+    style.fixed_ticks(deviations, "y", range(len(names)), names)
+    deviations.set_ylim(len(names) - 0.4, -0.6)
+    ratios.tick_params(axis="y", labelleft=False)
+
 
 Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}
@@ -49,7 +207,7 @@ def blocks(result: StudyResult) -> list[Block]:
     chapter: list[Block] = [
         Paragraph(_fit(estimate, result.goodness)),
         *_warnings(result, estimate),
-        Picture("residuals", lambda: residuals.draw(estimate), caption),
+        Picture("residuals", lambda: draw_residuals(estimate), caption),
         *_runs(estimate),
         *noise.blocks(result.goodness),
         *noise.left_out(result.goodness),
@@ -58,7 +216,7 @@ def blocks(result: StudyResult) -> list[Block]:
     if values:
         # The table breaks over pages; before it, the tall picture would leave a gap.
         caption = _parameters_caption(values)
-        picture = Picture("parameters", lambda: parameters.draw(values), caption)
+        picture = Picture("parameters", lambda: draw_parameters(values), caption)
         chapter += [_table(values), picture]
     chapter += _combinations(estimate.combinations)
     return chapter + _iterations(estimate.iterations)
@@ -148,7 +306,7 @@ def _parameters_caption(values: Estimates) -> str:
         f"{determined} of {len(verdicts)} are determined, {weak} only weakly,"
         f" {verdicts.count('prior')} stay as uncertain as the tolerance.",
     ]
-    shrinkages = {name: parameters.shrinkage(p) for name, p in values.items()}
+    shrinkages = {name: shrinkage(p) for name, p in values.items()}
     finite = {name: x for name, x in shrinkages.items() if math.isfinite(x)}
     if finite:
         best = min(finite, key=lambda name: finite[name])
@@ -156,7 +314,7 @@ def _parameters_caption(values: Estimates) -> str:
         sentences.append(f"Most improved: {best}, to {share} of its tolerance.")
     pulls = [pull for pull in map(_pull, values.values()) if math.isfinite(pull)]
     if pulls:
-        inside = sum(abs(pull) <= parameters.HALF_WIDTH_95 for pull in pulls)
+        inside = sum(abs(pull) <= HALF_WIDTH_95 for pull in pulls)
         expected = round(0.95 * len(pulls))
         sentences.append(
             f"{inside} of {len(pulls)} intervals contain the truth (crosses); about"
@@ -202,7 +360,7 @@ def _row(name: str, estimate: ParameterEstimate, *, with_truth: bool) -> list[st
         text.trimmed(estimate.nominal, 7),
         text.trimmed(estimate.prior_sd, 3),
         text.unit_symbol(estimate.unit),
-        text.meaning(verdict, parameters.MEANING),
+        text.meaning(verdict, TYPE_MEANINGS),
     ]
     if with_truth:
         cells.append(text.fixed(estimate.truth, decimals))

@@ -14,7 +14,7 @@ from report_fixture_fit import spread
 
 from oed.result import StudyResult
 from pkm_reports import text, write_comparison
-from pkm_reports.comparison import accuracy, content, glance, parameters
+from pkm_reports.comparison import content, glance, tables
 from pkm_studies.commands import main
 from pkm_studies.sessions import comparison
 
@@ -68,7 +68,7 @@ def test_accuracies_stand_beside_what_is_wanted(
     assert design.how_many is not None
     goal = replace(design.how_many, wanted={"z_um": 25.0})
     results["one"] = replace(results["one"], design=replace(design, how_many=goal))
-    table = accuracy.blocks(results)[0]
+    table = tables.accuracy_blocks(results)[0]
     row = next(r for r in table.rows if r[0].startswith("z"))
     assert row[1:] == ["30", "15", "25", "two"]
 
@@ -76,11 +76,11 @@ def test_accuracies_stand_beside_what_is_wanted(
 def test_parameters_are_compared_for_one_machine_alone(
     results: dict[str, StudyResult],
 ) -> None:
-    (table,) = parameters.blocks(results)
+    (table,) = tables.parameter_blocks(results)
     assert len(table.rows) == len(results["one"].estimate.parameters)
     machine = replace(results["two"].machine, name="another")
     results["two"] = replace(results["two"], machine=machine)
-    assert parameters.blocks(results) == []
+    assert tables.parameter_blocks(results) == []
     assert "machines differ" in _plain(glance.sentences(results))
 
 

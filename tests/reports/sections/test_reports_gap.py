@@ -19,8 +19,6 @@ from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
 from pkm_reports.page import build_document, render_html, render_pdf
 from pkm_reports.sections.figures.gap import effects as gap_effects
-from pkm_reports.sections.figures.gap import map as gap_map
-from pkm_reports.sections.figures.gap import polar as gap_polar
 from pkm_reports.sections.figures.gap import trace as gap_trace
 from pkm_reports.sections.gap import chapter, explanations
 from pkm_studies.base import Silent
@@ -211,10 +209,10 @@ def test_the_set_is_shown_where_it_has_more_than_one(gap: GapSection) -> None:
 
 def test_figures_without_data_say_so(gap: GapSection) -> None:
     with style.applied():
-        for figure in (gap_trace.draw([]), gap_map.draw([], "um")):
+        for figure in (gap_trace.draw([]), chapter.draw_map([], "um")):
             assert not figure.axes
             assert re.search(r"No .* are stored", figure.texts[0].get_text())
-        assert "No run" in gap_polar.draw([]).texts[0].get_text()
+        assert "No run" in chapter.draw_circles([]).texts[0].get_text()
         empty = gap_effects.draw(replace(gap, marginal={}))
         assert "No effect" in empty.texts[0].get_text()
 
@@ -229,8 +227,8 @@ def _figures(gap: GapSection) -> list[Figure]:
     return [
         gap_effects.draw(gap),
         gap_trace.draw(gap.traces),
-        gap_polar.draw(gap.traces),
-        gap_map.draw(gap.spots, gap.spots_unit),
+        chapter.draw_circles(gap.traces),
+        chapter.draw_map(gap.spots, gap.spots_unit),
     ]
 
 
@@ -267,28 +265,28 @@ def test_only_the_runs_with_the_largest_residuals_are_drawn(gap: GapSection) -> 
 
 
 def test_both_ways_of_a_circle_share_a_panel(gap: GapSection) -> None:
-    passes = gap_polar.circles(gap.traces).values()
+    passes = chapter.gap_circles(gap.traces).values()
     directions = [[trace.direction for trace in runs] for runs in passes]
     assert directions == [[1, -1], [1, -1]]
     with style.applied():
-        figure = gap_polar.draw(gap.traces)
+        figure = chapter.draw_circles(gap.traces)
     entries = [entry.get_text() for entry in figure.legends[0].get_texts()]
     assert entries == ["forward", "backward"]
     lines = {line.get_label(): line for line in figure.axes[0].lines}
     before = missing.array(gap.traces[0].before)
     largest = max(abs(value) for trace in gap.traces[:2] for value in trace.before)
-    radius = 1.0 + gap_polar.SWING * before / largest
+    radius = 1.0 + chapter.SWING * before / largest
     drawn = list(lines["forward"].get_ydata())[: len(before)]
     assert drawn == pytest.approx(radius.tolist())
 
 
 def test_a_machine_in_a_plane_has_one_view_and_one_in_space_two() -> None:
     flat = missing.table([[0.0, 10.0 * k, 100.0 * (k % 3)] for k in range(9)])
-    assert gap_map.views(flat) == [(1, 2)]
+    assert chapter.map_views(flat) == [(1, 2)]
     solid = missing.table(
         [[300.0 * (k % 2), 10.0 * k, 100.0 * (k % 3)] for k in range(9)]
     )
-    assert gap_map.views(solid) == [(0, 1), (0, 2)]
+    assert chapter.map_views(solid) == [(0, 1), (0, 2)]
 
 
 def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:

@@ -21,8 +21,7 @@ from oed.result import PlannedReading, PlanSection, StudyResult
 from pkm_reports import sections, style, write_sheet
 from pkm_reports.blocks import Paragraph, Picture
 from pkm_reports.page import build_document, render_html, render_pdf, sheet
-from pkm_reports.sections.figures import pareto, stage_accuracy, timeline
-from pkm_reports.sections.stages import chapter
+from pkm_reports.sections.stages import chapter, figures
 
 pytestmark = pytest.mark.pictures
 
@@ -229,14 +228,14 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
 def test_lines_and_diamonds_are_the_numbers() -> None:
     plan = _plan()
     with style.applied():
-        panels = stage_accuracy.draw(plan).axes
+        panels = figures.draw_accuracies(plan).axes
     lines = [line for axes in panels for line in axes.lines]
     drawn = {str(line.get_label()): np.array(line.get_xydata()) for line in lines}
     accuracy = np.array([stage.accuracy["z_um"] for stage in plan.stages])
     z = [8300.0, *accuracy]
     np.testing.assert_allclose(drawn["z"], np.transpose([[0, 1, 2, 3], z]))
     lengths = panels[0].lines
-    diamonds = [line for line in lengths if line.get_label() == stage_accuracy.REALISED]
+    diamonds = [line for line in lengths if line.get_label() == figures.REALISED]
     assert len(diamonds) == 3
     ratio = np.array([stage.realised["z"] for stage in plan.stages])
     of_z = np.array(diamonds[2].get_ydata())[1:]
@@ -248,7 +247,7 @@ def test_lines_and_diamonds_are_the_numbers() -> None:
 
 def test_bars_lie_where_the_stages_are() -> None:
     with style.applied():
-        axes = timeline.draw(_plan()).axes[0]
+        axes = figures.draw_timeline(_plan()).axes[0]
     begins = [bar.get_x() for bar in axes.patches]
     ends = [bar.get_x() + bar.get_width() for bar in axes.patches]
     np.testing.assert_allclose(begins, [0.0, 24.5, 61.0])
@@ -259,7 +258,7 @@ def test_bars_lie_where_the_stages_are() -> None:
 def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted: bool) -> None:
     plan = msgspec.convert(report_fixture_plan.plan(wanted=wanted), PlanSection)
     with style.applied():
-        axes = pareto.draw(plan).axes[0]
+        axes = figures.draw_front(plan).axes[0]
     (shade,) = axes.collections
     corners = shade.get_paths()[0].vertices
     assert corners[:, 1].max() == pytest.approx(plan.bound)
@@ -273,7 +272,7 @@ def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted: bool) -> Non
     assert high > plans[:, 1].max()
 
 
-FIGURES = [stage_accuracy.draw, timeline.draw, pareto.draw]
+FIGURES = [figures.draw_accuracies, figures.draw_timeline, figures.draw_front]
 
 
 @pytest.mark.parametrize("draw", FIGURES)

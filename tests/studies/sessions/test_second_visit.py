@@ -15,7 +15,7 @@ import pytest
 
 from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
 from pkm_reports.blocks import Paragraph, Table
-from pkm_reports.sections.gap import second_visit as chapter
+from pkm_reports.sections.gap import runs as chapter
 from pkm_studies.sessions import next_visit
 from pkm_studies.stages.gap import second_visit
 from pkm_studies.study import Study

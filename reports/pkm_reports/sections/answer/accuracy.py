@@ -27,7 +27,7 @@ from pkm_reports.blocks import (
     number_columns,
 )
 from pkm_reports.sections import acceptance, forecast
-from pkm_reports.sections.stages import wording
+from pkm_reports.sections.stages import chapter
 
 REFERENCES: Final = {
     "absolute": "in the base frame",
@@ -259,6 +259,6 @@ def _planned(plan: PlanSection) -> Table:
         limits = [text.number(missing.entry(plan.goal, key))] if plan.goal else []
         before = text.number(missing.entry(plan.start_accuracy, key))
         rows.append([text.heading(key), text.number(value), *limits, before])
-    within = wording.budget_phrase(plan)
+    within = chapter.budget_phrase(plan)
     caption = f"Predicted rms error over the workspace after the plan{within}."
     return Table(columns, rows, caption)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from oed.result import DesignSection, PlanSection, StudyResult
 from pkm_reports import text
-from pkm_reports.sections.stages import wording
+from pkm_reports.sections.stages import chapter
 from pkm_reports.sections.stages.chapter import has_schedule
 
 
@@ -17,7 +17,7 @@ def minutes(result: StudyResult) -> str:
 
 
 def _scheduled(plan: PlanSection) -> str:
-    phrase = f"{wording.minutes(plan.cost)}{wording.budget_share(plan)}"
+    phrase = f"{chapter.minutes(plan.cost)}{chapter.budget_share(plan)}"
     if not plan.price:
         return phrase
     return f"{phrase}, at a price of {text.trimmed(plan.price)}"

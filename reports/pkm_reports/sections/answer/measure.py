@@ -18,7 +18,7 @@ from pkm_reports.blocks import (
     transposed,
 )
 from pkm_reports.sections.answer import duration
-from pkm_reports.sections.figures.overview import draw_overview
+from pkm_reports.sections.figures.machine import draw_overview
 from pkm_reports.sections.stages.chapter import has_schedule
 
 #: set-ups and stages named one by one

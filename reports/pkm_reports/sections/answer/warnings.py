@@ -8,7 +8,7 @@ from oed import trust
 from oed.result import PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph
-from pkm_reports.sections.stages.verdict import is_missed
+from pkm_reports.sections.stages.chapter import is_missed
 
 
 def title(result: StudyResult) -> str:

@@ -1,4 +1,4 @@
-"""The machine at its home pose with the planned tool points, in 3-D, axes in mm."""
+"""The machine at home with all readings, small, for the first page."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from pkm_reports import style
 from pkm_reports.sections.figures import scene
 from pkm_reports.sections.figures.scene import Box, Rectangle
 from pkm_reports.view import points_mm
+
+# The machine at its home pose with the planned tool points, in 3-D, axes in mm.
 
 LINES: Final = {
     "machine": {"color": style.INK, "lw": 1.8},
@@ -62,7 +64,7 @@ class Scene:
         return scene.box_around(np.vstack(clouds))
 
 
-def draw(drawing: Drawing) -> Figure:
+def draw_machine(drawing: Drawing) -> Figure:
     """The machine with its parameters on the left, the readings from closer by."""
     shown = scene_of(drawing)
     if not shown.lines and not len(shown.tips):
@@ -258,3 +260,22 @@ def legend_entries(shown: Scene) -> list[Line2D]:
         cross: Any = {"ls": "", "marker": "x", "color": style.INK}
         entries.append(Line2D([], [], label="cup or fixed end", **cross))
     return entries
+
+
+#: inches: readable at the width of a telephone
+WIDTH, HEIGHT = 3.4, 3.0
+#: legend entries side by side
+COLUMNS: Final = 2
+
+
+def draw_overview(drawing: Drawing) -> Figure:
+    """One view of machine, bars and tool points, with a short legend."""
+    shown = scene_of(drawing)
+    figure = style.placed_figure(HEIGHT, WIDTH)
+    entries = legend_entries(shown)
+    lines = -(-len(entries) // COLUMNS)
+    foot = (0.08 + LEGEND_LINE * lines) / HEIGHT
+    panel(figure, (0.0, foot, 1.0, 1.0), shown, shown.whole_box())
+    legend: Any = {"ncols": COLUMNS, "borderaxespad": 0.1, "columnspacing": 1.0}
+    figure.legend(handles=entries, loc="lower center", **legend)
+    return figure

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
 
 from oed import units
+from oed.base import Array
 from oed.result import (
     ChosenRuns,
     DetectabilityRecord,
@@ -15,7 +22,7 @@ from oed.result import (
     SharedRecord,
     StudyResult,
 )
-from pkm_reports import text
+from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
@@ -27,9 +34,98 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.sections.figures.gap import confusable
 from pkm_reports.sections.figures.gap.effects import spoken
 from pkm_reports.sections.gap import runs
+
+# Which effects can be distinguished from which others: a matrix of sqrt(lambda).
+
+#: sqrt(lambda) below which two effects are not distinguished, and above which they clearly are
+LIMIT, CLEAR = 5.0, 10.0
+#: colours and legend of: not distinguished, barely, clearly
+COLOURS: Final = ("#f3c4a5", "#f7ecc8", "#cfe6dd")
+MEANINGS: Final = (
+    f"below {LIMIT:g}: not distinguished",
+    f"{LIMIT:g} to {CLEAR:g}: barely",
+    f"above {CLEAR:g}: distinguished",
+)
+#: inches of one cell, at most, and from which its number has normal size
+LARGEST_CELL, SMALL_CELL = 0.42, 0.34
+#: size from which a number has no decimal
+WHOLE: Final = 9.95
+
+
+def draw_confusable(table: DetectabilityTable) -> Figure:
+    """Rows are effects, columns the effects that could explain them instead.
+
+    The diagonal shows how well each effect is detected where nothing else acts.
+    """
+    names = table.names
+    if len(names) < 2:
+        return style.empty("Fewer than two effects can be tested with these readings.")
+    values = missing.table(table.separation)
+    cell = min(LARGEST_CELL, (style.WIDTH - 1.5) / len(names))
+    figure = style.figure(cell * len(names) + 1.75)
+    axes = figure.subplots()
+    shade: Any = {"cmap": ListedColormap(COLOURS)}
+    shade["norm"] = BoundaryNorm([0.0, LIMIT, CLEAR, np.inf], len(COLOURS))
+    finite = np.where(np.isfinite(values), values, 0.0)
+    axes.imshow(finite, aspect="equal", **shade)
+    _write_numbers(axes, values, 7.0 if cell > SMALL_CELL else 6.0)
+    _set_labels(axes, [spoken(name) for name in names])
+    patches = [
+        Patch(color=colour, label=meaning)
+        for colour, meaning in zip(COLOURS, MEANINGS, strict=True)
+    ]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3)
+    return figure
+
+
+def short_label(value: float) -> str:
+    """The number of a cell: one decimal below 10, none above."""
+    if not np.isfinite(value):
+        return text.MISSING
+    return f"{value:.1f}" if value < WHOLE else f"{value:.0f}"
+
+
+def _write_numbers(axes: Axes, values: Array, size: float) -> None:
+    """Numbers in the cells; those of the diagonal bold, in a frame."""
+    letters: Any = {"ha": "center", "va": "center", "fontsize": size}
+    for (row, column), value in np.ndenumerate(values):
+        weight = "bold" if row == column else "normal"
+        number = short_label(value)
+        axes.text(
+            column,
+            row,
+            number,
+            color=style.INK,
+            fontweight=weight,
+            **letters,
+        )
+    for k in range(len(values)):
+        frame: Any = {"fill": False, "edgecolor": style.INK, "linewidth": 0.9}
+        axes.add_patch(Rectangle((k - 0.5, k - 0.5), 1.0, 1.0, **frame))
+
+
+def _set_labels(axes: Axes, names: Sequence[str]) -> None:
+    places = list(range(len(names)))
+    style.fixed_ticks(axes, "y", places, names)
+    style.fixed_ticks(axes, "x", places, names)
+    axes.xaxis.tick_top()
+    axes.xaxis.set_label_position("top")
+    for label in axes.get_xticklabels():
+        label.set(rotation=55, ha="left", rotation_mode="anchor")
+    axes.set_xlabel("what else could explain it")
+    axes.set_ylabel("effect")
+    axes.grid(False)
+    axes.tick_params(length=0)
+    between = np.arange(len(names) + 1) - 0.5
+    axes.set_xticks(between, minor=True)
+    axes.set_yticks(between, minor=True)
+    axes.grid(True, which="minor", color="white", linewidth=1.2)
+    axes.tick_params(which="minor", length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
 
 #: rows of the table of imitated combinations
 MOST: Final = 16
@@ -109,10 +205,10 @@ def _separations(chosen: ChosenRuns) -> Block:
         for separation in chosen.separations
     ]
     marks = [
-        "good" if separation.separation >= confusable.LIMIT else ""
+        "good" if separation.separation >= LIMIT else ""
         for separation in chosen.separations
     ]
-    limit = text.trimmed(confusable.LIMIT)
+    limit = text.trimmed(LIMIT)
     caption = (
         "How well each form of an effect can be distinguished from its rival, in units of the"
         f" noise; {limit} and more is good. Before: with the readings planned without"
@@ -145,7 +241,7 @@ def _detectability(
             " else acts."
         )
         content.append(_sizes(testable, table, channel_units, of))
-        content.append(Picture(name, lambda: confusable.draw(table), caption))
+        content.append(Picture(name, lambda: draw_confusable(table), caption))
     return content + _imitated(testable, of) + _untestable(table)
 
 
@@ -189,7 +285,7 @@ def _hardest_rival(record: DetectabilityRecord) -> str:
     if not record.rivals:
         return text.MISSING
     rival = record.rivals[0]
-    return f"{spoken(rival.name)} ({confusable.short(rival.separation)})"
+    return f"{spoken(rival.name)} ({short_label(rival.separation)})"
 
 
 def _sizes_by_channel(

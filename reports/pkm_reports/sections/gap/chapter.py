@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from oed import units
+from oed.base import Array
 from oed.result import (
     ClosureRecord,
     CoefficientRecord,
     GapSection,
     PlaceRecord,
+    Spot,
     StudyResult,
     Trace,
 )
-from pkm_reports import missing, text
+from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
@@ -30,11 +38,260 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections.figures.gap import effects
-from pkm_reports.sections.figures.gap import map as gap_map
-from pkm_reports.sections.figures.gap import polar as gap_polar
 from pkm_reports.sections.figures.gap import trace as gap_trace
 from pkm_reports.sections.figures.gap.effects import spoken
 from pkm_reports.sections.gap import explanations
+
+# Circles as a ball bar shows them: residuals magnified about the circle.
+
+MAX_CIRCLES: Final = 3
+#: the largest residual as a share of the drawn radius, and the outer radius
+SWING, OUTER = 0.45, 1.6
+#: label, line and colour of a direction of travel
+DIRECTIONS: Final = {
+    1: ("forward", "-", style.BLUE),
+    -1: ("backward", "--", style.RED),
+}
+NO_DIRECTION: Final = ("direction unknown", "-", style.GREY)
+QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
+#: set-up, name without its pass, channel, payload (N) of a circle
+CircleKey = tuple[str, str, str, float | None]
+#: before or after the effects are in the model
+When = Literal["before", "after"]
+
+
+def draw_circles(traces: Sequence[Trace]) -> Figure:
+    """A column for each circle: above before, below after, where effects were found."""
+    drawn = gap_circles(traces)
+    if not drawn:
+        return style.empty("No run of these readings is a circle.")
+    rows: list[When] = ["before", "after"] if explains(traces) else ["before"]
+    width = min(style.WIDTH, 2.25 * len(drawn) + 0.4)
+    figure = style.figure(0.5 + 2.3 * len(rows), width=width)
+    polar: Any = {"projection": "polar"}
+    shape = (len(rows), len(drawn))
+    grid: Any = figure.subplots(*shape, squeeze=False, subplot_kw=polar)
+    for column, (key, runs) in zip(grid.T, drawn.items(), strict=True):
+        largest = max(gap_trace.largest(run.before) for run in runs) or 1.0
+        unit = text.unit_symbol(runs[0].unit)
+        for axes, when in zip(column, rows, strict=True):
+            _circle_panel(axes, runs, when, largest)
+            name = when if len(rows) > 1 else "residual"
+            title = f"{name}: rms {text.number(_circle_rms(runs, when), 2)} {unit}"
+            if when == "before":
+                title = f"{style.label(_circle_name(key), 26)}\n{title}"
+            letters: Any = {"fontsize": 7, "fontweight": "normal"}
+            axes.set_title(title, loc="center", pad=8, **letters)
+        _ruler(column[-1], largest, unit)
+    entries = style.legend_entries(grid.ravel())
+    style.legend_below(figure, entries, len(entries))
+    return figure
+
+
+def gap_circles(traces: Sequence[Trace]) -> dict[CircleKey, list[Trace]]:
+    """Up to MOST circles with all their passes, in the order of the data.
+
+    Circles with the largest residuals are taken first.
+    """
+    passes: dict[CircleKey, list[Trace]] = {}
+    for trace in traces:
+        if trace.kind == "circle":
+            passes.setdefault(circle_key(trace), []).append(trace)
+    ranked = sorted(passes, key=lambda key: -_circle_rms(passes[key], "before"))[
+        :MAX_CIRCLES
+    ]
+    return {key: runs for key, runs in passes.items() if key in ranked}
+
+
+def circle_key(trace: Trace) -> CircleKey:
+    """What the passes of one circle have in common."""
+    return trace.setup, trace.base, trace.channel, trace.payload
+
+
+def explains(traces: Sequence[Trace]) -> bool:
+    """Whether the effects of the diagnosis explain any residual."""
+    return any(value != 0.0 for trace in traces for value in trace.explained)
+
+
+def _circle_name(key: CircleKey) -> str:
+    setup, base, _, payload = key
+    load = "" if payload is None else f", {text.trimmed(payload, 3)} N"
+    return f"{setup}, {base}{load}"
+
+
+def _circle_residuals(trace: Trace, when: When) -> Array:
+    return missing.array(trace.before if when == "before" else trace.after)
+
+
+def _circle_rms(runs: Sequence[Trace], when: When) -> float:
+    squares = [gap_trace.rms(_circle_residuals(run, when)) ** 2 for run in runs]
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _circle_panel(
+    axes: Any,
+    runs: Sequence[Trace],
+    when: When,
+    largest: float,
+) -> None:
+    around = np.linspace(0.0, 2.0 * math.pi, 181)
+    axes.plot(
+        around,
+        np.ones_like(around),
+        color=style.INK,
+        lw=0.6,
+    )
+    for run in runs:
+        angle, residuals = (
+            np.radians(missing.array(run.at)),
+            _circle_residuals(run, when),
+        )
+        order = np.arange(len(angle))
+        if _goes_round(angle):
+            order = np.append(order, 0)
+        radius = np.clip(1.0 + SWING * residuals[order] / largest, 0.05, OUTER)
+        label, line, colour = DIRECTIONS.get(run.direction or 0, NO_DIRECTION)
+        look: Any = {
+            "color": colour,
+            "lw": 0.9,
+            "marker": "o",
+            "ms": 1.4,
+        }
+        axes.plot(angle[order], radius, line, label=label, **look)
+    axes.set_rlim(0.0, OUTER)
+    axes.yaxis.set_major_locator(FixedLocator([1.0 - SWING, 1.0, 1.0 + SWING]))
+    axes.set_yticklabels([])
+    axes.xaxis.set_major_locator(FixedLocator(QUARTERS))
+    axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
+    axes.tick_params(axis="x", pad=-3)
+    axes.spines["polar"].set_visible(False)
+
+
+def _goes_round(angle: Array) -> bool:
+    """Whether the readings go all the way round."""
+    again = np.min(angle) + 2.0 * math.pi
+    steps = np.diff([*np.sort(angle), again])
+    return bool(steps.max() < 4.0 * np.median(steps) + 1e-9)
+
+
+def _ruler(axes: Any, largest: float, unit: str) -> None:
+    """A bar in the middle of the circle, and the residual that it stands for."""
+    size = _round_size(largest)
+    bar: Any = {"color": style.INK, "lw": 1.8, "solid_capstyle": "butt"}
+    axes.plot([0.0, 0.0], [0.0, SWING * size / largest], **bar)
+    letters: Any = {"ha": "center", "va": "center", "fontsize": 6.5}
+    axes.text(math.pi * 0.75, 0.16, f"{text.trimmed(size, 2)} {unit}", **letters)
+
+
+def _round_size(largest: float) -> float:
+    """1, 2 or 5 times a power of ten, at most `largest`."""
+    power = 10.0 ** math.floor(math.log10(largest))
+    sizes = [k * power for k in (1.0, 2.0, 5.0)]
+    return max(size for size in sizes if size <= largest * (1.0 + 1e-9))
+
+
+# Residuals over the workspace, before and after the effects are in the model.
+
+#: two axes of the base frame to look along: across and up
+View = tuple[int, int]
+#: extent of an axis, as a share of the largest, from which it has a view of its own
+FLAT: Final = 0.05
+AXES: Final = ("x", "y", "z")
+#: inches of a row: for a square view, and limits
+ROW_HEIGHT, LOWEST_ROW, HIGHEST_ROW = 2.5, 1.2, 2.6
+#: quantile of the residuals that ends the colour scale
+TOP_QUANTILE: Final = 0.98
+
+
+def draw_map(spots: Sequence[Spot], unit: str) -> Figure:
+    """Places coloured by their rms residual: a row for each view, before and after.
+
+    Where the model does not change there is one column.
+    """
+    if not spots:
+        return style.empty("No places are stored in this result.")
+    places = missing.table([spot.at for spot in spots])
+    columns = _columns(spots)
+    pairs = map_views(places)
+    heights = [_row_height(places, pair) for pair in pairs]
+    width = style.WIDTH if len(columns) > 1 else 0.6 * style.WIDTH
+    figure = style.figure(0.5 + sum(heights), width=width)
+    shape = (len(pairs), len(columns))
+    grid = figure.subplots(*shape, squeeze=False, height_ratios=heights)
+    before = columns[0][1]
+    top = float(np.nanquantile(before, TOP_QUANTILE)) or 1.0
+    norm = Normalize(0.0, top)
+    for row, pair in zip(grid, pairs, strict=True):
+        for axes, (_, values) in zip(row, columns, strict=True):
+            image = _panel(axes, places, pair, values, norm)
+    for axes, (name, values) in zip(grid[0], columns, strict=True):
+        rms = text.number(np.sqrt(np.nanmean(values**2)), 3)
+        axes.set_title(f"{name}: rms {rms}", fontsize=8)
+    beyond = float(np.nanmax(before)) > 1.001 * top
+    bar_look: Any = {"shrink": 0.8, "pad": 0.02}
+    bar_look["extend"] = "max" if beyond else "neither"
+    panels = grid.ravel().tolist()
+    bar: Any = figure.colorbar(
+        image,
+        ax=panels,
+        label=_scale_label(unit),
+        **bar_look,
+    )
+    bar.outline.set_visible(False)
+    bar.ax.yaxis.set_major_locator(MaxNLocator(5))
+    return figure
+
+
+def _columns(spots: Sequence[Spot]) -> list[tuple[str, Array]]:
+    """Title and residual of each place (n,): before and after, or one of both."""
+    before = missing.array([spot.before for spot in spots])
+    after = missing.array([spot.after for spot in spots])
+    if np.array_equal(before, after, equal_nan=True):
+        return [("residual", before)]
+    return [("before", before), ("after", after)]
+
+
+def _scale_label(unit: str) -> str:
+    if unit == "sigma":
+        return "residual [times the stated noise]"
+    return f"rms residual [{text.unit_symbol(unit)}]"
+
+
+def map_views(places: Array) -> list[View]:
+    """Pairs of axes to look along; two where the places (n, 3) fill the space."""
+    spread = np.ptp(places, axis=0)
+    order = [int(k) for k in np.argsort(-spread, kind="stable")]
+    if spread[order[2]] > FLAT * spread[order[0]]:
+        return [(0, 1), (0 if spread[0] >= spread[1] else 1, 2)]
+    across, up = sorted(order[:2])
+    return [(across, up)]
+
+
+def _row_height(places: Array, view: View) -> float:
+    """Inches of a row, so that lengths are alike both ways, within reason."""
+    across, up = (max(float(np.ptp(places[:, k])), 1e-9) for k in view)
+    return float(np.clip(ROW_HEIGHT * up / across, LOWEST_ROW, HIGHEST_ROW)) + 0.35
+
+
+def _panel(
+    axes: Axes, places: Array, view: View, values: Array, norm: Normalize
+) -> Any:
+    order = np.argsort(values)  # large residuals on top
+    across, up = places[order, view[0]], places[order, view[1]]
+    look: Any = {
+        "cmap": style.AMOUNT,
+        "norm": norm,
+        "ec": style.GREY,
+        "lw": 0.3,
+    }
+    look["s"] = float(np.clip(3000.0 / len(places), 6.0, 30.0))
+    image = axes.scatter(across, up, c=values[order], **look)
+    axes.set(xlabel=f"{AXES[view[0]]} [mm]", ylabel=f"{AXES[view[1]]} [mm]")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    return image
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -235,19 +492,19 @@ def _pictures(gap: GapSection) -> list[Block]:
     content: list[Block] = [
         Picture("gap_trace", lambda: gap_trace.draw(traces), caption)
     ]
-    if gap_polar.circles(traces):
+    if gap_circles(traces):
         caption = _polar_caption(traces)
-        content.append(Picture("gap_polar", lambda: gap_polar.draw(traces), caption))
+        content.append(Picture("gap_polar", lambda: draw_circles(traces), caption))
     if spots:
         caption = _map_caption(gap)
         unit = gap.spots_unit
-        content.append(Picture("gap_map", lambda: gap_map.draw(spots, unit), caption))
+        content.append(Picture("gap_map", lambda: draw_map(spots, unit), caption))
     return content
 
 
 def _trace_caption(traces: Sequence[Trace]) -> str:
     colours = ["grey after calibration"]
-    if gap_polar.explains(traces):
+    if explains(traces):
         colours += [
             "orange the part that the effects found explain",
             "blue the residual with these effects in the model",
@@ -265,7 +522,7 @@ def _trace_caption(traces: Sequence[Trace]) -> str:
 
 def _polar_caption(traces: Sequence[Trace]) -> str:
     caption = "Circles as a ball bar draws them"
-    if gap_polar.explains(traces):
+    if explains(traces):
         caption += (
             ", above before and below after the effects found are in the model. The"
             " residual is magnified about the thin circle, equally above and below"
@@ -273,8 +530,8 @@ def _polar_caption(traces: Sequence[Trace]) -> str:
     else:
         caption += ". The residual is magnified about the thin circle"
     caption += "; the bar in the centre gives its scale."
-    circles = {gap_polar.circle_key(t) for t in traces if t.kind == "circle"}
-    shown = len(gap_polar.circles(traces))
+    circles = {circle_key(t) for t in traces if t.kind == "circle"}
+    shown = len(gap_circles(traces))
     if shown < len(circles):
         return (
             f"{caption} Shown are the {shown} of {len(circles)} circles with the largest"
@@ -285,7 +542,7 @@ def _polar_caption(traces: Sequence[Trace]) -> str:
 
 def _map_caption(gap: GapSection) -> str:
     caption = "Residual by place of the tool"
-    if gap_polar.explains(gap.traces):
+    if explains(gap.traces):
         caption += (
             ", before and after the effects found are in the model, with one scale"
         )

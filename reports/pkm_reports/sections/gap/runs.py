@@ -6,9 +6,39 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from oed import units
-from oed.result import ChosenRun
+from oed.result import ChosenRun, StudyResult
 from pkm_reports import text
-from pkm_reports.blocks import Table, TableColumn, number_columns, wide_column
+from pkm_reports.blocks import (
+    Block,
+    Chapter,
+    Paragraph,
+    Table,
+    TableColumn,
+    number_columns,
+    wide_column,
+)
+from pkm_reports.sections.gap import runs
+
+# Chapter: a second visit, and what its readings are expected to decide.
+
+
+def blocks(result: StudyResult) -> list[Block]:
+    """What the visit is worth, and its runs; nothing where the diagnosis is sure."""
+    visit = None if result.gap is None else result.gap.second_visit
+    if visit is None:
+        return []
+    caption = (
+        "Runs of a second visit, in the file second_visit.csv with a row for each pose"
+    )
+    poses = [str(count) for count in visit.poses]
+    return [
+        Paragraph(" ".join(text.sentences(visit.words))),
+        runs.table(visit.runs, "Poses", poses, f"{caption}."),
+    ]
+
+
+CHAPTER: Final = Chapter("second_visit", "A second visit", blocks, blocks)
+
 
 DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
 

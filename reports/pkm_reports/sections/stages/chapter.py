@@ -5,26 +5,353 @@ Only plans with a schedule have it: their stages have times (`begin_min`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from oed.result import AlternativePlan, PlanSection, SequenceRecord, StudyResult
+from oed.result import (
+    AlternativePlan,
+    MachineInfo,
+    PlanSection,
+    Sd,
+    SequenceRecord,
+    StageRecord,
+    StudyResult,
+)
+from oed.text import shorten
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
     Items,
+    Notice,
     Paragraph,
     Picture,
     Table,
+    TableColumn,
     headed_list,
     number_columns,
     transposed,
     wide_column,
 )
 from pkm_reports.sections import recording
-from pkm_reports.sections.figures import pareto, stage_accuracy, timeline
-from pkm_reports.sections.stages import tables, verdict, wording
+from pkm_reports.sections.stages import chapter, figures
+
+# Tables of a plan stage by stage: schedule, improved parameters, accuracy.
+
+#: parameters named for each stage, those that improve most
+MOST_PARAMETERS: Final = 4
+#: parameters and combinations named that are not yet determined
+MOST_UNDETERMINED: Final = 8
+#: factor below which a standard deviation counts as unchanged by a stage
+IMPROVED: Final = 1.05
+#: characters of a combination of parameters; longer ones are cut
+LONGEST: Final = 56
+#: expected losses that are written as none
+NO_LOSS: Final = 0.005
+
+
+# -- schedule --------------------------------------------------------------------------
+
+
+def schedule(plan: PlanSection) -> Table:
+    """The stages in order: when, what, how many readings, what they determine."""
+    stages = plan.stages
+    columns = number_columns("Stage", "Minutes")
+    columns += [wide_column("Measurement"), wide_column("Set-ups")]
+    cells = [
+        [str(k) for k in range(1, len(stages) + 1)],
+        [_span(stage) for stage in stages],
+        [stage.measurement for stage in stages],
+        [text.listing(stage.setups) for stage in stages],
+    ]
+    if any(stage.operator for stage in stages):
+        columns.append(TableColumn("Operator"))
+        cells.append([stage.operator or text.MISSING for stage in stages])
+    columns += number_columns("Readings", "Expected lost", "Rank alone", "Rank so far")
+    cells += [
+        [str(stage.readings) for stage in stages],
+        [_lost(stage) for stage in stages],
+        [str(stage.identifies) for stage in stages],
+        [text.MISSING if s.rank is None else str(s.rank) for s in stages],
+    ]
+    if any(stage.price for stage in stages):
+        columns += number_columns("Price")
+        cells.append([text.trimmed(stage.price) for stage in stages])
+    return Table(columns, transposed(cells), _schedule_table_caption(plan))
+
+
+def _span(stage: StageRecord) -> str:
+    begin, end = text.trimmed(stage.begin_min, 3), text.trimmed(stage.end_min, 3)
+    return f"{begin}–{end}"
+
+
+def _lost(stage: StageRecord) -> str:
+    if stage.lost is None:
+        return text.MISSING
+    lost = "0" if stage.lost < NO_LOSS else text.trimmed(stage.lost, 2)
+    return f"{lost} of {stage.chosen}" if stage.chosen else lost
+
+
+def _schedule_table_caption(plan: PlanSection) -> str:
+    cost, budget = chapter.minutes(plan.cost), chapter.budget_share(plan)
+    sentences = [
+        f"The stages in order; together they take {cost}{budget}.",
+        "Lost: candidates (readings or whole runs) expected outside the instrument's"
+        " travel.",
+        "Rank alone: directions that the stage's own readings determine, including the"
+        " unknowns of its set-ups.",
+        "Rank so far: directions of the machine's parameters.",
+    ]
+    chances = missing.finite(
+        missing.entry(stage.available, "least") for stage in plan.stages
+    )
+    if chances:
+        least = text.percent(min(chances))
+        sentences.append(
+            f"The least certain reading succeeds with a chance of {least}."
+        )
+    neglected = missing.finite(stage.cut_off_um for stage in plan.stages)
+    if neglected:
+        largest = text.quantity(neglected[-1], "um")
+        sentences.append(
+            f"After the last stage, linearisation neglects at most {largest} of a"
+            " reading."
+        )
+    return " ".join(sentences)
+
+
+# -- parameters ------------------------------------------------------------------------
+
+
+def improvements(plan: PlanSection, machine: MachineInfo) -> Table:
+    """Which parameters each stage improves most, and what is not yet determined."""
+    before = _tolerances(machine)
+    rows = []
+    for k, stage in enumerate(plan.stages, 1):
+        after = stage.parameters
+        undetermined = [shorten_combination(terms) for terms in stage.unidentified]
+        rows.append(
+            [
+                str(k),
+                stage.measurement,
+                _most_improved(before, after),
+                text.listing(undetermined, MOST_UNDETERMINED) or "nothing",
+            ]
+        )
+        before = after
+    columns = [
+        TableColumn("Stage", number=True),
+        TableColumn("Measurement"),
+        wide_column("Improved most"),
+        wide_column("Not yet determined"),
+    ]
+    caption = (
+        "What each stage identifies: the parameters whose standard deviations it"
+        " improves most, with the factor against their tolerances or the stage before."
+        " Not yet determined are parameters and combinations that no reading so far"
+        " determines."
+    )
+    return Table(columns, rows, caption)
+
+
+def _tolerances(machine: MachineInfo) -> dict[str, Sd]:
+    """Standard deviation of each parameter before any reading."""
+    tolerances = {}
+    for row in machine.parameters:
+        sd = row.get("tolerance")
+        if isinstance(sd, (int, float)):
+            tolerances[str(row["name"])] = Sd(sd, str(row["unit"]))
+    return tolerances
+
+
+def _most_improved(before: Mapping[str, Sd], after: Mapping[str, Sd]) -> str:
+    """The few parameters that improve most: db1y 0.012 mm (84×)."""
+    factors = {}
+    for name, now in after.items():
+        if name in before and _is_improved(before[name], now):
+            factors[name] = before[name].sd / now.sd
+    if not factors:
+        return "none"
+    best = sorted(factors, key=lambda name: -factors[name])[:MOST_PARAMETERS]
+    entries = [_improvement(name, after[name], factors[name]) for name in best]
+    more = len(factors) - len(best)
+    return ", ".join(entries) + (f" and {more} more" if more else "")
+
+
+def _is_improved(before: Sd, after: Sd) -> bool:
+    same_unit = before.unit == after.unit
+    return same_unit and after.sd > 0.0 and before.sd > IMPROVED * after.sd
+
+
+def _improvement(name: str, after: Sd, factor: float) -> str:
+    sd = text.quantity(after.sd, after.unit, 2)
+    return f"{name} {sd} ({text.number(factor, 2)}×)"
+
+
+def shorten_combination(combination: str) -> str:
+    """A combination of parameters, a long one without its last terms."""
+    if len(combination) <= LONGEST:
+        return combination
+    opening = combination[: LONGEST + 1]
+    if " " not in opening:
+        return shorten(opening, LONGEST)
+    last_term = max(opening.rfind(" + "), opening.rfind(" - "))
+    return f"{opening[:last_term]} ..."
+
+
+# -- accuracy --------------------------------------------------------------------------
+
+
+def accuracy_table(plan: PlanSection) -> Table:
+    """Accuracy before, after each stage and as wanted; virtual machines below each."""
+    keys = figures.components(plan)
+    start = "before" if plan.after else "before any reading"
+    rows = [[start, *chapter.cells(plan.start_accuracy, keys)]]
+    marks = [""]
+    for k, stage in enumerate(plan.stages, 1):
+        mark = "chosen" if k == len(plan.stages) else ""
+        rows.append([f"after stage {k}", *chapter.cells(stage.accuracy, keys)])
+        marks.append(mark)
+        reached = figures.realised(stage)
+        if reached:
+            label = "… realised, virtual machines"
+            rows.append([label, *chapter.cells(reached, keys)])
+            marks.append(mark)
+    if plan.goal:
+        rows.append(["wanted", *chapter.cells(plan.goal, keys)])
+        marks.append("")
+    if chapter.is_missed(plan):
+        label = "most accurate plan found"
+        rows.append([label, *chapter.cells(plan.best_reachable, keys)])
+        marks.append("")
+    titles = [text.heading(key) for key in keys]
+    columns = [wide_column("When"), *number_columns(*titles)]
+    caption = "Accuracy of each component, rms over the workspace, stage by stage."
+    return Table(columns, rows, caption, marks)
+
+
+# Whether the plan reaches its goal, how close to the best it is, when to stop.
+
+
+def verdict_blocks(plan: PlanSection) -> list[Block]:
+    """What is known before, the verdict, what would improve it, the bound, the stop."""
+    content: list[Block] = []
+    if plan.after:
+        content.append(Paragraph(f"Known before: {text.add_full_stop(plan.after)}"))
+    needs = text.sentences(plan.needs)
+    if is_missed(plan):
+        content.append(Notice(_missed(plan)))
+        content += headed_list("What would have to change:", needs)
+    else:
+        content.append(Paragraph(_reached(plan)))
+        content += headed_list("What would make it more accurate:", needs)
+    if plan.bound is not None:
+        content.append(Paragraph(_bound(plan, plan.bound)))
+    if plan.stop:
+        content.append(Paragraph(f"When to stop: {text.add_full_stop(plan.stop)}"))
+    return content
+
+
+def is_missed(plan: PlanSection) -> bool:
+    """Whether there is a goal that the plan does not reach."""
+    return bool(plan.goal) and not plan.reached
+
+
+def _missed(plan: PlanSection) -> str:
+    goal, within = chapter.accuracies(plan.goal), chapter.budget_phrase(plan)
+    notice = f"The goal is out of reach{within}: {goal}."
+    best = chapter.accuracies(plan.best_reachable, plan.goal)
+    if not best:
+        return notice
+    return f"{notice} The most accurate plan found reaches {best}."
+
+
+def _reached(plan: PlanSection) -> str:
+    stages = text.count(len(plan.stages), "stage")
+    costs = f"{minutes(plan.cost)}{budget_share(plan)}"
+    if plan.price:
+        costs += f", at a price of {text.trimmed(plan.price)}"
+    content = f"has {stages} and takes {costs}."
+    accuracy = chapter.accuracies(plan.accuracy)
+    if accuracy:
+        content += f" It reaches {accuracy} (rms over the workspace)."
+    if plan.goal:
+        goal = chapter.accuracies(plan.goal)
+        return f"The goal ({goal}) is reached. The least costly plan found {content}"
+    return f"The most accurate plan found {content}"
+
+
+def _bound(plan: PlanSection, bound: float) -> str:
+    """How far the plan can be from the best one."""
+    value, subject = "the remaining share of the error", "this plan"
+    if plan.goal:
+        value = "the worst ratio of error to wanted accuracy"
+        subject = "the most accurate plan found"
+    within = chapter.budget_phrase(plan)
+    sentence = f"No plan{within} brings {value} below {text.number(bound)}"
+    if plan.loss is not None:
+        loss = loss_bound(plan.loss)
+        sentence += f": {subject} is {loss} worse than the best possible one"
+    if plan.lines:
+        sentence += f" (proven with {text.count(plan.lines, 'supporting line')})"
+    return f"{sentence}."
+
+
+def loss_bound(loss: float) -> str:
+    """A guaranteed loss, never rounded down; a large one as a factor."""
+    if loss >= 1.0:
+        return f"at most a factor of {text.factor_at_most(1.0 + loss)}"
+    return f"at most {text.percent_at_most(loss)}"
+
+
+# Minutes, budgets, accuracies and measurements of a plan in words.
+
+
+def minutes(value: float | None) -> str:
+    """33 min."""
+    return text.quantity(value, "min")
+
+
+def budget_phrase(plan: PlanSection) -> str:
+    """` within 120 min`, or nothing where there is no budget."""
+    return "" if plan.budget_min is None else f" within {_budget(plan.budget_min)}"
+
+
+def budget_share(plan: PlanSection) -> str:
+    """` of a budget of 120 min`, or nothing where there is none."""
+    if plan.budget_min is None:
+        return ""
+    return f" of a budget of {_budget(plan.budget_min)}"
+
+
+def _budget(minutes: float) -> str:
+    return text.append_unit(text.trimmed(minutes), "min")
+
+
+def accuracies(table: Mapping[str, float], only: Iterable[str] | None = None) -> str:
+    """z 30.0 µm and theta 2.00 arcsec; of all components, or of some (`only`)."""
+    parts = []
+    for key in table if only is None else only:
+        rms = missing.entry(table, key)
+        if math.isfinite(rms):
+            stem, unit = text.split_unit(key)
+            parts.append(f"{stem}{text.NO_BREAK}{text.quantity(rms, unit)}")
+    return text.listing(parts)
+
+
+def measurements(plan: AlternativePlan) -> str:
+    """The measurements of a plan in order: rough tracker (12) → bar 300 (24)."""
+    steps = []
+    for k, name in enumerate(plan.names):
+        has_readings = k < len(plan.readings)
+        steps.append(f"{name} ({plan.readings[k]})" if has_readings else name)
+    return " → ".join(steps) or "no reading"
+
+
+def cells(table: Mapping[str, float], keys: Iterable[str]) -> list[str]:
+    """Numbers of a table row."""
+    return [text.number(missing.entry(table, key)) for key in keys]
 
 
 def has_schedule(plan: PlanSection | None) -> bool:
@@ -38,10 +365,10 @@ def blocks(result: StudyResult) -> list[Block]:
     if plan is None or not has_schedule(plan):
         return []
     return [
-        *verdict.blocks(plan),
-        tables.schedule(plan),
-        tables.improvements(plan, result.machine),
-        tables.accuracies(plan),
+        *verdict_blocks(plan),
+        schedule(plan),
+        improvements(plan, result.machine),
+        accuracy_table(plan),
         *_effects(plan),
         *_virtual_machines(plan),
         *_pictures(plan),
@@ -55,16 +382,22 @@ def printed(result: StudyResult) -> list[Block]:
     plan = result.plan
     if plan is None or not has_schedule(plan):
         return []
-    return [tables.schedule(plan), tables.accuracies(plan)]
+    return [schedule(plan), accuracy_table(plan)]
 
 
 def _pictures(plan: PlanSection) -> list[Block]:
     return [
         Picture(
-            "plan_stages", lambda: stage_accuracy.draw(plan), _accuracy_caption(plan)
+            "plan_stages",
+            lambda: figures.draw_accuracies(plan),
+            _accuracy_caption(plan),
         ),
-        Picture("plan_timeline", lambda: timeline.draw(plan), _schedule_caption(plan)),
-        Picture("plan_front", lambda: pareto.draw(plan), _front_caption(plan)),
+        Picture(
+            "plan_timeline",
+            lambda: figures.draw_timeline(plan),
+            _schedule_caption(plan),
+        ),
+        Picture("plan_front", lambda: figures.draw_front(plan), _front_caption(plan)),
     ]
 
 
@@ -149,7 +482,7 @@ def _alternatives(plan: PlanSection) -> list[Block]:
     """A table of plans, and the alternatives that are stored as sentences."""
     described = [entry for entry in plan.alternatives if isinstance(entry, str)]
     sentences = headed_list("Alternatives considered:", text.sentences(described))
-    others = pareto.alternatives(plan)
+    others = figures.alternatives(plan)
     if not others:
         return sentences
     columns = [
@@ -159,7 +492,7 @@ def _alternatives(plan: PlanSection) -> list[Block]:
     ]
     rows = [
         [
-            wording.measurements(other),
+            measurements(other),
             text.number(other.minutes),
             text.number(other.value),
             text.sentence(other.why) or text.MISSING,
@@ -171,7 +504,7 @@ def _alternatives(plan: PlanSection) -> list[Block]:
         if plan.goal
         else "remaining share of the error"
     )
-    cost, of_plan = wording.minutes(plan.cost), text.number(plan.value)
+    cost, of_plan = minutes(plan.cost), text.number(plan.value)
     caption = (
         f"Plans that were considered and not taken. Value: {value}, smaller is better."
         f" The plan itself: {cost}, value {of_plan}."
@@ -226,11 +559,11 @@ def _improved(key: str, gains: dict[str, float]) -> str:
 
 def _schedule_caption(plan: PlanSection) -> str:
     """How long the plan takes, and how much of the budget remains."""
-    cost, budget = wording.minutes(plan.cost), wording.budget_share(plan)
+    cost, budget = minutes(plan.cost), budget_share(plan)
     caption = f"The stages over time: {cost}{budget}."
     if plan.budget_min is None or plan.budget_min - plan.cost <= NO_TIME:
         return caption
-    return f"{caption} {wording.minutes(plan.budget_min - plan.cost)} remain."
+    return f"{caption} {minutes(plan.budget_min - plan.cost)} remain."
 
 
 def _front_caption(plan: PlanSection) -> str:
@@ -242,14 +575,14 @@ def _front_caption(plan: PlanSection) -> str:
         )
     if plan.bound is not None:
         sentences.append("No plan within the budget lies in the shaded region.")
-    points = pareto.points(plan.front)
+    points = figures.points(plan.front)
     if len(points) > 1:
         (first, start), (last, end) = points[0], points[-1]
         sentences.append(
-            f"From {wording.minutes(first)} to {wording.minutes(last)} the value falls"
+            f"From {minutes(first)} to {minutes(last)} the value falls"
             f" from {text.number(start)} to {text.number(end)}."
         )
-    more = len(plan.compared) - pareto.MOST
+    more = len(plan.compared) - figures.MAX_PARETO_PLANS
     if more > 0:
         sentences.append(f"{more} more sequences are in the table only.")
     return " ".join(sentences)
@@ -309,14 +642,13 @@ def _comparison(compared: Sequence[SequenceRecord]) -> Table:
     keys = list(dict.fromkeys(key for plan in plans for key in plan.accuracy))
     rows, marks = [], []
     for record in compared:
-        best = wording.measurements(record.plan)
+        best = measurements(record.plan)
         rows.append(_row(record.name, record.sequence, "", keys))
         rows.append(_row(best, record.plan, text.number(record.bound), keys))
         marks += ["", "chosen"]
         if record.gain:
             factors = [
-                text.times(stage_accuracy.component_label(record.gain, key))
-                for key in keys
+                text.times(figures.component_label(record.gain, key)) for key in keys
             ]
             rows.append(["… times as accurate", "", "", "", *factors])
             marks.append("chosen")
@@ -337,4 +669,4 @@ def _row(
     name: str, plan: AlternativePlan, bound: str, keys: Sequence[str]
 ) -> list[str]:
     head = [name, text.number(plan.minutes), text.number(plan.value), bound]
-    return [*head, *wording.cells(plan.accuracy, keys)]
+    return [*head, *cells(plan.accuracy, keys)]

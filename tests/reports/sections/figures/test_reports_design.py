@@ -23,8 +23,7 @@ from oed.result import (
 from pkm_reports import style
 from pkm_reports.page import build_document, render_pdf
 from pkm_reports.sections import plan
-from pkm_reports.sections.design import chapter
-from pkm_reports.sections.figures import criteria, path, robust
+from pkm_reports.sections.design import chapter, criteria
 
 pytestmark = pytest.mark.pictures
 
@@ -231,11 +230,11 @@ def test_the_path_takes_the_coordinates_that_vary_most() -> None:
         }
         for k in range(3)
     ]
-    plane = path.choose_plane(_poses(commands))
+    plane = plan.choose_plane(_poses(commands))
     assert plane is not None
     assert plane.names == ("a_mm", "d_deg")
     along_b = _poses([{"a_mm": 5.0, "b_mm": 1.0 * k} for k in range(3)])
-    single = path.choose_plane(along_b)
+    single = plan.choose_plane(along_b)
     assert single is not None
     assert single.names == ("reading", "b_mm")
 
@@ -249,17 +248,17 @@ def test_a_way_over_a_full_turn_is_the_short_one() -> None:
         ]
     )
     with style.applied():
-        axes = path.draw(poses).axes[0]
+        axes = plan.draw_path(poses).axes[0]
     ends = [np.array(line.get_xydata()) for line in axes.lines]
     segments = [points for points in ends if len(points) == 2]
     lengths = [float(np.ptp(points[:, 1])) for points in segments]
     assert lengths == pytest.approx([30.0, 30.0, 100.0])
     low, high = axes.get_ylim()
     assert high - low == pytest.approx(360.0)
-    plane = path.choose_plane(poses)
+    plane = plan.choose_plane(poses)
     assert plane is not None
-    assert path.crosses_edge(plane, ["a", "a", "a"])
-    assert not path.crosses_edge(plane, ["a", "b", "b"])
+    assert plan.crosses_edge(plane, ["a", "a", "a"])
+    assert not plan.crosses_edge(plane, ["a", "b", "b"])
 
 
 @pytest.mark.parametrize("count", [12, 90, 400])
@@ -270,7 +269,7 @@ def test_numbers_of_the_path_do_not_overlap(count: int) -> None:
         for _ in range(count)
     ]
     with style.applied():
-        figure = path.draw(_poses(commands))
+        figure = plan.draw_path(_poses(commands))
         figure.draw_without_rendering()
         notes = figure.axes[0].texts
         patches = [note.get_bbox_patch() for note in notes]
@@ -301,7 +300,7 @@ def test_the_figure_shows_the_share_of_scenarios() -> None:
         nominal_values=[quarter],
     )
     with style.applied():
-        axes = robust.draw(summary).axes[0]
+        axes = chapter.draw_robust(summary).axes[0]
     steps = {line.get_label(): np.array(line.get_xydata()) for line in axes.lines}
     of_robust = steps["robust plan, each scenario"]
     np.testing.assert_allclose(of_robust, [[50.0, 50.0], [100.0, 100.0]])

@@ -15,23 +15,17 @@ from report_fixture import check_inside, result_of
 from oed.result import Drawing
 from pkm_reports import style
 from pkm_reports.page import build_document, render_html, render_pdf
-from pkm_reports.sections.figures import (
+from pkm_reports.sections import (
     accuracy,
-    budget,
-    corner,
-    criteria,
     held_out,
-    how_many,
+    identifiability,
+    identification,
     kappa,
-    machine,
-    parameters,
-    path,
-    predicted,
-    residuals,
-    robust,
-    singular_values,
-    workspace,
+    plan,
 )
+from pkm_reports.sections import posterior as corner
+from pkm_reports.sections.design import chapter, criteria, plans
+from pkm_reports.sections.figures import machine
 
 pytestmark = pytest.mark.pictures
 
@@ -64,21 +58,21 @@ def _empty_figures() -> list[Callable[[], Figure]]:
     no_scenario = replace(design.robust, values=[None], nominal_values=[])
     no_size = replace(design.how_many, sizes=[10, 20], accuracy={"z_um": [None, None]})
     return [
-        lambda: machine.draw(Drawing([], [], [], [])),
-        lambda: kappa.draw([no_value]),
-        lambda: singular_values.draw(no_direction),
-        lambda: parameters.draw({}),
-        lambda: residuals.draw(no_residual),
-        lambda: corner.draw(no_draw),
-        lambda: accuracy.draw(no_component),
-        lambda: budget.draw({"x": no_budget}),
-        lambda: workspace.draw(no_place),
-        lambda: held_out.draw([no_reading]),
-        lambda: criteria.draw(no_criterion),
-        lambda: predicted.draw([no_prediction]),
-        lambda: path.draw([no_command]),
-        lambda: robust.draw(no_scenario),
-        lambda: how_many.draw(no_size),
+        lambda: machine.draw_machine(Drawing([], [], [], [])),
+        lambda: kappa.draw_kappa([no_value]),
+        lambda: identifiability.draw_singular_values(no_direction),
+        lambda: identification.draw_parameters({}),
+        lambda: identification.draw_residuals(no_residual),
+        lambda: corner.draw_corner(no_draw),
+        lambda: accuracy.draw_components(no_component),
+        lambda: accuracy.draw_budget({"x": no_budget}),
+        lambda: accuracy.draw_workspace(no_place),
+        lambda: held_out.draw_residuals([no_reading]),
+        lambda: criteria.draw_efficiencies(no_criterion),
+        lambda: plans.draw_predicted([no_prediction]),
+        lambda: plan.draw_path([no_command]),
+        lambda: chapter.draw_robust(no_scenario),
+        lambda: chapter.draw_how_many(no_size),
     ]
 
 
@@ -105,17 +99,17 @@ def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> N
     assert prediction is not None
     with style.applied():
         for figure in (
-            machine.draw(full.drawing),
-            singular_values.draw(full.identifiability),
-            parameters.draw(full.estimate.parameters),
-            accuracy.draw(prediction),
-            budget.draw(prediction.components),
-            workspace.draw(prediction),
-            criteria.draw(design),
-            predicted.draw(design.plans),
-            path.draw(design.poses),
-            robust.draw(design.robust),
-            how_many.draw(design.how_many),
+            machine.draw_machine(full.drawing),
+            identifiability.draw_singular_values(full.identifiability),
+            identification.draw_parameters(full.estimate.parameters),
+            accuracy.draw_components(prediction),
+            accuracy.draw_budget(prediction.components),
+            accuracy.draw_workspace(prediction),
+            criteria.draw_efficiencies(design),
+            plans.draw_predicted(design.plans),
+            plan.draw_path(design.poses),
+            chapter.draw_robust(design.robust),
+            chapter.draw_how_many(design.how_many),
         ):
             check_inside(figure)
 
@@ -137,7 +131,7 @@ def test_a_plan_of_other_machines_is_drawn(names: tuple[str, ...]) -> None:
     prediction = result_of(raw).prediction
     assert prediction is not None
     with style.applied():
-        assert workspace.draw(prediction).axes
+        assert accuracy.draw_workspace(prediction).axes
 
 
 def test_a_figure_of_many_marks_becomes_pixels() -> None:
