@@ -32,7 +32,7 @@ import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, hexapod_poses
 from oed.measurement import Measurement, Series
-from oed.mechanism.compiled import lanes
+from oed.mechanism import compiled as lanes
 from pkm_models.machines.hexapod import machine
 from readings import plan
 

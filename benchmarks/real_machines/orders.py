@@ -19,7 +19,7 @@ import msgspec
 from oed.planning import StagePlan
 from pkm_studies import shipped
 from pkm_studies.resolve import resolve
-from pkm_studies.stages.plan.comparison import predict_readings
+from pkm_studies.stages.plan.plan import predict_readings
 from pkm_studies.stages.plan.task import build_task
 from pkm_studies.study import load
 

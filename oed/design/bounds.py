@@ -15,12 +15,12 @@ import numpy as np
 
 from oed.base import Array
 from oed.design import condition, relaxation
+from oed.design.blocks import NO_ROUNDING, Rounding, quotient_error
 from oed.design.copies import find_copies
 from oed.design.forms import Criterion
 from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
-from oed.design.whitening import NO_ROUNDING, Rounding, quotient_error
 
 #: duality gap from which a conic solver's answer counts as inexact, in log phi
 INEXACT_GAP = 1e-3

@@ -20,11 +20,15 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import (
+    NO_ROUNDING,
+    Rounding,
     Spectrum,
+    WhiteCandidates,
     block_array,
     information,
     project_orthonormal,
     spectrum,
+    whiten,
 )
 from oed.design.bounds import bound, condition_bound
 from oed.design.catalogue import CRITERIA
@@ -33,7 +37,6 @@ from oed.design.forms import Criterion, Determinant, ExtremeEigenvalues, Varianc
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
-from oed.design.whitening import NO_ROUNDING, Rounding, WhiteCandidates, whiten
 
 #: plans that are looked at, at most
 MAX_ENUMERATED_PLANS = 100_000

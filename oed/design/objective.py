@@ -33,9 +33,8 @@ from typing import Protocol
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import information
+from oed.design.blocks import NO_ROUNDING, Rounding, gamma, information
 from oed.design.forms.protocol import Criterion, weight_gradient
-from oed.design.whitening import NO_ROUNDING, Rounding, gamma
 
 #: allowance for the rounding of a line's logarithms, in log phi
 LOG_ROUNDING = 1e-12

@@ -27,7 +27,15 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import block_array, information
+from oed.design.blocks import (
+    NO_ROUNDING,
+    Rounding,
+    block_array,
+    gamma,
+    information,
+    is_ill_conditioned,
+    whiten,
+)
 from oed.design.forms import Criterion, Determinant
 from oed.design.forms.determinant import log_det_of_gram
 from oed.design.objective import (
@@ -36,13 +44,6 @@ from oed.design.objective import (
     Objective,
     Tangent,
     knapsack_value,
-)
-from oed.design.whitening import (
-    NO_ROUNDING,
-    Rounding,
-    gamma,
-    is_ill_conditioned,
-    whiten,
 )
 
 #: Newton steps in a call, at the most

@@ -13,14 +13,20 @@ part in the directions that no reading determines.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
-from oed.base import Array
-from oed.estimation.coordinates import ReadingsProblem
-from oed.estimation.discrepancy import Discrepancy
-from oed.estimation.effects_stage import stage_with_effects
+from oed.base import Array, Index
+from oed.estimation.coordinates import IdentifiableCoordinates, ReadingsProblem
+from oed.estimation.discrepancy import (
+    Discrepancy,
+    EffectDraws,
+    SampledEffects,
+    sample_effects,
+)
 from oed.estimation.estimate import Estimate, add_warnings
 from oed.estimation.fit_stages import (
     IdentificationError,
@@ -30,11 +36,267 @@ from oed.estimation.fit_stages import (
 )
 from oed.estimation.fitter import PRECISION, minimise
 from oed.estimation.law_stage import (
+    integrate_settled,
     integrated_stage,
+    mode_of,
+    settle_law,
+    structure_and_prior,
 )
+from oed.linear_algebra import precision_root
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
-from oed.noise import Noise
+from oed.noise import Laws, Noise, ReadingStructure
+from oed.noise_law import NoisePrior, ResidualModel, robust_residuals
+
+# Parameters, effects and noise law together: the effects' draws.
+#
+# Residuals about nominal parameters are r = H z + G b + e, with z ~ N(0, I), the effects'
+# coefficients b of an uncertain common size and e of a noise law. In turn, size and
+# coefficients are drawn under a law (`oed.estimation.discrepancy`), and the most probable
+# law is found with the effects at the sizes drawn. A large error can pass for noise or for an
+# effect: both the stated law and that of a fit without effects are starts, weighed by evidence.
+
+#: rounds of effects and law
+N_ROUNDS = 3
+#: draws of the effects in a round: their root mean square is known to a tenth
+ROUND_DRAWS = 150
+#: draws of the effects at the end: they are those of the result
+N_DRAWS = 400
+#: singular values of the effects' columns, over the noise, below which they are left out
+#: of the covariance
+MIN_SIZE = 0.1
+
+
+def stage_with_effects(
+    fit: ReadingsFit,
+    stated: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+    discrepancy: Discrepancy,
+    rng: np.random.Generator,
+    near: Estimate | None,
+) -> Estimate:
+    """The last stage from theta (n,), with effects and noise law integrated over."""
+    exact = last_stage(fit, stated, theta, start_residuals, patterns)
+    structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
+    mode = mode_of(near, prior)
+    if mode is None:
+        settled = settle_law(fit, stated, exact, structure, prior)
+        theta = settled.coordinates.to_theta(settled.model.centre)
+        mode = settled.mode
+    starts: list[tuple[Array, Array | None]] = [(theta, mode)]
+    if not discrepancy.is_small:  # what is large can pass for noise
+        starts.insert(0, (exact.theta, None))
+    alternation = _Alternation(fit, exact, structure, prior, discrepancy, rng)
+    fits = [alternation.run(*start) for start in starts]
+    weights = special.softmax([one.log_evidence for one in fits])
+    number = rng.choice(len(fits), size=N_DRAWS, p=weights)
+    best = fits[int(np.argmax(weights))]
+    parts = [one.taken(np.flatnonzero(number == k)) for k, one in enumerate(fits)]
+    coefficients, sizes, thetas, means = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
+    sampled = SampledEffects(
+        discrepancy=discrepancy,
+        coefficients=coefficients,
+        size=sizes,
+        theta=thetas,
+        log_evidence=best.log_evidence - alternation.log_evidence_without(best),
+    )
+    theta = fit.closing(exact.theta, means.mean(axis=0))
+    offsets = means - means.mean(axis=0)
+    covariance = _mean_covariance(weights, fits) + offsets.T @ offsets / len(offsets)
+    first = dataclasses.replace(exact, theta=theta)
+    wide = dataclasses.replace(structure, effects=alternation.widened(sizes))
+    final = settle_law(fit, stated, first, wide, prior, best.mode)
+    estimate = integrate_settled(fit, first, final)
+    null = estimate.coordinates.null_basis
+    residuals = fit.residuals(theta)
+    white = stated.whiten(residuals - sampled.changes)
+    law_alone = prior.laws(best.mode[None]).noise(structure)
+    jacobian = fit.measurement.jacobian(fit.series, theta)
+    return dataclasses.replace(
+        estimate,
+        theta=theta,
+        chi2=float(white @ white),
+        dof=len(fit.y) - sampled.freedom(law_alone, jacobian),
+        z=estimate.coordinates.from_theta(theta),
+        covariance=covariance + null @ null.T,
+        residuals=residuals,
+        effects=sampled,
+    )
+
+
+def _mean_covariance(weights: Array, fits: Sequence[_Settled]) -> Array:
+    """Covariance (n, n) of the parameters within fits, by their weights."""
+    parts = zip(weights, fits, strict=True)
+    return np.asarray(sum(w * one.parameter_covariance() for w, one in parts))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _LinearReadings:
+    """Standardised readings to first order about some parameters.
+
+    coordinates  identifiable ones, z (r,)
+    residual     (N,) about nominal parameters, z = 0
+    slopes       (N, r) over z
+    """
+
+    coordinates: IdentifiableCoordinates
+    residual: Array
+    slopes: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Settled:
+    """Draws of effects under a most probable law, and their evidence.
+
+    clean       (N,) residuals about nominal, with those far off replaced
+    z, means    (m, r) of the coordinates, drawn given each draw of the effects, and means
+    root        (r, r) of the covariance of z given the effects
+    """
+
+    linear: _LinearReadings
+    clean: Array
+    draws: EffectDraws
+    z: Array
+    means: Array
+    root: Array
+    mode: Array
+    log_evidence: float
+
+    def taken(self, rows: Index) -> tuple[Array, Array, Array, Array]:
+        """Coefficients, sizes, parameters and mean parameters of some draws."""
+        draws, to_theta = self.draws, self.linear.coordinates.to_theta
+        return (
+            draws.coefficients[rows],
+            draws.size[rows],
+            to_theta(self.z[rows]),
+            to_theta(self.means[rows]),
+        )
+
+    def parameter_covariance(self) -> Array:
+        """Covariance (n, n) of the parameters given the effects, SI."""
+        spread = self.linear.coordinates.basis @ self.root
+        return np.asarray(spread @ spread.T)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Alternation:
+    """Effects and law in turn."""
+
+    fit: ReadingsFit
+    exact: Estimate
+    structure: ReadingStructure
+    prior: NoisePrior
+    discrepancy: Discrepancy
+    rng: np.random.Generator
+
+    @functools.cached_property
+    def columns(self) -> Array:
+        """Columns (N, k) of the effects, standardised."""
+        return self.structure.standardise(self.discrepancy.columns)
+
+    def linearise(self, theta: Array) -> _LinearReadings:
+        """Readings about parameters (n,), or nearer to those without effects."""
+        fit = self.fit
+        theta = fit.closing(self.exact.theta, theta)
+        coordinates = fit.coordinates(theta, self.exact.noise, self.exact.prior_sd)
+        residual, slopes = fit.linearise(self.structure, coordinates, theta)
+        about_nominal = residual + slopes @ coordinates.from_theta(theta)
+        return _LinearReadings(coordinates, about_nominal, slopes)
+
+    def run(self, theta: Array, mode: Array | None) -> _Settled:
+        """From parameters (n,) and coordinates (d,) of a law; None: the stated one."""
+        law = Laws.stated(self.structure)
+        if mode is None:
+            mode = np.zeros(len(self.prior.names))
+        else:
+            law = self.prior.laws(mode[None])
+        linear = self.linearise(theta)
+        gram = self._gram(law, linear, linear.residual)
+        draws = self._draw(gram, ROUND_DRAWS)
+        for _ in range(N_ROUNDS):
+            linear = self.linearise(theta)
+            clean = self._clean(law, linear, draws)
+            draws = self._draw(self._gram(law, linear, clean), ROUND_DRAWS)
+            slopes = np.hstack([linear.slopes, self.widened(draws.size)])
+            mode = self._most_probable_law(slopes, clean, mode)
+            law = self.prior.laws(mode[None])
+            gram = self._gram(law, linear, clean)
+            means, _ = self._coordinates(gram, draws)
+            theta = linear.coordinates.to_theta(means.mean(axis=0))
+        draws = self._draw(gram, N_DRAWS)
+        means, root = self._coordinates(gram, draws)
+        z = means + self.rng.standard_normal(means.shape) @ root.T
+        evidence = self._log_evidence(linear, clean, mode) + draws.log_evidence
+        return _Settled(linear, clean, draws, z, means, root, mode, evidence)
+
+    def log_evidence_without(self, fit: _Settled) -> float:
+        """Log evidence without effects, under its own most probable law."""
+        mode = self._most_probable_law(fit.linear.slopes, fit.clean, fit.mode)
+        return self._log_evidence(fit.linear, fit.clean, mode)
+
+    def widened(self, size: Array) -> Array:
+        """Principal columns (N, k) that count, at the root mean square of sizes (m,)."""
+        scaled = np.sqrt((size**2).mean()) * self.columns
+        squares, axes = np.linalg.eigh(scaled.T @ scaled)
+        return np.asarray(scaled @ axes[:, squares > MIN_SIZE**2])
+
+    def _clean(self, law: Laws, linear: _LinearReadings, draws: EffectDraws) -> Array:
+        """Residuals (N,) about nominal, with those far off replaced."""
+        structure = dataclasses.replace(
+            self.structure, effects=self.widened(draws.size)
+        )
+        return robust_residuals(structure, law, linear.residual, linear.slopes)
+
+    def _gram(self, law: Laws, linear: _LinearReadings, clean: Array) -> Array:
+        """Products, under a law, of the r slopes, clean residuals and effects' columns."""
+        values = np.column_stack([linear.slopes, clean, self.columns])
+        return np.asarray(law.whitening(self.structure).gram(values)[0])
+
+    def _draw(self, gram: Array, count: int) -> EffectDraws:
+        """Draws of the effects, with the parameters integrated out."""
+        r = len(gram) - 1 - self.columns.shape[1]
+        precision = gram[:r, :r] + np.eye(r)
+        reduced = gram[r:, r:] - gram[r:, :r] @ np.linalg.solve(precision, gram[:r, r:])
+        return sample_effects(
+            0.5 * (reduced[1:, 1:] + reduced[1:, 1:].T),
+            reduced[1:, 0],
+            self.discrepancy.sizes,
+            self.rng,
+            count,
+        )
+
+    def _most_probable_law(self, slopes: Array, clean: Array, near: Array) -> Array:
+        """Coordinates (d,) of the most probable law, unknowns of slopes integrated out."""
+        return self._model(slopes, clean, near).most_probable(self.prior, near)
+
+    def _log_evidence(
+        self, linear: _LinearReadings, clean: Array, mode: Array
+    ) -> float:
+        """Log evidence without effects under a law at coordinates (d,), with their prior."""
+        model = self._model(linear.slopes, clean, mode)
+        solved = model.solve(self.prior.laws(mode[None]))
+        return float(solved.log_marginal[0]) - 0.5 * float(mode @ mode)
+
+    def _model(self, slopes: Array, clean: Array, mode: Array) -> ResidualModel:
+        """Clean residuals as a linear model about its solution under a law."""
+        middle = np.zeros(slopes.shape[1])
+        model = ResidualModel(self.structure, clean, slopes, middle)
+        centre = model.solve(self.prior.laws(mode[None])).mean[0]
+        residual = clean - slopes @ centre
+        return ResidualModel(self.structure, residual, slopes, centre)
+
+    def _coordinates(self, gram: Array, draws: EffectDraws) -> tuple[Array, Array]:
+        """Means (m, r) of z given each draw of the effects, and root (r, r) of its
+        covariance.
+        """
+        r = len(gram) - 1 - self.columns.shape[1]
+        root = precision_root(gram[:r, :r] + np.eye(r))
+        score = gram[:r, r, None] - gram[:r, r + 1 :] @ draws.coefficients.T
+        return np.asarray((score.T @ root) @ root.T), root
 
 
 def identify(

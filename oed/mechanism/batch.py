@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from oed.base import Array
-from oed.mechanism.compiled.lanes import Adjoint, Evaluation, LaneJob, Newton, compiled
+from oed.mechanism.compiled import Adjoint, Evaluation, LaneJob, Newton, compiled
 from oed.mechanism.graph import Graph, read_graph
 from oed.mechanism.tape import (
     AdjointRows,

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from oed.planning.prediction import PlanStage
     from oed.planning.search import PlanSearchResult, search_plan
     from oed.planning.stage_plan import (
+        PlanStreams,
         StageMemory,
         StagePlan,
         covariance_of_all,
         predict_plan,
     )
-    from oed.planning.streams import PlanStreams
     from oed.planning.virtual_machines import StageRealisation, propagate
 else:
     # imported when first used: fits of virtual machines take time to load

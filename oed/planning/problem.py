@@ -18,8 +18,7 @@ from oed.planning.goal import Goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
 from oed.planning.prediction import MACHINE_DRAWS, PlanStage, predict_stage
-from oed.planning.stage_plan import StageMemory, StagePlan
-from oed.planning.streams import PlanStreams
+from oed.planning.stage_plan import PlanStreams, StageMemory, StagePlan
 
 #: capture probability below which a candidate is not worth a look
 MIN_PROBABILITY = 1e-3

@@ -258,7 +258,7 @@ def run_jobs(
 ) -> Iterator[Row]:
     """Store the row of each job that `work` computes, and yield it, as they come.
 
-    workers, scheduler  see `pool.results`
+    workers, scheduler  see `pool_results`
     batch               jobs that a process takes at once: neighbours may share what is
                         expensive to prepare
     """

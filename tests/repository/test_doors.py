@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,3 +69,17 @@ def test_each_name_of_a_door_has_a_sentence(room: str) -> None:
         assert not (file.parent / f"{name}.py").exists()
         assert not (file.parent / name).is_dir()
     assert (file.parent / "README.md").is_file()
+
+
+def _readmes() -> list[Path]:
+    tops = ("oed", "models", "studies", "reports")
+    return sorted(file for top in tops for file in (ROOT / top).rglob("README.md"))
+
+
+@pytest.mark.parametrize("readme", _readmes(), ids=lambda file: file.parent.name)
+def test_a_readme_names_modules_that_exist(readme: Path) -> None:
+    text = readme.read_text(encoding="utf-8")
+    named = re.findall(r"`([\w/]+\.py)`", text)
+    folders = (readme.parent, ROOT, ROOT / "studies")
+    known = [n for n in named if any((folder / n).is_file() for folder in folders)]
+    assert known == named

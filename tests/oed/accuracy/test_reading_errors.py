@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel.dense_noise import dense_covariance
-from oed.accuracy.reading_errors import (
+from oed.accuracy.budget import (
     BEYOND,
     CARRIED,
     LEVELS,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from oed.design import CRITERIA, choose, condition, relaxation
+from oed.design.blocks import whiten
 from oed.design.forms.determinant import Determinant
 from oed.design.objective import CriterionObjective
-from oed.design.whitening import whiten
 
 DIRECTIONS, SIZE, COUNT = 8, 14, 200
 

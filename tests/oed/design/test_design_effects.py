@@ -14,7 +14,7 @@ from result_sample import whole
 from oed.design import Candidates, Nuisances, choose
 from oed.result import AllowedEffects
 from pkm_studies.base import InputError
-from pkm_studies.stages.design.phrases import design_sentences
+from pkm_studies.stages.headline import design_sentences
 
 EFFECTS = 'effects = ["encoder_scale", "pitch_accumulation"]\n'
 

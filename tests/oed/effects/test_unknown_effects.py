@@ -5,7 +5,7 @@ import pytest
 from effects_sample import session
 
 from oed.effect_model import Column, State
-from oed.effects.unknown_effects import (
+from oed.effects.columns import (
     TIME_TERMS,
     UNIT_SIZE,
     WORKSPACE_TERMS,

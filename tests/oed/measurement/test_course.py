@@ -7,7 +7,7 @@ import pytest
 
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.accuracy.reading_errors import COURSE, errors_of_readings
+from oed.accuracy.budget import COURSE, errors_of_readings
 from oed.measurement.noise_structure import course_terms
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import NoisePrior

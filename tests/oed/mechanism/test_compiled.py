@@ -10,8 +10,8 @@ import pytest
 
 from kernel.mechanism.compiling import compiled, compiled_files, needs_compiler
 from oed.mechanism import BatchedFunction, batch, begin_job, newton
+from oed.mechanism import compiled as lanes
 from oed.mechanism.batch import CompileSettingError, CompileSwitch
-from oed.mechanism.compiled import lanes
 from oed.mechanism.tape import SolvedSystems
 
 __all__ = ["compiled_files"]

@@ -15,7 +15,7 @@ import pytest
 
 from kernel.mechanism.compiling import compiled, needs_compiler
 from oed.mechanism import BatchedFunction
-from oed.mechanism.compiled import compiler, lanes
+from oed.mechanism import compiled as compiler
 
 pytestmark = needs_compiler
 X = ca.SX.sym("x", 2)
@@ -23,7 +23,7 @@ POINTS = np.array([[1.0, 2.0], [3.0, 4.0]])
 PROGRAM = """
 import sys, time
 from pathlib import Path
-from oed.mechanism.compiled import compiler
+from oed.mechanism import compiled as compiler
 folder, text, start = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
 compiler.cache_folder = lambda: folder
 time.sleep(max(0.0, start - time.time()))
@@ -54,7 +54,7 @@ def runs_compiled() -> bool:
     """Whether a function is compiled now; its values hold in any case."""
     function = compiled(lambda: BatchedFunction("f", [X], [2.0 * X]))
     np.testing.assert_array_equal(function(POINTS)[0], 2.0 * POINTS)
-    return function._compiled[lanes.Evaluation] is not None
+    return function._compiled[compiler.Evaluation] is not None
 
 
 def test_a_text_is_compiled_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

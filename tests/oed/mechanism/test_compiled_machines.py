@@ -18,7 +18,7 @@ from kernel.mechanism.compiling import (
 )
 from oed.measurement import Measurement
 from oed.mechanism import AssemblyError, Kinematics
-from oed.mechanism.compiled import lanes
+from oed.mechanism import compiled as lanes
 from oed.model import Machine
 
 __all__ = ["compiled_files"]

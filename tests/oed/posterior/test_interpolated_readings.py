@@ -11,7 +11,7 @@ from oed.corrected import MeasurementWithEffects
 from oed.estimation import identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.posterior import LogDensity, interpolated_readings
+from oed.posterior import LogDensity, log_density
 
 #: readings of a circle
 COUNT = 600
@@ -68,7 +68,7 @@ def test_the_density_of_traces_is_that_of_all_readings(effect: bool) -> None:
     points = target.starts(rng, 30)
     interpolated = target(points)
     readings = target._readings
-    assert isinstance(readings, interpolated_readings.InterpolatedReadings)
+    assert isinstance(readings, log_density.InterpolatedReadings)
     assert len(readings.rows) < 0.15 * 2 * COUNT
     target.__dict__["_readings"] = target._exact
     assert interpolated == pytest.approx(target(points), abs=1e-3)
@@ -119,7 +119,5 @@ def test_few_readings_are_exact() -> None:
     def exact(theta: Array) -> Array:
         return np.tile(theta.sum(axis=1, keepdims=True), (1, 10))
 
-    readings = interpolated_readings.interpolate(
-        exact, lambda rows: exact, points, np.ones(10)
-    )
+    readings = log_density.interpolate(exact, lambda rows: exact, points, np.ones(10))
     assert readings is exact

@@ -23,7 +23,7 @@ from pkm_reports.sections.figures.gap import trace as gap_trace
 from pkm_reports.sections.gap import chapter, explanations
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
-from pkm_studies.stages.gap.section import gap_section
+from pkm_studies.stages.steps.gap import gap_section
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 

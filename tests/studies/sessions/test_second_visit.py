@@ -17,7 +17,7 @@ from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
 from pkm_reports.blocks import Paragraph, Table
 from pkm_reports.sections.gap import runs as chapter
 from pkm_studies.sessions import next_visit
-from pkm_studies.stages.gap import second_visit
+from pkm_studies.stages.steps import gap as second_visit
 from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
@@ -36,7 +36,7 @@ def visit(after: float) -> SecondVisitRecord:
 
 
 def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
-    sure, unsure = (second_visit.sentences(visit(p)) for p in (0.93, 0.6))
+    sure, unsure = (second_visit.second_visit_sentences(visit(p)) for p in (0.93, 0.6))
     assert "13 poses" in sure[0]
     assert "93 %" in sure[0]
     assert "now it is 50 %" in sure[0]
@@ -67,7 +67,9 @@ def test_the_report_has_the_visit_as_a_table() -> None:
 
 
 def worded(record: SecondVisitRecord) -> SecondVisitRecord:
-    return msgspec.structs.replace(record, words=second_visit.sentences(record))
+    return msgspec.structs.replace(
+        record, words=second_visit.second_visit_sentences(record)
+    )
 
 
 @pytest.mark.slow

@@ -22,8 +22,8 @@ from pkm_studies.stages.steps.readings import planned_series
 from pkm_studies.study import load
 
 
-def _labels(overview: object) -> dict[str, tuple[str, np.ndarray]]:
-    kinematics = Kinematics(overview)  # type: ignore[arg-type]
+def _labels(machine: object) -> dict[str, tuple[str, np.ndarray]]:
+    kinematics = Kinematics(machine)  # type: ignore[arg-type]
     x, q = kinematics.inverse(kinematics.machine.home_command)
     labels = drawing_labels.parameter_labels(kinematics, x[0], q[0])
     return {n: (lab.text, np.array(lab.at)) for lab in labels for n in lab.parameters}
@@ -55,8 +55,8 @@ def test_what_only_chooses_the_frame_has_no_label() -> None:
 
 
 @pytest.mark.parametrize("machine", [delta.machine, hexapod.machine])
-def test_every_parameter_of_other_machines_has_a_place(overview: object) -> None:
-    labels = _labels(overview)
+def test_every_parameter_of_other_machines_has_a_place(machine: object) -> None:
+    labels = _labels(machine)
     names = {p.name for p in machine.parameters}  # type: ignore[attr-defined]
     assert names - set(machine.frame) <= set(labels)  # type: ignore[attr-defined]
 

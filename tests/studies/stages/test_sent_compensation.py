@@ -18,8 +18,8 @@ from oed.effects import SessionStates
 from oed.result import CompensationName, MixtureSection
 from pkm_studies.earlier_result import controller_values, corrects_effects
 from pkm_studies.stages.corrected.section import drop_tables
-from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.predict import knowledge
+from pkm_studies.stages.steps import mixture as sections
 
 machine = a3_head.machine
 

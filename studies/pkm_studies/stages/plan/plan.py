@@ -10,28 +10,253 @@ import numpy as np
 
 from oed import result, units
 from oed.base import Array, Index
+from oed.design import CRITERIA
 from oed.effects import PlannedEffects
+from oed.identifiability import assess
 from oed.planning import (
     Option,
     PlanSearchResult,
+    PlanStreams,
     StagePlan,
     StageRealisation,
+    covariance_of_all,
+    predict_plan,
     propagate,
 )
-from pkm_studies.base import Progress
+from pkm_studies.base import InputError, Progress
 from pkm_studies.resolve import PlanRequest, ResolvedStudy, named_effects
-from pkm_studies.stages.plan.comparison import compare_sequence, predict_readings
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.phrases import (
     accuracies,
+    loss_bound_text,
+    minutes,
     more_accurate,
     percent,
     time_difference,
 )
 from pkm_studies.stages.plan.section import PlanOutcome, build_outcome
-from pkm_studies.stages.plan.targets import describe_needs, missed_accuracy
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask, build_task
 from pkm_studies.stages.recording import PlanToRecord, recording_section
+
+# Targets out of reach: how far the best plan misses them, what would reach them.
+
+#: beam of the searches
+NARROW_SHARE = 2
+
+
+def describe_needs(task: PlanTask, search: PlanSearchResult) -> list[str]:
+    """What would have to change to reach the targets; empty where they are reached."""
+    if search.reached or not task.goal.has_targets:
+        return []
+    sentences = [_proof(task, search), _limit(task)]
+    double = 2.0 * task.budget
+    try:
+        longer = task.search(double, beam=NARROW_SHARE, loss=ANY_LOSS).most_accurate
+        sentences.append(_effect(longer, f"twice the time ({minutes(double)})"))
+    except ValueError:  # even twice the time pays for no measurement
+        pass
+    finer = [_half_noise(option) for option in task.request.options]
+    precise = task.search(options=finer, beam=NARROW_SHARE, loss=ANY_LOSS).most_accurate
+    sentences.append(_effect(precise, "half the noise"))
+    return sentences
+
+
+def missed_accuracy(task: PlanTask, covariance: Array, component: str) -> str:
+    """The accuracy that a component reaches, with its unit."""
+    parts = []
+    for key, value in task.accuracy(covariance).items():
+        name, _, unit = key.rpartition("_")
+        if name == component:
+            parts.append(f"{component} only to {value:.3g} {unit}")
+    return ", ".join(parts)
+
+
+def _proof(task: PlanTask, search: PlanSearchResult) -> str:
+    """How far the best plan misses the targets, and whether a better one can exist."""
+    text = (
+        f"Out of reach in {minutes(task.budget)}: the best plan misses the target of"
+        f" the worst component by a factor of {search.most_accurate.value:.3g}"
+    )
+    bound = search.bound.value
+    if bound > 1.0:
+        return f"{text}, and no plan of these measurements gets below {bound:.3g} (proven)."
+    return f"{text}; a plan that reaches it is not excluded (bound {bound:.3g})."
+
+
+def _limit(task: PlanTask) -> str:
+    """What all candidate readings together leave: the limit of these measurements."""
+    covariance = covariance_of_all(task.request.options, task.start)
+    value = task.goal.value(covariance)
+    if value <= 1.0:
+        return (
+            "All readings of all measurements together would reach it if none were lost"
+            f" ({value:.3g} of the target)."
+        )
+    return (
+        "Even all readings of all measurements together miss it by a factor of"
+        f" {value:.3g}: it takes a set-up or an instrument that sees what these do not"
+        f" ({_all_missed(task, covariance)})."
+    )
+
+
+def _effect(plan: StagePlan, change: str) -> str:
+    """Whether a change is enough."""
+    names = ", ".join(plan.names)
+    if plan.value <= 1.0:
+        return f"{change.capitalize()} is enough ({names})."
+    return (
+        f"{change.capitalize()} is not enough: a factor of {plan.value:.3g} is missing"
+        f" ({names})."
+    )
+
+
+def _half_noise(option: Option) -> Option:
+    """The option with half the noise."""
+    candidates = option.candidates
+    finer = dataclasses.replace(candidates, blocks=2.0 * candidates.blocks)
+    return dataclasses.replace(option, candidates=finer)
+
+
+def _all_missed(task: PlanTask, covariance: Array) -> str:
+    """The components that miss their target."""
+    shares = zip(task.goal.names, task.goal.accuracy(covariance), strict=True)
+    missed = [name for name, share in shares if share > 1.0]
+    return ", ".join(missed_accuracy(task, covariance, name) for name in missed)
+
+
+# Sequences of measurements from the study, compared with the best plan of their time.
+#
+# A sequence takes all readings of each measurement. Where they take longer than the
+# budget, it takes the best readings within it.
+
+#: share by which times and values may differ and count as the same
+SAME_VALUE = 1e-6
+
+
+def compare_sequence(
+    task: PlanTask, names: Sequence[str], search: PlanSearchResult
+) -> result.SequenceRecord:
+    """A sequence's rank, indices, time and accuracy, and the best plan of its time.
+
+    Raises InputError where the time pays for none of its measurements.
+    """
+    sequence = predict_sequence(task, names)
+    seconds = sequence.seconds
+    if seconds > task.budget * (1.0 + SAME_VALUE):
+        sequence, seconds = _keep_within_budget(task, names, search), task.budget
+    best, bound = _best_plan(task, sequence, search, seconds)
+    readings = [s for stage in sequence.stages for s in stage.series]
+    measurement = task.resolved.measurement_with({s.setup for s in readings})
+    explained = assess(measurement, readings)
+    singular_values = explained.identifiability.identifiable_singular_values
+    return result.SequenceRecord(
+        name=", then ".join(names),
+        sequence=task.record(sequence),
+        rank=explained.identifiability.rank,
+        parameters=len(explained.names),
+        kappa=CRITERIA.index("kappa", singular_values),
+        weakest=float(singular_values[-1]),
+        observability=CRITERIA.observability(
+            singular_values, sum(len(s) for s in readings)
+        ),
+        lost=_lost_share(sequence),
+        plan=task.record(best),
+        gain=_gain(task, sequence, best),
+        bound=bound,
+        words=_sentence(task, sequence, best, bound, seconds),
+    )
+
+
+def predict_sequence(task: PlanTask, names: Sequence[str]) -> StagePlan:
+    """All candidates of each measurement, one measurement after the other."""
+    options = [task.request.option(name) for name in names]
+    return predict_readings(
+        task, [(option, np.arange(len(option.candidates))) for option in options]
+    )
+
+
+def predict_readings(
+    task: PlanTask, readings: Sequence[tuple[Option, Index]]
+) -> StagePlan:
+    """Some candidates of each measurement, one measurement after the other."""
+    streams = PlanStreams.seeded(task.seed)
+    return predict_plan(readings, task.goal, task.start, streams, task.stage_generator)
+
+
+def _keep_within_budget(
+    task: PlanTask, names: Sequence[str], search: PlanSearchResult
+) -> StagePlan:
+    """The best plan of these measurements alone within the budget."""
+    options = [task.request.option(name) for name in names]
+    try:
+        own_search = task.search(options=options, stages=len(options), loss=ANY_LOSS)
+    except ValueError as error:
+        raise task.location.key("compare").error(
+            str(error), "give more time, or compare others", list(names)
+        ) from error
+    plans = [own_search.most_accurate]
+    for plan in [search.best, search.most_accurate, *search.alternatives]:
+        if set(plan.names) <= set(names):
+            plans.append(plan)
+    return min(plans, key=lambda plan: plan.value)
+
+
+def _best_plan(
+    task: PlanTask, sequence: StagePlan, search: PlanSearchResult, seconds: float
+) -> tuple[StagePlan, float]:
+    """The most accurate plan in a time, the sequence among them, and the bound."""
+    if abs(seconds - task.budget) > SAME_VALUE * task.budget:
+        try:
+            search = task.search(seconds * (1.0 + SAME_VALUE))
+        except ValueError as error:
+            raise InputError(
+                str(error), "compare a sequence that takes longer", field="plan.compare"
+            ) from error
+    best = min(search.most_accurate, sequence, key=lambda plan: plan.value)
+    return best, search.bound.value
+
+
+def _lost_share(plan: StagePlan) -> float:
+    """Expected share of all chosen candidates that are lost."""
+    chosen = sum(len(stage.chosen) for stage in plan.stages)
+    lost = sum((1.0 - stage.probability).sum() for stage in plan.stages)
+    return float(lost) / chosen
+
+
+def _gain(task: PlanTask, sequence: StagePlan, best: StagePlan) -> dict[str, float]:
+    """Factor by which the best plan is more accurate, for each component."""
+    after = task.accuracy_after(best)
+    return {
+        name: value / after[name]
+        for name, value in task.accuracy_after(sequence).items()
+        if after.get(name, 0.0) > 0.0
+    }
+
+
+def _sentence(
+    task: PlanTask,
+    sequence: StagePlan,
+    best: StagePlan,
+    bound: float,
+    seconds: float,
+) -> str:
+    time = minutes(seconds)
+    if best is sequence or sequence.value < best.value * (1.0 + SAME_VALUE):
+        loss = max(sequence.value / bound - 1.0, 0.0)
+        return (
+            f"The search finds no better plan of {time}; none is more than"
+            f" {loss_bound_text(loss)}."
+        )
+    gain = more_accurate(sequence.value, best.value)
+    text = f"In {time}, {', then '.join(best.names)} is {gain}"
+    if task.goal.has_targets and best.value > 1.0 and bound > 1.0:
+        return (
+            f"{text}; the target is out of reach in that time (proven: it is missed by"
+            f" a factor of at least {bound:.3g})."
+        )
+    loss = max(best.value / bound - 1.0, 0.0)
+    return f"{text}; no plan of that time is more than {loss_bound_text(loss)}."
+
 
 # The plan for a machine without effects, on a machine that has them.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from oed import posterior
 from oed.base import Array
-from oed.checks import goodness_of_delivered
+from oed.checks import PHYSICAL_KINDS, CheckFinding, Severity, goodness_of_delivered
 from oed.corrected import (
     CorrectedEstimate,
     EffectReadings,
@@ -23,7 +23,10 @@ from oed.corrected import (
 )
 from oed.effect_model import Effect
 from oed.estimation import IdentificationError
+from oed.fit_limits import noise_ratio
 from oed.gap import untestable
+from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
+from oed.text import rounded
 from pkm_studies import catalogue
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
@@ -32,7 +35,7 @@ from pkm_studies.resolve import (
     regular_commands,
     workspace_axes,
 )
-from pkm_studies.stages.corrected import alarm, coefficients
+from pkm_studies.stages.corrected import coefficients
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.effects import readings_with_covariates
 from pkm_studies.stages.fit.noise import with_noise
@@ -41,6 +44,101 @@ from pkm_studies.stages.run_state import Fitted
 
 if TYPE_CHECKING:
     from oed.result import CorrectedSection, GapSection
+
+# What the alarms of a bad fit become where the fit with effects is good.
+#
+# The check looked at a fit without effects. Where parameters and effects together fit, the
+# alarm would be untrue of the values that count.
+
+
+def resolves_alarm(
+    corrected: CorrectedSection, findings: Sequence[CheckFinding]
+) -> bool:
+    """Whether the fit with effects is good, and no finding remains that spoils it."""
+    return not corrected.warnings and may_be_resolved(findings)
+
+
+def may_be_resolved(findings: Sequence[CheckFinding]) -> bool:
+    """Whether effects may be behind every finding that spoils the fit."""
+    return all(f.severity > Severity.BAD_FIT or is_about_the_fit(f) for f in findings)
+
+
+def resolved_section(
+    section: GoodnessSection,
+    corrected: CorrectedSection,
+    findings: Sequence[CheckFinding],
+) -> GoodnessSection:
+    """The section with the alarms as they are with the effects in the model."""
+    renamed = resolved_sentences(corrected, findings)
+    sentences = [renamed.get(sentence, sentence) for sentence in section.findings]
+    return msgspec.structs.replace(section, findings=sentences, bad_fit=False)
+
+
+def resolved_sentences(
+    corrected: CorrectedSection, findings: Sequence[CheckFinding]
+) -> dict[str, str]:
+    """Alarms of the fit without effects, and what is true with them."""
+    ratio = noise_ratio(corrected.chi2, corrected.dof)
+    effects = " and ".join(corrected.constants)
+    opening = (
+        f"With {effects} in the model {_fit(ratio)}, and the corrected values count."
+    )
+    return sentences_with(opening, findings)
+
+
+def _fit(ratio: float | None) -> str:
+    if ratio is None:
+        return "the readings fit"
+    return f"the residuals are {rounded(ratio)} times the stated noise"
+
+
+def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
+    """Alarms of the fit without effects, each after what is true with them."""
+    return {
+        f.sentence: f"{opening} Without: {f.sentence[:1].lower()}{f.sentence[1:]}"
+        for f in findings
+        if is_about_the_fit(f)
+    }
+
+
+def turned_sentence(corrected: CorrectedSection, turned: TurnedRuns) -> str:
+    """Which runs were driven the other way than their rows say."""
+    names = ", ".join(run for _, run in turned.runs)
+    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
+    effects = " and ".join(corrected.constants)
+    return (
+        f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
+        f" order of the rows says, or all others were (residuals with {effects}:"
+        f" {rounded(turned.before)} times the stated noise; with the order of {names} reversed:"
+        f" {rounded(turned.after)} times)."
+    )
+
+
+def add_turned_runs(
+    section: GoodnessSection, corrected: CorrectedSection, turned: TurnedRuns
+) -> GoodnessSection:
+    """The section with that mistake as its first finding."""
+    sentence = turned_sentence(corrected, turned)
+    names = ", ".join(run for _, run in turned.runs)
+    mistake = MistakeRecord(
+        what=f"direction reversed: {names}",
+        evidence=(
+            f"residuals {turned.before:.3g} times the stated noise as given,"
+            f" {turned.after:.3g} times with this undone"
+        ),
+    )
+    return msgspec.structs.replace(
+        section,
+        findings=[sentence, *section.findings],
+        mistakes=[mistake, *section.mistakes],
+        bad_fit=True,
+    )
+
+
+def is_about_the_fit(finding: CheckFinding) -> bool:
+    """Whether an effect of the machine may be behind a finding."""
+    kinds = ("fit", *PHYSICAL_KINDS)
+    return finding.severity <= Severity.BAD_FIT and finding.kind in kinds
 
 
 def correct_for_effects(state: Fitted) -> Fitted:
@@ -183,8 +281,8 @@ def _mark_turned_runs(
     state: Fitted, section: CorrectedSection, turned: TurnedRuns
 ) -> Fitted:
     """The state that names runs which were driven the other way than written."""
-    sentence = alarm.turned_sentence(section, turned)
-    goodness = alarm.add_turned_runs(state.goodness, section, turned)
+    sentence = turned_sentence(section, turned)
+    goodness = add_turned_runs(state.goodness, section, turned)
     warnings = [*section.warnings, sentence]
     section = msgspec.structs.replace(section, warnings=warnings)
     state = state.add_sections(corrected=section, goodness=goodness)
@@ -196,10 +294,10 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     checked = state.checked
     if checked is None or not checked.bad_fit:
         return state
-    if not alarm.resolves(section, checked.findings):
+    if not resolves_alarm(section, checked.findings):
         return state
-    goodness = alarm.resolved_section(state.goodness, section, checked.findings)
-    true = alarm.resolved_sentences(section, checked.findings)
+    goodness = resolved_section(state.goodness, section, checked.findings)
+    true = resolved_sentences(section, checked.findings)
     state = state.add_sections(goodness=goodness)
     # The fit without effects is not delivered: its own section keeps its warnings.
     plain = set(state.estimate_section.warnings)

@@ -2,11 +2,35 @@
 
 from __future__ import annotations
 
-import msgspec
+import dataclasses
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING
 
-from oed import units
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from oed import gap, units
+from oed.base import Array
 from oed.design import Rules
-from oed.measurement import Measurement
+from oed.effect_model import Column, Effect
+from oed.gap import Diagnosis, Run, SecondVisit, propose_second_visit
+from oed.measurement import Measurement, Series
+from oed.result import (
+    ChosenRun,
+    ChosenRuns,
+    ClosureRecord,
+    CoefficientRecord,
+    DetectabilityTable,
+    EffectNote,
+    GapBeforeSection,
+    GapSection,
+    SecondVisitRecord,
+    SizeRecord,
+    finite_or_none,
+)
+from oed.text import capitalised, format_probability, join_words
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
     ALL_EFFECTS,
@@ -15,9 +39,367 @@ from pkm_studies.resolve import (
     GapRequest,
     add_planned_readings,
 )
-from pkm_studies.stages.gap import detectability, second_visit, section
+from pkm_studies.stages.gap import chosen_runs, sentences, traces
+from pkm_studies.stages.gap.chosen_runs import poses_csv
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
+from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Diagnoses readings of a study and writes the result's section `gap` of it.
+
+
+def diagnose_residuals(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    covariates: pd.DataFrame,
+    theta: Array,
+    request: GapRequest,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
+    residuals = gap.assemble(
+        measurement, series, covariates, theta, y, gravity=request.gravity
+    )
+    return gap.diagnose(residuals, request.effects, rng)
+
+
+def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
+    """The diagnosis in display units and in sentences."""
+    channel_units, channels = _channels(diagnosis)
+    factor = np.array([units.factor(channel_units[name]) for name in channels])
+    spots, spots_unit = traces.spots(diagnosis)
+    scatter = diagnosis.scatter
+    likeliest_first = sorted(diagnosis.marginal.items(), key=lambda item: -item[1])
+    section = GapSection(
+        verdict=diagnosis.verdict,
+        answers=list(diagnosis.answers),
+        set95=list(diagnosis.set95),
+        where=list(diagnosis.where),
+        closure=[_closure(c) for c in diagnosis.closure],
+        not_testable=list(diagnosis.not_testable),
+        confusable=[list(group) for group in diagnosis.confusable],
+        selected=list(diagnosis.selected),
+        tried=[e.name for e in effects],
+        marginal={name: float(p) for name, p in likeliest_first},
+        about={e.name: _note(e, diagnosis) for e in effects},
+        constants={name: dict(c) for name, c in diagnosis.constants.items()},
+        coefficients=_coefficients(diagnosis, effects),
+        sizes=_sizes(diagnosis, channel_units),
+        noise=list(diagnosis.noise_words),
+        units=channel_units,
+        rms_before=_rms_by_channel(diagnosis.before / factor, channels),
+        rms_after=_rms_by_channel(diagnosis.after / factor, channels),
+        traces=traces.traces(diagnosis),
+        spots=spots,
+        spots_unit=spots_unit,
+        words=[],
+        next=list(diagnosis.next),
+        unknown={form: float(p) for form, p in diagnosis.likeness.items()},
+        nearest=list(diagnosis.nearest),
+        scatter=None if scatter is None else scatter.factor,
+        scatter_shape="" if scatter is None else scatter.shape,
+        scatter_against="" if scatter is None else scatter.against,
+        effective_laws=diagnosis.effective_laws,
+    )
+    return sentences.add_sentences(section)
+
+
+def _closure(closure: ClosureRecord) -> ClosureRecord:
+    """The closure, with None for what is not finite."""
+    numbers = msgspec.structs.asdict(closure)
+    unknown = [
+        n for n, v in numbers.items() if isinstance(v, float) and not isfinite(v)
+    ]
+    return replace(closure, **dict.fromkeys(unknown))
+
+
+def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
+    missing = diagnosis.not_testable.get(effect.name, "")
+    column = ""
+    if missing:
+        column = sentences.columns_to_record(effect, diagnosis.problem.states)
+    note = msgspec.convert(effect, EffectNote, from_attributes=True)
+    return replace(note, missing=missing, column=column)
+
+
+def _channels(diagnosis: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
+    """Fine unit of each channel, and the channel of each reading (N,)."""
+    setups, rows = diagnosis.problem.measurement.setups, diagnosis.problem.rows
+    fine: dict[str, str] = {}
+    for name in dict.fromkeys(rows["setup"]):
+        fine |= {c.name: units.FINE[c.unit] for c in setups[name].instrument.channels}
+    return fine, rows["channel"].to_numpy()
+
+
+def _rms_by_channel(values: Array, channels: np.ndarray) -> dict[str, float]:
+    return {
+        str(name): float(np.sqrt(np.mean(values[channels == name] ** 2)))
+        for name in dict.fromkeys(channels)
+    }
+
+
+def _sizes(diagnosis: Diagnosis, channel_units: dict[str, str]) -> list[SizeRecord]:
+    records = []
+    for size in diagnosis.sizes:
+        rms, remaining = (
+            {n: units.number(v, channel_units[n]) for n, v in values.items()}
+            for values in (size.rms, size.remaining)
+        )
+        detectability = finite_or_none(size.detectability)
+        records.append(SizeRecord(size.effect, rms, detectability, remaining))
+    return records
+
+
+def _coefficients(
+    diagnosis: Diagnosis, effects: Sequence[Effect]
+) -> list[CoefficientRecord]:
+    """Coefficients, SI, with the prior standard deviation of each."""
+    by_name = {effect.name: effect for effect in effects}
+    priors = {
+        (effect.name, column.name): column
+        for effect in effects
+        if effect.name in diagnosis.selected
+        for column in _effect_columns(effect, diagnosis)
+    }
+    records = []
+    for c in diagnosis.coefficients:
+        column = priors.get((c.effect, c.name))
+        effect = by_name.get(c.effect)
+        if effect is not None:
+            c = replace(c, unit=effect.unit(c.name))
+        if column is not None:
+            c = replace(c, prior_sd=column.scale, shape=column.shape)
+        records.append(c)
+    return records
+
+
+def _effect_columns(effect: Effect, diagnosis: Diagnosis) -> list[Column]:
+    """All columns of an effect, over its constants and the set-ups."""
+    columns: list[Column] = []
+    for constants in effect.constant_grid():
+        for state in diagnosis.problem.states:
+            columns += effect.columns(state, **constants)
+    return columns
+
+
+# Advises a second visit: its record in the result, its readings to fill in, its words.
+
+#: pairs of answers that are named, at most
+MAX_LISTED_PAIRS = 3
+#: probability from which the visit is expected to decide
+DECIDES = 0.8
+#: gain in probability below which the visit is not worth its time
+LEAST_GAIN = 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class VisitAdvice:
+    """The record, and the readings to fill in as CSV."""
+
+    record: SecondVisitRecord
+    csv: str
+
+
+def advise_second_visit(
+    diagnosis: Diagnosis,
+    request: GapRequest,
+    further: Sequence[Run],
+    rng: np.random.Generator,
+) -> VisitAdvice | None:
+    """The second visit that a diagnosis calls for; None where none helps.
+
+    `further` are runs that are possible beside those that were read.
+    """
+    conditions = request.conditions
+    values = {
+        "feed": [v * units.MM_PER_MIN for v in _values(conditions.feed_mm_min)],
+        "payload": _values(conditions.payload),
+    }
+    effects = request.effects
+    visit = propose_second_visit(diagnosis, effects, rng, values, further)
+    if visit is None or visit.probability_after < visit.probability_now + LEAST_GAIN:
+        return None
+    measurement = diagnosis.problem.measurement
+    csv = poses_csv(measurement, visit.series, visit.covariates)
+    return VisitAdvice(_record(visit), csv)
+
+
+def _values(stated: float | Sequence[float] | None) -> list[float]:
+    """A condition's values, of which a table states one, several or none."""
+    if stated is None:
+        return []
+    return list(stated) if isinstance(stated, Sequence) else [stated]
+
+
+def add_visit(gap: GapSection, visit: SecondVisitRecord) -> GapSection:
+    """The diagnosis with the visit, which stands first in its advice."""
+    steps = [visit.words[0], *gap.next]
+    return msgspec.structs.replace(gap, second_visit=visit, next=steps)
+
+
+def _record(visit: SecondVisit) -> SecondVisitRecord:
+    record = SecondVisitRecord(
+        runs=[
+            ChosenRun(run.setup, run.name, _untimed(run.condition), run.seconds)
+            for run in visit.runs
+        ],
+        poses=[len(run.command) for run in visit.runs],
+        probability_now=visit.probability_now,
+        probability_after=visit.probability_after,
+        separations=list(visit.pairs),
+        inseparable=list(visit.inseparable),
+    )
+    return msgspec.structs.replace(record, words=second_visit_sentences(record))
+
+
+def _untimed(condition: Mapping[str, float]) -> dict[str, float]:
+    """A condition without its time: the visit may be at any."""
+    return {name: value for name, value in condition.items() if name != "time"}
+
+
+def second_visit_sentences(visit: SecondVisitRecord) -> list[str]:
+    """What to read, what it is expected to decide, and what it cannot."""
+    count, runs = sum(visit.poses), len(visit.runs)
+    now, after = (
+        format_probability(p) for p in (visit.probability_now, visit.probability_after)
+    )
+    sentences = [
+        f"Take the {count} poses of second_visit.csv ({runs} run{'s' * (runs > 1)}) at a"
+        " second visit. Expected probability that the likeliest cause is then the right"
+        f" one: {after}; now it is {now}.",
+        "The expectation is over what these readings leave possible, in the forms of the"
+        " library: a cause of another form is not in it.",
+    ]
+    if visit.probability_after < DECIDES:
+        sentences.append(
+            "These runs alone will hardly decide: read what else separates the effects"
+            " as well."
+        )
+    if visit.inseparable:
+        pairs = [f"{_spoken(a)} from {_spoken(b)}" for a, b in visit.inseparable]
+        sentences.append(
+            "No run of those read so far separates"
+            f" {join_words(pairs[:MAX_LISTED_PAIRS], last='nor')}."
+        )
+    return sentences
+
+
+def _spoken(answer: str) -> str:
+    """An answer in words: its effects are joined by plus signs."""
+    return join_words([plain_name(name) for name in answer.split(" + ")])
+
+
+# Predicts which effects planned readings could find: the section `gap_before`.
+
+#: most effects and pairs in one sentence
+MAX_LISTED_EFFECTS = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class GapPreview:
+    """The section, and the chosen runs as a readings file to fill in, if any."""
+
+    section: GapBeforeSection
+    poses_csv: str | None
+
+
+def detectability_preview(
+    measurement: Measurement,
+    series: Sequence[Series],
+    covariates: pd.DataFrame,
+    request: GapRequest,
+    rng: np.random.Generator,
+    design: tuple[Measurement, GapDesignRequest, Rules] | None,
+) -> GapPreview:
+    """What readings as planned could find, and the runs that [gap.design] chooses.
+
+    `design` comes with a measurement of its set-ups, and the rules of the choice. The noise is the stated one: what
+    real runs add to it is unknown before they are read.
+    """
+    planned = gap.assemble(measurement, series, covariates, gravity=request.gravity)
+    fine = _fine_units(measurement)
+    chosen, csv = None, None
+    if design is not None:
+        fine |= _fine_units(design[0])
+        chosen, csv = chosen_runs.choose_runs(*design, planned, request, rng)
+    table = gap.detect(planned, planned.stated_law, request.effects, rng)
+    section = GapBeforeSection(table, fine, chosen, [])
+    lines = detectability_sentences(section)
+    return GapPreview(msgspec.structs.replace(section, words=lines), csv)
+
+
+def _fine_units(measurement: Measurement) -> dict[str, str]:
+    """Fine unit of each channel, in which the sizes of readings are given."""
+    setups = measurement.setups.values()
+    channels = [c for setup in setups for c in setup.instrument.channels]
+    return {c.name: units.FINE[c.unit] for c in channels}
+
+
+# -- sentences -------------------------------------------------------------------------
+
+
+def detectability_sentences(section: GapBeforeSection) -> list[str]:
+    """The gain of the chosen runs, and what they or the planned readings can find."""
+    if section.chosen is None:
+        return _findings("The planned readings", section.table)
+    return [
+        _gain(section.chosen),
+        *_findings("The chosen runs", section.chosen.table),
+    ]
+
+
+def _gain(chosen: ChosenRuns) -> str:
+    pairs = set()
+    for s in chosen.separations:
+        pairs.add(" and ".join(sorted((plain_name(s.effect), plain_name(s.rival)))))
+    named = "; ".join(sorted(pairs)[:MAX_LISTED_EFFECTS])
+    bound = f"no plan exceeds {chosen.bound:.1f}"
+    if chosen.proven:
+        bound = "no plan is better"
+    before = "" if chosen.before is None else f" from {chosen.before:.1f}"
+    added = f"{len(chosen.runs) - chosen.retained} of {chosen.candidates}"
+    retained = f", added to {chosen.retained} retained runs," if chosen.retained else ""
+    return (
+        f"{added} candidate runs{retained} raise the least distinguishability of"
+        f" {named}{before} to {chosen.separation:.1f} ({bound})."
+    )
+
+
+def _findings(readings: str, table: DetectabilityTable) -> list[str]:
+    visible = [e for e in table.effects if e.visible]
+    testable = [e for e in table.effects if e.not_testable is None]
+    too_weak = [plain_name(e.name) for e in testable if not e.visible]
+    missed = f"; too weak for them: {join_words(too_weak)}" if too_weak else ""
+    sentences = [
+        f"{readings} find {len(visible)} of the {len(table.names)} effects that they"
+        " can test, at the expected sizes (90 % chance at 1 % false alarm)"
+        f"{missed}."
+    ]
+    absorbed = dict.fromkeys(effect for effect, _ in table.absorbed)
+    for name in list(absorbed)[:MAX_LISTED_EFFECTS]:
+        rivals = [
+            plain_name(rival) for effect, rival in table.absorbed if effect == name
+        ]
+        subject = capitalised(plain_name(name))
+        sentences.append(
+            f"{subject} could also be explained by {join_words(rivals, 'or')}."
+        )
+    for first, second in table.exact[:MAX_LISTED_EFFECTS]:
+        sentences.append(
+            f"Some forms of {plain_name(first)} and {plain_name(second)} are identical"
+            " in these readings, whatever their size."
+        )
+    untestable = [
+        plain_name(e.name) for e in table.effects if e.not_testable is not None
+    ]
+    if untestable:
+        sentences.append(f"They cannot test {join_words(untestable)}.")
+    return sentences
+
 
 #: the only advice after a fit that failed its check, where no effect explains it
 AFTER_BAD_FIT = (
@@ -36,7 +418,7 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     if covariates is None:
         planned = empty_readings(state.measurement, series, request)
         series, covariates = planned.series, planned.covariates
-    preview = detectability.preview(
+    preview = detectability_preview(
         state.measurement,
         series,
         covariates,
@@ -107,7 +489,7 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     covariates = covariates_of(
         state.measurement, readings.series, readings.covariates, request
     )
-    diagnosis = section.diagnose(
+    diagnosis = diagnose_residuals(
         state.measurement,
         readings.series,
         readings.y,
@@ -117,14 +499,14 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
         state.rng(Stream.GAP),
     )
     state = state.replace(diagnosis=diagnosis)
-    gap = section.gap_section(diagnosis, request.effects)
+    gap = gap_section(diagnosis, request.effects)
     if state.fit_is_bad and gap.verdict == "none":
         gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])
     design = state.resolved.gap_design
     further = () if design is None else design.runs
     rng = state.rng(Stream.VISIT)
-    visit = second_visit.advise(diagnosis, request, further, rng)
+    visit = advise_second_visit(diagnosis, request, further, rng)
     if visit is None:
         return state.add_sections(gap=gap)
-    gap = second_visit.add_visit(gap, visit.record)
+    gap = add_visit(gap, visit.record)
     return state.replace(visit_poses=visit.csv).add_sections(gap=gap)
