@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from oed.planning.goal import Goal, ToolErrors, workspace_goal
     from oed.planning.option import Option, build_option
     from oed.planning.prediction import PlanStage
-    from oed.planning.search import PlanSearchResult, search_plan
-    from oed.planning.stage_plan import (
+    from oed.planning.problem import (
         PlanStreams,
         StageMemory,
         StagePlan,
         covariance_of_all,
         predict_plan,
     )
+    from oed.planning.search import PlanSearchResult, search_plan
     from oed.planning.virtual_machines import StageRealisation, propagate
 else:
     # imported when first used: fits of virtual machines take time to load

@@ -28,14 +28,15 @@ from oed.planning.goal import Goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
 from oed.planning.prediction import PlanStage
-from oed.planning.problem import PlanProblem, select_readings
-from oed.planning.stage_plan import (
+from oed.planning.problem import (
+    PlanProblem,
     PlanStreams,
     StageMemory,
     StagePlan,
     best_plan,
     is_better,
     pareto_front,
+    select_readings,
 )
 
 # Refinement of promising plans with the exact model: time moved between stages.

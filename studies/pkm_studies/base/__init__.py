@@ -17,11 +17,13 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.base.errors import (
+        NAME_PATTERN,
         InputError,
         Location,
+        Name,
         SourceAbsentError,
+        check_name,
     )
-    from pkm_studies.base.names import NAME_PATTERN, Name, check_name
     from pkm_studies.base.progress import Progress, Silent
     from pkm_studies.base.random_streams import Stream
 else:

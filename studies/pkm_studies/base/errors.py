@@ -1,16 +1,20 @@
-"""Errors about bad input: one paragraph with file, field, value and remedy.
-
-Fields are dotted paths as in the file; entries of lists count from 1
-(`setup[2].length_mm`).
-"""
+"""Names of studies and campaigns: they become names of files, and so are no paths."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Final
+import re
+from typing import Annotated, Final
+
+import msgspec
 
 from oed.text import shorten
+
+# Errors about bad input: one paragraph with file, field, value and remedy.
+#
+# Fields are dotted paths as in the file; entries of lists count from 1
+# (`setup[2].length_mm`).
 
 #: most characters of a value, a problem and a remedy
 VALUE, PROBLEM, REMEDY = 60, 220, 240
@@ -88,3 +92,15 @@ def quote(value: object) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     return shorten(str(value), VALUE)
+
+
+#: nothing follows the end: Python lets a line feed, which is no letter a, follow `$`
+NAME_PATTERN: Final = "^[A-Za-z0-9][A-Za-z0-9_-]*$(?![^a])"
+Name = Annotated[str, msgspec.Meta(pattern=NAME_PATTERN)]
+
+
+def check_name(name: str, location: Location) -> None:
+    """Raises InputError for a text at a place that is no name."""
+    if not re.search(NAME_PATTERN, name):
+        problem, remedy = "this is no name for a study", "use letters, digits, _ and -"
+        raise location.error(problem, remedy, name)

@@ -67,18 +67,12 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.resolve.command_ranges import check_tool_workspace
-    from pkm_studies.resolve.conditions import (
-        FEED_MM_PER_MIN,
-        PASS_SUFFIX,
-        planned_covariates,
-    )
     from pkm_studies.resolve.conventions import (
         comments_of,
         comments_of_study,
         conventions_listing,
         readings_comments,
     )
-    from pkm_studies.resolve.counted import counted_digests
     from pkm_studies.resolve.design import CommandRanges, DesignRequest
     from pkm_studies.resolve.effect_sizes import effect_with_sizes
     from pkm_studies.resolve.gap import (
@@ -87,8 +81,20 @@ if TYPE_CHECKING:
         gap_request,
         unknown_coefficient,
     )
-    from pkm_studies.resolve.gap_design import GapDesignRequest, add_planned_readings
-    from pkm_studies.resolve.grids import Circles, grid_commands, mid_range, solve_held
+    from pkm_studies.resolve.gap_design import (
+        FEED_MM_PER_MIN,
+        PASS_SUFFIX,
+        GapDesignRequest,
+        add_planned_readings,
+        planned_covariates,
+    )
+    from pkm_studies.resolve.grids import (
+        CIRCLE_PLANES,
+        Circles,
+        grid_commands,
+        mid_range,
+        solve_held,
+    )
     from pkm_studies.resolve.machine import (
         check_home,
         described_machine,
@@ -113,23 +119,24 @@ if TYPE_CHECKING:
         planned_courses,
         pose_error_slopes,
     )
-    from pkm_studies.resolve.poses import CIRCLE_PLANES
-    from pkm_studies.resolve.prediction import PredictionRequest, check_states
-    from pkm_studies.resolve.resolved import (
-        ResolvedStudy,
-        measurement_factory,
-        resolve,
-        with_readings,
-    )
-    from pkm_studies.resolve.roles import readings_dataset
-    from pkm_studies.resolve.tolerances import replace_mean_and_covariance
-    from pkm_studies.resolve.tool_points import ToolPoints
-    from pkm_studies.resolve.workspace import (
+    from pkm_studies.resolve.prediction import (
+        PredictionRequest,
+        check_states,
         commands_between,
         regular_at,
         regular_commands,
         workspace_axes,
         workspace_commands,
     )
+    from pkm_studies.resolve.resolved import (
+        ResolvedStudy,
+        counted_digests,
+        measurement_factory,
+        readings_dataset,
+        resolve,
+        with_readings,
+    )
+    from pkm_studies.resolve.tolerances import replace_mean_and_covariance
+    from pkm_studies.resolve.tool_points import ToolPoints
 else:
     __getattr__ = door(__name__)

@@ -10,7 +10,7 @@ import csv
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,18 +19,23 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from oed.compensate import InterpolationTable
-from oed.dataset import reading_digests
+from oed.dataset import is_counted, reading_digests, shared
 from oed.instrument import Instrument, Protocol, Setup, mount
 from oed.measurement import Measurement, Series
 from oed.mechanism import NO_TOOL, AssemblyError, Controller, Kinematics
 from oed.model import Machine
+from oed.result import StudyResult
 from oed.text import suggest
 from pkm_studies import catalogue, csv_table, files, quantities
 from pkm_studies.base import InputError, Location
-from pkm_studies.earlier_result import SAME, controller_values, named_result
+from pkm_studies.earlier_result import (
+    SAME,
+    controller_values,
+    named_result,
+    result_folder,
+)
 from pkm_studies.quantities import check_not_negative, column, display_unit
-from pkm_studies.resolve import candidates, command_ranges, reach, roles, tolerances
-from pkm_studies.resolve.counted import doubtful_sessions
+from pkm_studies.resolve import candidates, command_ranges, lookup, reach, tolerances
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
@@ -45,11 +50,160 @@ from pkm_studies.resolve.prediction import (
     prediction_request,
     wanted_accuracy,
 )
+from pkm_studies.results import load_result
 from pkm_studies.study import Study
 from pkm_studies.tables import SetupTable
 
 if TYPE_CHECKING:
     from oed.dataset import Dataset
+
+# Which readings are fitted, held out or simulated, and which set-ups they use.
+
+
+def used_setups(
+    study: Study,
+    candidates: Sequence[Series],
+    design: DesignRequest | None,
+    references: Sequence[ReferencePlan],
+    setups: Mapping[str, Setup],
+) -> Iterable[str]:
+    """Set-ups of candidates and readings; without both, of reference plans, or all.
+
+    A set-up that only [[kappa]] or a reference plan names stays out.
+    """
+    used = {s.setup for s in candidates}
+    if candidates and design is not None:
+        used |= {s.setup for s in design.retained}
+    if study.readings is not None:
+        recorded = not study.readings.simulate
+        used |= set(study.readings.fit or (setups if recorded else ()))
+        used |= set(study.readings.predict)
+    return used or {name for plan in references for name in plan.setups} or setups
+
+
+def reading_roles(
+    study: Study, setups: Mapping[str, Setup]
+) -> tuple[tuple[str, ...] | None, tuple[str, ...]]:
+    """Set-ups whose readings are fitted (None: all others), and those held out."""
+    if study.readings is None:
+        return None, ()
+    location = study.location.key("readings")
+    fit, predict = study.readings.fit, study.readings.predict
+    for field, names in (("fit", fit or []), ("predict", predict)):
+        for i, name in enumerate(names):
+            lookup.known_name(name, setups, location.key(field).item(i))
+    both = set(fit or ()) & set(predict)
+    if both:
+        raise location.key("predict").error(
+            f"{min(both)} is fitted as well", "name each set-up in fit or in predict"
+        )
+    if fit is not None and not fit:
+        raise location.key("fit").error(
+            "the list is empty", "name the set-ups to fit, or leave fit out"
+        )
+    return (None if fit is None else tuple(fit)), tuple(predict)
+
+
+def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
+    """Parameters of the virtual machine, SI, that the study states.
+
+    A set-up's unknowns stand in a table with the set-up's name.
+    """
+    if study.readings is None:
+        return {}
+    location = study.location.key("readings").key("truth")
+    common, special = quantities.split_tables(study.readings.truth)
+    unit_of = {p.name: p.unit for p in measurement.parameters}
+    truth = quantities.read_values(common, unit_of, location)
+    for name, table in special.items():
+        field_location = location.key(name)
+        setup = measurement.setups[
+            lookup.known_name(name, measurement.setups, field_location)
+        ]
+        unit_of = {n.name: n.unit for n in setup.nuisances}
+        values = quantities.read_values(table, unit_of, field_location)
+        truth |= {f"{name}.{key}": value for key, value in values.items()}
+    return truth
+
+
+def check_stages(study: Study, measurement: Measurement) -> None:
+    """Raises InputError for an identification stage that frees no parameter."""
+    location = study.location.key("identify").key("stages")
+    for i, stage in enumerate(study.identify.stages):
+        if not lookup.matching_names(stage, measurement.names, location.item(i)):
+            raise location.item(i).error(
+                "the list is empty", 'name parameters or patterns: ["*"] frees all'
+            )
+
+
+def readings_dataset(
+    study: Study, measurement: Measurement, readings: Sequence[Path] | None
+) -> Dataset | None:
+    """The readings: files given to the command, files of the study, or its source."""
+    table = study.readings
+    if readings is None and table is not None and not table.simulate:
+        from pkm_studies import sources
+
+        return sources.readings(table, study, measurement)
+    if readings:
+        from pkm_studies import sources
+
+        return sources.read_files(readings, measurement)
+    return None
+
+
+# Readings that a study's prior rests on, and whether new ones are among them.
+
+#: share of readings that equal those of the prior, from which a user must know
+DOUBTFUL = 0.2
+
+
+def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
+    """Results that [prior] takes, each with the place and the name in the study.
+
+    Raises InputError.
+    """
+    prior, location = study.prior, study.location.key("prior")
+    named = [(location.key("from").item(i), name) for i, name in enumerate(prior.from_)]
+    if prior.earlier is not None:
+        named.append((location.key("earlier"), prior.earlier))
+    for field, name in named:
+        yield field, name, load_result(result_folder(study, name, field))
+
+
+def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
+    """Sentences on results of the prior that share some readings with new ones.
+
+    new  digests of readings
+
+    Raises InputError where the readings are those of a result, or have those in them.
+    """
+    sentences = []
+    for location, name, result in prior_results(study):
+        if is_counted(new, result.readings):
+            raise location.error(
+                "the readings are among those that this result rests on: they would"
+                " count twice",
+                "give the readings of another session, or take its result out of"
+                " [prior]",
+                name,
+            )
+        share = shared(new, result.readings)
+        if share >= DOUBTFUL:
+            sentences.append(
+                f"{share:.0%} of the readings equal some that the prior of {name} rests"
+                " on: take those out that were taken once; a coarse scale repeats values"
+            )
+    return sentences
+
+
+def counted_digests(study: Study, new: Collection[str]) -> list[str]:
+    """Digests of new readings and of those behind the prior, sorted."""
+    digests_counted = set(new)
+    for _, _, result in prior_results(study):
+        digests_counted.update(result.readings)
+    return sorted(digests_counted)
+
 
 # The machine with the study's nominal numbers, and its set-ups as mounted.
 
@@ -486,13 +640,13 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         candidates.circles(study, table, i, measurement_with, references)
         for i, table in enumerate(study.kappa)
     ]
-    fitted, held_out = roles.reading_roles(study, mounted)
-    roles.check_stages(study, everything)
+    fitted, held_out = reading_roles(study, mounted)
+    check_stages(study, everything)
     _check_free(study, everything)
     prediction = prediction_request(study, machine)
     if prediction is not None:
         check_reach(study, prediction, kinematics)
-    used = roles.used_setups(study, pool, design, references, mounted)
+    used = used_setups(study, pool, design, references, mounted)
     resolved = ResolvedStudy(
         study=study,
         machine=machine,
@@ -505,7 +659,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         plan=plan_request(study, measurement_with, mounted, prediction),
         reference_plans=references,
         kappa_circles=tuple(circles),
-        true_parameters=roles.true_parameters(study, everything),
+        true_parameters=true_parameters(study, everything),
         dataset=None,
         fitted_setups=fitted,
         held_out_setups=held_out,
@@ -516,7 +670,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         gap_design=gap_design_request(study, references, everything),
         warnings=warnings,
     )
-    return resolved.with_dataset(roles.readings_dataset(study, everything, readings))
+    return resolved.with_dataset(readings_dataset(study, everything, readings))
 
 
 def _check_free(study: Study, everything: Measurement) -> None:
@@ -536,7 +690,7 @@ def _check_free(study: Study, everything: Measurement) -> None:
 def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
     """A study that was resolved without readings, with those that its file names."""
     everything = resolved.measurement_with(resolved.setups)
-    dataset = roles.readings_dataset(resolved.study, everything, None)
+    dataset = readings_dataset(resolved.study, everything, None)
     return resolved.with_dataset(dataset)
 
 

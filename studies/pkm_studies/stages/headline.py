@@ -26,7 +26,7 @@ from oed.text import format_number, guaranteed_percent, join_words
 from oed.verdict import accuracy_verdicts
 from pkm_studies.results import unmodelled_sentence
 from pkm_studies.stages.forecast import words as forecast_words
-from pkm_studies.stages.gap import scatter
+from pkm_studies.stages.gap.sentences import noise_words
 from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.plan.phrases import percent, plan_sentences
 
@@ -155,7 +155,7 @@ def sentences(
     findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
-    noise = [] if checked is None else scatter.noise_words(checked, result.gap)
+    noise = [] if checked is None else noise_words(checked, result.gap)
     rounds = [] if machine is None else earlier_sentences(machine)
     held_out = _held_out(result.held_out)
     return [

@@ -14,7 +14,7 @@ from kernel.plan_catalogues import linear_option, searched, stage_after
 from oed.planning import Goal, Option, StagePlan
 from oed.planning.bound import bound_goal
 from oed.planning.knowledge import Prior
-from oed.planning.stage_plan import best_plan, is_better
+from oed.planning.problem import best_plan, is_better
 
 THREE = Goal(("a", "b", "c"), np.eye(3)[:, None, :], np.ones(3), has_targets=False)
 

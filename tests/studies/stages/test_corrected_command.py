@@ -14,7 +14,7 @@ from oed.result import CoefficientRecord, StudyResult
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 from pkm_studies.stages import outcome
-from pkm_studies.stages.gap import implausible
+from pkm_studies.stages.gap.sentences import implausible_sentences
 
 
 def run(*arguments: str | Path) -> int:
@@ -95,7 +95,7 @@ def test_a_coefficient_far_beyond_its_expected_size_is_implausible(
             unit="m",
             prior_sd=expected,
         )
-        return implausible.sentences([coefficient], {})
+        return implausible_sentences([coefficient], {})
 
     assert sentences(20e-6) == []
     (sentence,) = sentences(10e-6)

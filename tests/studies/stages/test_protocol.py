@@ -11,7 +11,7 @@ from oed.identifiability import assess
 from pkm_studies import study
 from pkm_studies.base import InputError
 from pkm_studies.resolve import ResolvedStudy, resolve
-from pkm_studies.stages.design.cost import single_stage_plan
+from pkm_studies.stages.design.select import single_stage_plan
 
 STUDY = """
 schema = 1

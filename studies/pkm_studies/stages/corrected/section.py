@@ -26,6 +26,7 @@ from oed.model import Machine
 from oed.posterior import Posterior
 from oed.result import (
     UNKNOWN,
+    CoefficientRecord,
     CompensationName,
     CorrectedSection,
     EffectEstimate,
@@ -39,10 +40,10 @@ from oed.text import join_words
 from pkm_studies import describe
 from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.stages.corrected.coefficients import coefficient_records
 from pkm_studies.stages.fit.effects import add_controller
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
+from pkm_studies.stages.gap import sentences
 from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.predict.accuracy import (
     accuracy_section,
@@ -50,6 +51,61 @@ from pkm_studies.stages.predict.accuracy import (
     spread_record,
 )
 from pkm_studies.stages.predict.budget import budget_section
+
+# Coefficients of the joint estimate, for the diagnosis and its sentences.
+
+
+def coefficient_records(corrected: CorrectedEstimate) -> Iterator[CoefficientRecord]:
+    """Each coefficient, SI."""
+    estimate, k = corrected.estimate, 0
+    start = corrected.parameters
+    for form in corrected.forms:
+        signature = form.signature
+        parts = zip(signature.names, signature.labels, signature.shape, strict=True)
+        for name, label, shape in parts:
+            scale = float(corrected.scales[k])
+            yield CoefficientRecord(
+                effect=form.effect.name,
+                name=name,
+                label=label,
+                value=float(estimate.theta[start + k]) * scale,
+                sd=float(estimate.sd[start + k]) * scale,
+                unit=form.effect.unit(name),
+                prior_sd=scale,
+                shape=bool(shape),
+            )
+            k += 1
+
+
+def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> GapSection:
+    """The diagnosis with the coefficients that are estimated with the parameters.
+
+    It names effects by linear models of single forms; what they amount to comes from the
+    nonlinear fit of all of them, which the accuracy rests on as well.
+    """
+    joint = list(coefficient_records(corrected))
+    effects = {c.effect for c in joint}
+    others = [c for c in gap.coefficients if c.effect not in effects]
+    named = [c for c in joint if c.effect in gap.selected]
+    constants = {
+        form.effect.name: dict(form.constants)
+        for form in corrected.forms
+        if form.effect.name in gap.selected
+    }
+    return sentences.add_sentences(
+        msgspec.structs.replace(
+            gap,
+            coefficients=[*named, *others],
+            constants={**gap.constants, **constants},
+        )
+    )
+
+
+def implausible_sizes(corrected: CorrectedEstimate) -> list[str]:
+    """One sentence for each effect with a coefficient far beyond its expected size."""
+    checks = {form.effect.name: form.effect.check for form in corrected.forms}
+    return sentences.implausible_sentences(coefficient_records(corrected), checks)
+
 
 # Reports the tables with which a controller corrects effects: `corrected.tables`.
 

@@ -28,12 +28,11 @@ from pkm_studies.describe import (
 )
 from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages.design import effects
-from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import (
     StudyCriteria,
     improvement_factors,
 )
-from pkm_studies.stages.design.select import ChosenDesign
+from pkm_studies.stages.design.select import ChosenDesign, plan_seconds
 
 # Scores the chosen plan and the reference plans by the study's criterion.
 

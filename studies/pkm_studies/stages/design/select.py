@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -12,28 +12,187 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from oed.design import CRITERIA, Candidates, Choice, DesignProblem, SizeCurve
-from oed.identifiability import Scaling, assess, prior_information
+from oed.identifiability import Assessment, Scaling, assess, prior_information
 from oed.measurement import Measurement, Series, draw_parameters
 from oed.mechanism import AssemblyError
+from oed.poses import polish_readings
 from oed.result import (
     AllowedEffects,
+    AlternativePlan,
     CandidateWeight,
     CriterionComparison,
     HowManySummary,
     KappaMap,
+    PlanSection,
     PolishSummary,
     RelaxedSummary,
     RobustSummary,
+    StageRecord,
     WorkingOrder,
 )
 from pkm_studies import quantities
 from pkm_studies.base import Location, Stream
-from pkm_studies.describe import displayed_command
-from pkm_studies.resolve import NO_EFFECTS, Circles, DesignRequest, ResolvedStudy
-from pkm_studies.stages.design import effects, order, polish
-from pkm_studies.stages.design.cost import plan_seconds
+from pkm_studies.describe import displayed_command, field
+from pkm_studies.resolve import (
+    NO_EFFECTS,
+    Circles,
+    CommandRanges,
+    DesignRequest,
+    ResolvedStudy,
+)
+from pkm_studies.stages.design import effects, order
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.tables import DesignTable, HowManyTable, RobustTable
+from pkm_studies.tables import DesignTable, HowManyTable, PolishTable, RobustTable
+
+# The time that a plan takes, and the plan section of a study without [plan].
+
+
+def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:
+    """Time to mount the set-ups and take the readings of a plan, s."""
+    setups = dict.fromkeys(s.setup for s in series)
+    mounting = sum(measurement.setups[n].instrument.cost.setup for n in setups)
+    return mounting + sum(measurement.reading_seconds(s.setup) * len(s) for s in series)
+
+
+def single_stage_plan(
+    resolved: ResolvedStudy,
+    identifiability: Assessment,
+    predicted: Mapping[str, float],
+) -> PlanSection:
+    """The readings as one stage, with their cost in minutes."""
+    measurement, series = identifiability.measurement, identifiability.series
+    verdict = identifiability.identifiability
+    setups = list(dict.fromkeys(s.setup for s in series))
+    instruments = [measurement.setups[n].instrument.name for n in setups]
+    stage = StageRecord(
+        measurement=", ".join(dict.fromkeys(instruments)),
+        setups=setups,
+        readings=sum(len(s) for s in series),
+        identifies=verdict.rank,
+        cost=plan_seconds(measurement, series) / 60.0,
+        kappa=CRITERIA.index("kappa", verdict.identifiable_singular_values),
+        predicted=dict(predicted),
+    )
+    references: list[str | AlternativePlan] = [
+        plan.name for plan in resolved.reference_plans
+    ]
+    return PlanSection([stage], stage.cost, references)
+
+
+# Polishes the chosen poses, and free settings of their set-ups, off the grid.
+
+
+@dataclasses.dataclass(frozen=True)
+class PolishedPlan:
+    """Readings as polished, with their set-ups as moved."""
+
+    measurement: Measurement
+    series: tuple[Series, ...]
+    summary: PolishSummary
+
+
+def polish_plan(
+    study_criteria: StudyCriteria,
+    asked: PolishTable,
+    measurement: Measurement,
+    series: Sequence[Series],
+    retained: Sequence[Series],
+) -> PolishedPlan:
+    """The chosen readings polished, or as they are where that gains nothing.
+
+    `retained` readings are part of the plan and do not move. Raises InputError.
+    """
+    table, name = study_criteria.table, study_criteria.table.judged_by
+    location = study_criteria.resolved.study.location.key("design").key("polish")
+    ranges = _free_ranges(study_criteria, series, retained, location)
+    try:
+        polished = polish_readings(
+            measurement,
+            series,
+            study_criteria.parameters_criterion(name, measurement),
+            table.scaling,
+            free=ranges,
+            prior=_polish_information(study_criteria, measurement, retained),
+            travel=_travel(study_criteria),
+            clearance=asked.clearance,
+            iterations=asked.iterations,
+        )
+    except ValueError as error:
+        raise location.error(str(error), "mend it, or leave polishing out") from error
+    before, value = study_criteria.score(name, measurement, [*retained, *series])
+    after, new_value = study_criteria.score(
+        name, polished.measurement, [*retained, *polished.series]
+    )
+    if after > before:
+        moved = _moved_settings(polished.measurement, ranges)
+        summary = PolishSummary(value, new_value, polished.summary, moved)
+        return PolishedPlan(polished.measurement, polished.series, summary)
+    phrase = "polishing does not improve the criterion"
+    if polished.value_after == polished.value_before:
+        phrase = polished.summary
+    summary = PolishSummary(value, value, phrase, {})
+    return PolishedPlan(measurement, tuple(series), summary)
+
+
+def _travel(study_criteria: StudyCriteria) -> float | None:
+    """How far a held reading may differ from what the instrument holds, m."""
+    limits = study_criteria.table.limits
+    if limits is None or limits.travel_mm is None:
+        return None
+    return float(units.to_si(limits.travel_mm, "mm"))
+
+
+def _free_ranges(
+    study_criteria: StudyCriteria,
+    series: Sequence[Series],
+    retained: Sequence[Series],
+    location: Location,
+) -> CommandRanges:
+    """What polishing may move of the set-ups that the plan uses."""
+    ranges = study_criteria.request.free_ranges
+    fixed = {s.setup for s in retained}
+    for name in ranges:
+        if name in fixed:
+            raise (
+                location.key("free")
+                .key(name)
+                .error(
+                    f"the retained readings of {name} were taken where it stands",
+                    "move another set-up",
+                )
+            )
+    used = {s.setup for s in series}
+    return {name: limits for name, limits in ranges.items() if name in used}
+
+
+def _polish_information(
+    study_criteria: StudyCriteria, measurement: Measurement, retained: Sequence[Series]
+) -> Array | None:
+    """Information (n, n) before the polished readings: retained ones, tolerances."""
+    if retained:
+        return study_criteria.information(measurement, retained)
+    if study_criteria.table.prior:
+        return prior_information(measurement)
+    return None
+
+
+def _moved_settings(
+    measurement: Measurement, ranges: CommandRanges
+) -> dict[str, dict[str, float]]:
+    """Where each free setting stands now, by set-up and column."""
+    moved: dict[str, dict[str, float]] = {}
+    for name, limits in ranges.items():
+        setup = measurement.setups[name]
+        unit = {s.name: s.unit for s in setup.instrument.settings}
+        tool = zip(("tool_x", "tool_y", "tool_z"), setup.tool, strict=True)
+        values = {**setup.settings, **dict(tool)}
+        moved[name] = {}
+        for setting in limits:
+            si = unit.get(setting, "m")
+            key, value = field(setting, values[setting], si)
+            moved[name][key] = value
+    return moved
+
 
 # Predicts accuracy against the number of readings, and the fewest that suffice.
 
@@ -339,7 +498,7 @@ def select_design(
     measurement = _mounted(resolved, [*retained, *series])
     polish_summary = None
     if table.polish is not None and table.polish.enabled:
-        polished = polish.polish_plan(
+        polished = polish_plan(
             study_criteria, table.polish, measurement, series, retained
         )
         measurement, series = polished.measurement, polished.series

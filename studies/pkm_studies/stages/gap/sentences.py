@@ -6,27 +6,109 @@ import collections
 import dataclasses
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
-from oed.effect_model import Effect, State
+from oed import units
+from oed.effect_model import IMPLAUSIBLE, Effect, State
 from oed.gap import untestable
 from oed.result import (
+    DATA_SHEET,
     DOUBT_PROBABILITY,
     MAX_CLASS_NAMES,
     SURE_PROBABILITY,
     UNKNOWN,
     AnswerRecord,
     ClosureRecord,
+    CoefficientRecord,
     GapSection,
+    GoodnessSection,
     PlaceRecord,
     SizeRecord,
     probability_of,
 )
-from oed.text import capitalised, format_probability, join_words
-from pkm_studies.stages.gap import implausible, scatter
+from oed.text import capitalised, format_probability, join_words, rounded
 from pkm_studies.stages.gap.words import plain_name
+
+# Sentences of a diagnosis about noise: how it departs from the stated one.
+
+
+def scatter_sentences(gap: GapSection, factor: float) -> list[str]:
+    """That readings scatter beyond the instrument, and how."""
+    if gap.scatter_against in ("", DATA_SHEET):
+        first = (
+            f"The readings scatter {rounded(factor)} times as much as stated, and no effect"
+            " explains it: either the instrument is worse than stated, or something acts"
+            " in a form that no effect has."
+        )
+    else:
+        first = (
+            f"The readings scatter {rounded(factor)} times as much from pose to pose as where"
+            f" they were taken again ({gap.scatter_against}), and no effect explains it."
+        )
+    phrases = [first, f"What scatters: {'; '.join(gap.noise)}."]
+    if gap.scatter_shape.startswith(("leg", "run")):
+        phrases.append(f"Most of it is in {gap.scatter_shape}.")
+    return phrases
+
+
+def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
+    """How the noise departs from the stated one, beside the effects of a diagnosis."""
+    if not checked.noise_words or gap is None:
+        return checked.noise_words
+    return [f"Beside what the diagnosis explains, {'; '.join(gap.noise)}."]
+
+
+# States in sentences which coefficients are far beyond their expected sizes.
+
+#: ppm from which a ratio is stated in percent
+PERCENT = 1e4
+
+
+def implausible_sentences(
+    coefficients: Iterable[CoefficientRecord], checks: Mapping[str, str]
+) -> list[str]:
+    """One sentence for each effect with an implausible coefficient, the farthest off.
+
+    checks  {effect: what to check then; "" for nothing in particular}
+    """
+    worst: dict[str, tuple[CoefficientRecord, float]] = {}
+    for c in coefficients:
+        if c.shape or not c.prior_sd:
+            continue
+        size = abs(c.value)
+        largest, scale = worst.get(c.effect, (None, c.prior_sd))
+        most = IMPLAUSIBLE if largest is None else abs(largest.value) / scale
+        if size / c.prior_sd > most:
+            worst[c.effect] = c, c.prior_sd
+    return [_sentence(c, sd, checks.get(c.effect, "")) for c, sd in worst.values()]
+
+
+def _sentence(c: CoefficientRecord, expected: float, check: str) -> str:
+    ratio = abs(c.value) / expected
+    effect = c.effect.replace("_", " ")
+    advice = f"check {check}"
+    if not check:
+        advice = (
+            f"another cause may look like it. Check {effect} at the machine, or state"
+            " its expected size in [effects]"
+        )
+    return (
+        f"{effect[:1].upper()}{effect[1:]}: {c.name} is {_quantity(c.value, c.unit)} (sd"
+        f" {_quantity(c.sd, c.unit)}), {rounded(ratio)} times the"
+        f" {_quantity(expected, c.unit)} expected. That is implausible: {advice}."
+    )
+
+
+def _quantity(value: float, unit: str) -> str:
+    """A coefficient in a unit that a person reads."""
+    name, factor = units.coefficient_unit(unit)
+    amount = value / factor
+    if name == "ppm" and abs(amount) >= PERCENT:
+        return f"{rounded(amount / PERCENT, 3)} %"
+    return f"{rounded(amount, 3)} {name}"
+
 
 # States the places of a gap: legs, set-ups, runs, times and parts of runs.
 
@@ -340,7 +422,7 @@ def add_sentences(gap: GapSection) -> GapSection:
 def _verdict(gap: GapSection) -> list[str]:
     best = gap.answers[0]
     if gap.scatter is not None:
-        return scatter.sentences(gap, gap.scatter)
+        return scatter_sentences(gap, gap.scatter)
     if gap.verdict == "none":
         return _no_gap(gap)
     if gap.verdict == "unknown":
@@ -489,7 +571,7 @@ def _format_size(value: float) -> str:
 def _implausible(gap: GapSection) -> list[str]:
     """Coefficients far beyond their expected sizes, of the effects that are named."""
     named = [c for c in gap.coefficients if c.effect in gap.selected]
-    return implausible.sentences(
+    return implausible_sentences(
         named, {n: note.check for n, note in gap.about.items()}
     )
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from oed import checks
 from pkm_studies.base import Stream
+from pkm_studies.stages.fit.effects import extrapolated_states
 from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
-from pkm_studies.stages.fit.states import extrapolated_states
 from pkm_studies.stages.run_state import Measured, MeasuredReadings
 
 

@@ -35,7 +35,6 @@ from pkm_studies.resolve import (
     regular_commands,
     workspace_axes,
 )
-from pkm_studies.stages.corrected import coefficients
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.effects import readings_with_covariates
 from pkm_studies.stages.fit.noise import with_noise
@@ -271,9 +270,9 @@ def _add_section(
         return _mark_turned_runs(state, section, turned)
     state = state.add_sections(corrected=section)
     if gap is not None and not state.with_effects:
-        joint = coefficients.add_joint_coefficients(gap, corrected)
+        joint = sections.add_joint_coefficients(gap, corrected)
         return _add_true_alarms(state.add_sections(gap=joint), section)
-    state = state.add_warnings(*coefficients.implausible_sizes(corrected))
+    state = state.add_warnings(*sections.implausible_sizes(corrected))
     return _add_true_alarms(state, section)
 
 

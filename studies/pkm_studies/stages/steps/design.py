@@ -14,7 +14,7 @@ from pkm_studies import describe
 from pkm_studies.base import Stream
 from pkm_studies.resolve import PlanRequest
 from pkm_studies.stages import headline
-from pkm_studies.stages.design import cost, section, select
+from pkm_studies.stages.design import section, select
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.section import PlanOutcome
@@ -202,7 +202,7 @@ def report_single_stage(state: ScheduledT) -> ScheduledT:
     if state.plan is not None or verdict is None:
         return state
     predicted = headline.predicted_accuracy(state.result.prediction)
-    stage = cost.single_stage_plan(state.resolved, verdict, predicted)
+    stage = select.single_stage_plan(state.resolved, verdict, predicted)
     return state.add_sections(plan=stage)
 
 

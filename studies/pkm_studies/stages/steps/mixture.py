@@ -34,10 +34,10 @@ from pkm_studies.resolve import regular_commands
 from pkm_studies.stages.corrected.section import NO_HELP, drop_tables
 from pkm_studies.stages.fit.effects import (
     add_controller,
+    displayed_states,
     readings_with_covariates,
     states_in_use,
 )
-from pkm_studies.stages.fit.states import displayed_states
 from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, add_wanted
