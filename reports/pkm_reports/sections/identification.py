@@ -25,6 +25,7 @@ from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
+    Notice,
     Paragraph,
     Picture,
     Table,
