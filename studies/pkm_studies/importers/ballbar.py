@@ -33,7 +33,8 @@ from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
 from pkm_studies.quantities import column as usual_column
 from pkm_studies.quantities import read_values
-from pkm_studies.resolve import CIRCLE_PLANES, ToolPoints
+from pkm_studies.resolve import ToolPoints
+from pkm_studies.tables import CIRCLE_PLANES
 
 #: harmonics of a turn that are not noise, at most
 HARMONICS = 15

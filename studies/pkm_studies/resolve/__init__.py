@@ -45,7 +45,6 @@ mid_range                    commands with one coordinate in mid-range
 solve_held                   commands whose held coordinate gives a wanted reading
 check_tool_workspace         an error for commands of a tool beyond the workspace
 ToolPoints                   tool points of commands, and commands of tool points
-CIRCLE_PLANES                columns of the axes of a circle's plane
 workspace_commands           commands over the workspace
 regular_commands             those at which every pose component has an error
 regular_at                   of some commands, those at which every component has one
@@ -89,7 +88,6 @@ if TYPE_CHECKING:
         planned_covariates,
     )
     from pkm_studies.resolve.grids import (
-        CIRCLE_PLANES,
         Circles,
         grid_commands,
         mid_range,

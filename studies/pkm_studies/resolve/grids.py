@@ -31,7 +31,14 @@ from pkm_studies.resolve.reach import (
     reach_problem,
 )
 from pkm_studies.resolve.tool_points import ToolPoints, ranges
-from pkm_studies.tables import Axis, CircleTable, CubeTable, GridTable, Span
+from pkm_studies.tables import (
+    CIRCLE_PLANES,
+    Axis,
+    CircleTable,
+    CubeTable,
+    GridTable,
+    Span,
+)
 
 # Commands from poses as a user has them: lists, files, circles, lines, cubes, samples.
 
@@ -41,8 +48,6 @@ FORMS = ("poses", "file", "circle", "line", "cube", "sample")
 POINT_FORMS = ("circle", "line", "cube")
 #: poses sampled where a table gives none
 DEFAULT_SAMPLE = 500
-#: columns of the plane's first and second axis
-CIRCLE_PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 #: a joint may exceed its range by this much (m, rad)
 SLACK = 1e-9
 

@@ -26,8 +26,7 @@ from oed.text import format_number, guaranteed_percent, join_words
 from oed.verdict import accuracy_verdicts
 from pkm_studies.results import unmodelled_sentence
 from pkm_studies.stages.forecast import words as forecast_words
-from pkm_studies.stages.gap.sentences import noise_words
-from pkm_studies.stages.gap.words import plain_name
+from pkm_studies.stages.gap.sentences import noise_words, plain_name
 from pkm_studies.stages.plan.phrases import percent, plan_sentences
 
 # A design in sentences: what its readings reach, and on a machine with effects.

@@ -31,7 +31,6 @@ from pkm_studies.stages.run_state import (
     promote,
     start,
 )
-from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.correct import correct_for_effects
 from pkm_studies.stages.steps.design import (
     analyse_identifiability,
@@ -42,7 +41,11 @@ from pkm_studies.stages.steps.design import (
     report_single_stage,
     select_design,
 )
-from pkm_studies.stages.steps.fit import fit_parameters, sample_posterior
+from pkm_studies.stages.steps.fit import (
+    check_readings,
+    fit_parameters,
+    sample_posterior,
+)
 from pkm_studies.stages.steps.forecast import forecast_errors
 from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_gap
 from pkm_studies.stages.steps.mixture import mix_answers

@@ -44,4 +44,4 @@ from pkm_studies.tables.machine import (
     ToleranceTable,
 )
 from pkm_studies.tables.plan import MeasuredTable, PlanTable
-from pkm_studies.tables.poses import CircleTable, CubeTable
+from pkm_studies.tables.poses import CIRCLE_PLANES, CircleTable, CubeTable

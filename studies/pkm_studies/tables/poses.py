@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
@@ -10,6 +10,8 @@ from pkm_studies.tables.base import Count, Positive, StudyTable, Triple
 
 #: poses on a circle, points on a line, and along an edge of a cube
 CIRCLE_COUNT, LINE_COUNT, CUBE_COUNT = 36, 11, 3
+#: columns of the first and second axis of a circle's plane
+CIRCLE_PLANES: Final = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 
 
 class CircleTable(StudyTable, frozen=True, kw_only=True):

@@ -44,7 +44,7 @@ from pkm_studies.stages.fit.effects import add_controller
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
 from pkm_studies.stages.gap import sentences
-from pkm_studies.stages.gap.words import plain_name
+from pkm_studies.stages.gap.sentences import plain_name
 from pkm_studies.stages.predict.accuracy import (
     accuracy_section,
     add_wanted,

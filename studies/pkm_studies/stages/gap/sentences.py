@@ -29,7 +29,16 @@ from oed.result import (
     probability_of,
 )
 from oed.text import capitalised, format_probability, join_words, rounded
-from pkm_studies.stages.gap.words import plain_name
+
+# Names of effects in words.
+
+
+def plain_name(effect: str) -> str:
+    """An effect's name as a person says it: `leg_thermal` -> leg thermal."""
+    return (
+        "an effect of unknown form" if effect == UNKNOWN else effect.replace("_", " ")
+    )
+
 
 # Sentences of a diagnosis about noise: how it departs from the stated one.
 

@@ -48,8 +48,8 @@ from pkm_studies.resolve import (
     comments_of,
 )
 from pkm_studies.stages.gap import sentences, traces
+from pkm_studies.stages.gap.sentences import plain_name
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
-from pkm_studies.stages.gap.words import plain_name
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT
 
 if TYPE_CHECKING:

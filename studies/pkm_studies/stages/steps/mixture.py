@@ -38,7 +38,7 @@ from pkm_studies.stages.fit.effects import (
     readings_with_covariates,
     states_in_use,
 )
-from pkm_studies.stages.gap.words import plain_name
+from pkm_studies.stages.gap.sentences import plain_name
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, add_wanted
 from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
