@@ -351,14 +351,10 @@ class Kinematics:
         return x
 
     def try_forward_per_pose(
-        self,
-        q: Array,
-        p: Array,
-        start: Array,
-        step_tolerance: float = newton.STEP_TOLERANCE,
+        self, q: Array, p: Array, start: Array
     ) -> tuple[Array, Mask]:
         """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
-        return self.equations.solve((start, q, p), start, step_tolerance)
+        return self.equations.solve((start, q, p), start, newton.STEP_TOLERANCE)
 
     def nearby(self, q: Array, p: Array, x: Array) -> NearbyPoses:
         """Poses at joints q (n, nq) near those x (n, nx) at parameters p (np,)."""

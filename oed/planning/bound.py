@@ -52,6 +52,8 @@ RELAXATION_TOLERANCE = 3e-3
 MAX_PRICE_STEPS = 6
 #: share by which the numbers of readings may then exceed their limits
 LIMIT_EXCESS = 0.02
+#: supporting lines that are computed
+MAX_LINES = 150
 #: weight of the candidates of options that are not in a relaxation
 OUTSIDE_SHARE = 0.5
 
@@ -296,12 +298,11 @@ def bound_goal(
     rng: np.random.Generator,
     *,
     loss: float = 0.05,
-    lines: int = 150,
 ) -> GoalBound:
     """Bound the goal over all plans of at most `stages` options within `budget` (s).
 
     Lines are added until a plan with `value` is certified to be within the share `loss`
-    of the best plan, or until there are `lines` of them.
+    of the best plan, or until there are MAX_LINES of them.
 
     information  (n, n) about the machine before
     rng          draws the machines that no reading captures
@@ -319,7 +320,7 @@ def bound_goal(
     target = _log_phi(_reducible(value / (1.0 + loss), rest))
     relaxed: dict[int, dict[int, float]] = {}
     computed = 0
-    while computed < lines:
+    while computed < MAX_LINES:
         best = int(np.argmax(upper))
         if upper[best] <= target:
             break
