@@ -250,7 +250,7 @@ def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
         bench.covariates,
         gravity=bench.gravity,
     )
-    diagnosis = explain_residuals(problem, bench.effects, rng)
+    diagnosis = explain_residuals(problem, bench.effects)
     record["seconds_diagnosis"] = time.process_time() - started
     started = time.process_time()
     alone = identify(bench.measurement, problem.series, bench.y, estimate_noise=True)

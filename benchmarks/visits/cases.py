@@ -84,7 +84,7 @@ def _record(
         make.write(first.case, first.y, first.label, stem)
         problem, effects = prepare(*write_case(stem, Path(folder) / "study"))
     rng = np.random.default_rng(key)
-    diagnosis = explain_residuals(problem, effects, rng)
+    diagnosis = explain_residuals(problem, effects)
     record = {
         "acting": [e["effect"] for e in first.label["effects"]],
         "first": _judge(first.label, diagnosis),
@@ -95,7 +95,7 @@ def _record(
     if visit is None:
         return record
     both = _both(make, first, problem, visit)
-    second = explain_residuals(both, effects, rng)
+    second = explain_residuals(both, effects)
     return record | {
         "visited": True,
         "further": sum(len(s) for s in visit.series),

@@ -170,7 +170,7 @@ def diagnose(
     """
     comparison = _compare(problem, effects, law)
     searched, hypotheses = comparison.searches, comparison.hypotheses
-    diagnosis, best = conclude(problem, searched, hypotheses, effects, rng)
+    diagnosis, best = conclude(problem, searched, hypotheses, effects)
     clean = searched[best.law].problem  # without outliers, where there are any
     where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict in NO_EFFECT:
@@ -190,14 +190,13 @@ def diagnose(
 def explain_residuals(
     problem: GapProblem,
     effects: Sequence[Effect],
-    rng: np.random.Generator,
     *,
     law: NoiseLaw | None = None,
 ) -> Diagnosis:
     """As `diagnose`, without places and closure: which effects act."""
     comparison = _compare(problem, effects, law)
     searched, hypotheses = comparison.searches, comparison.hypotheses
-    return conclude(problem, searched, hypotheses, effects, rng)[0]
+    return conclude(problem, searched, hypotheses, effects)[0]
 
 
 def _compare(
@@ -218,13 +217,12 @@ def conclude(
     searched: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
-    rng: np.random.Generator,
 ) -> tuple[Diagnosis, Hypothesis]:
     """The diagnosis by searches under several noise laws, without places and closure.
 
     The second result is the hypothesis that the first answer stands for.
     """
-    hypotheses = withheld.pooled(searched, hypotheses, rng)
+    hypotheses = withheld.pooled(searched, hypotheses)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)

@@ -10,7 +10,6 @@ and counts a set of named effects once, with or without a remainder.
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,7 +20,7 @@ from oed.effect_model import Effect
 from oed.gap.cause.compare import equivalent_effects
 from oed.gap.cause.search import PRIOR, UNSEEN_SHARE, Hypothesis, Search
 from oed.gap.data.diagnosis import AGAIN, ExcessScatter, Verdict
-from oed.gap.data.problem import LACKING
+from oed.gap.data.problem import LACKING, covariate
 from oed.result import (
     DATA_SHEET,
     DOUBT_PROBABILITY,
@@ -120,7 +119,7 @@ def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
     for reason in not_testable.values():
         if reason.startswith(LACKING):
             needs = reason.removeprefix(LACKING).split(", ")
-            missing |= {re.split(r":| or ", need)[0] for need in needs}
+            missing |= {covariate(need) for need in needs}
     return sorted(missing)
 
 

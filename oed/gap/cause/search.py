@@ -22,6 +22,7 @@ from oed.effect_model import EFFECT_SIZES, UNKNOWN_SIZES
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.problem import GapProblem, Metric
+from oed.gap.forms import discrepancy
 from oed.gap.forms.library import Library
 from oed.noise import NoiseLaw
 from oed.noise_law import Outliers
@@ -184,7 +185,8 @@ class FormProducts:
     def remainders(self) -> Remainders:
         """The processes that an unknown remainder may be."""
         columns = WhitenedColumns(self._problem, self.metric, self._processes.columns)
-        return Remainders(self.effects, columns, self._processes)
+        log_kinds = discrepancy.log_shares(self._processes, self._library)
+        return Remainders(self.effects, columns, self._processes, log_kinds)
 
     @functools.cached_property
     def grams(self) -> Grams:
@@ -234,9 +236,16 @@ class Remainders:
     """The processes that an unknown remainder may be, under one noise law."""
 
     def __init__(
-        self, effects: WhitenedColumns, columns: WhitenedColumns, processes: Library
+        self,
+        effects: WhitenedColumns,
+        columns: WhitenedColumns,
+        processes: Library,
+        log_kinds: Array,
     ) -> None:
-        """Lay out the processes, those with as many columns together."""
+        """Lay out the processes, those with as many columns together.
+
+        log_kinds   (processes,) log prior of the kind of each
+        """
         self._effects, self._whitened = effects, columns
         self._columns = [atom.columns for atom in processes.atoms]
         #: numbers (a,), columns (a, d) and Gram matrices (a, d, d)
@@ -245,11 +254,10 @@ class Remainders:
             for numbers, rows in evidence.group_by_count(self._columns)
         ]
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
-        log_share = np.log(max(len(processes.effects), 1))
         energy = energies(columns.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
         #: (processes, sizes) log prior of each
-        self.log_prior = log_weights[:, None] - log_share + log_sizes
+        self.log_prior = (log_weights + log_kinds)[:, None] + log_sizes
 
     def __len__(self) -> int:
         return len(self._columns)

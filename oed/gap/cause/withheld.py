@@ -16,28 +16,32 @@ Evidence and prediction are two opinions of the same readings. They are pooled
 logarithmically in equal parts (Genest and Zidek 1986, Stat. Sci. 1, 114-135), which
 counts no reading twice. How probable a gap is, is left to the evidence.
 
-A hypothesis is refuted if its effects make the prediction of withheld runs worse than
-none does, with 95 % (its closure is below 0), and fewer names with an unknown remainder
-predict better, with 95 %. The others share its probability.
+All hypotheses are approximate: real effects depart from every form, and a departure
+counts as often as it is read. The evidence of approximate models is too sure; a power
+t <= 1 of it is not (Grunwald and van Ommen 2017, Bayesian Anal. 12, 1069-1103). How
+well the posterior that other runs give predicts a withheld one says which power:
+
+    p(t | readings) ~ prod_F sum_h p(h | others, t) p(F | others, h),
+    p(h | others, t) ~ p(h) p(others | h)^t.
+
+Where what some runs prefer holds in the others, t is near 1; where it does not, or runs
+are few, hypotheses stay closer to their prior. Probabilities are averaged over t.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.base import Array, Index
-from oed.gap.cause import closure
 from oed.gap.cause.closure import Paths
 from oed.gap.cause.compare import probabilities
-from oed.gap.cause.search import Hypothesis, Key, Search
+from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
-from oed.noise import NoiseLaw
-from oed.result import ClosureRecord
 
 #: probability among the hypotheses of a gap from which one is asked of withheld runs
 MIN_PROBABILITY = 0.002
@@ -47,19 +51,14 @@ SIZE_FACTORS = (1.0, 0.5, 2.0)
 MAX_FORMS = 5
 #: share of the evidence in the pool, as large as that of prediction
 EVIDENCE_SHARE = 0.5
-#: probability that a prediction is worse from which a hypothesis is refuted
-REFUTING_PROBABILITY = 0.95
+#: powers of the evidence, equally likely before withheld runs
+POWERS = np.linspace(0.05, 1.0, 20)
 
 
 def pooled(
-    searches: Sequence[Search],
-    hypotheses: Sequence[Hypothesis],
-    rng: np.random.Generator,
+    searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Hypotheses, best first, those of a gap by evidence and prediction together.
-
-    rng  for the bootstrap of closures
-    """
+    """Hypotheses, best first, those of a gap by evidence and prediction together."""
     gaps = [h for h in hypotheses if h.is_gap]
     shares = probabilities(gaps) if gaps else ()
     pairs = zip(gaps, shares, strict=True)
@@ -69,60 +68,25 @@ def pooled(
     # laws share their readings: folds are laid out once for each set of these
     problems = {id(s.problem): s.problem for s in (searches[h.law] for h in asked)}
     others = {key: _others_of_folds(problem) for key, problem in problems.items()}
-    predicted = {}
+    by_fold = []
     for h in asked:
         search = searches[h.law]
-        density = log_withheld(search, h, others[id(search.problem)])
-        predicted[h.key] = density + search.log_form_prior(h)
-    refuted = {h.key for h in asked if _is_refuted(searches[h.law], h, predicted, rng)}
-    remaining = [h for h in asked if h.key not in refuted]
-    if not remaining:
-        return list(hypotheses)
-    prediction = np.array([predicted[h.key] + h.log_prior for h in remaining])
-    scores = np.array([h.score for h in remaining])
-    both = EVIDENCE_SHARE * scores + (1.0 - EVIDENCE_SHARE) * prediction
-    both += special.logsumexp([h.score for h in asked]) - special.logsumexp(both)
-    results = {h.key: h for h in hypotheses if h.key not in refuted}
-    for h, score in zip(remaining, both, strict=True):
-        log_evidence = float(score) - h.log_prior
-        results[h.key] = dataclasses.replace(h, log_evidence=log_evidence)
+        densities = np.array(log_withheld(search, h, others[id(search.problem)]))
+        # the price of its forms, which were chosen with all folds, in equal parts
+        by_fold.append(densities + search.log_form_prior(h) / len(densities))
+    folds = np.array(by_fold)
+    log_prior = np.array([h.log_prior for h in asked])
+    log_evidence = np.array([h.log_evidence for h in asked])
+    powers = log_powers(log_prior, log_evidence, folds)
+    prediction = folds.sum(axis=1)
+    both = EVIDENCE_SHARE * log_evidence + (1.0 - EVIDENCE_SHARE) * prediction
+    scores = log_posterior(log_prior, both, powers)
+    scores += special.logsumexp([h.score for h in asked])
+    results = {h.key: h for h in hypotheses}
+    for h, score in zip(asked, scores, strict=True):
+        changed = float(score) - h.log_prior
+        results[h.key] = dataclasses.replace(h, log_evidence=changed)
     return sorted(results.values(), key=lambda h: -h.score)
-
-
-def _is_refuted(
-    search: Search,
-    h: Hypothesis,
-    predicted: Mapping[Key, float],
-    rng: np.random.Generator,
-) -> bool:
-    """Whether withheld runs refute a hypothesis.
-
-    predicted  log predictive density of withheld runs by hypothesis
-    """
-    names = frozenset(h.effects)
-    rivals = [
-        density
-        for (effects, unknown), density in predicted.items()
-        if unknown and effects < names
-    ]
-    if not rivals or max(rivals) - predicted[h.key] < special.logit(
-        REFUTING_PROBABILITY
-    ):
-        return False
-    law = search.law_at(search.noise_level(h))
-    worse = on_withheld_runs(search, h, law, rng).p_worse
-    return worse is not None and worse >= REFUTING_PROBABILITY
-
-
-def on_withheld_runs(
-    search: Search, h: Hypothesis, law: NoiseLaw, rng: np.random.Generator
-) -> ClosureRecord:
-    """Closure on whole runs, or on stretches of the path of the only one."""
-    columns = models(search, h)
-    whole = closure.closure(search.problem, law, columns, rng, split="whole")
-    if whole.n:
-        return whole
-    return closure.closure(search.problem, law, columns, rng, split="within")
 
 
 def models(search: Search, h: Hypothesis) -> list[Array]:
@@ -144,8 +108,26 @@ def models(search: Search, h: Hypothesis) -> list[Array]:
     return columns or [np.zeros((len(search.problem), 1))]
 
 
-def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> float:
-    """Log predictive density of all folds under a hypothesis, in its best forms.
+def log_powers(log_prior: Array, log_evidence: Array, by_fold: Array) -> Array:
+    """Log posterior (T,) of the powers of the evidence, by what withheld runs show.
+
+    by_fold  (H, F) log predictive density of each fold under each hypothesis (H,)
+    """
+    log_others = log_evidence[:, None] - by_fold
+    weights = log_prior[:, None] + POWERS[:, None, None] * log_others
+    weights = special.log_softmax(weights, axis=1)
+    predicted = special.logsumexp(weights + by_fold, axis=1).sum(axis=1)
+    return np.asarray(special.log_softmax(predicted))
+
+
+def log_posterior(log_prior: Array, log_evidence: Array, powers: Array) -> Array:
+    """Log posterior (H,) of hypotheses, over the powers with log posterior (T,)."""
+    values = special.log_softmax(log_prior + POWERS[:, None] * log_evidence, axis=1)
+    return np.asarray(special.logsumexp(values + powers[:, None], axis=0))
+
+
+def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> list[float]:
+    """Log predictive density of each fold under a hypothesis, in its best forms.
 
     others  readings that each fold is predicted from
     """
@@ -153,9 +135,9 @@ def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> floa
     effects = h.columns(search.library, search.processes)
     columns = np.hstack([problem.slopes, effects])
     log_all = evidence.log_evidence(problem, law, columns)
-    return sum(
+    return [
         log_all - evidence.log_evidence(problem, law, columns, rows) for rows in others
-    )
+    ]
 
 
 def _others_of_folds(problem: GapProblem) -> list[Index]:

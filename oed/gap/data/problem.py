@@ -263,6 +263,11 @@ def untestable(effect: Effect, states: Sequence[State]) -> str | None:
     return LACKING + ", ".join(missing) if missing else None
 
 
+def covariate(need: str) -> str:
+    """The covariate that a need of an effect, or several in words, names first."""
+    return re.split(r":| or ", need)[0]
+
+
 def _recorded(need: str, states: Sequence[State]) -> bool:
     """Whether a covariate is recorded with as many values as needed.
 

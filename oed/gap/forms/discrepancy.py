@@ -184,12 +184,25 @@ MAX_COLUMNS = 72
 #: readings that a run must have to be a term by itself
 MIN_RUN_READINGS = 8
 
+#: kind of what varies over the session
+OVER_TIME = "over time"
+#: kind of what depends on the pose alone
+OVER_WORKSPACE = "over the workspace"
 #: kind of what acts in one run alone
 IN_A_RUN = "in a run"
 #: kind of what acts along all runs
 ALONG_RUNS = "along the runs"
 #: kind of what acts with the direction of runs
 WITH_DIRECTION = "with the direction"
+
+#: covariate that a listed effect of each kind needs first
+CONDITIONS = {
+    OVER_TIME: "time",
+    OVER_WORKSPACE: "",
+    WITH_DIRECTION: "direction",
+    "with the payload": "payload",
+    "with the feed": "feed",
+}
 
 #: values (N, J) or (N, J, d) of a coordinate or a factor at the poses readings see
 Values = Array
@@ -225,8 +238,21 @@ class Term:
         return factor
 
 
+def log_shares(discrepancy: Library, listed: Library) -> Array:
+    """Log prior probability (atoms,) of the kind of each atom of a discrepancy.
+
+    What no list has comes under the conditions under which listed effects come: a kind
+    has one more than their number (Laplace's rule of succession).
+    """
+    counts = {kind: 1 for kind in discrepancy.effects}
+    for kind in counts.keys() & CONDITIONS.keys():
+        counts[kind] += listed.by_condition.get(CONDITIONS[kind], 0)
+    total = sum(counts.values())
+    return np.log([counts[atom.effect] / total for atom in discrepancy.atoms])
+
+
 def build(problem: GapProblem) -> Library:
-    """The discrepancy's terms as atoms; each kind has the same prior probability."""
+    """The discrepancy's terms as atoms, with their prior probability within a kind."""
     columns = [np.zeros((len(problem), 0))]
     atoms: list[Atom] = []
     labels: list[str] = []
@@ -309,7 +335,7 @@ def _terms_by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     over_session = [_Places(c, session[:, :, None]) for c in every]
     over_workspace = [_Places(c, travel, by_column=c.name == JOINTS) for c in every]
     yield [
-        Term("over time", f"drift of {p.carrier.name}", p.carrier, forms, reach, True)
+        Term(OVER_TIME, f"drift of {p.carrier.name}", p.carrier, forms, reach, True)
         for p in over_session
         for reach, forms in p.forms(REACHES["time"])
     ]
@@ -390,7 +416,7 @@ def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bo
     """
     direction = known_values(_covariate(problem, "direction"))
     ones = np.ones_like(direction)
-    yield "over the workspace", "", ones, ones, False
+    yield OVER_WORKSPACE, "", ones, ones, False
     sense = _covariate(problem, "motion_sign")
     yield WITH_DIRECTION, f", {WITH_DIRECTION}", direction, sense, False
     for name in ("payload", "feed"):

@@ -7,6 +7,7 @@ a choice of columns. All atoms of an effect share its prior probability.
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import hashlib
 import math
@@ -17,7 +18,13 @@ import numpy as np
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.data import evidence
-from oed.gap.data.problem import GapProblem, Metric, Signature, untestable
+from oed.gap.data.problem import (
+    GapProblem,
+    Metric,
+    Signature,
+    covariate,
+    untestable,
+)
 
 # Errors of references that these readings can tell from the free parameters.
 
@@ -103,6 +110,7 @@ class Library:
     scales          (K,) prior standard deviations of the coefficients
     not_testable    {effect: why these readings cannot test it}
     families        {effect: family of effects that differ by the form alone}
+    by_condition    {covariate that effects need first, "" for none: number of effects}
     """
 
     columns: Array
@@ -112,6 +120,7 @@ class Library:
     scales: Array
     not_testable: Mapping[str, str]
     families: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    by_condition: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -193,6 +202,11 @@ def build(
         scales=np.concatenate(scales) if scales else np.zeros(0),
         not_testable=refused,
         families={effect.name: effect.family for effect in effects if effect.family},
+        by_condition=collections.Counter(
+            covariate(effect.needs[0]) if effect.needs else ""
+            for effect in effects
+            if effect.name not in refused
+        ),
     )
 
 

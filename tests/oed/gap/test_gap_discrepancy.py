@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from kernel import gap_problem
-from kernel.gap_lines import readings
+from kernel.gap_lines import BOW, readings
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy
+from oed.gap.forms import library as libraries
 
 
 @pytest.mark.parametrize("reach", [0.3, 1.0])
@@ -29,12 +30,34 @@ def test_modes_have_the_kernel(reach: float) -> None:
 
 
 @pytest.mark.parametrize("problem", [readings(3), gap_problem.circles(passes=2)])
-def test_each_kind_has_the_same_prior(problem: GapProblem) -> None:
+def test_forms_of_a_kind_share_its_prior(problem: GapProblem) -> None:
     library = discrepancy.build(problem)
     assert np.isfinite(library.columns).all()
     for kind in library.effects:
         shares = [np.exp(library.atoms[k].log_weight) for k in library.atoms_of(kind)]
         assert sum(shares) == pytest.approx(1.0)
+
+
+def test_kinds_come_under_the_conditions_of_listed_effects() -> None:
+    """Of five effects three need nothing, one the time; the last cannot be tested."""
+    problem = readings(3)
+    named = ("", "", "", "time: 3 or temp_leg", "payload")
+    needs = [(need,) if need else () for need in named]
+    listed = libraries.build(
+        problem,
+        [
+            dataclasses.replace(BOW, name=f"bow {k}", needs=need)
+            for k, need in enumerate(needs)
+        ],
+    )
+    terms = discrepancy.build(problem)
+    logs = discrepancy.log_shares(terms, listed)
+    shares = {a.effect: np.exp(p) for a, p in zip(terms.atoms, logs, strict=True)}
+    counts = {"over the workspace": 4, "over time": 2}
+    total = len(shares) + 4
+    assert sum(shares.values()) == pytest.approx(1.0)
+    for kind, share in shares.items():
+        assert share == pytest.approx(counts.get(kind, 1) / total)
 
 
 def test_units_of_length_change_nothing() -> None:

@@ -118,9 +118,7 @@ def unloaded(size: float = 10.0) -> Diagnosis:
     change = problem.in_noise_units(form.columns[:, 0])
     noise = np.random.default_rng(8).standard_normal(len(problem))
     problem = with_readings(problem, size * change + noise)
-    return procedure.explain_residuals(
-        problem, EFFECTS, np.random.default_rng(0), law=STATED_LAW
-    )
+    return procedure.explain_residuals(problem, EFFECTS, law=STATED_LAW)
 
 
 def test_what_was_not_read_under_load_is_to_be_read_under_load() -> None:
