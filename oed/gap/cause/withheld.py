@@ -1,31 +1,22 @@
 """What withheld runs say of the hypotheses of a gap, pooled with their evidence.
 
 The evidence of all readings can prefer a name at an absurd size: its form explains what
-was read and says nonsense between. The readings of a fold F given all others have the log
-predictive density
+was read and says nonsense between. The readings of a fold F given all others have the
+log predictive density log p(F | others) = log p(all) - log p(others), each of the two a
+log evidence: parameters, coefficients and noise level are learned from the others alone.
+Its sum over the folds, whole runs in turn, compares hypotheses by prediction (Vehtari and
+Lampinen 2002, Neural Comput. 14, 2439-2468). Forms and sizes are chosen with all
+readings, so each choice costs its log prior. Evidence and prediction are two opinions of
+the same readings, pooled logarithmically in equal parts (Genest and Zidek 1986, Stat.
+Sci. 1, 114-135). How probable a gap is, is left to the evidence.
 
-    log p(F | others) = log p(all) - log p(others),
-
-each of the two a log evidence, so that parameters, coefficients and noise level are
-learned from the others alone. The sum over the folds, whole runs in turn, compares
-hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). Forms
-and sizes are chosen with all readings: each choice costs its log prior, so that a form
-out of many gains nothing by having been the best of them.
-
-Evidence and prediction are two opinions of the same readings. They are pooled
-logarithmically in equal parts (Genest and Zidek 1986, Stat. Sci. 1, 114-135), which
-counts no reading twice. How probable a gap is, is left to the evidence.
-
-All hypotheses are approximate: real effects depart from every form, and a departure
-counts as often as it is read. The evidence of approximate models is too sure; a power
-t <= 1 of it is not (Grunwald and van Ommen 2017, Bayesian Anal. 12, 1069-1103). How
-well the posterior that other runs give predicts a withheld one says which power:
+All forms are approximate: what real effects keep outside them counts as often as it is
+read. Their evidence is too sure; a power t <= 1 of it is not (Grunwald and van Ommen
+2017, Bayesian Anal. 12, 1069-1103). The power is known by how well the posterior that
+other runs give predicts a withheld one, and is averaged over:
 
     p(t | readings) ~ prod_F sum_h p(h | others, t) p(F | others, h),
     p(h | others, t) ~ p(h) p(others | h)^t.
-
-Where what some runs prefer holds in the others, t is near 1; where it does not, or runs
-are few, hypotheses stay closer to their prior. Probabilities are averaged over t.
 """
 
 from __future__ import annotations
@@ -49,8 +40,6 @@ MIN_PROBABILITY = 0.002
 SIZE_FACTORS = (1.0, 0.5, 2.0)
 #: likeliest forms of each effect between which they choose
 MAX_FORMS = 5
-#: share of the evidence in the pool, as large as that of prediction
-EVIDENCE_SHARE = 0.5
 #: powers of the evidence, equally likely before withheld runs
 POWERS = np.linspace(0.05, 1.0, 20)
 
@@ -78,8 +67,7 @@ def pooled(
     log_prior = np.array([h.log_prior for h in asked])
     log_evidence = np.array([h.log_evidence for h in asked])
     powers = log_powers(log_prior, log_evidence, folds)
-    prediction = folds.sum(axis=1)
-    both = EVIDENCE_SHARE * log_evidence + (1.0 - EVIDENCE_SHARE) * prediction
+    both = 0.5 * (log_evidence + folds.sum(axis=1))
     scores = log_posterior(log_prior, both, powers)
     scores += special.logsumexp([h.score for h in asked])
     results = {h.key: h for h in hypotheses}
