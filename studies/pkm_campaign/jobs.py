@@ -162,7 +162,7 @@ def _run_on_cluster(
     except ImportError:
         raise InputError(
             "Dask is not installed",
-            "pip install distributed, or leave the scheduler out",
+            "pip install pkm-oed[cluster], or leave the scheduler out",
             value=scheduler,
         ) from None
     try:
