@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import spatial
-from scipy.stats import qmc
 
 from oed import units
 from oed.base import Array, grid_nodes
@@ -226,6 +224,9 @@ def commands_between(kinematics: Kinematics, command: Array, count: int) -> Arra
     if not dimensions or len(command) < 2:
         return command[:0]
     grid = (command - low)[:, varied] / size[varied]
+    from scipy import spatial  # loaded by what asks for poses between nodes alone
+    from scipy.stats import qmc
+
     tree = spatial.KDTree(grid)
     spacing = float(tree.query(grid, k=2)[0][:, 1].max())
     # without its first point, which is a corner

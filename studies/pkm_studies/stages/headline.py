@@ -154,19 +154,24 @@ def sentences(
     findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
-    noise = [] if checked is None else noise_words(checked, result.gap)
     rounds = [] if machine is None else earlier_sentences(machine)
     held_out = _held_out(result.held_out)
     return [
         *alarms,
         *findings,
-        *noise,
+        *noise_sentences(result),
         *rounds,
         *held_out,
         *ranked[:MAX_SENTENCES],
         *_indices(result.identifiability),
         *recording_sentences(result.plan, chosen),
     ]
+
+
+def noise_sentences(result: StudyResult) -> list[str]:
+    """Where the noise of the readings departs from the stated one."""
+    checked = result.goodness
+    return [] if checked is None else noise_words(checked, result.gap)
 
 
 def earlier_sentences(machine: MachineInfo) -> list[str]:

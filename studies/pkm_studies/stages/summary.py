@@ -48,6 +48,7 @@ def lines(
     warnings = [*page.warnings, *result_folder.changed_files(folder)]
     return [
         *shown,
+        *headline.noise_sentences(result),
         *headline.earlier_sentences(result.machine),
         *page.findings,
         *headline.lost_directions(result.identifiability),

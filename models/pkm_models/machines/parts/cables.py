@@ -41,6 +41,9 @@ STIFFNESS = "E A of each cable, which recorded tensions stretch; none: not known
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}
 #: share of the smallest side of the anchors' box that a workspace amid them reaches
 REACH = 0.25
+#: smallest side of that box over its largest from which anchors surround a mover; thinner,
+#: as of a ceiling, it hangs from them
+SURROUNDING = 0.25
 #: sense of the joints, and of z of a mover that turns
 PAID_OUT = "length of cable {} that its drum has paid out, less its zero"
 TOOL_AXIS = "z of the frame of the cables' points on the mover"
@@ -63,12 +66,15 @@ def dimensions(
 
 
 def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, Any]:
-    """The table with defaults; home is amid stated anchors that do not hold its default."""
+    """The table with defaults; home is amid anchors that surround a place without it."""
     table = families.completed(dimensions, geometry)
     anchors, home = families.array(table, "anchor"), families.array(table, "home")
     low, high = anchors.min(axis=0), anchors.max(axis=0)
-    if "home" not in geometry and not ((low < home) & (home < high)).all():
-        reach = REACH * float((high - low).min())
+    sides = high - low
+    surround = sides.min() > SURROUNDING * sides.max()
+    is_amid = ((low < home) & (home < high)).all()
+    if "home" not in geometry and surround and not is_amid:
+        reach = REACH * float(sides.min())
         table |= {"home": anchors.mean(axis=0), "reach": reach, **geometry}
     return table
 
