@@ -13,7 +13,7 @@ from pkm_studies.importers import ImportedSession, import_files
 
 #: no samples and no report
 PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
-PLAIN += '[identify]\neffects = "none"\n'
+GEOMETRY_ALONE = '[identify]\neffects = "none"\n'
 
 
 def take(
@@ -25,7 +25,8 @@ def take(
         (folder / name).write_text(text)
     paths = [folder / name for name in files]
     study, imported = import_files(kind, paths, folder / "study", name="p")
-    study.write_text(study.read_text() + PLAIN)
+    text = study.read_text() + PLAIN
+    study.write_text(text if "[identify]" in text else text + GEOMETRY_ALONE)
     return study, imported
 
 
