@@ -116,7 +116,7 @@ def _shrinkages(assessment: Assessment, indices: Index) -> str:
         unit = units.display(parameter.unit)
         before = units.number(parameter.tolerance, unit)
         after = f"{before * assessment.shrinkage[k]:.2g}{_suffix(unit)}"
-        phrases.append(f"{parameter.name} ({before:.3g} to {after})")
+        phrases.append(f"{parameter.name} ({before:.3g} before, {after} after)")
     return ", ".join(phrases)
 
 

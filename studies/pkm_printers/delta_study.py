@@ -229,10 +229,9 @@ class DeltaStudy:
 
     @property
     def title(self) -> str:
-        """The title of the report; Klipper's printer.cfg names nothing."""
-        return (
-            "Delta printer" if self.name == "printer" else f"Delta printer {self.name}"
-        )
+        """The title of the report; printer.cfg and config.g name nothing."""
+        is_unnamed = self.name in ("printer", "config")
+        return "Delta printer" if is_unnamed else f"Delta printer {self.name}"
 
     def text(self) -> str:
         """The text of the study."""

@@ -38,7 +38,8 @@ def printed(result: StudyResult) -> list[Block]:
     if forecast is None:
         return []
     rests = headed_list("These figures rest on:", forecast.sentences)
-    return [Paragraph(_introduction(forecast)), *rests, _nodes(forecast)]
+    nodes = [] if forecast.readings else [_nodes(forecast)]
+    return [Paragraph(_introduction(forecast)), *rests, *nodes]
 
 
 def answer(forecast: ForecastSection) -> Table:
@@ -90,13 +91,13 @@ def _planned(forecast: ForecastSection) -> Table:
 
 
 def _residual(forecast: ForecastSection) -> Table:
-    titles = ["At nodes", "Left", "2.5 %", "97.5 %", "Left out", "Predicted"]
+    titles = ["At nodes", "With table", "2.5 %", "97.5 %", "Cross-checked", "Expected"]
     fields = ["measured", "predicted", "low", "high"]
     fields += ["left_out", "left_out_predicted"]
     caption = (
         "Rms errors at the nodes, and those that the table is predicted to leave over the"
-        " workspace with their 95 % interval. Left out: errors of nodes less their"
-        " prediction by all other nodes, and as predicted."
+        " workspace with their 95 % interval. Cross-checked: errors of nodes less their"
+        " prediction by all other nodes, and as expected of that."
     )
     return _table(forecast, titles, fields, caption)
 

@@ -34,6 +34,8 @@ REFERENCES: Final = {
     "home": "zeroed at the home pose",
     "best_fit": "after the best alignment of the workpiece",
 }
+#: effects that a caption names
+MOST_EFFECTS: Final = 4
 #: share of an error from which its unknown part is worth a sentence of its own
 CLEARLY_LESS: Final = 0.8
 
@@ -210,6 +212,7 @@ def _caption(
     reference = text.meaning(prediction.reference, REFERENCES)
     scopes = text.listing(dict.fromkeys(error.scope for error in errors.values()))
     caption = f"Predicted rms error over the workspace, {reference}: {scopes}."
+    caption += _usual_effects(prediction)
     if not judged:
         return f"{caption} The study states no wanted accuracy."
     decide = dict.fromkeys(v.decide for v in judged.values() if v.decide)
@@ -221,6 +224,15 @@ def _caption(
         *(f"To decide: {text.sentence(phrase)}" for phrase in decide),
     ]
     return " ".join(sentences)
+
+
+def _usual_effects(prediction: PredictionSection) -> str:
+    """Which effects a planned accuracy counts."""
+    budget = prediction.budget
+    if prediction.mode != "plan" or budget is None or budget.usual is None:
+        return ""
+    largest = [line.effect.replace("_", " ") for line in budget.unmodelled]
+    return f" Effects, the largest first: {text.listing(largest, MOST_EFFECTS)}."
 
 
 def _undriven(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
@@ -239,9 +251,8 @@ def _undriven(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
     return [
         Paragraph(
             f"No drive of this machine corrects {text.listing(remaining)}: {name} keeps"
-            f" {after}, of which the calibrated model knows all but {unknown}. The table"
-            " of `oed compensate` has the known error in columns with `offset`, for an"
-            " additional axis or the part program."
+            f" {after}. All of it but {unknown} is known, and the compensation table has it"
+            " for an additional axis or the part program."
         )
     ]
 

@@ -93,10 +93,8 @@ def _table(
             ]
         )
     caption = (
-        "Causes by their size in the readings, and what calibration leaves of it."
-        f" Probability: {explanations.MARGINALS[:1].lower()}{explanations.MARGINALS[1:]}"
-        " Size of its own: the"
-        f" clearest coefficients (beyond {CLEAR:.0f} standard deviations), with their"
+        "Causes by their size in the readings, what calibration leaves of it, and the"
+        " probability that each acts. Size of its own: its clearest coefficients with"
         " standard deviations."
     )
     marks = ["chosen" if name in gap.selected else "" for name in ranked]
@@ -122,7 +120,7 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
     order = sorted(clear, key=lambda name: -abs(clear[name].value))
     phrases = [_coefficient(name, clear[name]) for name in order[:MOST_COEFFICIENTS]]
     if len(order) > MOST_COEFFICIENTS:
-        phrases.append(f"{len(order) - MOST_COEFFICIENTS} smaller")
+        phrases.append(f"{len(order) - MOST_COEFFICIENTS} smaller coefficients")
     return text.listing(phrases)
 
 

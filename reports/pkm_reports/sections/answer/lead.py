@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from oed import trust
 from oed.result import ForecastSection, GapSection, StudyResult
-from pkm_reports import missing, text
+from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph
 from pkm_reports.sections.answer import accuracy, duration, measure, warnings
 
@@ -19,7 +19,6 @@ def blocks(result: StudyResult) -> list[Block]:
     sentences = [
         *_causes(result.gap),
         *_readings(result),
-        *_fit(result),
         *_accuracy(result),
         *_forecast(result.forecast),
     ]
@@ -38,31 +37,20 @@ def _causes(gap: GapSection | None) -> list[str]:
 
 
 def _readings(result: StudyResult) -> list[str]:
-    """How many readings to take with what, and how long it takes."""
-    if not measure.is_plan(result):
+    """How many readings to take or taken, with what, and how long it takes."""
+    instruments = text.listing(measure.instrument_names(measure.used_setups(result)))
+    by = f" with the {instruments}" if instruments else ""
+    if measure.is_plan(result):
+        number = measure.planned_readings(result)
+        minutes = duration.minutes(result)
+        end = f": {minutes}." if minutes else "."
+        return [f"Take {text.count(number, 'reading')}{by}{end}"]
+    number, values = measure.recorded_readings(result)
+    if not number:
         return []
-    number = measure.planned_readings(result)
-    instruments = measure.instrument_names(measure.used_setups(result))
-    sentence = f"Take {text.count(number, 'reading')}"
-    if instruments:
-        sentence += f" with the {text.listing(instruments)}"
-    minutes = duration.minutes(result)
-    return [f"{sentence}: {minutes}." if minutes else f"{sentence}."]
-
-
-def _fit(result: StudyResult) -> list[str]:
-    """What the fit leaves of the readings; a diagnosis says it for its hypotheses."""
-    estimate = result.estimate
-    if estimate is None or result.gap is not None or measure.is_plan(result):
-        return []
-    changes = [
-        f"{channel} from {text.channel_value(channel, before, estimate.units)} to"
-        f" {text.channel_value(channel, after, estimate.units)}"
-        for channel, after in estimate.rms_after.items()
-        for before in [missing.entry(estimate.rms_before, channel)]
-    ]
-    number = text.count(estimate.readings, "reading")
-    return [f"The fit of {number} changes the rms residual of {text.listing(changes)}."]
+    of_values = "" if values == number else f" ({text.count(values, 'value')})"
+    verb = "was" if number == 1 else "were"
+    return [f"{text.count(number, 'reading')}{of_values}{by} {verb} evaluated."]
 
 
 def _accuracy(result: StudyResult) -> list[str]:
@@ -91,10 +79,11 @@ def _forecast(forecast: ForecastSection | None) -> list[str]:
     """What the controller's table of a forecast leaves, or what its plan reads."""
     if forecast is None:
         return []
+    nodes = text.count(len(forecast.nodes), "node")
     if not forecast.readings:
         return [
-            f"Measure the errors at {text.count(len(forecast.nodes), 'node')} with set-up"
-            f" {forecast.setup}: {forecast.minutes:.0f} min."
+            f"Measure the errors at {nodes} with set-up {forecast.setup}:"
+            f" {forecast.minutes:.0f} min."
         ]
     parts = [
         f"{name}{text.NO_BREAK}{text.quantity(c.predicted, c.unit)}"
@@ -102,6 +91,7 @@ def _forecast(forecast: ForecastSection | None) -> list[str]:
         for name, c in forecast.components.items()
     ]
     return [
-        "With the controller's table the rms error over the workspace is predicted to be"
-        f" {text.listing(parts)}."
+        f"{nodes} were measured with set-up {forecast.setup}. With the controller's table"
+        f" the rms error over the workspace is predicted to be {text.listing(parts)},"
+        f" against {forecast.reference}."
     ]

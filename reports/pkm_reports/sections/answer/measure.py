@@ -113,7 +113,11 @@ def instrument_names(setups: Sequence[SetupInfo]) -> list[str]:
         re.split("[,.(:]", about)[0].strip() or name.replace("_", " ")
         for name, about in described.items()
     ]
-    return [f"{name[:1].lower()}{name[1:]}" for name in dict.fromkeys(names)]
+    # an abbreviation, as RM 4, stays as it is
+    return [
+        name if name[1:2].isupper() else f"{name[:1].lower()}{name[1:]}"
+        for name in dict.fromkeys(names)
+    ]
 
 
 def planned_readings(result: StudyResult) -> int:
@@ -121,6 +125,15 @@ def planned_readings(result: StudyResult) -> int:
     if result.design is not None:
         return result.design.n
     return 0 if result.plan is None else sum(s.readings for s in result.plan.stages)
+
+
+def recorded_readings(result: StudyResult) -> tuple[int, int]:
+    """Readings that a fit uses, and their values."""
+    if result.estimate is None:
+        return 0, 0
+    values = result.estimate.readings
+    poses = 0 if result.drawing is None else len(result.drawing.tool_points)
+    return poses or values, values
 
 
 def _time(result: StudyResult) -> list[tuple[str, str]]:
@@ -137,11 +150,10 @@ def _readings(result: StudyResult) -> list[tuple[str, str]]:
         return [("Readings", f"{phrase}.")]
     if has_schedule(result.plan) or result.estimate is None:
         return []
-    values = text.count(result.estimate.readings, "value")
-    poses = 0 if result.drawing is None else len(result.drawing.tool_points)
-    if not poses or poses == result.estimate.readings:
-        return [("Readings", f"{result.estimate.readings}.")]
-    return [("Readings", f"{poses}, with {values}.")]
+    number, values = recorded_readings(result)
+    if values == number:
+        return [("Readings", f"{number}.")]
+    return [("Readings", f"{number}, with {text.count(values, 'value')}.")]
 
 
 def _stages(result: StudyResult) -> list[tuple[str, str]]:

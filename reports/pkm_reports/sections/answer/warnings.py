@@ -26,16 +26,31 @@ def blocks(result: StudyResult) -> list[Block]:
     sentences = list(dict.fromkeys(map(text.sentence, ranked(result))))
     if not sentences:
         return [Paragraph("The study has no warnings.")]
-    sentences = [s for s in sentences if s != main_doubt(result)]
+    doubt = main_doubt(result)
+    sentences = [s for s in sentences if s != doubt and not _is_of(s, doubt)]
     return [Notice(sentence) for sentence in sentences]
+
+
+def _is_of(sentence: str, doubt: str) -> bool:
+    """Whether the main doubt is this sentence, after its heading."""
+    return doubt == f"Main doubt: {_condition(sentence)}"
 
 
 def main_doubt(result: StudyResult) -> str:
     """What spoils the figures most, and what removes it; empty where nothing does."""
     worst = text.sentence(next(iter(ranked(result)), ""))
-    if trust.objections(result):
+    checked = result.goodness
+    findings = [] if checked is None else map(text.sentence, checked.findings)
+    if trust.objections(result) or worst in findings:
         return worst
-    return _effects_doubt(result.prediction) or worst
+    doubt = (
+        _effects_doubt(result.prediction) or _condition(worst) or _scope_doubt(result)
+    )
+    return f"Main doubt: {doubt}" if doubt else ""
+
+
+def _condition(worst: str) -> str:
+    return f"{worst[:1].lower()}{worst[1:]}"
 
 
 def _effects_doubt(prediction: PredictionSection | None) -> str:
@@ -49,8 +64,23 @@ def _effects_doubt(prediction: PredictionSection | None) -> str:
     effect = largest.effect.replace("_", " ")
     size = text.replace_symbols(largest.expected)
     return (
-        f"Main doubt: {effect}, here at its expected size of {size}, can be ten times"
+        f"{effect}, here at its expected size of {size}, can be ten times"
         f" larger or smaller. What removes it: {largest.remedy.rstrip('.')}."
+    )
+
+
+def _scope_doubt(result: StudyResult) -> str:
+    """What figures leave out that nothing else speaks against."""
+    if result.forecast is not None and result.forecast.sentences:
+        holds = result.forecast.sentences[1:2] or result.forecast.sentences
+        return (
+            f"{holds[0].rstrip('.')}. What removes it: nodes read in the state of use."
+        )
+    if result.judged_prediction is None or result.gap is not None:
+        return ""
+    return (
+        "the figures are of the geometry alone; heat, load, play and other effects come on"
+        " top. What removes it: further readings, asked by `oed diagnose` which effects act."
     )
 
 
