@@ -120,7 +120,9 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
     order = sorted(clear, key=lambda name: -abs(clear[name].value))
     phrases = [_coefficient(name, clear[name]) for name in order[:MOST_COEFFICIENTS]]
     if len(order) > MOST_COEFFICIENTS:
-        phrases.append(f"{len(order) - MOST_COEFFICIENTS} smaller coefficients")
+        phrases.append(
+            text.count(len(order) - MOST_COEFFICIENTS, "smaller coefficient")
+        )
     return text.listing(phrases)
 
 

@@ -80,7 +80,7 @@ def _scope_doubt(result: StudyResult) -> str:
         return ""
     return (
         "the figures are of the geometry alone; heat, load, play and other effects come on"
-        " top. What removes it: further readings, asked by `oed diagnose` which effects act."
+        " top. What removes it: a test of the compensated machine, which oed verify plans."
     )
 
 
@@ -109,7 +109,10 @@ def ranked(result: StudyResult) -> Iterator[str]:
         yield f"The study misses {noun}: {text.listing(failed)}"
     if result.corrected is not None and result.corrected.conditions:
         conditions = "; ".join(result.corrected.conditions)
-        yield f"The corrected accuracy rests on these conditions: {conditions}"
+        yield (
+            f"The corrected accuracy rests on these conditions: {conditions}. What removes"
+            " this: a test of the compensated machine, which oed verify plans"
+        )
     if result.corrected is not None:
         yield from result.corrected.warnings
     if result.estimate is not None and not fits_with_effects(result):

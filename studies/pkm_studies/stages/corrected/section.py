@@ -409,7 +409,9 @@ def _effect_text(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
         elif "time" in need or "temp" in need:
             sentences.append(_warmth_text(name, form))
     if not sentences and form.effect.name in LOADED:
-        sentences.append(f"{name}: the payload is known, or that of these readings")
+        sentences.append(
+            f"{name}: the machine carries the payload of these readings, or a known one"
+        )
     return sentences
 
 
