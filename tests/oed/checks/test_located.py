@@ -23,7 +23,7 @@ from oed.checks.outliers import find_outliers
 from pkm_studies.commands import main
 from pkm_studies.importers import import_files
 
-PLAIN = "\n[posterior]\nenabled = false\n[identify]\neffects = 'none'\n"
+PLAIN = "\n[posterior]\nenabled = false\n"
 #: Klipper's delta: radius and arm, endstops by tower, towers, probed circle (mm), step
 RADIUS, ARM, ENDSTOPS = 110.0, 250.0, (260.0, 260.4, 259.7)
 TOWERS = np.radians([210.0, 330.0, 90.0])
