@@ -56,7 +56,7 @@ class FurtherAxes:
 
         parameters  (np,) identified, which the joints compensate
 
-        A additional axis takes them back. Raises AssemblyError.
+        An additional axis takes them back. Raises AssemblyError.
         """
         joints = compensated_joints(self.kinematics, command, parameters)
         twist = pose_error(self.kinematics, command, joints, parameters)

@@ -544,7 +544,7 @@ def _verdict(components: Components) -> str:
     if others:
         sentences += [
             f"No axis corrects the others alone: {text.listing(others)}.",
-            "A additional axis could correct them, or software that uses the known error.",
+            "An additional axis could correct them, or software that uses the known error.",
         ]
     return " ".join(sentences)
 

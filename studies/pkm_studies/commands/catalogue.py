@@ -74,7 +74,9 @@ def _entries(kind: Kind) -> list[ListedEntry]:
 
         return [
             ListedEntry(
-                s.name, [s.title, s.question], _record(s.name, s.title, s.question)
+                s.name,
+                [s.title, s.question],
+                {"name": s.name, "title": s.title, "question": s.question},
             )
             for s in shipped.studies().values()
         ]
@@ -93,10 +95,6 @@ def _entries(kind: Kind) -> list[ListedEntry]:
         ListedEntry(entry.name, _entry_lines(entry), dataclasses.asdict(entry))
         for entry in conventions_listing(kind.value)
     ]
-
-
-def _record(name: str, title: str, question: str) -> dict[str, Any]:
-    return {"name": name, "title": title, "question": question}
 
 
 def _entry_lines(entry: CatalogueEntry) -> list[str]:

@@ -12,7 +12,6 @@ Values               an accuracy by component, in its unit
 advice_on            what brings most: the lines of a budget in sentences
 error_quantities     an accuracy in words
 error_ratio          the size of an accuracy beside another's
-improvements         what each line of a budget would bring
 unmodelled_sentence  what errors beside the model's parameters add
 """
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
         advice_on,
         error_quantities,
         error_ratio,
-        improvements,
         unmodelled_sentence,
     )
     from pkm_studies.results.claims import (

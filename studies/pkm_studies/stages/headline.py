@@ -219,7 +219,7 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
     if section is None:
         return []
     error = f"the rms error over the workspace, {REFERENCES[section.reference]}"
-    others = undriven_sentences(section)
+    others = _undriven(section)
     return [f"Compensation is predicted to {_changes(section, error)}.{others}"]
 
 
@@ -250,7 +250,7 @@ def _changes(section: PredictionSection, error: str) -> str:
     return ", and to ".join(phrases) or f"change nothing of {error}"
 
 
-def undriven_sentences(section: PredictionSection) -> str:
+def _undriven(section: PredictionSection) -> str:
     """What no drive corrects, without and with additional axes; empty where there is none."""
     parts = [
         f"{name} {format_number(c.after.rms)} {section.unit[name]}"

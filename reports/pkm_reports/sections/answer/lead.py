@@ -22,7 +22,7 @@ def blocks(result: StudyResult) -> list[Block]:
         *_accuracy(result),
         *_forecast(result.forecast),
     ]
-    doubt = warnings.main_doubt(result)
+    doubt = warnings.main_doubt(result).words
     content: list[Block] = [Paragraph(" ".join(sentences))] if sentences else []
     if not doubt:
         return content
@@ -79,8 +79,8 @@ def _forecast(forecast: ForecastSection | None) -> list[str]:
     """What the controller's table of a forecast leaves, or what its plan reads."""
     if forecast is None:
         return []
-    nodes = text.count(len(forecast.nodes), "node")
     if not forecast.readings:
+        nodes = text.count(len(forecast.nodes), "node")
         return [
             f"Measure the errors at {nodes} with set-up {forecast.setup}:"
             f" {forecast.minutes:.0f} min."
@@ -91,7 +91,8 @@ def _forecast(forecast: ForecastSection | None) -> list[str]:
         for name, c in forecast.components.items()
     ]
     return [
-        f"{nodes} were measured with set-up {forecast.setup}. With the controller's table"
+        f"{text.count(forecast.readings, 'reading')} of nodes with set-up {forecast.setup}"
+        " were evaluated. With the controller's table"
         f" the rms error over the workspace is predicted to be {text.listing(parts)},"
         f" against {forecast.reference}."
     ]

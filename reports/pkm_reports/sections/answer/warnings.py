@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from oed import trust
 from oed.result import PredictionSection, StudyResult
@@ -18,39 +19,46 @@ def title(result: StudyResult) -> str:
     return "What could go wrong"
 
 
+class Doubt(NamedTuple):
+    """What spoils the figures most.
+
+    words     as the first lines of the report have it; empty where there is none
+    warning   the warning that it states; empty where it is none of them
+    """
+
+    words: str
+    warning: str = ""
+
+
 def blocks(result: StudyResult) -> list[Block]:
     """Findings about the readings, missed goals, failed claims, warnings, conditions.
 
-    The main doubt stands in the first lines of the report already.
+    The one of the main doubt stands in the first lines of the report already.
     """
-    sentences = list(dict.fromkeys(map(text.sentence, ranked(result))))
+    sentences = _sentences(result)
     if not sentences:
         return [Paragraph("The study has no warnings.")]
-    doubt = main_doubt(result)
-    sentences = [s for s in sentences if s != doubt and not _is_of(s, doubt)]
-    return [Notice(sentence) for sentence in sentences]
+    stated = main_doubt(result).warning
+    return [Notice(sentence) for sentence in sentences if sentence != stated]
 
 
-def _is_of(sentence: str, doubt: str) -> bool:
-    """Whether the main doubt is this sentence, after its heading."""
-    return doubt == f"Main doubt: {_condition(sentence)}"
-
-
-def main_doubt(result: StudyResult) -> str:
-    """What spoils the figures most, and what removes it; empty where nothing does."""
-    worst = text.sentence(next(iter(ranked(result)), ""))
+def main_doubt(result: StudyResult) -> Doubt:
+    """What spoils the figures most, and what removes it."""
+    worst = next(iter(_sentences(result)), "")
     checked = result.goodness
     findings = [] if checked is None else map(text.sentence, checked.findings)
     if trust.objections(result) or worst in findings:
-        return worst
-    doubt = (
-        _effects_doubt(result.prediction) or _condition(worst) or _scope_doubt(result)
-    )
-    return f"Main doubt: {doubt}" if doubt else ""
+        return Doubt(worst, worst)
+    of_effects = _effects_doubt(result.prediction)
+    if worst and not of_effects:
+        return Doubt(f"Main doubt: {worst[:1].lower()}{worst[1:]}", worst)
+    other = of_effects or _scope_doubt(result)
+    return Doubt(f"Main doubt: {other}" if other else "")
 
 
-def _condition(worst: str) -> str:
-    return f"{worst[:1].lower()}{worst[1:]}"
+def _sentences(result: StudyResult) -> list[str]:
+    """All warnings once, those that spoil the most first."""
+    return list(dict.fromkeys(map(text.sentence, ranked(result))))
 
 
 def _effects_doubt(prediction: PredictionSection | None) -> str:
