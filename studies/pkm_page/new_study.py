@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import tomllib
 from collections.abc import Iterator
@@ -13,12 +14,14 @@ import msgspec
 import numpy as np
 
 from oed import units
+from oed.base import Array
 from oed.instrument import Instrument
 from oed.mechanism import Kinematics
 from oed.model import Dimension, Machine
 from pkm_page import typed
-from pkm_reports.view import PageView, ViewLine
-from pkm_studies import catalogue, files, shipped
+from pkm_reports.text import unit_symbol
+from pkm_reports.view import PageView, ViewLabel, ViewLine
+from pkm_studies import catalogue, describe, files, shipped
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import (
     SHARES,
@@ -26,8 +29,10 @@ from pkm_studies.drafts import (
     draft_text,
     first_sound,
     format_numbers,
+    read_time,
+    with_time,
 )
-from pkm_studies.quantities import column
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import described_machine
 from pkm_studies.study import SUFFIX
 from pkm_studies.tables import MachineTable
@@ -35,30 +40,53 @@ from pkm_studies.user_code import Consent, Origin
 
 #: characters of a size, as a list of numbers
 LONGEST: Final = 2000
-#: fewest and most readings that a time is turned into
-FEWEST, MOST = 6, 300
+#: digits of a size in its cell
+DIGITS: Final = 7
+#: names of three coordinates, as heads of a table
+AXES: Final = ("x", "y", "z")
+#: sizes that are one point, where others of three numbers are one for each leg
+POINTS: Final = ("home", "pivot")
 #: beginnings of the names of fields
 GEOMETRY, WANTED = "geometry.", "wanted."
 
 
 class NewStudy(msgspec.Struct, forbid_unknown_fields=True):
-    """What the form holds: names, sizes by key as TOML, minutes, wanted rms by key."""
+    """What the form holds: names, sizes by key as TOML, a time, wanted rms by key."""
 
     machine: str
     name: str = ""
     instrument: str = ""
     sizes: dict[str, str] = {}
-    minutes: str = ""
+    time: str = ""
     wanted: dict[str, str] = {}
 
 
 @dataclasses.dataclass(frozen=True)
 class SizeField:
-    """A size to enter: its key, its value as TOML, and what it is."""
+    """A size to enter, as a table of numbers.
+
+    key      in the study
+    label    its name with its unit, as one reads it
+    rows     of texts; empty ones where the family derives the value
+    heads    of the columns; none of one number
+    nested   the value is a list of rows
+    places   the rows are points, as those of a circle on a drawing
+    growing  there may be more rows, or fewer
+    """
 
     key: str
-    value: str
+    label: str
+    rows: list[list[str]]
+    heads: list[str]
     about: str
+    nested: bool
+    places: bool
+    growing: bool
+
+    @property
+    def derived(self) -> bool:
+        """Whether it may stay empty."""
+        return not self.rows[0][0]
 
 
 class FieldError(InputError):
@@ -92,20 +120,12 @@ class StudyForm:
         family = self._model(machine).family
         if family is None:
             return []
-        return [
-            SizeField(
-                _key(d),
-                "" if d.default is None else format_numbers(d.default, d.unit),
-                d.about,
-            )
-            for d in family.dimensions
-        ]
+        return [_size_field(d) for d in family.dimensions]
 
-    def components(self, machine: str) -> list[str]:
-        """Errors that may be limited: keys such as `z_um`."""
-        return [
-            f"{c.name}_{units.FINE[c.unit]}" for c in self._model(machine).components
-        ]
+    def components(self, machine: str) -> dict[str, str]:
+        """Errors that may be limited, `z [\u00b5m]`, by key such as `z_um`."""
+        fine = {c.name: units.FINE[c.unit] for c in self._model(machine).components}
+        return {f"{name}_{u}": f"{name} [{unit_symbol(u)}]" for name, u in fine.items()}
 
     def drawing(self, form: NewStudy) -> PageView:
         """The machine at home. Raises FieldError for sizes that make none."""
@@ -117,7 +137,7 @@ class StudyForm:
             ViewLine("machine", [[1e3 * float(v) for v in point] for point in line])
             for line in skeleton
         ]
-        return PageView(lines, [], [], [], [])
+        return PageView(lines, _labels(kinematics, x[0], q[0]), [], [], [])
 
     def write(self, form: NewStudy) -> Path:
         """Write the study of a form; its path. Raises FieldError, InputError."""
@@ -148,17 +168,23 @@ class StudyForm:
     ) -> str:
         text = draft_text(name, form.machine, machine, form.instrument, tool, share)
         text = _add_sizes(text, self._stated(form))
-        text = _add_readings(text, form.minutes, tool)
-        return _add_wanted(text, form.wanted, self.components(form.machine))
+        if form.time.strip():
+            try:
+                text = with_time(text, read_time(form.time), tool)
+            except InputError as error:
+                raise FieldError("time", error) from error
+        return _add_wanted(text, form.wanted, list(self.components(form.machine)))
 
     def _stated(self, form: NewStudy) -> dict[str, str]:
         """Sizes that differ from the family's, as TOML by key. Raises FieldError."""
-        fields = {field.key: field for field in self.sizes(form.machine)}
+        family = self._model(form.machine).family
+        dimensions = () if family is None else family.dimensions
+        usual = {_key(d): _default_text(d) for d in dimensions}
         stated = {}
         for key, value in form.sizes.items():
-            if key not in fields:
+            if key not in usual:
                 raise _error(GEOMETRY + key, "no such size", "load the page again")
-            if value.strip() and value.strip() != fields[key].value:
+            if value.strip() and not _same(key, value, usual[key]):
                 stated[key] = value.strip()
         return stated
 
@@ -180,6 +206,68 @@ class StudyForm:
             raise _error("machine", "no such machine", "choose one of the list")
         model: Machine = catalogue.machine(name, self.origin, Location("form"))
         return model
+
+
+def _size_field(dimension: Dimension) -> SizeField:
+    """The table of a size: as many cells as it has numbers."""
+    unit = "" if dimension.unit == "1" else display_unit(dimension.unit)
+    symbol = f" [{unit_symbol(unit)}]" if unit else ""
+    cells = _cells(dimension)
+    nested = cells.ndim > 1
+    rows = np.atleast_2d(cells)
+    width = rows.shape[1]
+    coordinates = nested or dimension.name in POINTS
+    heads = AXES[:width] if coordinates else range(1, width + 1)
+    return SizeField(
+        key=_key(dimension),
+        label=dimension.name + symbol,
+        rows=rows.tolist(),
+        heads=[str(head) for head in heads] if width > 1 else [],
+        about=dimension.about,
+        nested=nested,
+        places=nested and dimension.unit == "m",
+        growing=nested and dimension.shape[0] is None,
+    )
+
+
+def _cells(dimension: Dimension) -> np.typing.NDArray[np.str_]:
+    """The numbers of a size as texts, of its shape; empty where they are derived."""
+    shape = tuple(n or 1 for n in dimension.shape) or (1,)
+    default = dimension.default
+    if default is None:
+        return np.full(shape, "")
+    if None in dimension.shape:
+        shape = np.shape(default)
+    whole = np.broadcast_to(default, shape)
+    numbers = json.loads(format_numbers(whole, dimension.unit))
+    return np.array([f"{n:.{DIGITS}g}" for n in np.ravel(numbers)]).reshape(shape)
+
+
+def _default_text(dimension: Dimension) -> str:
+    """A family's size as TOML; empty where it is derived."""
+    if dimension.default is None:
+        return ""
+    return format_numbers(dimension.default, dimension.unit)
+
+
+def _same(key: str, value: str, usual: str) -> bool:
+    """Whether a size is that of the family, one number for all of a list."""
+    if not usual:
+        return False
+    stated, known = np.array(_parsed(key, value)), np.array(_parsed(key, usual))
+    try:
+        known = np.broadcast_to(known, stated.shape)
+        return bool(np.allclose(stated, known, rtol=10.0 ** (1 - DIGITS), atol=0.0))
+    except ValueError:
+        return False
+
+
+def _labels(kinematics: Kinematics, x: Array, q: Array) -> list[ViewLabel]:
+    """Names of the parameters where they act, at a pose (nx,), (nq,)."""
+    return [
+        ViewLabel([1e3 * v for v in label.at], label.text)
+        for label in describe.parameter_labels(kinematics, x, q)
+    ]
 
 
 def _key(dimension: Dimension) -> str:
@@ -244,26 +332,6 @@ def _add_sizes(text: str, stated: dict[str, str]) -> str:
         stating = f"{key} = {value}".replace("\\", r"\\")
         text = line.sub(rf"{stating}  # \1", text)
     return text
-
-
-def _add_readings(text: str, minutes: str, tool: Instrument) -> str:
-    """The draft with as many readings as a time has, mounting and reading counted."""
-    if not minutes.strip():
-        return text
-    try:
-        seconds = typed.read(minutes, "minutes") * units.MINUTE
-    except InputError as error:
-        raise FieldError("minutes", error) from error
-    count = int((seconds - tool.cost.setup) / max(tool.cost.reading, 1.0))
-    if count < FEWEST:
-        least = (tool.cost.setup + FEWEST * tool.cost.reading) / units.MINUTE
-        problem = f"too short: mounting and {FEWEST} readings take {least:.0f} min"
-        raise _error("minutes", problem, "allow more time", minutes)
-    limit = re.search(r"^readings = (\d+)$", text, re.M)
-    most = MOST if limit is None else 2 * int(limit[1])
-    return re.sub(
-        r"^readings = \d+$", f"readings = {min(count, most)}", text, flags=re.M
-    )
 
 
 def _add_wanted(text: str, wanted: dict[str, str], allowed: list[str]) -> str:

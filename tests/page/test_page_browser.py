@@ -238,18 +238,27 @@ def test_from_sizes_to_the_first_reading(opened: Any, tmp_path: Path) -> None:
         page.get_by_role("link", name="New study").first.click()
         page.locator("#scene").wait_for()
         assert axe_faults(page) == []
-        reach = page.locator("[name='geometry.reach_mm']")
+        reach = page.locator("[name='geometry.reach_mm'] table input")
         reach.fill("-5")
-        page.locator("label:has([name='geometry.reach_mm']) .fault").wait_for()
+        page.locator("[name='geometry.reach_mm'] .fault").wait_for()
         reach.fill("80.0")
         page.locator(".fault").wait_for(state="detached")
-        page.fill("[name=minutes]", "90")
+        circle = page.locator("[name='geometry.base_mm']")
+        circle.get_by_text("They lie on a circle").click()
+        for name, value in (("diameter", "700"), ("between", "20"), ("first", "0")):
+            circle.locator(f"[data-circle={name}]").fill(value)
+        circle.get_by_role("button", name="Fill in").click()
+        page.fill("[name=time]", "two days")
         page.fill("[name='wanted.z_um']", "30")
         page.get_by_role("button", name="Write the study").click()
         page.locator("#entry").wait_for(timeout=60_000)
-        text = (tmp_path / "hexapod_ups.study.toml").read_text("utf-8")
-        assert "\nreach_mm = 80.0  # " in text
-        assert load(tmp_path / "hexapod_ups.study.toml").name == "hexapod_ups"
+        written = load(tmp_path / "hexapod_ups.study.toml")
+        assert written.machine.geometry["reach_mm"] == 80.0
+        angles = np.radians([-10, 10, 110, 130, 230, 250])
+        expected = 350.0 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
+        np.testing.assert_allclose(
+            written.machine.geometry["base_mm"], expected, atol=1e-5
+        )
 
 
 # -- sudden ends -----------------------------------------------------------------------

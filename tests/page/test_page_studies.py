@@ -26,7 +26,7 @@ def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
     sizes = {"arm_mm": "350.0", "angle_deg": "[210, 330, 90]", "lean_deg": ""}
     page = StudyForm(tmp_path)
     path = page.write(
-        form(name="mine", sizes=sizes, minutes="60", wanted={"z_um": "40", "x_um": ""})
+        form(name="mine", sizes=sizes, time="60", wanted={"z_um": "40", "x_um": ""})
     )
     assert path == tmp_path / "mine.study.toml"
     study = load(path)
@@ -35,8 +35,17 @@ def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
     assert study.prediction.wanted == {"z_um": 40}
     assert study.design is not None
     assert study.design.size is not None
-    shown = {field.key: field.value for field in page.sizes("delta")}
-    assert float(shown["arm_mm"]) == pytest.approx(345.0)
+    shown = {field.key: field for field in page.sizes("delta")}
+    assert [[float(cell) for cell in row] for row in shown["arm_mm"].rows] == [
+        [345] * 3
+    ]
+    assert shown["arm_mm"].label == "arm [mm]"
+
+
+def test_one_number_for_all_is_the_same_list(tmp_path: Path) -> None:
+    """The form shows three arms of 345; left as they are, the study states none."""
+    path = StudyForm(tmp_path).write(form(sizes={"arm_mm": "[345, 345, 345]"}))
+    assert load(path).machine.geometry == {}
 
 
 def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
@@ -57,8 +66,8 @@ def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
         ({"sizes": {"angle_deg": "[1, 2]"}}, "geometry.angle_deg"),
         ({"sizes": {"leg_mm": "1"}}, "geometry.leg_mm"),
         ({"name": "../outside"}, "name"),
-        ({"minutes": "1"}, "minutes"),
-        ({"minutes": "soon"}, "minutes"),
+        ({"time": "1 min"}, "time"),
+        ({"time": "soon"}, "time"),
         ({"wanted": {"z_um": "-3"}}, "wanted.z_um"),
         ({"wanted": {"q_um": "3"}}, "wanted.q_um"),
     ],

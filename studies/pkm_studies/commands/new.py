@@ -47,12 +47,22 @@ def new(
             show_default=False,
         ),
     ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(
+            help="Time at the machine, as `two days` or `90 min`: as many readings.",
+            show_default=False,
+        ),
+    ] = None,
     allow_code: AllowCode = False,
 ) -> int:
     """Write a study to start from: a commented one, or a copy of a shipped one."""
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
-    path = _new_study(name, machine, loops, instrument, source, origin)
+    if source is not None:
+        path = _copied(name, source, machine, instrument, time)
+    else:
+        path = _drafted(name, machine, loops, instrument, time, origin)
     from pkm_studies.tables import TO_MEASURE
 
     first = "edit it"
@@ -62,36 +72,45 @@ def new(
     return 0
 
 
-def _new_study(
+def _copied(name: str | None, source: str, *others: str | None) -> Path:
+    """A copy of a shipped study. Raises InputError for options of a new one."""
+    if any(other is not None for other in others):
+        raise InputError(
+            "--from copies a whole study",
+            "leave out --machine, --instrument and --time, or leave out --from",
+        )
+    if name is None:
+        raise InputError("a copy needs a name", "oed new NAME --from STUDY")
+    from pkm_studies import shipped
+
+    return shipped.copy(name, source, Path())
+
+
+def _drafted(
     name: str | None,
     machine: str | None,
     loops: Path | None,
     instrument: str | None,
-    source: str | None,
+    time: str | None,
     origin: Origin,
 ) -> Path:
-    if source is not None:
-        if machine is not None or instrument is not None:
-            raise InputError(
-                "--from copies a whole study",
-                "leave out --machine and --instrument, or leave out --from",
-            )
-        if name is None:
-            raise InputError("a copy needs a name", "oed new NAME --from STUDY")
-        from pkm_studies import shipped
-
-        return shipped.copy(name, source, Path())
     if machine is None:
         raise InputError(
             "it is not said what to start from",
             "give --machine, a name or a file of your own, or --from STUDY",
         )
-    from pkm_studies.drafts import default_instrument, model_of, write_draft
+    from pkm_studies.drafts import (
+        default_instrument,
+        model_of,
+        read_time,
+        write_draft,
+    )
 
+    seconds = None if time is None else read_time(time)
     model = model_of(machine, origin, loops)
     for sentence in model.sentences:
         print(f"{sentence[0].upper()}{sentence[1:]}.")
     if instrument is None:
         instrument, others = default_instrument(model.machine, origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
-    return write_draft(name, model, instrument, origin)
+    return write_draft(name, model, instrument, origin, seconds)

@@ -6,6 +6,8 @@ model_of            the machine that it starts from: of the catalogue, or a file
 default_instrument  an instrument that can read a machine as it stands, and others
 first_sound         the first of some drafts whose poses the machine can take
 prediction_table    the workspace of a draft, where accuracy counts
+read_time           seconds of a time as one says it: `two days`
+with_time           a draft with as many readings as a time has
 SHARES              shares of the workspace that drafts try, the largest first
 format_numbers      numbers in SI as a draft writes them
 """
@@ -23,5 +25,6 @@ if TYPE_CHECKING:
         write_draft,
     )
     from pkm_studies.drafts.template import draft_text
+    from pkm_studies.drafts.time_budget import read_time, with_time
 else:
     __getattr__ = door(__name__)

@@ -10,7 +10,7 @@ from oed.mechanism import AssemblyError
 from oed.model import Machine
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Location
-from pkm_studies.drafts import template
+from pkm_studies.drafts import template, time_budget
 from pkm_studies.drafts.axis_lines import SHARES
 from pkm_studies.drafts.bodies import families
 from pkm_studies.resolve import resolve
@@ -79,14 +79,19 @@ def default_instrument(model: Machine, origin: Origin) -> tuple[str, list[str]]:
 
 
 def write_draft(
-    name: str | None, machine: str | StartingModel, instrument: str, origin: Origin
+    name: str | None,
+    machine: str | StartingModel,
+    instrument: str,
+    origin: Origin,
+    seconds: float | None = None,
 ) -> Path:
     """Write NAME.study.toml into a folder; its path. Without a name, the machine's.
 
-    origin  the folder, and whether the models' files may run
+    origin   the folder, and whether the models' files may run
+    seconds  that the readings may take; None: READINGS of them
 
-    Raises InputError for a bad name, an existing file, and an instrument that cannot
-    read the machine.
+    Raises InputError for a bad name, an existing file, an instrument that cannot read
+    the machine, and too short a time.
     """
     location = Location("oed new")
     start = model_of(machine, origin) if isinstance(machine, str) else machine
@@ -109,6 +114,8 @@ def write_draft(
         for share in SHARES
     )
     draft = first_sound(drafts, path, origin)
+    if seconds is not None:
+        draft = time_budget.with_time(draft, seconds, tool)
     return files.write_whole(path, draft)
 
 

@@ -1,0 +1,81 @@
+"""As many readings as a time has: `two days`, `90 min` in a draft of a study."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Final
+
+from oed import units
+from oed.instrument import Instrument
+from pkm_studies.base import InputError
+
+#: a day at a machine, s: one shift
+DAY: Final = 8.0 * units.HOUR
+#: seconds of a unit of time, by the beginning of its name
+SECONDS: Final = {"m": units.MINUTE, "h": units.HOUR, "d": DAY, "w": 5.0 * DAY}
+#: numbers that one writes as words
+WORDS: Final = ("a", "one", "two", "three", "four", "five", "six")
+TIME: Final = re.compile(
+    r"(?P<size>\d+(?:[.,]\d+)?|[a-z]+)"
+    r"(?:\s+(?P<half>and\s+a\s+half))?"
+    r"(?:(?<=half)\s+an?)?\s*(?P<unit>min(?:utes?)?|h(?:ours?)?|d(?:ays?)?|weeks?)?"
+)
+#: characters of a time
+LONGEST: Final = 40
+#: fewest and most readings that a time is turned into
+FEWEST, MOST = 6, 300
+
+
+def read_time(text: str) -> float:
+    """Seconds of `two days`, `1.5 h`, `90 min`; a bare number is minutes.
+
+    A day has eight hours at the machine, a week five days. Raises InputError.
+    """
+    match = TIME.fullmatch(text.strip().lower())
+    size = None if match is None or len(text) > LONGEST else _size(match)
+    if match is None or size is None:
+        raise InputError(
+            "this is no time",
+            "write it as `two days`, `1.5 h` or `90 min`; a day has 8 hours",
+            field="time",
+            value=text[:LONGEST],
+        )
+    return size * SECONDS[(match["unit"] or "min")[0]]
+
+
+def _size(match: re.Match[str]) -> float | None:
+    """The number of a time; None for a word that is none."""
+    half = 0.5 if match["half"] else 0.0
+    if not match["size"][0].isdigit():
+        if match["size"] == "half" and match["unit"]:
+            return 0.5
+        if match["size"] not in WORDS:
+            return None
+        return max(WORDS.index(match["size"]), 1) + half
+    size = float(match["size"].replace(",", ".")) + half
+    return size if math.isfinite(size) else None
+
+
+def with_time(draft: str, seconds: float, tool: Instrument) -> str:
+    """A draft with as many readings as a time has, mounting and reading counted.
+
+    Raises InputError where it has not even the fewest.
+    """
+    count = int((seconds - tool.cost.setup) / max(tool.cost.reading, 1.0))
+    if count < FEWEST:
+        least = (tool.cost.setup + FEWEST * tool.cost.reading) / units.MINUTE
+        raise InputError(
+            f"too short: mounting and {FEWEST} readings take {least:.0f} min",
+            "allow more time",
+            field="time",
+            value=f"{seconds / units.MINUTE:g} min",
+        )
+    count = min(count, MOST, candidates(draft))
+    return re.sub(r"^readings = \d+$", f"readings = {count}", draft, flags=re.M)
+
+
+def candidates(draft: str) -> int:
+    """Poses of the grid of a draft's design."""
+    table = draft.partition("[[design.candidates]]")[2].partition("\n\n")[0]
+    return math.prod(int(n) for n in re.findall(r"count = (\d+)", table))
