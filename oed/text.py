@@ -45,6 +45,11 @@ def format_probability(p: float) -> str:
     return "under 1 %" if 0.0 < p < 0.01 else f"{100.0 * p:.0f} %"
 
 
+def format_p_value(p: float) -> str:
+    """A p-value in one digit: tails are not known beyond nine decades."""
+    return "< 1e-9" if p < 1e-9 else f"{p:.1g}"
+
+
 def guaranteed_percent(share: float) -> float:
     """A guaranteed share in percent, rounded down to one decimal: 99.96 % is not all."""
     return math.floor(1000.0 * share * (1.0 + 1e-12)) / 10.0

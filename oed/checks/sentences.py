@@ -19,7 +19,7 @@ from oed.checks.session import Ranges, SessionReadings
 from oed.dataset import Row
 from oed.fit_limits import GUESS_RATIO
 from oed.result import GoodnessSection
-from oed.text import capitalised
+from oed.text import capitalised, format_p_value
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE_RATIO = 10.0
@@ -153,7 +153,7 @@ def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     sentence = (
         f"The residuals are only {_times(fitted.ratio or 0.0)} the stated noise"
         f"{_without(outliers)} (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of"
-        f" freedom, p {_probability(fitted.p_low)}): the noise is overstated, an error is"
+        f" freedom, p {format_p_value(fitted.p_low)}): the noise is overstated, an error is"
         " carried along each run, or the readings were smoothed, averaged or computed."
     )
     return CheckFinding(Severity.REMARK, "too_small", sentence)
@@ -161,7 +161,7 @@ def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
 
 def _misfit(fitted: Goodness, outliers: OutlierSearch) -> str:
     """Residuals against the stated noise, where there is freedom to judge it."""
-    p = _probability(fitted.p_high)
+    p = format_p_value(fitted.p_high)
     if fitted.ratio is None:
         return (
             f"no machine within its tolerances gives these readings{_without(outliers)}"
@@ -327,7 +327,3 @@ def _count(rows: Sequence[Row]) -> str:
 
 def _times(ratio: float) -> str:
     return f"{ratio:.3g} times" if ratio >= 100.0 else f"{ratio:.2g} times"
-
-
-def _probability(p: float) -> str:
-    return "< 1e-9" if p < 1e-9 else f"{p:.1g}"

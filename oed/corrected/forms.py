@@ -32,8 +32,10 @@ from oed.gap import GapProblem, Metric, Signature
 MAX_FULL_GRID = 64
 #: passes over the effects
 N_PASSES = 2
-#: least precision that readings may add to a prior's, as a share of it
-MIN_PRECISION_SHARE = 1e-6
+#: precision that readings add to a prior's, as a share of it, below which an estimate says
+#: nothing: its value is exact to 0.03 standard deviations, which is 0.3 of those that the
+#: readings alone would have there
+MIN_PRECISION_SHARE = 0.01
 #: sizes from the expected one on; those below it count as it
 SIZES = EFFECT_SIZES.values[EFFECT_SIZES.values >= 1.0]
 #: numbers of the coefficients of each group of an effect, among those of all effects
@@ -193,20 +195,25 @@ def updated_sizes(
 def _by_readings_alone(
     values: Array, covariance: Array, prior: float
 ) -> tuple[Array, Array]:
-    """An estimate divided by its prior N(0, prior^2): values (k,), variances (k,).
+    """An estimate divided by its prior N(0, prior^2): information (k,), precision (k,).
 
-    Both are along the principal axes of the covariance (k, k).
+    Both are along the principal axes of the covariance (k, k). Where the readings hardly
+    add to the prior, they agree with none.
     """
     variance, axes = np.linalg.eigh(covariance)
     variance = np.maximum(variance, np.finfo(float).tiny)
-    precision = np.maximum(1.0 / variance - prior**-2, MIN_PRECISION_SHARE * prior**-2)
-    return axes.T @ values / variance / precision, 1.0 / precision
+    precision = np.maximum(1.0 / variance - prior**-2, 0.0)
+    is_seen = precision > MIN_PRECISION_SHARE * prior**-2
+    return np.where(is_seen, axes.T @ values / variance, 0.0), precision
 
 
-def _log_evidences(values: Array, variances: Array) -> Array:
-    """Log evidence (S,) of each size for a group's values (k,)."""
-    total = variances + SIZES[:, None] ** 2
-    return np.asarray(-0.5 * (np.log(total) + values**2 / total).sum(axis=1))
+def _log_evidences(information: Array, precision: Array) -> Array:
+    """Log evidence (S,) of each size for a group, against none at all."""
+    square = SIZES[:, None] ** 2
+    growth = 1.0 + precision * square
+    return np.asarray(
+        0.5 * (information**2 * square / growth - np.log(growth)).sum(axis=1)
+    )
 
 
 def _group_sizes(table: Array) -> Array:

@@ -85,16 +85,6 @@ tolerance = { scale = 0.0 }  # the firmware takes the object's size as exact
 """
 
 
-#: heights alone say nothing of x, y and of the space above the bed under an effect
-GEOMETRY_ALONE = """\
-
-[identify]
-# Heights of a bed cannot tell what bends, gives or drifts from geometry, nor what it does above
-# the bed: the prediction is of the geometry alone. "catalogue" asks for effects as well.
-effects = "none"
-"""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DeltaGeometry:
     """A delta as its firmware knows it; mm and deg, as in the firmware's files.
@@ -270,7 +260,7 @@ reference = "home"
 x_mm = [{-reach}, 0.0, {reach}]
 y_mm = [{-reach}, 0.0, {reach}]
 z_mm = {[float(h) for h in self.heights]}
-{"" if self.calliper else GEOMETRY_ALONE}
+
 {self.firmware.table()}"""
 
     def _workspace(self) -> str:

@@ -11,7 +11,7 @@ from oed import units
 from pkm_studies.commands import main
 from pkm_studies.importers import ImportedSession, import_files
 
-#: no samples and no report
+#: no samples, no report, and no effects: the printers of these tests have none
 PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
 GEOMETRY_ALONE = '[identify]\neffects = "none"\n'
 
@@ -25,8 +25,7 @@ def take(
         (folder / name).write_text(text)
     paths = [folder / name for name in files]
     study, imported = import_files(kind, paths, folder / "study", name="p")
-    text = study.read_text() + PLAIN
-    study.write_text(text if "[identify]" in text else text + GEOMETRY_ALONE)
+    study.write_text(study.read_text() + PLAIN + GEOMETRY_ALONE)
     return study, imported
 
 

@@ -216,6 +216,7 @@ def test_nominal_numbers_of_another_printer_are_exit_1(
     path, _ = import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
     readings = str(tmp_path / "printer.readings.csv")
     plain = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
+    plain += '[identify]\neffects = "none"\n'
     path.write_text(path.read_text() + plain)
     out = str(tmp_path / "out")
     assert main(["identify", str(path), "--readings", readings, "--out", out]) == 1

@@ -20,6 +20,7 @@ from oed import units
 from oed.base import Array
 from oed.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
+from oed.text import format_p_value
 from pkm_studies import result_folder
 from pkm_studies.base import Location, Silent
 from pkm_studies.compensation import result_study
@@ -172,7 +173,7 @@ def check_sentences(check: RunCheck) -> Iterator[str]:
     verdict = "agree with" if check.passed else "contradict"
     yield (
         f"The {check.readings} readings after compensation {verdict} their prediction"
-        f" (p = {check.p_high:.2g})."
+        f" (p {format_p_value(check.p_high)})."
     )
     if not check.passed:
         yield "Effects beside the parameters are at work: run `oed diagnose`."

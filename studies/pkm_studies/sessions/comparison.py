@@ -18,6 +18,7 @@ from oed.history import (
     compare_sessions,
 )
 from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
+from oed.text import format_p_value
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.results import load_result
@@ -177,7 +178,7 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
     verdict = "No change" if change.p_value >= ALARM else "The machine changed"
     yield (
         f"{verdict}: chi2 {change.chi2:.4g} for {change.dof} combinations that both"
-        f" sessions determine, p = {change.p_value:.2g}."
+        f" sessions determine, p {format_p_value(change.p_value)}."
     )
     if change.undetermined:
         verb = "is" if change.undetermined == 1 else "are"
@@ -245,7 +246,7 @@ def _cause(cause: Cause, units: Mapping[str, str], per: str) -> str:
         f"{name}: {change:+.4g} {units[name]}{per}, sd {cause.sds[name]:.2g} {units[name]}"
         for name, change in cause.changes.items()
     ]
-    rest = f"chi2 falls to {cause.chi2:.4g}, p = {cause.p_value:.2g}"
+    rest = f"chi2 falls to {cause.chi2:.4g}, p {format_p_value(cause.p_value)}"
     return f"{' and '.join(parts)}; {rest}"
 
 

@@ -21,6 +21,7 @@ from oed.history import (
     provable_growth,
 )
 from oed.result import ParameterEstimate, StudyResult
+from oed.text import format_p_value
 from pkm_studies.acceptance import promised_accuracy
 from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
@@ -168,8 +169,8 @@ def _verdict(drifted: SessionDrift) -> Iterator[str]:
         return
     verdict = "The machine drifts" if drifted.p_value < ALARM else "No drift is proven"
     yield (
-        f"{verdict}: chi2 {drifted.chi2:.4g} for {drifted.dof} combinations, p ="
-        f" {drifted.p_value:.2g}."
+        f"{verdict}: chi2 {drifted.chi2:.4g} for {drifted.dof} combinations, p"
+        f" {format_p_value(drifted.p_value)}."
     )
     if drifted.widening > 1.0:
         yield (

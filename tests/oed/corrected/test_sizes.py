@@ -34,6 +34,18 @@ def test_readings_that_tell_nothing_leave_the_expected_size() -> None:
     assert updated == pytest.approx([1.0, 1.0])
 
 
+def test_an_unfinished_fit_says_nothing_of_what_no_reading_sees() -> None:
+    """A fit ends within hundredths of a standard deviation of its optimum: in a direction
+    that the readings add a millionth to, that is eighteen of their own.
+    """
+    read, group = np.array([0.8, -1.1, 0.4]), np.arange(4)
+    mean, covariance = np.zeros(4), 900.0 * (1.0 - 1e-6) * np.eye(4)
+    mean[:3], covariance[:3, :3] = estimated(read, 0.3, 30.0)
+    mean[3] = 0.02 * 30.0
+    updated = updated_sizes([[group]], np.full(4, 30.0), mean, covariance)
+    assert (updated <= 3.0).all()
+
+
 @pytest.mark.parametrize("read", [0.5, 8.0, 90.0])
 def test_a_groups_size_is_the_posterior_median(read: float) -> None:
     """Of one group: among all sizes, at the median of the size that groups share."""

@@ -380,13 +380,10 @@ def _places(gap: GapSection) -> list[Block]:
         [_place(p), text.percent(p.strength), text.number(p.p_value, 2)] for p in places
     ]
     caption = (
-        "Where the gap lies, first the place that confines it best. The share is the"
-        " posterior mean of the part of the gap's energy, as calibration leaves it, that"
-        " lies there; of a stretch of time, or a direction, as it acts. A time is a place"
-        " only of what varies with time, a set-up of what belongs to set-ups; directions"
-        " are compared at the same poses. The last column is the probability that the place"
-        " holds no more of the gap than of the readings, or of the legs: a small one singles"
-        " the place out. One gap lies in several places at once."
+        "Where the gap lies, first the place that confines it best. Share: how much of the"
+        " gap that calibration leaves lies there. Not more than its share: probability that"
+        " the place holds no more of the gap than of the readings, or of the legs; a small"
+        " one singles the place out. One gap lies in several places at once."
     )
     marks = ["chosen" if record.p_value < SIGNIFICANT else "" for record in places]
     return [Table(columns, rows, caption, marks)]

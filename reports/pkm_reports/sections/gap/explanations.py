@@ -24,7 +24,7 @@ MANY: Final = 6
 MUCH: Final = 0.1
 #: what the probability of one effect is of
 MARGINALS: Final = (
-    "It is that of a size which these readings can show; effects that look alike are"
+    "Sizes that these readings cannot show do not count; effects that look alike are"
     " counted one by one."
 )
 #: rms, in the unit of its channel, from which an effect shows in a channel

@@ -18,7 +18,7 @@ from oed.result import (
     HeldParameter,
     ParameterEstimate,
 )
-from oed.text import rounded
+from oed.text import format_p_value, rounded
 from pkm_studies.describe import displayed_command
 
 
@@ -78,7 +78,7 @@ def _held_sentence(one: HeldParameter) -> str:
     ]
     return (
         f"{names} {'is' if not together else 'are'} held at {one.held:.5g} {one.unit},"
-        f" which the readings contradict (p {one.p_value:.1g}): freed{together},"
+        f" which the readings contradict (p {format_p_value(one.p_value)}): freed{together},"
         f" {one.estimate:.5g} ± {rounded(one.sd)} {one.unit}, with changes of"
         f" {', '.join(changes)}, and of the tool by {rounded(one.tool_mm)} mm rms at the"
         " poses read"

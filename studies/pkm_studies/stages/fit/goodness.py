@@ -151,7 +151,7 @@ def surprises(prediction: RunPrediction | None) -> list[str]:
         return []
     phrases = [
         f"run {one.run} of {one.setup} by {text.rounded(one.ratio)} times what is predicted (p"
-        f" {one.p_high:.1g})"
+        f" {text.format_p_value(one.p_high)})"
         for one in far[:NAMED]
     ]
     more = f", and {len(far) - NAMED} more runs" if len(far) > NAMED else ""
