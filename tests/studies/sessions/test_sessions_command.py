@@ -131,7 +131,7 @@ def test_two_sessions_have_one_test_and_no_date_where_nothing_drifts(
     _, compared, _ = oed("compare", *folders)
     code, followed, _ = oed("history", *folders)
     assert code == 0
-    test = re.compile(r"chi2 ([\d.]+) for (\d+) combinations.*p = ([\d.]+)")
+    test = re.compile(r"chi2 ([\d.]+) for (\d+) combinations.*p ([\d.]+)")
     numbers = [test.search(out) for out in (compared, followed)]
     assert numbers[0] is not None
     assert numbers[1] is not None
