@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from functools import cache
 from importlib import resources
 from typing import Final
 
 import jinja2
+import markupsafe
 
 from pkm_reports.page.document import Document
 from pkm_reports.view import encoded_view
 
+#: a command or key within a sentence
+CODE: Final = re.compile("`([^`\n]+)`")
 #: parts of the script, in order
 SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
 
@@ -46,7 +50,14 @@ def _template() -> jinja2.Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["words"] = marked_words
     return environment.get_template("report.html.j2")
+
+
+def marked_words(text: str) -> markupsafe.Markup:
+    """A text escaped, with what stands between backticks as code."""
+    escaped = str(markupsafe.escape(text))
+    return markupsafe.Markup(CODE.sub(r"<code>\1</code>", escaped))
 
 
 @cache
