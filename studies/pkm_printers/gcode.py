@@ -33,6 +33,9 @@ COMMAND = re.compile(
     rf"(?<![\w.])([GM]\d+(?:\.\d+)?)(?![\d.])((?:\s*{LETTER}{VALUE})*)"
 )
 WORD = re.compile(rf"({LETTER})({VALUE})")
+#: commands whose P is the name of a file, which old configurations have without quotes
+WITH_FILE = ("M98", "M375")
+FILE_WORD = re.compile(r'\s*(P)([^\s"{]+)')
 
 #: numbers of Repetier's EEPROM (M205), and its heights
 REPETIER = re.compile(r"EPR:\d \d+ |Z-probe:\s*[-\d]")
@@ -104,7 +107,9 @@ def read(paths: Sequence[Path]) -> list[TextLine]:
     """
     logs = []
     for path in paths:
-        text = files.read_text(path, limit=LIMIT, what="log or configuration")
+        text = files.read_text(
+            path, limit=LIMIT, what="log or configuration", is_foreign=True
+        )
         lines = [
             TextLine(line.partition(";")[0], str(path), number, line)
             for number, line in enumerate(text.splitlines(), start=1)
@@ -167,6 +172,9 @@ def commands(lines: Iterable[TextLine], *names: str) -> Iterator[Command]:
             if not names or match[1] in names:
                 # a host ends a command with * and a checksum
                 pairs = WORD.findall(match[2])
+                name = FILE_WORD.match(line.text, match.end(1))
+                if name and match[1] in WITH_FILE:
+                    pairs = [name.groups()]
                 words = {letter: value.split("*")[0] for letter, value in pairs}
                 yield Command(match[1], words, line)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from pkm_printers.klipper_config import KlipperConfig
-from pkm_printers.klipper_mesh import PREFIX
+from pkm_printers.klipper_mesh import PREFIX, PROBES, other_probes
 from pkm_printers.words import (
     HARMLESS,
     OTHERS,
@@ -93,9 +93,12 @@ STEPPER: Final[dict[str, Word]] = {
         ),
     ),
 }
-PROBE: Final[dict[str, Word]] = {
+PLACE: Final[dict[str, Word]] = {
     "z_offset": IN_HEIGHTS,
     **same(BESIDE, ("x_offset", "y_offset")),
+}
+PROBE: Final[dict[str, Word]] = {
+    **PLACE,
     **same(
         HARMLESS,
         (
@@ -196,7 +199,7 @@ WORDS: Final[WordTable] = {
     "[printer]": PRINTER,
     **{f"[stepper_{tower}]": STEPPER for tower in "abc"},
     "[delta_calibrate]": CALIBRATE,
-    **{f"[{name}]": PROBE for name in ("probe", "bltouch", "smart_effector")},
+    **{f"[{name}]": PROBE for name in PROBES},
 }
 #: sections that move the tool in other ways than by the delta's geometry
 COSTLY_SECTIONS: Final[dict[str, str]] = {
@@ -229,19 +232,21 @@ def config_account(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
 
     files  that were given
     """
+    other = {**PLACE, OTHERS: HARMLESS}
+    words = {**WORDS, **{f"[{name}]": other for name in other_probes(config)}}
     plain = [
-        _group(name)
+        _group(name, words)
         for name in config.sections
         if _kind(name) not in COSTLY_SECTIONS and not name.startswith(INCLUDE)
     ]
-    accounts = account(_written(config), plain, WORDS)
+    accounts = account(_written(config, words), plain, words)
     return [*accounts.sentences(), *_costly(config), *_included(config, files)]
 
 
-def _group(name: str) -> str:
+def _group(name: str, words: WordTable) -> str:
     """A section in brackets; all of one kind alike where none of them is read."""
     group = _section_group(name.lower())
-    return group if group in WORDS else f"[{_kind(name)}]"
+    return group if group in words else f"[{_kind(name)}]"
 
 
 def _section_group(section: str) -> str:
@@ -254,11 +259,11 @@ def _kind(name: str) -> str:
     return name.lower().partition(" ")[0]
 
 
-def _written(config: KlipperConfig) -> Iterator[WrittenWord]:
+def _written(config: KlipperConfig, words: WordTable) -> Iterator[WrittenWord]:
     """The options of the sections that bear on the delta and its probe."""
     for (section, key), entry in config.entries.items():
         group = _section_group(section)
-        if group in WORDS:
+        if group in words:
             error = functools.partial(entry.error, f"[{section}] {key}")
             yield WrittenWord(group, key, entry.text, entry.line, error)
 

@@ -122,7 +122,9 @@ def read(paths: Sequence[Path]) -> KlipperConfig:
     """The options of the files. Raises InputError."""
     parsed = _Parsed()
     for path in paths:
-        text = files.read_text(path, limit=LIMIT, what="Klipper configuration")
+        text = files.read_text(
+            path, limit=LIMIT, what="Klipper configuration", is_foreign=True
+        )
         _check_saved_block(text, str(path))
         _parse(text, str(path), parsed)
     written, saved = parsed.written, parsed.saved

@@ -23,6 +23,8 @@ from pkm_printers.probed_point import ProbedPoint
 
 PREFIX: Final = "bed_mesh "
 PROBES: Final = ("probe", "bltouch", "smart_effector")
+#: options of any other section that is a probe: [scanner], [probe_eddy_current x]
+OFFSETS: Final = ("x_offset", "y_offset")
 REMEDY: Final = "import the profile as SAVE_CONFIG wrote it, or remove it"
 #: mm; no mesh has a larger height
 LARGEST: Final = 100.0
@@ -90,10 +92,16 @@ def probe_offset(config: KlipperConfig) -> Offset:
 
 def of_probe(config: KlipperConfig, key: str, default: float) -> float:
     """A number of the section of the probe."""
-    for section in PROBES:
+    for section in (*PROBES, *other_probes(config)):
         if config.find(section, key) is not None:
             return config.number(section, key)
     return default
+
+
+def other_probes(config: KlipperConfig) -> list[str]:
+    """Sections of other names that say where a probe is."""
+    stated = (section for section, key in config.entries if key in OFFSETS)
+    return [section for section in dict.fromkeys(stated) if section not in PROBES]
 
 
 def _is_in_faulty_region(config: KlipperConfig, x: Array, y: Array) -> Mask:

@@ -94,6 +94,8 @@ def _height(settings: Settings, given: Mapping[str, tuple[float, ...]]) -> float
         return delta.number("H")
     stated = given.get("home_height_mm")
     if stated is None:
+        for letter in "LR":  # a command that sets one number alone lacks these as well
+            delta.number(letter)
         raise delta.line.error("M665 has no H", NO_HEIGHT)
     return stated[0] + shift.number("Z", 0.0)
 

@@ -210,7 +210,9 @@ def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
 
     offset  of the probe from the nozzle, mm
     """
-    lines = files.read_text(path, limit=MESH_FILE_LIMIT, what="height map").splitlines()
+    lines = files.read_text(
+        path, limit=MESH_FILE_LIMIT, what="height map", is_foreign=True
+    ).splitlines()
     grid = _mesh_grid(lines, path)
     x = grid["xmin"] + grid["xspacing"] * np.arange(round(grid["xnum"]))
     y = grid["ymin"] + grid["yspacing"] * np.arange(round(grid["ynum"]))

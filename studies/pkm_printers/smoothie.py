@@ -1,10 +1,10 @@
-"""Smoothieware: M665, M666 and M206 of M503, and the heights of G29 or G32.
+"""Smoothieware: M665, M666 and M206 of M503, and the heights of G29, G31 or G32.
 
 M665 A, B, C are trims of the towers' radii, D, E, H of their angles, I, J, K of the rods, Z is
 the height at home. A carriage at its switch is above that by M206 Z less M666: after
-`LinearDeltaSolution` and `Endstops` of the firmware. Places are those of the nozzle. Heights are
-printed against the start of the probing, so that the one in the middle stays as the firmware has
-it. Letters of G32 are what it fits: G32 XYZRDE.
+`LinearDeltaSolution` and `Endstops` of the firmware. Places are those of the nozzle, in G31
+of the probe. Heights are printed against the start of the probing, so that the one in the middle
+stays as the firmware has it. Letters of G32 are what it fits: G32 XYZRDE.
 """
 
 from __future__ import annotations
@@ -23,13 +23,17 @@ from pkm_printers.words import HARMLESS, READ, WordTable, costs, refused, same
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, ImportRequest
 
+#: what a host writes before an answer: a time, Recv:
+HOST: Final = r"^(?i:[^a-z]|recv|read|[ap]m)*"
 #: lines of a probed point, and the sign of the height in them: of a spiral and of G32, of the
 #: seven points as distances down, and as heights
 POINTS: Final = (
     (rf"PROBE:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}", 1.0),
-    (rf"^\W*X:({NUMBER})\s+Y:({NUMBER})\s+Z:({NUMBER})\s+A:", -1.0),
-    (rf"^\W*X({NUMBER}) Y({NUMBER}) Z({NUMBER})\s*$", 1.0),
+    (rf"{HOST}X:({NUMBER})\s+Y:({NUMBER})\s+Z:({NUMBER})\s*(?:\sA:|$)", -1.0),
+    (rf"{HOST}X({NUMBER}) Y({NUMBER}) Z({NUMBER})\s*$", 1.0),
 )
+#: a node of the grid of G31: the place of the probe, and its height over the middle
+NODE: Final = re.compile(rf"DEBUG:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}")
 #: parameters by letter of G32
 LETTERS: Final[Mapping[str, tuple[str, ...]]] = {
     **{axis: (f"endstop{k}",) for k, axis in enumerate("XYZ", start=1)},
@@ -41,7 +45,9 @@ LETTERS: Final[Mapping[str, tuple[str, ...]]] = {
     "U": ("bed_slope_x",),
     "V": ("bed_slope_y",),
 }
-NO_POINTS: Final = "log the answer of G29.1 I30 (delta-grid) or G29 (delta-calibration)"
+NO_POINTS: Final = (
+    "log the answer of G29.1 I30 or G31 (delta-grid), or of G29 (delta-calibration)"
+)
 WORDS: Final[WordTable] = {
     "M665": {**same(READ, "LRZABCDEHIJK"), "S": HARMLESS},
     "M666": same(READ, "XYZ"),
@@ -52,7 +58,7 @@ WORDS: Final[WordTable] = {
     "M565": {**same(READ, "XY"), "Z": costs("heights count from the middle")},
     "M375": {"": costs("a grid that is on bends z: clear it with M370, then probe")},
     "G32": {**same(READ, LETTERS), **same(HARMLESS, "IJKPOQ")},
-    "G29": same(HARMLESS, "IJPR"),
+    **{name: same(HARMLESS, "IJPR") for name in ("G29", "G31")},
     "M92": same(
         costs("steps per mm are taken as right: an error scales the towers' travel"),
         "XYZEABCS",
@@ -65,7 +71,7 @@ class SmoothieImporter:
     """Reads logs with the answers of M503 and of probing."""
 
     name = "smoothie"
-    about = "Smoothieware delta: log with M665, M666 (M503) and G29, G29.1 or G32"
+    about = "Smoothieware delta: log with M665, M666 (M503) and G29, G29.1, G31 or G32"
     unused = ("--machine", "--map", "--mesh")
 
     def read(self, request: ImportRequest) -> ImportedSession:
@@ -123,6 +129,10 @@ def _points(lines: Sequence[TextLine], offset: Offset) -> list[ProbedPoint]:
             if match is not None:
                 x, y, z = (gcode.finite(cell, line) for cell in match.groups())
                 points.append(ProbedPoint(x, y, sign * z, offset))
+        node = NODE.search(line.text)
+        if node is not None:
+            x, y, z = (gcode.finite(cell, line) for cell in node.groups())
+            points.append(ProbedPoint(x - offset[0], y - offset[1], z, offset))
     if not points:
         raise InputError(
             "no probed points in it", NO_POINTS, file=gcode.files_of(lines)

@@ -95,7 +95,7 @@ class CsvTable:
 
 def read(path: Path) -> CsvTable:
     """The table of a file. Raises InputError with line and remedy."""
-    text = files.read_text(path, limit=LIMIT, what="CSV file")
+    text = files.read_text(path, limit=LIMIT, what="CSV file", is_foreign=True)
     written = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
@@ -161,7 +161,10 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
         raise InputError(problem, "give a CSV with one reading a line", file=file)
     usual = _columns_of_numbers([wide[k] for k in numeric])
     cells = {k: [wide[k][column] for column in usual] for k in numeric}
-    first = next(k for k in numeric if all(not c or _is_number(c) for c in cells[k]))
+    # a fact above the header, such as a rate of 100 alone, leaves most columns empty
+    full = [k for k in numeric if 2 * sum(map(bool, cells[k])) > len(usual)] or numeric
+    plain = (k for k in full if all(not c or _is_number(c) for c in cells[k]))
+    first = next(plain, numeric[0])
     # Text in a column of numbers is a fact above the header, or a mistake to refuse.
     above_header = any(counts.get(k) == 0 for k in range(numeric[0], first))
     return first if above_header else numeric[0]
@@ -193,7 +196,9 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
     lines above before them: motion capture writes Position over X.
     """
     fitting = [
-        (number, cells) for number, cells in reversed(above) if len(cells) == width
+        (number, cells)
+        for number, cells in reversed(above)
+        if len(cells) == width and any(cells)
     ]
     if not fitting:
         return _numbered(width)
@@ -205,7 +210,7 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
             for name, unit in zip(names, units, strict=True)
         ]
     while higher and _repeated(names):
-        labels = higher.pop(0)[1]
+        labels = _spread(higher.pop(0)[1])
         names = [f"{w} {name}".strip() for w, name in zip(labels, names, strict=True)]
     repeated = _repeated(names)
     if repeated:
@@ -213,6 +218,12 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
         field = f"line {number}"
         raise InputError(problem, remedy, file=file, field=field, value=repeated[0])
     return tuple(name or str(k) for k, name in enumerate(names, start=1))
+
+
+def _spread(labels: Sequence[str]) -> list[str]:
+    """Labels, each over the empty cells on its right as well: a marker over its X, Y, Z."""
+    last = ""
+    return [last := label or last for label in labels]
 
 
 def _unit(cell: str) -> str:

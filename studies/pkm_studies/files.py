@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import hashlib
@@ -102,24 +103,36 @@ def check_writable(path: Path) -> None:
         )
 
 
-def read_text(path: Path, *, limit: int, what: str) -> str:
+def read_text(path: Path, *, limit: int, what: str, is_foreign: bool = False) -> str:
     """UTF-8 text of a regular file of at most `limit` bytes.
 
-    Raises InputError, before reading where the file is too large.
+    A foreign file, of another program, may be UTF-16 with its mark or Windows-1252 as
+    well: its numbers are the same. Raises InputError, before reading where the file is
+    too large.
     """
     file = str(path)
     content = read_bytes(path, limit=limit, what=what)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"the file is no UTF-8 text (byte {error.start + 1})",
-            f"save the {what} as UTF-8",
-            file=file,
-        ) from None
+        encoding = _other_encoding(content) if is_foreign else None
+        if encoding is None:
+            raise InputError(
+                f"the file is no UTF-8 text (byte {error.start + 1})",
+                f"save the {what} as UTF-8",
+                file=file,
+            ) from None
+        text = content.decode(encoding, errors="replace")
     if not text.strip():
         raise InputError("the file is empty", f"write a {what} into it", file=file)
     return text
+
+
+def _other_encoding(content: bytes) -> str | None:
+    """The encoding of a text that is no UTF-8; None for bytes that are no text."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    return None if b"\0" in content else "cp1252"
 
 
 def read_bytes(path: Path, *, limit: int, what: str) -> bytes:

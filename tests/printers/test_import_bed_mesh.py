@@ -29,12 +29,13 @@ def imported(config: str, folder: Path) -> list[str]:
     return list(result.statements)
 
 
+@pytest.mark.parametrize("section", ["probe", "scanner", "probe_eddy_current coil"])
 def test_a_mesh_comes_in_without_its_margin_at_the_places_of_the_nozzle(
-    tmp_path: Path,
+    section: str, tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(3)
     true = virtual.drawn(rng)
-    probe = "[probe]\nx_offset: 4.5\ny_offset: -2.0\n"
+    probe = f"[{section}]\nx_offset: 4.5\ny_offset: -2.0\n"
     extra = probe + "[axis_twist_compensation]\nz_compensations: 0.1, 0.2\n[z_tilt]\n"
     mesh = virtual.mesh_heights(true, virtual.FIRMWARE, rng, 0.0)
     config = virtual.configuration(virtual.heights(true, rng, 0.0), mesh, extra)
@@ -45,6 +46,7 @@ def test_a_mesh_comes_in_without_its_margin_at_the_places_of_the_nozzle(
     assert "before it has the geometry of then" in statements
     assert "[axis_twist_compensation]" in statements
     assert "[z_tilt]" in statements
+    assert f"[{section}] x_offset" in statements
     # the nozzle stands beside the probe; there the firmware had the height of the mesh
     x, y, z = (np.array([float(r[f"{a}_mm"]) for r in rows]) for a in "xyz")
     assert np.unique(np.round(x + 4.5, 6)) == pytest.approx(virtual.NODES)

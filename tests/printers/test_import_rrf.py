@@ -198,6 +198,14 @@ def test_commands_on_a_condition_are_refused(tmp_path: Path) -> None:
     assert nominal(study)["radius_mm"] == 124.309
 
 
+def test_a_macro_without_quotes_is_a_file(tmp_path: Path) -> None:
+    """Its letters are no words: M98 PDEPLOYPROBE.G has one, P."""
+    macro = FILES | {"bed.g": "M98 PDEPLOYPROBE.G\n" + FILES["bed.g"]}
+    study, imported = take("rrf", macro, tmp_path)
+    assert "M98 P (line 1): this file may hold further settings" in said(imported)
+    assert nominal(study)["radius_mm"] == 124.309
+
+
 def in_loop(lines: str, condition: str = "") -> str:
     """The usual bed.g: it probes until the deviation is small, four times at most."""
     body = "".join(f"  {condition}{line}\n" for line in lines.splitlines())

@@ -74,7 +74,7 @@ def printer(trim=(0.3, 0.0, -0.2)):
 
 
 def log_of(firmware: Smoothie, real, form: str, line: str = "") -> str:
-    """M503 and the heights of one of the three forms."""
+    """M503 and the heights of one of the forms; of a grid at the places of the probe."""
     rng = np.random.default_rng(2)
     z = contact(firmware, real, Probe(sigma=NOISE), PLACES, rng)
     rows = {
@@ -82,10 +82,27 @@ def log_of(firmware: Smoothie, real, form: str, line: str = "") -> str:
         "seven": lambda x, y, h: (
             f"X:{x:1.4f} Y:{y:1.4f} Z:{5.0 - h:1.4f} A:1.0000 B:1.0000 C:1.0000"
         ),
+        "host": lambda x, y, h: f"Recv: X:{x:1.4f} Y:{y:1.4f} Z:{5.0 - h:1.4f}",
+        "grid": lambda x, y, h: (
+            f"Recv: DEBUG: X{x + 8.0:1.4f}, Y{y - 6.0:1.4f}, Z{h - z[0]:1.4f}"
+        ),
         "escher": lambda x, y, h: f"X{x:1.4f} Y{y:1.4f} Z{h + 5.0:1.4f}",
     }
     lines = [rows[form](x, y, h) for (x, y), h in zip(PLACES, z, strict=True)]
     return SETTINGS + line + "\n".join([*lines, "max delta: 0.1", ""])
+
+
+def test_a_grid_is_at_the_places_of_the_probe(tmp_path: Path) -> None:
+    """G31 prints where the probe was, G29 where the nozzle was; hosts write Recv: before."""
+    firmware, real = Smoothie(SETTINGS), printer()
+    rows = []
+    for form, line in (("grid", "M565 X8.00 Y-6.00\nG31\n"), ("host", "G29\n")):
+        log = log_of(firmware, real, form, line)
+        _, imported = take("smoothie", {"log": log}, tmp_path / form)
+        cells = [[float(row[f"{a}_mm"]) for a in "xyz"] for row in imported.rows]
+        rows.append(np.array(cells))
+    np.testing.assert_allclose(rows[0], rows[1], atol=2e-4)
+    np.testing.assert_allclose(rows[0][:, :2], PLACES, atol=1e-4)
 
 
 @pytest.mark.parametrize("form", ["spiral", "seven", "escher"])

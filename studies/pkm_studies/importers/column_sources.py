@@ -15,7 +15,7 @@ import numpy as np
 from oed.base import Array
 from oed.dataset import SIGMA, UNITLESS
 from pkm_studies.base import Location
-from pkm_studies.csv_table import CsvTable
+from pkm_studies.csv_table import PLAIN, CsvTable
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
 BRACES = re.compile(r"\{([^{}]*)\}")
@@ -56,6 +56,22 @@ def values(entry: str | ColumnSource, table: CsvTable) -> Array:
         return cells
     scaled = factor * cells / (source.k or 1.0) + offset
     return np.array([float(f"{value:.{DIGITS}g}") for value in scaled])
+
+
+def least_spread(entry: str | ColumnSource, table: CsvTable) -> float:
+    """What a standard deviation of 0 is at most: half the last digit of its column.
+
+    0 for a column of whole numbers, whose zeros are no rounding.
+    """
+    source = source_of(entry)
+    fractions = [
+        cell.partition(".")[2]
+        for cell in table.cells(source.column)
+        if PLAIN.fullmatch(cell) and "e" not in cell.lower()
+    ]
+    digits = max(map(len, fractions), default=0)
+    half = 0.5 * 10.0**-digits * abs(_number(source.factor)) / (source.k or 1.0)
+    return half if digits else 0.0
 
 
 def sentence(name: str, entry: str | ColumnSource) -> str:

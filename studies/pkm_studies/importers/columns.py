@@ -123,20 +123,27 @@ def joined(tables: Sequence[CsvTable]) -> CsvTable:
                 "give files of the same poses in the same order",
                 file=other.file,
             )
-        repeated = sorted(set(first.header) & set(other.header))
-        if repeated and repeated[0].isdecimal():
+        repeated = [name for name in other.header if name in first.header]
+        nameless = [t.file for t in (first, other) if all(map(str.isdecimal, t.header))]
+        if repeated and nameless:
             raise InputError(
-                f"neither it nor {first.file} has names of its columns",
-                "write a line of names above the numbers of both, such as x_mm,y_mm,z_mm"
-                " for commands and x,y,z for points",
-                file=other.file,
+                "no names of its columns",
+                "write a line of names above the numbers, such as x_mm,y_mm,z_mm for"
+                " commands and x,y,z for points",
+                file=nameless[-1],
             )
-        if repeated:
-            problem = f"the column {repeated[0]} is in {first.file} as well"
+        named = [name for name in repeated if not name.isdecimal()]
+        if named:
+            problem = f"the column {named[0]} is in {first.file} as well"
             raise InputError(problem, "rename one of them", file=other.file)
+        # an index without a name is in the first file already
+        columns = [k for k, name in enumerate(other.header) if name not in repeated]
         pairs = zip(first.lines, other.lines, strict=True)
-        lines = tuple((number, [*cells, *more]) for (number, cells), (_, more) in pairs)
-        header = (*first.header, *other.header)
+        lines = tuple(
+            (number, [*cells, *(more[k] for k in columns)])
+            for (number, cells), (_, more) in pairs
+        )
+        header = (*first.header, *(other.header[k] for k in columns))
         first = CsvTable(first.file, header, lines, first.above)
     return first
 
@@ -184,7 +191,8 @@ def mapped_columns(
             f"add {usual_column(channel.name, channel.unit)} to [columns] of a --map"
             f" file; the file has {', '.join(table.header)}"
         )
-        raise field.error(f"no column for {channel.name}", remedy)
+        problem = f"no column for {channel.name}"
+        raise InputError(problem, remedy, file=table.file, field="header")
     return columns
 
 
@@ -230,6 +238,9 @@ def rows(
             cells[name] = table.cells(column_sources.source_of(source).column)
             continue
         values = column_sources.values(source, table)
+        if name.startswith(SIGMA):
+            least = column_sources.least_spread(source, table)
+            values = np.where(values == 0.0, least, values)
         _check_sizes(values, name, column_sources.source_of(source).column, table)
         cells[name] = ["" if value != value else repr(float(value)) for value in values]
     if mapping.orientation is not None:
@@ -321,6 +332,14 @@ def statements(
         sentences.append(orientations.statement(mapping.orientation, tool.orientation))
     used = {*column_sources.names(columns).values()}
     used |= {*orientations.source_columns(mapping.orientation)}
+    for name in filter(lambda name: name.startswith(SIGMA), columns):
+        zeros = int((column_sources.values(columns[name], table) == 0.0).sum())
+        if zeros:
+            least = column_sources.least_spread(columns[name], table)
+            sentences.append(
+                f"{name} is 0 in {zeros} lines, as it is rounded: {least:.3g} is taken, of"
+                " half its last digit."
+            )
     unused = [name for name in table.header if name not in used]
     if unused:
         sentences.append(f"Not used: {', '.join(unused)}.")

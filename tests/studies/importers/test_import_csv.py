@@ -149,6 +149,61 @@ def test_tables_of_any_separator(
     assert table.numbers(header[1])[1] == 4.0
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
+def test_a_file_of_another_program_has_an_encoding_of_its_own(
+    encoding: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes("X [mm],Température [°C]\n1.5,20\n2.5,21\n".encode(encoding))
+    table = csv_table.read(path)
+    assert table.header == ("X [mm]", "Température [°C]")
+    np.testing.assert_array_equal(table.numbers("X [mm]"), [1.5, 2.5])
+    path.write_bytes(b"PK\x03\x04\x00\xff,1\n2,3\n")  # a workbook with this name
+    with pytest.raises(InputError, match="no UTF-8 text"):
+        csv_table.read(path)
+
+
+MARKERS = ("rig:a X [mm]", "rig:a Y [mm]", "rig:a Z [mm]", "rig:b X [mm]")
+
+
+@pytest.mark.parametrize(
+    ("lines", "header"),
+    [
+        (
+            (
+                "Trajectories,,,,,,,",
+                "100,,,,,,,",
+                ",,rig:a,,,rig:b,,",
+                "Frame,Sub Frame,X,Y,Z,X,Y,Z",
+                ",,mm,mm,mm,mm,mm,mm",
+            ),
+            ("Frame", "Sub Frame", *MARKERS),
+        ),
+        (
+            (
+                "PathFileType,4,(X/Y/Z),a.trc,,,,",
+                "DataRate,CameraRate,NumFrames,NumMarkers,Units,,,",
+                "100,100,2,2,mm,,,",
+                "Frame#,Time,a,,,b,,",
+                ",,X1,Y1,Z1,X2,Y2,Z2",
+                ",,,,,,,",
+            ),
+            ("1", "2", "X1", "Y1", "Z1", "X2"),
+        ),
+    ],
+)
+def test_markers_side_by_side_have_their_names(
+    lines: tuple[str, ...], header: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Facts of the file, such as a rate, are no readings; a name is over three columns."""
+    path = tmp_path / "m.csv"
+    path.write_text("\n".join([*lines, "1,0,1,2,3,4,5,6", "2,0,7,8,9,10,11,12"]))
+    table = csv_table.read(path)
+    assert table.header[:6] == header
+    assert len(table) == 2
+    np.testing.assert_array_equal(table.numbers(header[2]), [1.0, 7.0])
+
+
 def test_contacts_alone_come_in(tmp_path: Path) -> None:
     """Poses at which a probe stopped the machine need no column of readings."""
     (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n0,0,0.02\n50,0,0.01\n0,50,0.04\n")

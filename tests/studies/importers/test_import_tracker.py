@@ -338,6 +338,38 @@ def test_two_files_without_names_of_columns_say_so(tmp_path: Path) -> None:
         import_files("tracker", files, tmp_path / "o", machine="linear_delta")
 
 
+def test_an_index_without_a_name_is_no_file_without_names(tmp_path: Path) -> None:
+    """As a table of Python's has it, in both files."""
+    files = exported(tmp_path, ",x,y,z", "J{k},{x},{y},{z}", np.array(1.0))
+    lines = files[1].read_text().splitlines()
+    indexed = [f"J{k},{line}" for k, line in enumerate(lines[1:])]
+    files[1].write_text("\n".join([f",{lines[0]}", *indexed]))
+    _, imported = import_files("tracker", files, tmp_path / "a", machine="linear_delta")
+    assert len(imported.rows) == 18
+    files[1].write_text("\n".join([",x,y,z", *indexed]))
+    with pytest.raises(InputError, match=r"the column x is in .*points\.csv as well"):
+        import_files("tracker", files, tmp_path / "b", machine="linear_delta")
+
+
+def test_an_uncertainty_that_is_rounded_to_0_is_half_its_last_digit(
+    tmp_path: Path,
+) -> None:
+    line = LEICA_LINE.replace("0.008,0.008,0.008", "0.008,0.000,0.008")
+    files = exported(tmp_path, LEICA, line, np.array(1.0))
+    study, imported = import_files(
+        "tracker", files, tmp_path / "out", machine="linear_delta"
+    )
+    said = " ".join(imported.statements)
+    assert (
+        "sigma_read_y_mm is 0 in 18 lines, as it is rounded: 0.00025 is taken" in said
+    )
+    assert oed.read_readings(oed.load_study(study)).state.readings is not None
+    whole = LEICA_LINE.replace("0.008,0.008,0.008", "1,0,1")
+    files = exported(tmp_path, LEICA, whole, np.array(1.0))
+    with pytest.raises(InputError, match="a standard deviation is above 0"):
+        import_files("tracker", files, tmp_path / "b", machine="linear_delta")
+
+
 def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
     tmp_path: Path,
 ) -> None:

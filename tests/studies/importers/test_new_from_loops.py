@@ -118,6 +118,33 @@ def test_two_chains_that_meet_are_a_five_bar(tmp_path: Path) -> None:
         np.testing.assert_allclose(x, expected, atol=1e-9)
 
 
+OPEN = FIVE_BAR.replace(
+    '<joint name="e1" type="hinge" axis="0 0 1"/>',
+    '<joint name="e1" type="hinge" axis="0 0 1"/><site name="a" pos="0.15 0.2 0"/>',
+).replace(
+    '<joint name="e2" type="hinge" axis="0 0 1"/>',
+    '<joint name="e2" type="hinge" axis="0 0 1"/><site name="b" pos="-0.16 0.21 0"/>',
+)
+SITES = '<connect site1="a" site2="b"/>'
+
+
+def test_a_loop_that_is_drawn_open_keeps_its_lengths(tmp_path: Path) -> None:
+    """Its ends are 2 cm apart as drawn; each strut reaches to its own site."""
+    closing = '<connect body1="l2" body2="r2" anchor="0.17 0.2 0"/>'
+    machine = read(tmp_path, OPEN.replace(closing, SITES))
+    nominal = {p.name: p.nominal for p in machine.parameters}
+    struts = [nominal["l1"], nominal["l2"]]
+    assert struts == pytest.approx([np.hypot(0.15, 0.2), np.hypot(0.16, 0.21)])
+
+
+def test_a_knee_that_is_drawn_straight_has_no_side(tmp_path: Path) -> None:
+    straight = OPEN.replace('pos="0.15 0.2 0"', 'pos="-0.09 0.285 0"')
+    straight = straight.replace('pos="-0.16 0.21 0"', 'pos="0.105 0.27 0"')
+    closing = '<connect body1="l2" body2="r2" anchor="0.17 0.2 0"/>'
+    with pytest.raises(InputError, match=r"crank of j1 and its strut .* in one line"):
+        read(tmp_path, straight.replace(closing, SITES))
+
+
 @pytest.mark.parametrize("form", ["weld", "hung"])
 def test_a_stewart_platform_on_a_leg_or_welded(form: str, tmp_path: Path) -> None:
     machine = read(tmp_path, stewart(form))

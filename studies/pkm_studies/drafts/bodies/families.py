@@ -240,6 +240,8 @@ SUFFIXES = (".xml", ".urdf")
 #: first half width of the workspace over the largest length, and largest tilt, rad
 REACH, TILT, HALVINGS = 0.08, 0.08, 6
 NEAR = 1e-9
+#: rad; a knee that bends by less is drawn straight
+STRAIGHT = 1e-6
 #: slope of a rotary delta's axes, at most
 LEVEL = 0.1
 UPWARD = np.array([0.0, 0.0, 1.0])
@@ -387,17 +389,27 @@ def _glides(drawn: DrawnMachine, location: Location) -> Geometry:
     return geometry | {"home": drawn.home}, {}
 
 
-def _crank(limb: DrawnLimb) -> tuple[Array, Array, float]:
-    """Centre (3,) and arm (3,) at a joint of 0, and the side of the knee."""
+def _crank(limb: DrawnLimb, location: Location) -> tuple[Array, Array, float]:
+    """Centre (3,) and arm (3,) at a joint of 0, and the side of the knee.
+
+    Raises InputError for a knee that is drawn straight.
+    """
     axis = limb.drive.axis
     centre = limb.drive.at + (limb.start - limb.drive.at) @ axis * axis
     arm, line = limb.start - centre, limb.end - centre
-    side = float(np.sign(np.cross(line, arm) @ axis))
+    bend = float(np.cross(line, arm) @ axis)
+    if abs(bend) < STRAIGHT * float(np.linalg.norm(line) * np.linalg.norm(arm)):
+        raise location.error(
+            f"the crank of {limb.drive.joint.name} and its strut are drawn in one line: to"
+            " which side the knee bends is not seen, and the machine moves nowhere there",
+            "draw the bodies where the loops close with bent knees",
+        )
+    side = float(np.sign(bend))
     return centre, turn(axis, -limb.drive.joint.value) @ arm, side
 
 
 def _cranks(drawn: DrawnMachine, location: Location) -> Geometry:
-    cranks = [_crank(limb) for limb in drawn.limbs]
+    cranks = [_crank(limb, location) for limb in drawn.limbs]
     geometry = {
         "centre": np.array([centre for centre, _, _ in cranks]),
         "axis": np.array([limb.drive.axis for limb in drawn.limbs]),
@@ -420,7 +432,7 @@ def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
     rows = []
     for k, limb in enumerate(drawn.limbs, start=1):
         axis = limb.drive.axis
-        centre, arm, side = _crank(limb)
+        centre, arm, side = _crank(limb, location)
         if abs(axis[2]) > LEVEL or side > 0.0:
             raise location.error(
                 f"{limb.drive.joint.name} has no level axis, or its knee goes down against"
@@ -453,7 +465,7 @@ def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
 
 def _planar(drawn: DrawnMachine, location: Location) -> Geometry:
     """Cranks about z; their centres less the platform's joints."""
-    cranks = [_crank(limb) for limb in drawn.limbs]
+    cranks = [_crank(limb, location) for limb in drawn.limbs]
     level = [limb.drive.axis @ UPWARD for limb in drawn.limbs]
     if min(level) < 1.0 - NEAR or np.abs(drawn.axes[:, 2]).max() > NEAR:
         raise location.error(

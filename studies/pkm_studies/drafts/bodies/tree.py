@@ -141,7 +141,11 @@ def detached(tree: BodyTree) -> BodyTree:
             for axis in "xy"
         )
         platform = Body(TOOL, WORLD, at, np.eye(3), slides)
-        loops = tuple(BodyLoop(e, tree.local(e, at), TOOL, np.zeros(3)) for e in ends)
+        points = [loop.on_first, loop.on_second]
+        loops = tuple(
+            BodyLoop(end, point, TOOL, np.zeros(3))
+            for end, point in zip(ends, points, strict=True)
+        )
     elif len(shared) == 1 and WORLD not in shared:
         (name,) = shared
         body = tree.bodies[name]
