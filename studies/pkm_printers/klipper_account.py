@@ -22,6 +22,7 @@ from pkm_printers.words import (
     account,
     cost_sentence,
     costs,
+    refused,
     same,
 )
 
@@ -37,7 +38,17 @@ NOT_THE_CALIBRATION: Final = (
     " or compensate without it"
 )
 
+#: of the firmware of FLSun's printers
+SIZE_OFFSETS: Final = ("x_size_offset", "y_size_offset")
 PRINTER: Final[dict[str, Word]] = {
+    **same(
+        refused(
+            "a fork of the firmware changes the size of prints by it, in a way that it does"
+            " not document",
+            "set it to 0 in the printer, and calibrate again",
+        ),
+        SIZE_OFFSETS,
+    ),
     **same(READ, ("kinematics", "delta_radius")),
     **same(
         HARMLESS,
@@ -234,6 +245,8 @@ def config_account(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
     """
     other = {**PLACE, OTHERS: HARMLESS}
     words = {**WORDS, **{f"[{name}]": other for name in other_probes(config)}}
+    zeros = [key for key in SIZE_OFFSETS if config.number("printer", key, 0.0) == 0.0]
+    words["[printer]"] = {**PRINTER, **same(HARMLESS, zeros)}
     plain = [
         _group(name, words)
         for name in config.sections

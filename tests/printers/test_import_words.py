@@ -232,6 +232,16 @@ def test_an_option_of_a_fork_is_refused(tmp_path: Path) -> None:
             read("klipper", {"printer.cfg": text}, tmp_path)
 
 
+def test_sizes_that_a_fork_changes_by_nothing_are_no_matter(tmp_path: Path) -> None:
+    """FLSun's printers have these two, at 0 as they come."""
+    text = with_option("printer", "x_size_offset", "0")
+    said = " ".join(read("klipper", {"printer.cfg": text}, tmp_path).statements)
+    assert re.search(r"no part of the geometry: .*x_size_offset", said)
+    text = with_option("printer", "x_size_offset", "0.2")
+    with pytest.raises(InputError, match="x_size_offset = 0.2: a fork of the firmware"):
+        read("klipper", {"printer.cfg": text}, tmp_path)
+
+
 def test_a_value_that_goes_on_in_indented_lines(tmp_path: Path) -> None:
     text = with_option("stepper_b", "gear_ratio", "\n   11:10,\n   1:1 # two stages")
     rows = read("klipper", {"printer.cfg": text}, tmp_path).rows

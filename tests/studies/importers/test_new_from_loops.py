@@ -145,6 +145,57 @@ def test_a_knee_that_is_drawn_straight_has_no_side(tmp_path: Path) -> None:
         read(tmp_path, straight.replace(closing, SITES))
 
 
+#: m, a delta: shoulders, cranks, rods, and how far the rods of a pair are from the middle
+SHOULDER, CRANK, ROD, FOOT, HALF = 0.1, 0.15, 0.35, 0.05, 0.03
+TURNS = np.radians([0.0, 120.0, 240.0])
+OUTWARD = np.c_[np.cos(TURNS), np.sin(TURNS), 0 * TURNS]
+TANGENT = np.c_[-np.sin(TURNS), np.cos(TURNS), 0 * TURNS]
+
+
+def delta(half_foot: float = HALF) -> str:
+    """Three cranks, each with two rods to a free platform, as CAD programs export a delta."""
+    across = SHOULDER + CRANK - FOOT
+    height = np.sqrt(ROD**2 - across**2)
+    bodies = [f'<body name="platform" pos="0 0 {-height:.12f}"><freejoint/></body>']
+    loops = []
+    for k, (u, t) in enumerate(zip(OUTWARD, TANGENT, strict=True)):
+        rods = ""
+        for side in (-1, 1):
+            name = f"rod{k}{side}"
+            at = text(CRANK * u + side * HALF * t)
+            rods += f'<body name="{name}" pos="{at}"><joint type="ball"/></body>'
+            end = -across * u + side * (half_foot - HALF) * t - [0.0, 0.0, height]
+            loops.append(
+                f'<connect body1="{name}" body2="platform" anchor="{text(end)}"/>'
+            )
+        hinge = f'<joint name="q{k}" axis="{text(t)}"/>'
+        arm = f'<body name="arm{k}" pos="{text(SHOULDER * u)}">{hinge}{rods}</body>'
+        bodies.append(arm)
+    worldbody, equality = "\n".join(bodies), "\n".join(loops)
+    return (
+        f"<mujoco><worldbody>{worldbody}</worldbody>"
+        f"<equality>{equality}</equality></mujoco>"
+    )
+
+
+def test_two_parallel_rods_on_a_crank_are_one_limb_of_a_delta(tmp_path: Path) -> None:
+    """No hexapod of six cranks; the tool point where three spheres about the knees meet."""
+    machine = read(tmp_path, delta())
+    assert machine.name == "rotary_delta"
+    kinematics = Kinematics(machine)
+    q = np.array([[0.0, 0.0, 0.0], [0.05, -0.1, 0.02], [-0.08, 0.03, 0.1]])
+    start = np.repeat(machine.home_command[None], 3, axis=0)
+    pose = kinematics.forward(q, machine.nominal, start)
+    for angles, point in zip(q, pose, strict=True):
+        cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        arms = CRANK * (cos * OUTWARD - sin * [0.0, 0.0, 1.0])
+        knees = (SHOULDER - FOOT) * OUTWARD + arms
+        reach = np.linalg.norm(point[:3] - knees, axis=1)
+        np.testing.assert_allclose(reach, ROD, atol=1e-9)
+    with pytest.raises(InputError, match="2 limbs on q0 are no two parallel rods"):
+        read(tmp_path, delta(half_foot=0.02))
+
+
 @pytest.mark.parametrize("form", ["weld", "hung"])
 def test_a_stewart_platform_on_a_leg_or_welded(form: str, tmp_path: Path) -> None:
     machine = read(tmp_path, stewart(form))

@@ -40,8 +40,8 @@ from pkm_studies.user_code import Origin
 # platform keeps the orientation in which it is drawn.
 
 LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"
-#: m or 1, over the largest length; what is off by less is in its place
-SAME_POINT = 1e-9
+#: m or 1; what is off by less is in its place, as drawings are rounded
+SAME_POINT = 1e-6
 STEPS, CLOSED = 50, 1e-12
 #: loops of a file: more limbs than any machine has
 MOST_LOOPS = 100
@@ -115,7 +115,35 @@ def drawn_machine(tree: BodyTree, location: Location) -> DrawnMachine:
     tool = tree.point(platform, tree.tools.get(platform, np.zeros(3)))
     limbs = [_limb(tree, loop, platform, tool, location) for loop in tree.loops]
     home = _close(limbs, tool, axes, location)
+    drives = {id(limb.drive.joint) for limb in limbs}
+    if len(drives) < len(limbs):
+        limbs, turns = _parallelograms(limbs, location), False
     return DrawnMachine(tuple(limbs), axes, turns, home)
+
+
+def _parallelograms(limbs: list[DrawnLimb], location: Location) -> list[DrawnLimb]:
+    """One limb for two parallel rods on a drive: they keep a platform from turning.
+
+    Raises InputError for other limbs that share a drive.
+    """
+    pairs: dict[int, list[DrawnLimb]] = {}
+    for limb in limbs:
+        pairs.setdefault(id(limb.drive.joint), []).append(limb)
+    merged = []
+    for pair in pairs.values():
+        first, last = pair[0], pair[-1]
+        skew = last.start - first.start - (last.local - first.local)
+        if len(pair) != 2 or np.abs(skew).max() > SAME_POINT:
+            raise location.error(
+                f"{len(pair)} limbs on {first.drive.joint.name} are no two parallel rods",
+                "give each limb a drive of its own, or each drive two parallel rods",
+            )
+        means = {
+            name: 0.5 * (getattr(first, name) + getattr(last, name))
+            for name in ("start", "end", "local")
+        }
+        merged.append(dataclasses.replace(first, **means))
+    return merged
 
 
 def _platform(tree: BodyTree, location: Location) -> str:
@@ -224,9 +252,10 @@ def _close(
         if np.abs(gaps).max() < CLOSED:
             break
         moves -= np.linalg.lstsq(np.vstack(rows), np.concatenate(gaps), rcond=1e-12)[0]
-    else:
+    open_by = float(np.abs(gaps).max())
+    if open_by > SAME_POINT:
         raise location.error(
-            f"the loops are open by {np.abs(gaps).max():.3g} m as they are drawn",
+            f"the loops are open by {open_by:.3g} m as they are drawn",
             "draw the passive joints as they are where the loops close",
         )
     for limb, motion in zip(limbs, moves[freedoms:], strict=True):
