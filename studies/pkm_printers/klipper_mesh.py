@@ -43,7 +43,16 @@ def _mesh(config: KlipperConfig, section: str) -> BedMesh:
     z = _heights(config, section)
     x = _places(config, section, "x", z.shape[1])
     y = _places(config, section, "y", z.shape[0])
-    unread = copied_margin(x, y, z) | _is_in_faulty_region(config, x, y)
+    margin = copied_margin(x, y, z)
+    if config.find("bed_mesh", "mesh_radius") is not None and not margin.any():
+        entry = config.entries[section, "points"]
+        raise entry.error(
+            f"[{section}] points",
+            "nodes beyond [bed_mesh] mesh_radius have heights of their own, where Klipper"
+            " probes none: a fork's nodes are elsewhere",
+            "remove the profile from a copy of the file",
+        )
+    unread = margin | _is_in_faulty_region(config, x, y)
     offset = probe_offset(config)
     rows, columns = np.nonzero(~unread)
     points = [

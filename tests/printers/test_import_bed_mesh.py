@@ -112,6 +112,21 @@ def test_heights_of_a_mesh_as_readings_estimate_the_noise(tmp_path: Path) -> Non
     assert abs(radius.value - true[0]) < 3.0 * radius.sd < 0.15
 
 
+def test_a_round_mesh_that_was_probed_in_its_corners_is_a_forks(tmp_path: Path) -> None:
+    """Klipper fills up what lies outside the circle; on a rectangle it has no radius."""
+    rng = np.random.default_rng(8)
+    lines = virtual.heights(virtual.FIRMWARE, rng, 0.0)
+    mesh = virtual.mesh_heights(virtual.FIRMWARE, virtual.FIRMWARE, rng, 0.0)
+    mesh = np.where(np.isfinite(mesh), mesh, rng.normal(0.0, 0.05, mesh.shape))
+    with pytest.raises(
+        InputError, match=r"default\] points .*nodes beyond .* a fork's"
+    ):
+        imported(
+            virtual.configuration(lines, mesh, "[bed_mesh]\nmesh_radius: 90\n"),
+            tmp_path,
+        )
+
+
 def test_a_mesh_with_a_missing_row_is_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     mesh = virtual.mesh_heights(virtual.FIRMWARE, virtual.FIRMWARE, rng, 0.0)

@@ -238,7 +238,9 @@ def test_sizes_that_a_fork_changes_by_nothing_are_no_matter(tmp_path: Path) -> N
     said = " ".join(read("klipper", {"printer.cfg": text}, tmp_path).statements)
     assert re.search(r"no part of the geometry: .*x_size_offset", said)
     text = with_option("printer", "x_size_offset", "0.2")
-    with pytest.raises(InputError, match=r"x_size_offset = 0\.2: a fork of the firmware"):
+    with pytest.raises(
+        InputError, match=r"x_size_offset = 0\.2: a fork of the firmware"
+    ):
         read("klipper", {"printer.cfg": text}, tmp_path)
 
 
