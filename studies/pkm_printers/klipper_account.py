@@ -43,8 +43,7 @@ SIZE_OFFSETS: Final = ("x_size_offset", "y_size_offset")
 PRINTER: Final[dict[str, Word]] = {
     **same(
         refused(
-            "a fork of the firmware changes the size of prints by it, in a way that it does"
-            " not document",
+            "a fork of the firmware changes the size of prints by it",
             "set it to 0 in the printer, and calibrate again",
         ),
         SIZE_OFFSETS,

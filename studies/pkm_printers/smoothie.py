@@ -25,15 +25,15 @@ from pkm_studies.importers import ImportedSession, ImportRequest
 
 #: what a host writes before an answer: a time, Recv:
 HOST: Final = r"^(?i:[^a-z]|recv|read|[ap]m)*"
-#: lines of a probed point, and the sign of the height in them: of a spiral and of G32, of the
-#: seven points as distances down, and as heights
+#: lines of a probed point, the sign of the height in them, and whether its place is that of
+#: the probe: of a spiral and of G32, of the seven points as distances down, and as heights, and
+#: of the grid of G31
 POINTS: Final = (
-    (rf"PROBE:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}", 1.0),
-    (rf"{HOST}X:({NUMBER})\s+Y:({NUMBER})\s+Z:({NUMBER})\s*(?:\sA:|$)", -1.0),
-    (rf"{HOST}X({NUMBER}) Y({NUMBER}) Z({NUMBER})\s*$", 1.0),
+    (rf"PROBE:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}", 1.0, False),
+    (rf"{HOST}X:({NUMBER})\s+Y:({NUMBER})\s+Z:({NUMBER})\s*(?:\sA:|$)", -1.0, False),
+    (rf"{HOST}X({NUMBER}) Y({NUMBER}) Z({NUMBER})\s*$", 1.0, False),
+    (rf"DEBUG:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}", 1.0, True),
 )
-#: a node of the grid of G31: the place of the probe, and its height over the middle
-NODE: Final = re.compile(rf"DEBUG:\s*X({NUMBER}),\s*Y({NUMBER}),\s*Z({NUMBER}){ENDS}")
 #: parameters by letter of G32
 LETTERS: Final[Mapping[str, tuple[str, ...]]] = {
     **{axis: (f"endstop{k}",) for k, axis in enumerate("XYZ", start=1)},
@@ -124,15 +124,13 @@ def _points(lines: Sequence[TextLine], offset: Offset) -> list[ProbedPoint]:
     """The probed points, heights against that of the one nearest the middle, mm."""
     points = []
     for line in lines:
-        for pattern, sign in POINTS:
+        for pattern, sign, is_of_probe in POINTS:
             match = re.search(pattern, line.text)
             if match is not None:
                 x, y, z = (gcode.finite(cell, line) for cell in match.groups())
+                if is_of_probe:
+                    x, y = x - offset[0], y - offset[1]
                 points.append(ProbedPoint(x, y, sign * z, offset))
-        node = NODE.search(line.text)
-        if node is not None:
-            x, y, z = (gcode.finite(cell, line) for cell in node.groups())
-            points.append(ProbedPoint(x - offset[0], y - offset[1], z, offset))
     if not points:
         raise InputError(
             "no probed points in it", NO_POINTS, file=gcode.files_of(lines)

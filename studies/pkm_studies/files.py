@@ -115,24 +115,17 @@ def read_text(path: Path, *, limit: int, what: str, is_foreign: bool = False) ->
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        encoding = _other_encoding(content) if is_foreign else None
-        if encoding is None:
+        is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        if not is_foreign or (b"\0" in content and not is_utf_16):
             raise InputError(
                 f"the file is no UTF-8 text (byte {error.start + 1})",
                 f"save the {what} as UTF-8",
                 file=file,
             ) from None
-        text = content.decode(encoding, errors="replace")
+        text = content.decode("utf-16" if is_utf_16 else "cp1252", errors="replace")
     if not text.strip():
         raise InputError("the file is empty", f"write a {what} into it", file=file)
     return text
-
-
-def _other_encoding(content: bytes) -> str | None:
-    """The encoding of a text that is no UTF-8; None for bytes that are no text."""
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    return None if b"\0" in content else "cp1252"
 
 
 def read_bytes(path: Path, *, limit: int, what: str) -> bytes:

@@ -15,10 +15,11 @@ import numpy as np
 from oed.base import Array
 from oed.dataset import SIGMA, UNITLESS
 from pkm_studies.base import Location
-from pkm_studies.csv_table import PLAIN, CsvTable
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
 BRACES = re.compile(r"\{([^{}]*)\}")
+DECIMALS = re.compile(r"[.,](\d+)$")
 #: significant digits of a product: less is rounding
 DIGITS = 14
 
@@ -61,17 +62,14 @@ def values(entry: str | ColumnSource, table: CsvTable) -> Array:
 def least_spread(entry: str | ColumnSource, table: CsvTable) -> float:
     """What a standard deviation of 0 is at most: half the last digit of its column.
 
-    0 for a column of whole numbers, whose zeros are no rounding.
+    0 where that is no rounding: of whole numbers, and of a column of nothing but 0.
     """
     source = source_of(entry)
-    fractions = [
-        cell.partition(".")[2]
-        for cell in table.cells(source.column)
-        if PLAIN.fullmatch(cell) and "e" not in cell.lower()
-    ]
-    digits = max(map(len, fractions), default=0)
-    half = 0.5 * 10.0**-digits * abs(_number(source.factor)) / (source.k or 1.0)
-    return half if digits else 0.0
+    decimals = map(DECIMALS.search, table.cells(source.column))
+    digits = max((len(match[1]) for match in decimals if match), default=0)
+    if not digits or not values(entry, table).any():
+        return 0.0
+    return 0.5 * 10.0**-digits * abs(_number(source.factor)) / (source.k or 1.0)
 
 
 def sentence(name: str, entry: str | ColumnSource) -> str:

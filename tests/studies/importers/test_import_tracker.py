@@ -356,12 +356,16 @@ def test_an_uncertainty_that_is_rounded_to_0_is_half_its_last_digit(
 ) -> None:
     line = LEICA_LINE.replace("0.008,0.008,0.008", "0.008,0.000,0.008")
     files = exported(tmp_path, LEICA, line, np.array(1.0))
+    with pytest.raises(InputError, match="a standard deviation is above 0"):
+        import_files("tracker", files, tmp_path / "a", machine="linear_delta")
+    text = files[0].read_text(encoding="utf-8")
+    files[0].write_text(text.replace("0.008,0.000", "0.008,0.002", 1), encoding="utf-8")
     study, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
     )
     said = " ".join(imported.statements)
     assert (
-        "sigma_read_y_mm is 0 in 18 lines, as it is rounded: 0.00025 is taken" in said
+        "sigma_read_y_mm is 0 in 17 lines, as it is rounded: 0.00025 is taken" in said
     )
     assert oed.read_readings(oed.load_study(study)).state.readings is not None
     whole = LEICA_LINE.replace("0.008,0.008,0.008", "1,0,1")

@@ -141,10 +141,9 @@ def detached(tree: BodyTree) -> BodyTree:
             for axis in "xy"
         )
         platform = Body(TOOL, WORLD, at, np.eye(3), slides)
-        points = [loop.on_first, loop.on_second]
-        loops = tuple(
-            BodyLoop(end, point, TOOL, np.zeros(3))
-            for end, point in zip(ends, points, strict=True)
+        loops = (
+            BodyLoop(loop.first, loop.on_first, TOOL, np.zeros(3)),
+            BodyLoop(loop.second, loop.on_second, TOOL, np.zeros(3)),
         )
     elif len(shared) == 1 and WORLD not in shared:
         (name,) = shared
