@@ -141,7 +141,7 @@ def detached(tree: BodyTree) -> BodyTree:
             for axis in "xy"
         )
         platform = Body(TOOL, WORLD, at, np.eye(3), slides)
-        loops = (
+        loops: tuple[BodyLoop, ...] = (
             BodyLoop(loop.first, loop.on_first, TOOL, np.zeros(3)),
             BodyLoop(loop.second, loop.on_second, TOOL, np.zeros(3)),
         )
