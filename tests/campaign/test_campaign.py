@@ -379,7 +379,6 @@ def test_a_folder_of_another_campaign_is_left_alone(own: Path, tmp_path: Path) -
 def test_a_scheduler_that_is_not_there_is_said(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("distributed", reason="Dask is not installed")
     assert run(campaign, tmp_path / "out", "--scheduler", "no address") == 2
     assert "--scheduler" in capsys.readouterr().err
 
@@ -388,7 +387,8 @@ def test_a_scheduler_that_is_not_there_is_said(
 def test_processes_and_a_cluster_give_the_same_table(
     campaign: Path, tmp_path: Path
 ) -> None:
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    import distributed  # takes a second to import
+
     loaded = tables.load_campaign(campaign)
     runner.run_cases(loaded, tmp_path / "one", workers=1)
     runner.run_cases(loaded, tmp_path / "two", workers=2)

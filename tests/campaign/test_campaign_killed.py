@@ -1,4 +1,4 @@
-"""A campaign that is killed again and again ends as an unbroken one."""
+"""A campaign that is killed, or whose worker is, ends as an unbroken one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+
+from pkm_campaign import load_campaign, read_row, run_cases
+from pkm_studies.user_code import Consent
 
 SEEDS, KILLS = 500, 5
 FUNCTION = """\
@@ -106,3 +109,40 @@ def test_a_campaign_killed_five_times_ends_as_an_unbroken_one(
     assert len(table.drop_duplicates(["law", "size", "seed"])) == total
     for name in ("cases.parquet", "cases.csv", "summary.csv", "report.html"):
         assert (broken / name).read_bytes() == (whole / name).read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="no process ends by SIGKILL")
+def test_a_campaign_survives_the_death_of_a_worker(
+    campaign: Path, tmp_path: Path
+) -> None:
+    """A case kills the worker that computes it first; another one repeats the case."""
+    import distributed  # takes a second to import
+
+    killed, own = tmp_path / "killed", tmp_path / "own.py"
+    deadly = f"""
+    import os, pathlib
+    killed = pathlib.Path({str(killed)!r})
+    if seed == 10 and not killed.exists():
+        killed.touch()
+        os.kill(os.getpid(), {signal.SIGKILL:d})
+"""
+    first = load_campaign(campaign, consent=Consent.GIVEN).first(20)
+    run_cases(first, tmp_path / "whole", workers=1)
+    changed = FUNCTION.replace("seed):\n", f"seed):{deadly}")
+    own.write_text(changed, encoding="utf-8")
+    first = load_campaign(campaign, consent=Consent.GIVEN).first(20)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        run_cases(first, tmp_path / "broken", workers=1, scheduler=address)
+    assert killed.exists()
+    whole, broken = (
+        {path.name: read_row(path) for path in (tmp_path / out / "cases").glob("*-*")}
+        for out in ("whole", "broken")
+    )
+    assert len(whole) == 80
+    for row in (*whole.values(), *broken.values()):
+        row.pop("cpu_s", None)  # differs from run to run
+    assert broken == whole

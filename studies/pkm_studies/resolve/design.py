@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import fnmatch
+import importlib.util
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -423,6 +424,12 @@ def _check_method(table: DesignTable, location: Location) -> None:
                 table.solver,
             )
         return
+    if table.solver == "scs" and importlib.util.find_spec("scs") is None:
+        raise location.key("solver").error(
+            "SCS is not installed",
+            "pip install pkm-oed[scs], or leave solver out",
+            table.solver,
+        )
     field_location = location.key("method")
     weighed = CRITERIA.weighed
     if table.judged_by not in weighed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import cvxpy as cp
@@ -104,3 +105,11 @@ def test_what_weights_do_not_go_with_is_refused(
         chosen(text(design + KNOWN))
     assert f"design.{field}" in str(error.value)
     assert words in str(error.value)
+
+
+def test_a_solver_that_is_not_installed_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "scs", None)
+    with pytest.raises(InputError, match=r"pip install pkm-oed\[scs\]"):
+        chosen(text('method = "relaxed"\nsolver = "scs"\n' + KNOWN))
