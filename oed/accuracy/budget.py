@@ -28,7 +28,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.accuracy.maps import ErrorMaps, Reference, maps_by_reference
+from oed.accuracy.maps import ErrorMaps, Reference, raw_maps_of_machines
 from oed.base import Array, Index, Mask
 from oed.measurement import Measurement, Series, draw_parameters, reading_structure
 from oed.mechanism import NO_TOOL, AssemblyError
@@ -179,6 +179,8 @@ REMOVAL_FACTOR = 1e-4
 SHARE_TOLERANCE = 1e-10
 #: machines drawn for what linearisation leaves out
 N_MACHINES = 48
+#: poses of all machines whose maps are computed at once: 200 MB with 100 parameters
+MAX_POSES = 20_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -526,26 +528,44 @@ def variance_over_machines(
     They are means over machines drawn from the tolerances, by reference; none where
     hardly one of them can be assembled.
     """
-    count = len(measurement.machine.parameters)
+    truths = draw_parameters(measurement, rng, N_MACHINES)
+    groups = -(-len(truths) * len(command) // MAX_POSES)
     sums: dict[Reference, Array] = {}
     assembled = 0
-    for truth in draw_parameters(measurement, rng, N_MACHINES):
-        try:
-            covariance = budget_model(measurement, series, truth).covariance()
-            by_reference = maps_by_reference(
-                measurement.kinematics,
-                command,
-                references,
-                tool,
-                parameters=truth[:count],
-            )
-        except AssemblyError:
-            continue
-        assembled += 1
-        for reference, maps in by_reference.items():
-            propagated = maps.raw @ covariance
-            variance = np.einsum("nkp,nkp->nk", propagated, maps.raw)
-            sums[reference] = sums.get(reference, 0.0) + variance
+    for group in np.array_split(truths, groups):
+        maps = _assembled_maps(measurement, command, references, tool, group)
+        for truth, by_reference in maps:
+            try:
+                covariance = budget_model(measurement, series, truth).covariance()
+            except AssemblyError:
+                continue
+            assembled += 1
+            for reference, raw in by_reference.items():
+                variance = np.einsum("nkp,nkp->nk", raw @ covariance, raw)
+                sums[reference] = sums.get(reference, 0.0) + variance
     if assembled < N_MACHINES // 2:
         return {}
     return {reference: total / assembled for reference, total in sums.items()}
+
+
+def _assembled_maps(
+    measurement: Measurement,
+    command: Array,
+    references: Sequence[Reference],
+    tool: Array,
+    truths: Array,
+) -> list[tuple[Array, dict[Reference, Array]]]:
+    """Of those machines with parameters (m, n) that assemble: the parameters, and maps."""
+    count = len(measurement.machine.parameters)
+    kinematics = measurement.kinematics
+    while len(truths):
+        try:
+            maps = raw_maps_of_machines(
+                kinematics, command, references, tool, truths[:, :count]
+            )
+        except AssemblyError as error:
+            lost = np.unique(error.indices // (len(command) + 1))
+            truths = np.delete(truths, lost, axis=0)
+        else:
+            return list(zip(truths, maps, strict=True))
+    return []

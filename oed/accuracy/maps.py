@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.base import Array
+from oed.base import Array, consecutive_slices
 from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model, pose_error
 
 Reference = Literal["home", "absolute", "best_fit"]
@@ -84,32 +84,79 @@ def maps_by_reference(
 ) -> dict[Reference, ErrorMaps]:
     """Error maps against several references, as `error_maps`."""
     machine = kinematics.machine
-    home_command = machine.and_home(command, tool)[-1:]
-    model = error_model(kinematics, command, tool, parameters)
-    home = error_model(kinematics, home_command, tool, parameters)
-    slope = kinematics.error_components_jacobian(command)
-    raw, raw_home = model.raw, home.raw
-    remaining, remaining_home = model.remaining, home.remaining
-    if further is not None:
-        raw, raw_home = further[0][:-1], further[0][-1:]
-        remaining, remaining_home = further[1][:-1], further[1][-1:]
-    maps: dict[Reference, ErrorMaps] = {}
-    for reference in references:
-        frame = (model, home, reference, machine.alignment_lever)
-        maps[reference] = ErrorMaps(
-            command=command,
-            names=tuple(c.name for c in machine.components),
-            raw=slope @ _relative(raw, raw_home, *frame),
-            remaining=slope @ _relative(remaining, remaining_home, *frame),
+    model = error_model(kinematics, machine.and_home(command, tool), tool, parameters)
+    raw, remaining = (model.raw, model.remaining) if further is None else further
+    frames = Frames(model.rotation, model.point)
+    names = tuple(c.name for c in machine.components)
+    return {
+        reference: ErrorMaps(
+            command,
+            names,
+            raw=_components(kinematics, command, raw, frames, reference),
+            remaining=_components(kinematics, command, remaining, frames, reference),
         )
+        for reference in references
+    }
+
+
+def raw_maps_of_machines(
+    kinematics: Kinematics,
+    command: Array,
+    references: Sequence[Reference],
+    tool: Array,
+    parameters: Array,
+) -> list[dict[Reference, Array]]:
+    """Maps (n, k, np) without compensation about each of m machines, p (m, np).
+
+    Raises AssemblyError, with machine times (n + 1) plus pose, home the last.
+    """
+    poses, count = kinematics.machine.and_home(command, tool), len(parameters)
+    p = np.repeat(parameters, len(poses), axis=0)
+    x, q = kinematics.inverse(np.tile(poses, (count, 1)), p, tool)
+    rotation, point, twist = kinematics.frames(x, tool)
+    raw = twist @ kinematics.slopes.over_parameters(x, q, p)
+    maps = []
+    for rows in consecutive_slices([len(poses)] * count):
+        frames = Frames(rotation[rows], point[rows])
+        of_machine = {
+            reference: _components(kinematics, command, raw[rows], frames, reference)
+            for reference in references
+        }
+        maps.append(of_machine)
     return maps
+
+
+class Frames(NamedTuple):
+    """Nominal orientations (n, 3, 3) and tool points (n, 3), m, of a platform."""
+
+    rotation: Array
+    point: Array
+
+    def and_home(self) -> tuple[Frames, Frames]:
+        """Those at the poses, and that at home, the last."""
+        poses = Frames(self.rotation[:-1], self.point[:-1])
+        return poses, Frames(self.rotation[-1:], self.point[-1:])
+
+
+def _components(
+    kinematics: Kinematics,
+    command: Array,
+    twist: Array,
+    frames: Frames,
+    reference: Reference,
+) -> Array:
+    """Slopes (n, k, m) of the pose components, of twists (n + 1, 6, m); home is last."""
+    lever = kinematics.machine.alignment_lever
+    ends = frames.and_home()
+    relative = _relative(twist[:-1], twist[-1:], *ends, reference, lever)
+    return np.asarray(kinematics.error_components_jacobian(command) @ relative)
 
 
 def relative_to_reference(
     twist: Array,
     home_twist: Array,
-    model: ErrorModel,
-    home: ErrorModel,
+    model: ErrorModel | Frames,
+    home: ErrorModel | Frames,
     reference: Reference,
     lever: float,
 ) -> Array:
@@ -136,8 +183,8 @@ def relative_to_reference(
 def _relative(
     twist: Array,
     home_twist: Array,
-    model: ErrorModel,
-    home: ErrorModel,
+    model: ErrorModel | Frames,
+    home: ErrorModel | Frames,
     reference: Reference,
     lever: float,
 ) -> Array:
@@ -197,10 +244,9 @@ def components_against(
     twist  (..., n + 1, 6) pose errors of machines at commands (n, n_dof), home the last
     """
     machine = kinematics.machine
-    home = machine.with_tool(machine.home_command[None], tool)
-    model = error_model(kinematics, command, tool)
-    at_home = error_model(kinematics, home, tool)
-    frame = (model, at_home, reference, machine.alignment_lever)
+    model = error_model(kinematics, machine.and_home(command, tool), tool)
+    ends = Frames(model.rotation, model.point).and_home()
+    frame = (*ends, reference, machine.alignment_lever)
     relative = [
         relative_to_reference(of_one[:-1], of_one[-1:], *frame)
         for of_one in twist.reshape(-1, len(command) + 1, 6)

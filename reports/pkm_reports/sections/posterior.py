@@ -50,12 +50,17 @@ def draw_corner(posterior: PosteriorSection) -> Figure:
     n = len(names)
     width = min(style.WIDTH, 0.8 + 1.25 * n) if n > 1 else 3.2
     figure = style.figure(0.6 + 1.15 * n, width=width)
-    grid = figure.subplots(n, n, squeeze=False)
+    grid = figure.add_gridspec(n, n)
     limits = [_limits(draws[:, i]) for i in range(n)]
+    labels = [style.label(name, LONGEST_LABEL) for name in short_names(names)]
     for i in range(n):
-        for j in range(n):
-            _cell(grid[i, j], draws, limits, i, j)
-    _set_labels(grid, names)
+        for j in range(i + 1):
+            axes = figure.add_subplot(grid[i, j])
+            _cell(axes, draws, limits, i, j)
+            if i == n - 1:
+                axes.set_xlabel(labels[j], fontsize=7.5)
+            if j == 0 and i > 0:
+                axes.set_ylabel(labels[i], fontsize=7.5)
     axis_label = "prior standard deviations (tolerances)"
     figure.supxlabel(axis_label, fontsize=7.5, color=style.GREY)
     return figure
@@ -96,9 +101,6 @@ def _cell(
     i: int,
     j: int,
 ) -> None:
-    if j > i:
-        axes.set_visible(False)
-        return
     axes.grid(False)
     if i == j:
         _histogram(axes, draws[:, i], limits[i])
@@ -152,15 +154,6 @@ def _pair(
         axes.plot(np.cos(angle), np.sin(angle), **line)
     axes.set_xlim(xlim)
     axes.set_ylim(ylim)
-
-
-def _set_labels(grid: Any, names: Sequence[str]) -> None:
-    last = len(names) - 1
-    for i, name in enumerate(short_names(names)):
-        label = style.label(name, LONGEST_LABEL)
-        grid[last, i].set_xlabel(label, fontsize=7.5)
-        if i > 0:
-            grid[i, 0].set_ylabel(label, fontsize=7.5)
 
 
 LARGEST_RHAT: Final = 1.01

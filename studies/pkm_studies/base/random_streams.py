@@ -33,7 +33,6 @@ class Stream(enum.IntEnum):
     HISTORY = 15
     PREDICTIVE = 16
     UNMODELLED = 17
-    REFERENCES = 18
     TOOLS = 19
     LAPLACE = 20
     FORECAST = 22

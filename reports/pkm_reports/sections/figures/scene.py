@@ -96,8 +96,9 @@ def fit_to(
     low, high = np.array(room[:2]), np.array(room[2:])
     middle, wanted = (low + high) / 2.0, high - low
     canvas: Any = FigureCanvasAgg(figure)
+    axes.M = axes.get_proj()  # as drawing would set it, for the boxes of the labels
     for _ in range(FITTING_STEPS):
-        figure.draw_without_rendering()
+        axes.apply_aspect()
         (x0, y0), (x1, y1) = _extent(figure, axes, box, canvas.get_renderer())
         bounds = axes.get_position()
         scale = min(wanted / [x1 - x0, y1 - y0])

@@ -23,7 +23,6 @@ from oed.result import (
     HeldOutSection,
     HeldOutVerdict,
     PredictionSection,
-    SpreadRecord,
     ToolAccuracy,
 )
 from oed.units import MM
@@ -303,7 +302,7 @@ def _mean_square(values: Array) -> Array:
 # Checks a prediction on virtual machines: read, identified, compensated, measured.
 
 #: machines that go through the check together
-TOGETHER = 50
+TOGETHER = 200
 
 
 def realised_accuracy(
@@ -378,7 +377,7 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     With readings of a virtual machine, which only exercise the plan, the prediction
     rests on the tolerances alone.
     """
-    request = state.resolved.prediction
+    request, machine = state.resolved.prediction, state.measurement.machine
     if request is None:
         return state
     table, command = request.table, request.command
@@ -389,11 +388,15 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     realised = _realised(state, table, command)
     rng = state.rng(Stream.PREDICT)
     known = _knowledge(state)
-    main = knowledge.accuracy(known, command, [table.reference], rng)[table.reference]
-    section = _section(state, known, main)
+    others = [r for r in get_args(Reference) if r != table.reference]
+    by_reference = knowledge.accuracy(known, command, [table.reference, *others], rng)
+    section = _section(state, known, by_reference[table.reference])
     section = msgspec.structs.replace(
         section,
-        references=_references(state, known, main),
+        references={
+            reference: accuracy.component_records(machine, result.prediction)
+            for reference, result in by_reference.items()
+        },
         tools=_tools(state, table, known, command),
     )
     section = accuracy.add_wanted(section, state.resolved.wanted_accuracy)
@@ -473,21 +476,6 @@ def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | Non
         main.prediction.reference,
         state.rng(Stream.UNMODELLED),
     )
-
-
-def _references(
-    state: Scheduled, known: ParameterKnowledge, main: Accuracy
-) -> dict[str, dict[str, SpreadRecord]]:
-    """Accuracy after compensation against each reference."""
-    machine, predicted = state.measurement.machine, main.prediction
-    others = [r for r in get_args(Reference) if r != predicted.reference]
-    rng = state.rng(Stream.REFERENCES)
-    further = knowledge.accuracy(known, predicted.command, others, rng)
-    records: dict[str, dict[str, SpreadRecord]] = {}
-    records[predicted.reference] = accuracy.component_records(machine, predicted)
-    for reference, result in further.items():
-        records[reference] = accuracy.component_records(machine, result.prediction)
-    return records
 
 
 def _tools(
