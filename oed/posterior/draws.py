@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import io
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from oed.result import PosteriorSection
 from oed.safe_files import write_own
 
 if TYPE_CHECKING:
+    import h5netcdf
     import xarray as xr
 
 
@@ -105,42 +108,66 @@ def to_arviz(posterior: Posterior) -> xr.DataTree:
     >>> to_arviz(posterior)["posterior"]["theta"].dims
     ('chain', 'draw', 'parameter')
     """
-    import arviz_base
+    import xarray  # takes a second to import
 
-    statistics = {"ess": posterior.ess[None, None]}
-    if posterior.sampler == PosteriorSection.EMCEE:
-        statistics["rhat"] = posterior.rhat[None, None]
-    groups = {
-        "posterior": {"theta": posterior.draws, "noise_law": posterior.noise_law},
-        "sample_stats": statistics,
-    }
-    tree: xr.DataTree = arviz_base.from_dict(
-        groups,
-        # a chain of a single ensemble is a walker, and may be short
-        check_conventions=False,
-        coords={
-            "parameter": list(posterior.names),
-            "noise_coordinate": list(posterior.noise_names),
-        },
-        dims={
-            "theta": ["parameter"],
-            "noise_law": ["noise_coordinate"],
-            "ess": ["parameter"],
-            "rhat": ["parameter"],
-        },
-    )
-    tree.attrs["sampler"] = posterior.sampler
-    if np.isfinite(posterior.pareto_k):
-        tree.attrs["pareto_k"] = posterior.pareto_k
-    return tree
+    content = io.BytesIO(netcdf(posterior, {}))
+    with xarray.open_datatree(content, engine="h5netcdf") as tree:
+        return tree.load()
 
 
-def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
+def save(posterior: Posterior, path: Path, attributes: Mapping[str, str]) -> Path:
     """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all.
 
     Returns the path: one with a number where the user changed the file. Raises OSError.
     """
-    tree = to_arviz(posterior)
-    tree.attrs.update(attributes)
     # by way of the memory: where the disk refuses, HDF5 loses the process
-    return write_own(path, bytes(tree.to_netcdf(engine="h5netcdf")))
+    return write_own(path, netcdf(posterior, attributes))
+
+
+def netcdf(posterior: Posterior, attributes: Mapping[str, str]) -> bytes:
+    """The NetCDF file of the draws; the same draws give the same bytes."""
+    import h5netcdf
+
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        file.attrs["sampler"] = posterior.sampler
+        if np.isfinite(posterior.pareto_k):
+            file.attrs["pareto_k"] = posterior.pareto_k
+        file.attrs.update(attributes)
+        draws = file.create_group("posterior")
+        names = {
+            "parameter": np.array(posterior.names, dtype=object),
+            "noise_coordinate": np.array(posterior.noise_names, dtype=object),
+        }
+        _add(draws, names, "theta", "parameter", posterior.draws)
+        _add(draws, names, "noise_law", "noise_coordinate", posterior.noise_law)
+        statistics = file.create_group("sample_stats")
+        _add(statistics, names, "ess", "parameter", posterior.ess[None, None])
+        if posterior.sampler == PosteriorSection.EMCEE:
+            _add(statistics, names, "rhat", "parameter", posterior.rhat[None, None])
+    return content.getvalue()
+
+
+def _add(
+    group: h5netcdf.Group,
+    names: Mapping[str, Any],
+    variable: str,
+    axis: str,
+    values: Array,
+) -> None:
+    """A variable (chains, draws, k) of a group, and the coordinates that it lacks.
+
+    names  of the entries of each last axis
+    """
+    import h5py
+
+    dimensions = ("chain", "draw", axis)
+    sizes = zip(dimensions, values.shape, strict=True)
+    for dimension, size in sizes:
+        if dimension in group.dimensions:
+            continue
+        group.dimensions[dimension] = size
+        entries = names.get(dimension, np.arange(size))
+        kind = h5py.string_dtype() if dimension in names else np.int64
+        group.create_variable(dimension, (dimension,), kind, data=entries)
+    group.create_variable(variable, dimensions, float, data=values, fillvalue=np.nan)

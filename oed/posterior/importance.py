@@ -21,7 +21,6 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.noise_law import KernelMixture, NoisePosterior, ResidualModel
-from oed.posterior.chains import arviz
 from oed.posterior.draws import Posterior
 from oed.posterior.log_density import (
     LogDensity,
@@ -29,6 +28,7 @@ from oed.posterior.log_density import (
     draw_student,
     log_student,
 )
+from oed.posterior.pareto import smoothed_weights
 from oed.result import PosteriorSection
 
 #: k beyond which more proposals are not worth a try
@@ -144,13 +144,6 @@ class Proposals:
             self.drawn + count,
         )
 
-    def smoothed(self) -> tuple[Array, float]:
-        """Smoothed weights (m,) of sum 1, and the shape k of their tail."""
-        # ArviZ takes log likelihoods, whose inverses are the weights
-        log_weights, k = arviz().psislw(-self.log_weights)
-        weights = np.exp(log_weights - np.max(log_weights))
-        return weights / weights.sum(), float(k)
-
     def starts(self, rng: np.random.Generator, count: int) -> Array:
         """Different points (count, dimensions), the more probable the larger their weights."""
         gumbel = rng.gumbel(size=len(self.log_weights))
@@ -179,7 +172,7 @@ def draw_weighted(
             proposals = proposals.extend(target, proposal, rng, batch)
         if len(proposals.points) < MIN_SHARE * proposals.drawn:
             break
-        weights, k = proposals.smoothed()
+        weights, k = smoothed_weights(proposals.log_weights)
         if k > MAX_K:
             break
         more = 1.0

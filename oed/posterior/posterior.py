@@ -121,13 +121,14 @@ Sampler = Literal["auto", "emcee"]
 
 
 def import_samplers(sampler: Sampler = "auto") -> None:
-    """Import ArviZ, and emcee where it is asked for, now: it takes seconds.
+    """Import emcee and ArviZ now, where they are asked for: it takes seconds.
 
     An interruption during an import would be reported by other people's code.
     """
-    chains.arviz()
     if sampler == "emcee":
         import emcee  # noqa: F401
+
+        chains.arviz()
 
 
 def sample(

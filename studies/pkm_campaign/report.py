@@ -23,7 +23,7 @@ from pkm_reports.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.page import Content, assembled
+from pkm_reports.page import Content, Document
 from pkm_reports.report import write_document
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ def write_report(
         chapters=chapters,
         appendix=[Section("file", "Campaign file", [Code(campaign.text)])],
     )
-    return write_document(assembled(content), out, "report")
+    return write_document(Document(content), out, "report")
 
 
 def sentences(campaign: Campaign, summary: pd.DataFrame) -> list[str]:

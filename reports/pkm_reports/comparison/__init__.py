@@ -8,7 +8,7 @@ from pathlib import Path
 from oed.result import StudyResult
 from pkm_reports.blocks import Block, Items, Section
 from pkm_reports.comparison import glance, tables
-from pkm_reports.page import Content, assembled
+from pkm_reports.page import Content, Document
 from pkm_reports.report import write_document
 
 
@@ -24,7 +24,7 @@ def write_comparison(
     """
     if len(results) < 2:
         raise ValueError("a comparison needs two results or more")
-    return write_document(assembled(content(results, changes)), out, "comparison")
+    return write_document(Document(content(results, changes)), out, "comparison")
 
 
 def content(results: Mapping[str, StudyResult], changes: Sequence[str]) -> Content:

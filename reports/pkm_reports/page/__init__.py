@@ -2,7 +2,6 @@
 
 Content                 title, first page, chapters and appendix of a document
 Document                such a document with its blocks numbered
-assembled               the document of a content
 build_document          the document of a result
 render_html             a document as one HTML file
 render_pdf              a document as PDF
@@ -18,7 +17,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_reports.page.certificate import write_certificate_page
-    from pkm_reports.page.document import Content, Document, assembled, build_document
+    from pkm_reports.page.document import Content, Document, build_document
     from pkm_reports.page.html import render_html, script_digest
     from pkm_reports.page.pdf import render_pdf
     from pkm_reports.page.sheet import write_adjustment_page, write_sheet

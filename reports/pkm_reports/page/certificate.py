@@ -46,7 +46,7 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
         chapters=[Section("parameters", "Parameters", _parameters(c))],
         appendix=[],
     )
-    page = pdf.render_pdf(document.assembled(content))
+    page = pdf.render_pdf(document.Document(content))
     return write_own(folder / "certificate.pdf", page)
 
 

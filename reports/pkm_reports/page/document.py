@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 import string
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 from oed.result import StudyResult
 from pkm_reports import sections, style, text
@@ -145,20 +146,6 @@ class Page:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Document:
-    """The text of a report, its images by name, and what its views show.
-
-    page       all of it, for the screen
-    printed    what a short print has
-    """
-
-    page: Page
-    printed: Page
-    images: dict[str, style.Image]
-    view: PageView | None
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
 class Numbering:
     """Running numbers of figures and tables, and the images drawn so far."""
 
@@ -189,6 +176,29 @@ class Content:
     appendix: Sequence[Section]
 
 
+@dataclasses.dataclass(frozen=True)
+class Document:
+    """A content with its blocks numbered, and its pictures drawn for who asks first.
+
+    images     those drawn so far, by name
+    view       what turns on the screen
+    """
+
+    content: Content
+    view: PageView | None = None
+    images: dict[str, style.Image] = dataclasses.field(default_factory=dict)
+
+    @cached_property
+    def page(self) -> Page:
+        """All of it, for the screen."""
+        return _page(self.content, Numbering(self.images))
+
+    @cached_property
+    def printed(self) -> Page:
+        """What a short print has."""
+        return _page(_printed(self.content), Numbering(self.images))
+
+
 def build_document(result: StudyResult) -> Document:
     """All text, tables and pictures of a result."""
     content = Content(
@@ -201,30 +211,22 @@ def build_document(result: StudyResult) -> Document:
         chapters=sections.chapters(result),
         appendix=sections.appendix(result),
     )
-    return assembled(content, build_view(result))
-
-
-def assembled(content: Content, view: PageView | None = None) -> Document:
-    """The document of a report: its blocks numbered, its pictures drawn."""
-    images: dict[str, style.Image] = {}
-    with style.applied():
-        page = _page(content, Numbering(images))
-        printed = _page(_printed(content), Numbering(images))
-    return Document(page, printed, images, view)
+    return Document(content, build_view(result))
 
 
 def _page(content: Content, numbering: Numbering) -> Page:
-    parts = [
-        AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
-        for part in content.answer
-    ]
-    numbered = [
-        _chapter(number, section, numbering)
-        for number, section in (
-            *zip(map(str, itertools.count(1)), content.chapters, strict=False),
-            *zip(string.ascii_uppercase, content.appendix, strict=False),
-        )
-    ]
+    with style.applied():
+        parts = [
+            AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
+            for part in content.answer
+        ]
+        numbered = [
+            _chapter(number, section, numbering)
+            for number, section in (
+                *zip(map(str, itertools.count(1)), content.chapters, strict=False),
+                *zip(string.ascii_uppercase, content.appendix, strict=False),
+            )
+        ]
     return Page(
         title=text.cleaned(content.title),
         question=text.cleaned(content.question),

@@ -41,7 +41,7 @@ def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
         chapters=[],
         appendix=[],
     )
-    page = pdf.render_pdf(document.assembled(content))
+    page = pdf.render_pdf(document.Document(content))
     return write_own(folder / "adjustment.pdf", page)
 
 

@@ -200,6 +200,8 @@ def test_the_file_holds_the_draws(tmp_path: Path) -> None:
     assert (tree["posterior"]["theta"].to_numpy() == drawn.draws).all()
     assert tree["posterior"]["parameter"].to_numpy().tolist() == list(m.names)
     assert tree.attrs["study"] == "test"
+    other = posterior.save(drawn, tmp_path / "other.nc", {"study": "test"})
+    assert other.read_bytes() == path.read_bytes()
     assert tree.attrs["sampler"] == "importance"
     assert tree.attrs["pareto_k"] == drawn.pareto_k
     assert "rhat" not in tree["sample_stats"]
