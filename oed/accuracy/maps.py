@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -85,18 +85,15 @@ def maps_by_reference(
     """Error maps against several references, as `error_maps`."""
     machine = kinematics.machine
     model = error_model(kinematics, machine.and_home(command, tool), tool, parameters)
-    raw, remaining = (model.raw, model.remaining) if further is None else further
-    frames = Frames(model.rotation, model.point)
+    twists = (model.raw, model.remaining) if further is None else further
+    slope = kinematics.error_components_jacobian(command)
     names = tuple(c.name for c in machine.components)
-    return {
-        reference: ErrorMaps(
-            command,
-            names,
-            raw=_components(kinematics, command, raw, frames, reference),
-            remaining=_components(kinematics, command, remaining, frames, reference),
-        )
-        for reference in references
-    }
+    maps: dict[Reference, ErrorMaps] = {}
+    for reference in references:
+        frame = (model.rotation, model.point, reference, machine.alignment_lever)
+        raw, remaining = (slope @ _relative(twist, *frame) for twist in twists)
+        maps[reference] = ErrorMaps(command, names, raw, remaining)
+    return maps
 
 
 def raw_maps_of_machines(
@@ -110,53 +107,26 @@ def raw_maps_of_machines(
 
     Raises AssemblyError, with machine times (n + 1) plus pose, home the last.
     """
-    poses, count = kinematics.machine.and_home(command, tool), len(parameters)
+    machine, count = kinematics.machine, len(parameters)
+    poses = machine.and_home(command, tool)
     p = np.repeat(parameters, len(poses), axis=0)
     x, q = kinematics.inverse(np.tile(poses, (count, 1)), p, tool)
     rotation, point, twist = kinematics.frames(x, tool)
     raw = twist @ kinematics.slopes.over_parameters(x, q, p)
+    slope = kinematics.error_components_jacobian(command)
     maps = []
     for rows in consecutive_slices([len(poses)] * count):
-        frames = Frames(rotation[rows], point[rows])
-        of_machine = {
-            reference: _components(kinematics, command, raw[rows], frames, reference)
-            for reference in references
-        }
-        maps.append(of_machine)
+        frame = (raw[rows], rotation[rows], point[rows])
+        lever = machine.alignment_lever
+        maps.append({r: slope @ _relative(*frame, r, lever) for r in references})
     return maps
-
-
-class Frames(NamedTuple):
-    """Nominal orientations (n, 3, 3) and tool points (n, 3), m, of a platform."""
-
-    rotation: Array
-    point: Array
-
-    def and_home(self) -> tuple[Frames, Frames]:
-        """Those at the poses, and that at home, the last."""
-        poses = Frames(self.rotation[:-1], self.point[:-1])
-        return poses, Frames(self.rotation[-1:], self.point[-1:])
-
-
-def _components(
-    kinematics: Kinematics,
-    command: Array,
-    twist: Array,
-    frames: Frames,
-    reference: Reference,
-) -> Array:
-    """Slopes (n, k, m) of the pose components, of twists (n + 1, 6, m); home is last."""
-    lever = kinematics.machine.alignment_lever
-    ends = frames.and_home()
-    relative = _relative(twist[:-1], twist[-1:], *ends, reference, lever)
-    return np.asarray(kinematics.error_components_jacobian(command) @ relative)
 
 
 def relative_to_reference(
     twist: Array,
     home_twist: Array,
-    model: ErrorModel | Frames,
-    home: ErrorModel | Frames,
+    model: ErrorModel,
+    home: ErrorModel,
     reference: Reference,
     lever: float,
 ) -> Array:
@@ -171,8 +141,10 @@ def relative_to_reference(
     own.
     """
     if reference != "home":
-        columns = (twist[:, :, None], home_twist[:, :, None])
-        return _relative(*columns, model, home, reference, lever)[:, :, 0]
+        columns = np.concatenate([twist, home_twist])[:, :, None]
+        rotation = np.concatenate([model.rotation, home.rotation])
+        point = np.concatenate([model.point, home.point])
+        return _relative(columns, rotation, point, reference, lever)[:, :, 0]
     in_platform = np.einsum("nji,nj->ni", model.rotation, twist[:, 3:])
     zero = Rotation.from_rotvec(home.rotation[0].T @ home_twist[0, 3:])
     rotation = Rotation.from_rotvec(in_platform) * zero.inv()
@@ -181,14 +153,13 @@ def relative_to_reference(
 
 
 def _relative(
-    twist: Array,
-    home_twist: Array,
-    model: ErrorModel | Frames,
-    home: ErrorModel | Frames,
-    reference: Reference,
-    lever: float,
+    twist: Array, rotation: Array, point: Array, reference: Reference, lever: float
 ) -> Array:
-    """Twists or their slopes (n, 6, m), relative to the reference, to first order."""
+    """Twists or their slopes (n, 6, m), relative to the reference, to first order.
+
+    twist, rotation, point  at n poses, and at home, the last
+    """
+    twist, home_twist = twist[:-1], twist[-1:]
     if reference == "absolute":
         return twist
     if reference == "home":
@@ -196,10 +167,10 @@ def _relative(
         # own axes.
         carry = np.zeros((len(twist), 6, 6))
         carry[:, :3, :3] = np.eye(3)
-        carry[:, 3:, 3:] = model.rotation @ home.rotation[0].T
+        carry[:, 3:, 3:] = rotation[:-1] @ rotation[-1].T
         return twist - carry @ home_twist
     if reference == "best_fit":
-        return _remove_rigid_motion(twist, model.point, lever)
+        return _remove_rigid_motion(twist, point[:-1], lever)
     raise ValueError(f"reference {reference!r} is none of {get_args(Reference)}")
 
 
@@ -244,9 +215,10 @@ def components_against(
     twist  (..., n + 1, 6) pose errors of machines at commands (n, n_dof), home the last
     """
     machine = kinematics.machine
-    model = error_model(kinematics, machine.and_home(command, tool), tool)
-    ends = Frames(model.rotation, model.point).and_home()
-    frame = (*ends, reference, machine.alignment_lever)
+    home = machine.with_tool(machine.home_command[None], tool)
+    model = error_model(kinematics, command, tool)
+    at_home = error_model(kinematics, home, tool)
+    frame = (model, at_home, reference, machine.alignment_lever)
     relative = [
         relative_to_reference(of_one[:-1], of_one[-1:], *frame)
         for of_one in twist.reshape(-1, len(command) + 1, 6)

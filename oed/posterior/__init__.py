@@ -10,7 +10,6 @@ Sampler               the names of samplers
 draw_approximation    draws without sampling
 draw_coordinates      draws of the identifiable coordinates
 draw_lost_directions  parameters at coordinates, with lost directions drawn
-import_samplers       imports what sampling needs, as it takes seconds
 predictive_checks     whether readings look like those that the posterior predicts
 sample                samples the posterior
 save                  writes the draws as NetCDF
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     )
     from oed.posterior.posterior import (
         Sampler,
-        import_samplers,
         predictive_checks,
         sample,
     )

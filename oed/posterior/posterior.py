@@ -120,17 +120,6 @@ MAX_ESS_OF_DRAWS = 5000.0
 Sampler = Literal["auto", "emcee"]
 
 
-def import_samplers(sampler: Sampler = "auto") -> None:
-    """Import emcee and ArviZ now, where they are asked for: it takes seconds.
-
-    An interruption during an import would be reported by other people's code.
-    """
-    if sampler == "emcee":
-        import emcee  # noqa: F401
-
-        chains.arviz()
-
-
 def sample(
     measurement: Measurement,
     series: Sequence[Series],

@@ -8,22 +8,10 @@ A report needs only the result, so it can be written again at any time, with the
 bytes of HTML.
 """
 
-from typing import TYPE_CHECKING
-
-from oed.base import door
-
-if TYPE_CHECKING:
-    from pkm_reports.comparison import write_comparison
-    from pkm_reports.page import (
-        write_adjustment_page,
-        write_certificate_page,
-        write_sheet,
-    )
-    from pkm_reports.report import write_report
-    from pkm_reports.terminal import first_lines
-else:
-    # imported when first used: the first lines need no figures
-    __getattr__ = door(__name__)
+from pkm_reports.comparison import write_comparison
+from pkm_reports.page import write_adjustment_page, write_certificate_page, write_sheet
+from pkm_reports.report import write_report
+from pkm_reports.terminal import first_lines
 
 __all__ = [
     "first_lines",

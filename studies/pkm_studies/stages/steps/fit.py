@@ -198,7 +198,6 @@ def sample_posterior(state: Fitted) -> Fitted:
     table = state.study.posterior
     if not table.enabled:
         return state.withhold_section("posterior", "[posterior] enabled is false")
-    posterior.import_samplers(table.sampler)
     state.progress.stage("posterior")
     draws = posterior.sample(
         state.measurement,
