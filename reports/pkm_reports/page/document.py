@@ -23,6 +23,7 @@ from pkm_reports.blocks import (
     Picture,
     Section,
     Table,
+    TableColumn,
 )
 from pkm_reports.view import PageView, build_view
 
@@ -61,15 +62,6 @@ class FactsBlock:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class ColumnHead:
-    """The heading of a column (see blocks.TableColumn)."""
-
-    title: str
-    number: bool
-    wide: bool
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
 class TableRow:
     """The cells of a row and what it is marked as."""
 
@@ -84,7 +76,7 @@ class TableBlock:
     kind: str
     label: str
     caption: str
-    columns: Sequence[ColumnHead]
+    columns: Sequence[TableColumn]
     rows: Sequence[TableRow]
     linked: bool
 
@@ -110,18 +102,9 @@ DocumentBlock = TextBlock | ItemsBlock | FactsBlock | TableBlock | PictureBlock
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class NumberedSection:
-    """A chapter with its number, or with its letter in the appendix."""
+    """A chapter with its number, or letter in the appendix; none on the first page."""
 
     number: str
-    anchor: str
-    title: str
-    blocks: Sequence[DocumentBlock]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class AnswerPart:
-    """A question of the first page and its answer."""
-
     anchor: str
     title: str
     blocks: Sequence[DocumentBlock]
@@ -140,7 +123,7 @@ class Page:
     study: str
     machine: str
     foot: str
-    answer: Sequence[AnswerPart]
+    answer: Sequence[NumberedSection]
     sections: Sequence[NumberedSection]
     appendix: int
 
@@ -216,10 +199,7 @@ def build_document(result: StudyResult) -> Document:
 
 def _page(content: Content, numbering: Numbering) -> Page:
     with style.applied():
-        parts = [
-            AnswerPart(part.anchor, part.title, _numbered(part.blocks, numbering))
-            for part in content.answer
-        ]
+        parts = [_chapter("", part, numbering) for part in content.answer]
         numbered = [
             _chapter(number, section, numbering)
             for number, section in (
@@ -263,12 +243,8 @@ def footer(result: StudyResult) -> str:
 
 
 def _chapter(number: str, section: Section, numbering: Numbering) -> NumberedSection:
-    blocks = _numbered(section.blocks, numbering)
+    blocks = [_block(block, numbering) for block in section.blocks]
     return NumberedSection(number, section.anchor, section.title, blocks)
-
-
-def _numbered(blocks: Sequence[Block], numbering: Numbering) -> list[DocumentBlock]:
-    return [_block(block, numbering) for block in blocks]
 
 
 def _block(block: Block, numbering: Numbering) -> DocumentBlock:
@@ -302,7 +278,7 @@ def drawn_image(picture: Picture) -> style.Image:
 
 def _table(table: Table, number: int) -> TableBlock:
     columns = [
-        ColumnHead(text.cleaned(c.title), c.number, c.wide) for c in table.columns
+        dataclasses.replace(c, title=text.cleaned(c.title)) for c in table.columns
     ]
     rows = [
         TableRow(table.mark(k), [text.cleaned(cell) for cell in row])

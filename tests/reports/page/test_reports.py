@@ -20,7 +20,8 @@ from report_fixture import result_of, shown_text, text_of
 
 from oed import safe_files
 from oed.result import StudyResult
-from pkm_reports import sections, write_report
+from pkm_reports import sections, style, write_report
+from pkm_reports.blocks import Picture
 from pkm_reports.page import build_document, document, render_html, render_pdf
 from pkm_studies import result_folder
 from pkm_studies.results import load_result
@@ -310,6 +311,30 @@ def test_text_of_the_study_is_never_markup(
     assert '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$' in html.unescape(source)
     assert not Tags(source).open
     assert book.read_bytes().startswith(b"%PDF")
+
+
+def test_a_print_alone_draws_none_of_the_screens_pictures(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn: list[str] = []
+
+    def sketch(picture: Picture) -> style.Image:
+        drawn.append(picture.name)
+        return report_fixture.sketched(picture)
+
+    monkeypatch.setattr(document, "drawn_image", sketch)
+    report = build_document(result_of(report_fixture.sample()))
+    render_pdf(report)
+    printed = [
+        block.name
+        for section in (*report.printed.answer, *report.printed.sections)
+        for block in section.blocks
+        if isinstance(block, document.PictureBlock)
+    ]
+    assert sorted(drawn) == sorted(printed)
+    render_html(report)
+    assert len(drawn) > len(printed)
+    assert len(drawn) == len(set(drawn))  # each once, for print and screen
 
 
 def test_the_print_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
