@@ -12,8 +12,8 @@ from shipped_models import a3_head, planar_2dof, relative
 from oed.acceptance import Promise, state_limits
 from oed.accuracy import budget_model, driven_errors, error_maps, variance_over_machines
 from oed.instrument import mount
-from oed.measurement import Measurement
-from oed.mechanism import Kinematics
+from oed.measurement import Measurement, draw_parameters
+from oed.mechanism import AssemblyError, Kinematics
 
 COMMAND = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.5], [1.25, 1.1, 0.05]])
 
@@ -77,3 +77,31 @@ def test_machines_near_nominal_have_its_variance(rng: np.random.Generator) -> No
     count = len(machine.parameters)
     nominal = np.einsum("nkp,pq,nkq->nk", raw, covariance[:count, :count], raw)
     assert drawn == pytest.approx(nominal, rel=1e-2, abs=1e-3 * nominal.max())
+
+
+def test_machines_that_do_not_assemble_are_left_out(rng: np.random.Generator) -> None:
+    """Against the maps about each machine that assembles at all commands."""
+    wide = [
+        dataclasses.replace(p, tolerance=20.0 * p.tolerance)
+        for p in planar_2dof.machine.parameters
+    ]
+    machine = planar_2dof.machine.with_parameters(wide)
+    m = Measurement(machine, [mount(relative.rm5, "ruler")])
+    # 8 mm before the second strut is level; its length is known to 10 mm
+    command = np.array([[1.55, 0.2], [0.5, 0.2]])
+    series = [m.series("ruler", np.array([[0.0, 0.2], [0.5, 0.2]]), run=["a"] * 2)]
+    seed = int(rng.integers(1000))
+    drawn = variance_over_machines(
+        m, series, command, ["home"], np.random.default_rng(seed)
+    )["home"]
+    variances = []
+    for truth in draw_parameters(m, np.random.default_rng(seed), 48):
+        p = truth[: len(machine.parameters)]
+        try:
+            raw = error_maps(m.kinematics, command, "home", parameters=p).raw
+            covariance = budget_model(m, series, truth).covariance()
+        except AssemblyError:
+            continue
+        variances.append(np.einsum("nkp,pq,nkq->nk", raw, covariance, raw))
+    assert 24 <= len(variances) < 48
+    assert drawn == pytest.approx(np.mean(variances, axis=0), rel=1e-6)
