@@ -1,8 +1,8 @@
-"""Vectorised NumPy written by hand for two machines: poses, readings and slopes.
+"""Vectorised NumPy written by hand for three machines: poses, readings and slopes.
 
 Newton's method over a twist of the platform, with exact slopes and all systems in one
 call of `numpy.linalg.solve`. Rotations are matrices, updated by Rodrigues' formula. It
-stops after a step below 1e-8, as this project does.
+stops after a step below 1e-8, as this project does. The delta has a closed form.
 """
 
 from __future__ import annotations
@@ -71,6 +71,32 @@ def hexapod_poses(q: np.ndarray, p: np.ndarray, start: Poses) -> Poses:
         return actual - length, slopes
 
     return solve(equations, *start)
+
+
+def delta_poses(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Points of the delta at travels (n, 3) and parameters (n, 18): trilateration."""
+    radius, arm, angle, endstop, lean, tip = p.reshape(len(p), 6, 3).transpose(1, 0, 2)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    along = endstop + np.sqrt(arm * arm - radius * radius) - q
+    along /= np.sqrt(lean * lean + tip * tip + 1.0)
+    x = radius * cosine + along * (lean * cosine - tip * sine)
+    y = radius * sine + along * (lean * sine + tip * cosine)
+    centres = np.stack([x, y, along], axis=2)
+    first = centres[:, 0]
+    across, off = centres[:, 1] - first, centres[:, 2] - first
+    distance = np.sqrt(np.einsum("ni,ni->n", across, across))
+    e_x = across / distance[:, None]
+    i = np.einsum("ni,ni->n", e_x, off)
+    off = off - i[:, None] * e_x
+    j = np.sqrt(np.einsum("ni,ni->n", off, off))
+    e_y = off / j[:, None]
+    squares = arm * arm
+    u = (squares[:, 0] - squares[:, 1] + distance**2) / (2.0 * distance)
+    v = (squares[:, 0] - squares[:, 2] + i * i + j * j - 2.0 * i * u) / (2.0 * j)
+    below = np.sqrt(squares[:, 0] - u * u - v * v)
+    e_z = np.cross(e_x, e_y)
+    e_z *= -np.sign(e_z[:, 2:])
+    return first + u[:, None] * e_x + v[:, None] * e_y + below[:, None] * e_z
 
 
 def a3_poses(q: np.ndarray, p: np.ndarray, start: Poses) -> Poses:

@@ -1,14 +1,14 @@
-"""Poses, readings and slopes, beside vectorised NumPy written by hand.
+"""Poses, readings and slopes in a loop, beside vectorised NumPy written by hand.
 
     python benchmarks/poses.py
 
-Two columns are this project: its array code, which needs no compiler, and its functions
-compiled by the C compiler of this computer. The alternatives (`numpy_poses`) are written
-for one machine each. Poses of the hexapod have parameters of their own. Those of the A3
-head are of 31 poses, ball-bar readings on two circles and the taught cup, at each of
-several parameter vectors. All start at the nominal poses and stop after a step below
-1e-8. Times are processor seconds on one thread: medians of rounds in which each takes
-its turn.
+The first column is this project as it comes, in a loop as a notebook's: its functions are
+compiled beside the first calls, or found from an earlier run. The second has no compiler.
+The alternatives (`numpy_poses`) are written for one machine each. Poses have parameters of
+their own. Those of the A3 head are of 31 poses, ball-bar readings on two circles and the
+taught cup, at each of several parameter vectors. All but the delta's closed form start at
+the nominal poses and stop after a step below 1e-8. Times are processor seconds on one
+thread: medians of rounds in which each takes its turn.
 
 A second table has large batches on one core and on all: what runs on one core takes its
 processor time, and what the cores share takes that of the busiest. So it holds on a
@@ -30,20 +30,25 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from numpy_poses import a3_poses, a3_readings, hexapod_poses
+from numpy_poses import a3_poses, a3_readings, delta_poses, hexapod_poses
 from oed.measurement import Measurement, Series
 from oed.mechanism import compiled as lanes
-from pkm_models.machines.hexapod import machine
+from oed.model import Machine
+from pkm_models.machines import delta, hexapod
 from readings import plan
 
-COUNTS, ROUNDS = (100, 1000, 10_000, 100_000), 7
+COUNTS, ROUNDS = (1, 10, 100, 1000, 10_000, 100_000), 11
 #: counts from which the time on all cores is measured
 MANY = 10_000
+#: processor time of a round, s
+ROUND_SECONDS = 0.01
+#: time after which a function is compiled, in a loop of calls, s
+LOOP_SECONDS = 4.0
 CORES = "OMP_NUM_THREADS"
-#: when functions are compiled: never, or at their first call
+#: when functions are compiled: never, or as it comes
 VARIABLE = "OED_COMPILE"
 NEVER = "0"
-AT_ONCE = "1"
+BY_DEFAULT = ""
 NO_TOOL = np.zeros(3)
 
 Work = Callable[[], np.ndarray]
@@ -51,25 +56,28 @@ Result = TypeVar("Result")
 
 
 class Case(NamedTuple):
-    """What is computed, at how many poses, and the ways: array code, compiled, NumPy."""
+    """What is computed, at how many poses, and the ways: default, no compiler, NumPy."""
 
     name: str
     count: int
     ways: tuple[Work, Work, Work]
 
 
-def hexapod_cases() -> Iterator[Case]:
-    """Poses of the hexapod, each with parameters of its own."""
+def pose_cases(machine: Machine, by_hand: Callable[..., np.ndarray]) -> Iterator[Case]:
+    """Poses of a machine, each with parameters of its own.
+
+    by_hand  of joints, parameters, and points and rotations to start from
+    """
     rng = np.random.default_rng(0)
-    array_code = as_set(NEVER, lambda: Kinematics(machine))
-    compiled = as_set(AT_ONCE, lambda: Kinematics(machine))
+    kinematics = as_set(BY_DEFAULT, lambda: Kinematics(machine))
+    plain = as_set(NEVER, lambda: Kinematics(machine))
     lower = np.array([c.lower for c in machine.command])
     upper = np.array([c.upper for c in machine.command])
     tolerance = np.array([p.tolerance for p in machine.parameters])
     for count in COUNTS:
-        x, q = array_code.inverse(rng.uniform(lower, upper, (count, 6)))
-        p = tolerance * rng.standard_normal((count, len(tolerance)))
-        rotation, point, _ = array_code.frames(x, NO_TOOL)
+        x, q = plain.inverse(rng.uniform(lower, upper, (count, len(lower))))
+        p = machine.nominal + tolerance * rng.standard_normal((count, len(tolerance)))
+        rotation, point, _ = plain.frames(x, NO_TOOL)
 
         def poses(
             kinematics: Kinematics,
@@ -84,33 +92,31 @@ def hexapod_cases() -> Iterator[Case]:
             p: np.ndarray = p,
             start: tuple[np.ndarray, np.ndarray] = (point, rotation),
         ) -> np.ndarray:
-            return hexapod_poses(q, p, start)[0]
+            return by_hand(q, p, start)
 
         ways = (
-            ready(NEVER, lambda f=poses: f(array_code)),
-            ready(AT_ONCE, lambda f=poses: f(compiled)),
+            ready(BY_DEFAULT, lambda f=poses: f(kinematics)),
+            ready(NEVER, lambda f=poses: f(plain)),
             by_numpy,
         )
-        yield Case("hexapod, poses", count, ways)
+        yield Case(f"{machine.name}, poses", count, ways)
 
 
 def a3_cases() -> Iterator[Case]:
     """Poses, readings and slopes of the A3 head."""
-    array_code, series = as_set(NEVER, plan)
-    compiled, _ = as_set(AT_ONCE, plan)
+    plain, series = as_set(NEVER, plan)
+    default, _ = as_set(BY_DEFAULT, plan)
     n, rng = len(series.q), np.random.default_rng(0)
-    rotation, point, _ = array_code.kinematics.frames(series.start, NO_TOOL)
-    for count in COUNTS:
+    rotation, point, _ = plain.kinematics.frames(series.start, NO_TOOL)
+    for count in COUNTS[2:]:
         vectors = -(-count // n)
-        spread = array_code.tolerance * rng.standard_normal(
-            (vectors, len(array_code.nominal))
-        )
-        theta = array_code.nominal + spread
+        spread = plain.tolerance * rng.standard_normal((vectors, len(plain.nominal)))
+        theta = plain.nominal + spread
         by_numpy = a3_by_numpy(series, theta, (point, rotation))
         for name, by_project in a3_by_project(series, theta).items():
             ways = (
-                ready(NEVER, lambda f=by_project: f(array_code)),
-                ready(AT_ONCE, lambda f=by_project: f(compiled)),
+                ready(BY_DEFAULT, lambda f=by_project: f(default)),
+                ready(NEVER, lambda f=by_project: f(plain)),
                 by_numpy[name],
             )
             yield Case(f"A3 head, {name}", vectors * n, ways)
@@ -156,16 +162,21 @@ def as_set(setting: str, build: Callable[[], Result]) -> Result:
 
 
 def ready(setting: str, work: Work) -> Work:
-    """The work, done once, with the functions that it makes then."""
+    """The work, with the functions that a loop of it makes."""
+    end = time.monotonic() + (LOOP_SECONDS if setting == BY_DEFAULT else 0.0)
     as_set(setting, work)
+    while time.monotonic() < end:
+        work()
     return work
 
 
 def seconds(work: Work) -> float:
     """Processor time of one call."""
-    start = time.process_time()
-    work()
-    return time.process_time() - start
+    start, calls = time.process_time(), 0
+    while calls == 0 or time.process_time() - start < ROUND_SECONDS:
+        work()
+        calls += 1
+    return (time.process_time() - start) / calls
 
 
 def difference(ours: np.ndarray, others: np.ndarray) -> float:
@@ -176,15 +187,19 @@ def difference(ours: np.ndarray, others: np.ndarray) -> float:
 def main() -> None:
     """Print one row a case: times a pose, ratios to NumPy, differences from it."""
     os.environ[CORES] = "1"
-    cases = [*hexapod_cases(), *a3_cases()]
+    cases = [
+        *pose_cases(hexapod.machine, lambda q, p, start: hexapod_poses(q, p, start)[0]),
+        *pose_cases(delta.machine, lambda q, p, _: delta_poses(q, p)),
+        *a3_cases(),
+    ]
     print(
-        "| computed | poses | array code, us | compiled, us | NumPy, us |"
-        " NumPy / array code | NumPy / compiled | differences |"
+        "| computed | poses | default, us | no compiler, us | NumPy, us |"
+        " NumPy / default | NumPy / no compiler | differences |"
     )
     print("| --- | --: | --: | --: | --: | --: | --: | --: |")
     for case in cases:
         print(row(case), flush=True)
-    print("\n| computed | poses | compiled, one core, us | all cores, us | ratio |")
+    print("\n| computed | poses | one core, us | all cores, us | ratio |")
     print("| --- | --: | --: | --: | --: |")
     for case in cases:
         if case.count >= MANY:
@@ -208,8 +223,8 @@ def row(case: Case) -> str:
 
 
 def row_of_cores(case: Case) -> str:
-    """Compiled, on one core and on all: medians of rounds."""
-    work = case.ways[1]
+    """By default, on one core and on all: medians of rounds."""
+    work = case.ways[0]
     times = []
     for _ in range(ROUNDS):
         os.environ[CORES] = "1"

@@ -17,6 +17,8 @@ from typing import Final
 
 #: with any value as the option -P of Python; processes of multiprocessing inherit it
 SAFE_PATH: Final = "PYTHONSAFEPATH"
+#: programs that `run` waits for
+_running: set[subprocess.Popen[bytes]] = set()
 
 
 def run(
@@ -28,14 +30,28 @@ def run(
 
     Raises OSError, subprocess.SubprocessError.
     """
-    return subprocess.run(
+    with subprocess.Popen(
         command,
         cwd=folder,
-        timeout=longest,
         stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as program:
+        _running.add(program)
+        try:
+            output, errors = program.communicate(timeout=longest)
+        except BaseException:
+            program.kill()
+            raise
+        finally:
+            _running.discard(program)
+    return subprocess.CompletedProcess(command, program.returncode, output, errors)
+
+
+def end_programs() -> None:
+    """End what `run` waits for in other threads."""
+    for program in list(_running):
+        program.terminate()
 
 
 def start_python(module: str, arguments: Sequence[str | Path]) -> subprocess.Popen[str]:

@@ -6,7 +6,6 @@ Controller           what a compensated controller holds of its machine
 ErrorModel           linear pose errors of a machine at commands
 Kinematics           both directions of a machine, and their derivatives
 NO_TOOL              the reference tool
-begin_job            a case of a campaign: its numbers depend on no case before
 closest_closure      where a machine that does not assemble meets its equations best
 component_errors     exact errors of the pose components that a machine states
 error_model          an ErrorModel, with the joint corrections that null what they can
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.mechanism.batch import BatchedFunction, begin_job
+    from oed.mechanism.batch import BatchedFunction
     from oed.mechanism.c_code import generated_functions
     from oed.mechanism.expressions import machine_frame, symbols
     from oed.mechanism.inverse import AssemblyError

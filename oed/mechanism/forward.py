@@ -1,7 +1,7 @@
 """Forward kinematics: poses at joints and parameters, and slopes of the equations there.
 
-Many poses are solved together, entry by entry (`oed.mechanism.tape`). Where its steps do
-not show that a pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
+Many poses are solved together (`oed.mechanism.systems`). Where the steps do not show that a
+pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
 """
 
 from __future__ import annotations
@@ -84,43 +84,42 @@ class ForwardKinematics:
         Starts are (n, nx) or (m, n, nx), and so can joints be. Poses that are not
         `wanted` (m, n) are not solved, and count as failed.
         """
-        m, (n, nq), nx = len(vectors), q.shape[-2:], start.shape[-1]
-        starts = np.broadcast_to(start, (m, n, nx))
-        every_q = np.broadcast_to(q, (m, n, nq))
-        every_p = np.broadcast_to(vectors[:, None], (m, n, vectors.shape[1]))
+        m, n = len(vectors), q.shape[-2]
+        starts = start if start.ndim == 3 else start[None]
+        if len(starts) != m:
+            starts = np.broadcast_to(starts, (m, *starts.shape[1:]))
         if wanted is None:
-            inputs = starts, every_q, every_p
-            return self.solve(inputs, starts, step_tolerance)
+            return self.solve((starts, q, vectors[:, None]), step_tolerance)
         rows = np.nonzero(wanted)
-        x, failed = np.full((m, n, nx), np.nan), np.ones((m, n), dtype=bool)
-        inputs = starts[rows], every_q[rows], every_p[rows]
-        x[rows], failed[rows] = self.solve(inputs, starts[rows], step_tolerance)
+        x, failed = np.full(starts.shape, np.nan), np.ones((m, n), dtype=bool)
+        every_q = np.broadcast_to(q, (m, *q.shape[-2:]))
+        inputs = starts[rows], every_q[rows], vectors[rows[0]]
+        x[rows], failed[rows] = self.solve(inputs, step_tolerance)
         return x, failed
 
     def solve(
-        self, inputs: tuple[Array, Array, Array], start: Array, step_tolerance: float
+        self, inputs: tuple[Array, Array, Array], step_tolerance: float
     ) -> tuple[Array, Mask]:
         """Poses (n, nx) or (m, n, nx), and the mask of those that failed.
 
-        inputs  poses nearby, joints and parameters, one a pose
-        start   as the poses, from which careful steps start where others do not arrive
+        inputs  starts, as the poses, and joints and parameters, which may be broadcast
         """
-        _, q, p = inputs
-        shape = q.shape[:-1]
+        start, q, p = inputs
         longest = newton.longest_step(self.machine.lever)
-        (x,), solved, near = self.equations.solve(inputs, 1, step_tolerance, longest)
-        failed = np.zeros(shape, dtype=bool)
+        x, solved, near = self.equations.solve(inputs, step_tolerance, longest)
+        failed = np.zeros(solved.shape, dtype=bool)
+        if solved.all():
+            return x, failed
         rest = np.nonzero(~solved)
-        if rest[0].size:
-            first = np.where(near[rest][:, None], x[rest], start[rest])
-            rest_q, rest_p = q[rest], p[rest]
+        first = np.where(near[rest][:, None], x[rest], start[rest])
+        rest_q, rest_p = (
+            np.broadcast_to(a, (*solved.shape, a.shape[-1]))[rest] for a in (q, p)
+        )
 
-            def at(x: Array, rows: Index) -> list[Array]:
-                return self.equations(x, rest_q[rows], rest_p[rows])
+        def at(x: Array, rows: Index) -> list[Array]:
+            return self.equations(x, rest_q[rows], rest_p[rows])
 
-            x[rest], failed[rest] = newton.solve(
-                at, first, step_tolerance, longest=longest
-            )
+        x[rest], failed[rest] = newton.solve(at, first, step_tolerance, longest=longest)
         return x, failed
 
 
@@ -166,7 +165,7 @@ class NearbyPoses:
         if far.size:
             again = start.reshape(m * n, nx)[far]
             x[far], failed = self._equations.solve(
-                (again, q[far], p[far]), again, NEAR_STEP_TOLERANCE
+                (again, q[far], p[far]), NEAR_STEP_TOLERANCE
             )
             x[far[failed]] = np.nan
         return x.reshape(m, n, nx)

@@ -354,7 +354,7 @@ class Kinematics:
         self, q: Array, p: Array, start: Array
     ) -> tuple[Array, Mask]:
         """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
-        return self.equations.solve((start, q, p), start, newton.STEP_TOLERANCE)
+        return self.equations.solve((start, q, p), newton.STEP_TOLERANCE)
 
     def nearby(self, q: Array, p: Array, x: Array) -> NearbyPoses:
         """Poses at joints q (n, nq) near those x (n, nx) at parameters p (np,)."""

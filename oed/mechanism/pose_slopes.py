@@ -66,10 +66,10 @@ class PoseSlopes:
 
         Also returns bounds (n,) on the condition numbers; see `surely_regular`.
         """
-        rows, condition, accurate = self._equations.adjoint.pull_back(
+        rows, condition = self._equations.adjoint.pull_back(
             [x, q, p], slopes, self._scale
         )
-        rest = np.flatnonzero(~accurate)
+        rest = np.flatnonzero(~np.isfinite(condition))
         if rest.size:
             sensitivity, condition[rest] = self.over_parameters_with_condition(
                 x[rest], q[rest], p[rest]

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from oed import child_process
-from oed.mechanism import begin_job
 from pkm_studies import files
 from pkm_studies.base import InputError
 
@@ -277,13 +276,7 @@ def run_jobs(
 def _work(
     work: Callable[[Case], Row], numbered: tuple[int, Sequence[Case]]
 ) -> list[Row]:
-    return [_row(work, case) for case in numbered[1]]
-
-
-def _row(work: Callable[[Case], Row], case: Case) -> Row:
-    """The row of a case, whatever this process has done before."""
-    begin_job()
-    return work(case)
+    return [work(case) for case in numbered[1]]
 
 
 def read_row(path: Path) -> Row:

@@ -14,7 +14,6 @@ from oed import trust, units
 from oed.accuracy import driven_errors, error_maps
 from oed.base import Array
 from oed.identifiability import assess
-from oed.mechanism import begin_job
 from pkm_campaign.interval import HALF_WIDTH
 from pkm_studies.resolve import PredictionRequest
 from pkm_studies.stages import (
@@ -52,7 +51,6 @@ class VirtualMachine:
         Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
         """
         state = _prepared(self.study, self.path, self.consent).replace(seed=seed)
-        begin_job()  # the first case has prepared, the next ones have not
         fitted, truth, effects = virtual_fit(state)
         figures = _fit_figures(fitted, truth)
         if state.resolved.prediction is not None:

@@ -3,15 +3,21 @@
 Their C text has one statement for each value, over vectors of poses. It holds no number of
 the machine: constants are an array that a call brings along. So machines that differ in
 their dimensions alone share it, as those of a campaign do.
+
+No product and sum become one operation, and sines are those of the C library: so each
+digit is that of CasADi's interpreter (`oed.mechanism.tape`, `oed.mechanism.systems`).
 """
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import ctypes
 import dataclasses
 import functools
 import hashlib
+import itertools
+import math
 import os
 import platform
 import shutil
@@ -21,6 +27,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from importlib import resources
+from multiprocessing import util
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,29 +36,38 @@ import numpy as np
 import platformdirs
 
 from oed import child_process
-from oed.base import Array, Mask
+from oed.base import Array
 from oed.mechanism.graph import OPERATIONS, Graph, Node
-from oed.mechanism.tape import REMAINING_ERROR, SHORT_STEP, AdjointRows, SolvedSystems
+from oed.mechanism.systems import (
+    CHORD_STEPS,
+    FINAL_ERROR,
+    NEWTON_STEPS,
+    REMAINING_ERROR,
+    SHORT_STEP,
+    AdjointRows,
+    SolvedSystems,
+)
 from oed.safe_files import make_private, whole_file
 
 # The C compiler of this computer, and the files that it made, kept from run to run.
 #
 # A text is compiled once a computer. The file's name is a digest of text, flags, compiler
 # and processor, and one of its content: so a changed compiler compiles anew, and a damaged
-# file is not loaded. Whatever fails, there is no function, and the array code serves.
+# file is not loaded. Whatever fails, there is no function, and the interpreter serves.
 
 #: names of compilers that know the vectors of lanes.h
 COMPILERS = ("cc", "gcc", "clang")
-#: `-fno-math-errno` and `-fno-trapping-math` change no result; a product and a sum may
-#: become one operation, rounded once
+#: none changes a result: a product and a sum must not become one operation
 FLAGS = (
     *("-std=gnu11", "-O2", "-fno-math-errno", "-fno-trapping-math"),
-    *("-ffp-contract=fast", "-fno-strict-aliasing", "-w", "-shared", "-fPIC"),
+    *("-ffp-contract=off", "-fno-strict-aliasing", "-w", "-shared", "-fPIC"),
 )
 #: all that this processor can do, or what every one can, where the compiler cannot tell
 PROCESSORS = (("-march=native",), ())
 #: longest time of a compilation, s
 COMPILATION_TIMEOUT = 120.0
+#: time that a compiler has to end with the program, s
+END_TIMEOUT = 2.0
 #: files of the folder beyond which the oldest are removed
 MAX_FILES = 512
 #: characters of a digest in a file's name
@@ -72,10 +88,10 @@ class Compiler:
     identity: str
 
 
-def load(text: str) -> ctypes.CDLL | None:
-    """The functions of a C text; None where they cannot be compiled or loaded."""
+def compiled_text(text: str) -> CompiledText | None:
+    """The functions of a C text; None where there is no compiler."""
     compiler = find_compiler(os.environ.get("PATH", ""))
-    return None if compiler is None else _load(text, compiler, cache_folder())
+    return None if compiler is None else _compiled_text(text, compiler, cache_folder())
 
 
 def cache_folder() -> Path:
@@ -125,21 +141,98 @@ def _processor() -> str:
     return "\n".join(line for line in first.splitlines() if line.startswith(kinds))
 
 
-@functools.cache
-def _load(text: str, compiler: Compiler, folder: Path) -> ctypes.CDLL | None:
-    """As `load`, once a process for each text."""
-    parts = "\n".join([text, *FLAGS, str(PROCESSORS), compiler.identity])
-    digest = hashlib.sha256(parts.encode()).hexdigest()[:DIGEST_LENGTH]
-    try:
-        if not make_private(folder):
-            return None
-        for file in sorted(folder.glob(f"{digest}-*.so")):
+class CompiledText:
+    """The functions of a C text, once they are there.
+
+    functions  those of the compiled file; None before, and where there will be none
+    is_done    whether the text was compiled, or that failed
+    """
+
+    def __init__(self, text: str, compiler: Compiler, folder: Path) -> None:
+        self._text, self._compiler, self._folder = text, compiler, folder
+        parts = "\n".join([text, *FLAGS, str(PROCESSORS), compiler.identity])
+        self._digest = hashlib.sha256(parts.encode()).hexdigest()[:DIGEST_LENGTH]
+        self._lock = threading.Lock()
+        self.functions: ctypes.CDLL | None = None
+        self.is_done = False
+        try:
+            self.functions = self._earlier()
+        except OSError:
+            self.is_done = True
+        if self.functions is not None:
+            self.is_done = True
+
+    def _earlier(self) -> ctypes.CDLL | None:
+        """The file of an earlier compilation. Raises OSError where none can be kept."""
+        if not make_private(self._folder):
+            raise NotADirectoryError(self._folder)
+        for file in sorted(self._folder.glob(f"{self._digest}-*.so")):
             if _is_whole(file):
                 return ctypes.CDLL(str(file))
             file.unlink(missing_ok=True)
-        return _opened(_compile(text, compiler, folder, digest))
-    except (OSError, subprocess.SubprocessError):
         return None
+
+    def make(self) -> None:
+        """Compile the text; where a thread does so already, wait for it."""
+        with self._lock:
+            if self.is_done:
+                return
+            try:
+                file = _compile(self._text, self._compiler, self._folder, self._digest)
+                self.functions = _opened(file)
+            except (OSError, subprocess.SubprocessError):
+                self.functions = None
+            self.is_done = True
+
+    def make_beside(self) -> None:
+        """Compile the text in a thread, after others that wait."""
+        _compilations.add(self)
+
+
+@functools.cache
+def _compiled_text(text: str, compiler: Compiler, folder: Path) -> CompiledText:
+    """As `compiled_text`, once a process for each text."""
+    return CompiledText(text, compiler, folder)
+
+
+class _CompilationThread:
+    """Compiles one text after the other in a thread, while the program works.
+
+    Where the program ends, so does the compiler.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: collections.deque[CompiledText] = collections.deque()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def add(self, text: CompiledText) -> None:
+        with self._lock:
+            self._waiting.append(text)
+            if self._thread is None:
+                util.Finalize(self, self._stop, exitpriority=1)
+                self._thread = threading.Thread(target=self._work, daemon=True)
+                self._thread.start()
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._thread = None
+                    return
+                text = self._waiting.popleft()
+            text.make()
+
+    def _stop(self) -> None:
+        with self._lock:
+            self._waiting.clear()
+            thread = self._thread
+        if thread is not None:
+            child_process.end_programs()
+            thread.join(END_TIMEOUT)
+
+
+_compilations = _CompilationThread()
 
 
 def _opened(file: Path) -> ctypes.CDLL:
@@ -190,12 +283,6 @@ def _remove_oldest(folder: Path) -> None:
 MIN_SHARED_POINTS = 8192
 #: shares begin at multiples of this: of the lanes of every processor
 MAX_LANES = 8
-#: most steps with new slopes: the last are quadratic, so that eight reach rounding
-MAX_NEWTON_STEPS = 8
-#: most steps with kept slopes, which show the error that remains
-MAX_CHORD_STEPS = 4
-#: error (m, rad) after which a point takes no further step
-FINAL_ERROR = 1e-17
 #: instructions of the longest function that is compiled, in some ten seconds
 MAX_INSTRUCTIONS = 20_000
 #: state of a solved point in newton.h
@@ -204,6 +291,9 @@ SOLVED = 1
 NEAR = 2
 #: bytes of a number
 NUMBER_SIZE = 8
+DOUBLE = np.dtype(float)
+#: first and last point, points of the inner dimension, table of the inputs, constants
+SHARED_TYPES = (*(ctypes.c_int64,) * 3, ctypes.c_void_p, ctypes.c_void_p)
 #: operations of one angle that share their work, by the letter of their variable
 ANGLE_FUNCTIONS = {ca.OP_SIN: "s", ca.OP_COS: "c"}
 
@@ -364,132 +454,122 @@ class _Limits(ctypes.Structure):
     )
 
 
-class _InputTable(NamedTuple):
-    """Inputs at points, as C reads them.
-
-    arrays  what they lie in, kept alive
-    table   (inputs, 4): place, steps from row to row (outer, inner), entries
-    shape   of the points: (n,), or (m, n) with the last the fastest
-    """
-
-    arrays: list[Array]
-    table: Any
-    shape: tuple[int, ...]
-
-    @property
-    def size(self) -> int:
-        return int(np.prod(self.shape))
-
-    @property
-    def inner(self) -> int:
-        return max(self.shape[-1], 1)
-
-
 class _Lanes:
     """A job on a function, compiled."""
 
     #: its function in C
     name: str
+    #: types of its own arguments, after those of every job
+    types: tuple[Any, ...]
 
-    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
-        self._run = getattr(library, self.name)
+    def __init__(self, functions: ctypes.CDLL, graph: Graph, constants: Array) -> None:
+        self._run = getattr(functions, self.name)
         self._run.restype = None
+        self._run.argtypes = (*SHARED_TYPES, *self.types)
         self._constants = constants
+        self._place_of_constants = address(constants)
         self._entries = list(graph.inputs)
+        self._table = ctypes.c_int64 * (4 * len(graph.inputs))
 
-    def _call(self, points: _InputTable, *arguments: Any) -> None:
-        """Run at all points, on all cores where they are many.
+    def _call(
+        self, inputs: Sequence[Array], shape: tuple[int, ...], *arguments: Any
+    ) -> None:
+        """Run at inputs (..., entries) of points (n,) or (m, n), on all cores if many.
 
         Raises ValueError for inputs of other sizes, which C would read beyond.
         """
-        entries = [a.shape[-1] for a in points.arrays]
-        if entries != self._entries[: len(entries)]:
-            raise ValueError(f"inputs have {entries} entries, not {self._entries}")
-        table, inner = _pointer(points.table), ctypes.c_int64(points.inner)
-        constants = _pointer(self._constants)
+        numbers: list[int] = []
+        arrays = []
+        for array, entries in zip(inputs, self._entries, strict=False):
+            if array.shape[-1] != entries:
+                raise ValueError(
+                    f"an input has {array.shape[-1]} entries, not {entries}"
+                )
+            readable = _readable(array)
+            arrays.append(readable)
+            numbers += address(readable), *_steps(readable, shape), entries
+        table = self._table(*numbers)
+        inner = max(shape[-1], 1)
 
         def run(first: int, end: int) -> None:
-            ends = ctypes.c_int64(first), ctypes.c_int64(end)
-            self._run(*ends, inner, table, constants, *arguments)
+            self._run(first, end, inner, table, self._place_of_constants, *arguments)
 
-        share_points(run, points.size)
+        share_points(run, math.prod(shape))
 
 
 class Evaluation(_Lanes):
     """Values of a function's outputs."""
 
-    name, job = "pkm_evaluate", LaneJob("evaluate.h", frozenset())
+    name, types = "pkm_evaluate", (ctypes.c_int64, ctypes.c_void_p)
 
-    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
-        super().__init__(library, graph, constants)
-        self._sizes = [len(row) for row in graph.outputs]
+    @staticmethod
+    def job(graph: Graph) -> LaneJob:
+        """The job on any function."""
+        return LaneJob("evaluate.h", frozenset())
+
+    def __init__(self, functions: ctypes.CDLL, graph: Graph, constants: Array) -> None:
+        super().__init__(functions, graph, constants)
+        self._ends = np.cumsum([0, *(len(row) for row in graph.outputs)]).tolist()
 
     def run(self, inputs: Sequence[Array], count: int) -> list[Array]:
         """Outputs (count, entries), each column by column, at inputs (count, size)."""
-        outputs = [np.empty((count, size)) for size in self._sizes]
-        addresses = np.array([_address(a) for a in outputs], dtype=np.int64)
-        self._call(_points(inputs, (count,)), _pointer(addresses))
-        return outputs
+        numbers = np.empty(count * self._ends[-1])
+        self._call(inputs, (count,), count, address(numbers))
+        return [
+            numbers[count * start : count * end].reshape(count, end - start)
+            for start, end in itertools.pairwise(self._ends)
+        ]
 
 
 class Newton(_Lanes):
-    """Newton's method for value = 0."""
+    """Newton's method for value = 0, over the first input."""
 
-    name = "pkm_newton"
-
-    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
-        super().__init__(library, graph, constants)
-        self._rows = len(graph.outputs[0])
+    name, types = "pkm_newton", (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
     @staticmethod
-    def job(graph: Graph, unknown: int) -> LaneJob:
-        """The job on a function of value and slope.
-
-        unknown  number of leading inputs to solve for
-        """
+    def job(graph: Graph) -> LaneJob:
+        """The job on a function of value and slope."""
         macros = (("ROWS", len(graph.outputs[0])),)
-        return LaneJob("newton.h", frozenset(range(unknown)), macros)
+        return LaneJob("newton.h", frozenset({0}), macros)
 
     def solve(
-        self,
-        inputs: Sequence[Array],
-        unknown: int,
-        step_tolerance: float,
-        longest: float,
+        self, inputs: Sequence[Array], step_tolerance: float, longest: float
     ) -> SolvedSystems:
         """Solutions near `inputs` (n, entries) or (m, n, entries).
 
-        unknown         number of leading inputs to solve for
         step_tolerance  longest last step (m, rad)
         longest         longest step (m, rad) of a system that this method may solve
         """
         shape = inputs[0].shape[:-1]
-        points = _points(inputs, shape)
-        solutions = np.empty((*shape, self._rows))
+        solutions = np.empty(inputs[0].shape)
         states = np.empty(shape, dtype=np.uint8)
-        limits = _Limits(
-            step_tolerance,
-            longest,
-            SHORT_STEP,
-            FINAL_ERROR,
-            REMAINING_ERROR,
-            MAX_NEWTON_STEPS,
-            MAX_CHORD_STEPS,
-        )
-        limits_pointer = ctypes.byref(limits)
-        self._call(points, limits_pointer, _pointer(solutions), _pointer(states))
-        ends = np.cumsum([a.shape[-1] for a in inputs[:unknown]])[:-1]
-        values = np.split(solutions, ends, axis=-1)
-        return SolvedSystems(values, states == SOLVED, states == NEAR)
+        limits = _limits(step_tolerance, longest)
+        places = ctypes.addressof(limits), address(solutions), address(states)
+        self._call(inputs, shape, *places)
+        return SolvedSystems(solutions, states == SOLVED, states == NEAR)
+
+
+@functools.cache
+def _limits(step_tolerance: float, longest: float) -> _Limits:
+    return _Limits(
+        step_tolerance,
+        longest,
+        SHORT_STEP,
+        FINAL_ERROR,
+        REMAINING_ERROR,
+        NEWTON_STEPS,
+        CHORD_STEPS,
+    )
 
 
 class Adjoint(_Lanes):
-    """Rows by adjoints; see `oed.mechanism.tape`."""
+    """Rows by adjoints; see `oed.mechanism.systems`."""
 
     name = "pkm_adjoint"
+    types = (ctypes.c_void_p, ctypes.c_int64, *(ctypes.c_void_p,) * 3)
 
-    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
-        super().__init__(library, graph, constants)
+    def __init__(self, functions: ctypes.CDLL, graph: Graph, constants: Array) -> None:
+        super().__init__(functions, graph, constants)
         self._columns = len(graph.outputs[1])
 
     @staticmethod
@@ -502,62 +582,50 @@ class Adjoint(_Lanes):
     def run(self, inputs: Sequence[Array], right: Array, scale: Array) -> AdjointRows:
         """Rows at n points, for right sides (n, channels, k) and units (k,)."""
         n, channels, _ = right.shape
-        right = np.ascontiguousarray(right)
-        scale = np.ascontiguousarray(scale)
-        values = np.empty((n, channels, self._columns))
-        condition = np.empty(n)
-        self._call(
-            _points(inputs, (n,)),
-            _pointer(scale),
-            ctypes.c_int64(channels),
-            _pointer(right),
-            _pointer(values),
-            _pointer(condition),
+        arrays = (
+            np.ascontiguousarray(scale, dtype=float),
+            np.ascontiguousarray(right, dtype=float),
+            np.empty((n, channels, self._columns)),
+            np.empty(n),
         )
-        accurate: Mask = np.isfinite(condition)
-        return AdjointRows(values, condition, accurate)
+        place_of_scale, *places = map(address, arrays)
+        self._call(inputs, (n,), place_of_scale, channels, *places)
+        return AdjointRows(arrays[2], arrays[3])
 
 
-def compiled(
-    kind: Callable[[ctypes.CDLL, Graph, Array], Any], graph: Graph, job: LaneJob
-) -> Any:
-    """A job on a dense SX function, compiled; None where that cannot be."""
-    if len(graph.nodes) > MAX_INSTRUCTIONS:
-        return None
-    written = lane_text(graph, job)
-    library = load(written.text)
-    return None if library is None else kind(library, graph, written.constants)
-
-
-def _points(inputs: Sequence[Array], shape: tuple[int, ...]) -> _InputTable:
-    """Inputs (..., entries) at points of a shape of one or two dimensions."""
-    arrays = [_readable(a, shape) for a in inputs]
-    table = np.zeros((len(arrays), 4), dtype=np.int64)
-    for row, array in zip(table, arrays, strict=True):
-        steps = [stride // NUMBER_SIZE for stride in array.strides[:-1]]
-        outer = steps[0] if len(steps) == 2 else 0
-        row[:] = _address(array), outer, steps[-1], array.shape[-1]
-    return _InputTable(arrays, table, shape)
-
-
-def _readable(values: Array, shape: tuple[int, ...]) -> Array:
-    """Doubles at every point, without copies where one row serves several."""
-    values = np.asarray(values, dtype=float)
-    aligned = not any(stride % NUMBER_SIZE for stride in values.strides)
-    if not (aligned and values.strides[-1] == NUMBER_SIZE):
-        values = np.ascontiguousarray(values)
-    if values.shape[:-1] == shape:
+def _readable(values: Array) -> Array:
+    """The same doubles, where C can read them row by row."""
+    if values.dtype != DOUBLE:
+        values = values.astype(float)
+    if values.flags.c_contiguous:
         return values
-    return np.broadcast_to(values, (*shape, values.shape[-1]))
+    steps = values.strides
+    if steps[-1] != NUMBER_SIZE or any(step % NUMBER_SIZE for step in steps):
+        return np.ascontiguousarray(values)
+    return values
 
 
-def _address(array: Array) -> int:
-    address: int = array.__array_interface__["data"][0]
-    return address
+def _steps(values: Array, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Numbers from row to row of values (..., entries) at points (n,) or (m, n).
+
+    0 where one row serves all.
+    """
+    outer = inner = 0
+    given = values.shape[:-1]
+    if given and given[-1] != 1:
+        inner = values.strides[-2] // NUMBER_SIZE
+    if len(given) == 2 and given[0] != 1:
+        outer = values.strides[0] // NUMBER_SIZE
+    for size, points in zip(reversed(given), reversed(shape), strict=False):
+        if size not in (points, 1):
+            raise ValueError(f"an input {values.shape} cannot be broadcast to {shape}")
+    return outer, inner
 
 
-def _pointer(array: Any) -> ctypes.c_void_p:
-    return ctypes.c_void_p(_address(array))
+def address(array: np.ndarray) -> int:
+    """Where its numbers are in memory."""
+    place: int = array.__array_interface__["data"][0]
+    return place
 
 
 def share_points(run: Callable[[int, int], None], count: int) -> None:

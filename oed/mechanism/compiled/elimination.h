@@ -1,7 +1,7 @@
 /* Gaussian elimination of a matrix (ROWS, ROWS) in each lane, with partial pivoting.
 
    The lanes choose their pivots each for itself. Most often they agree, and rows that no
-   lane exchanges cost one comparison. */
+   lane exchanges cost one comparison. `systems.py` does the same operations, to the digit. */
 
 typedef struct {
     vec entry[ROWS][ROWS]; /* L below, U above, one over U's diagonal on it */
@@ -22,12 +22,19 @@ static void factorise(const vec *matrix, int transposed, factors *f)
         for (int j = 0; j < ROWS; j++)
             f->entry[i][j] = matrix[transposed ? i * ROWS + j : j * ROWS + i];
     for (int k = 0; k < ROWS; k++) {
+        mask best = {0};
+        vec largest = absolute(f->entry[k][k]);
         for (int i = k + 1; i < ROWS; i++) {
-            mask larger_one = absolute(f->entry[i][k]) > absolute(f->entry[k][k]);
-            f->swapped[k][i] = larger_one;
-            if (any(larger_one))
+            vec size = absolute(f->entry[i][k]);
+            mask larger = size > largest;
+            largest = choose(larger, size, largest);
+            best = (i & larger) | (best & ~larger);
+        }
+        for (int i = k + 1; i < ROWS; i++) {
+            f->swapped[k][i] = best == i;
+            if (any(f->swapped[k][i]))
                 for (int j = 0; j < ROWS; j++)
-                    exchange(larger_one, &f->entry[k][j], &f->entry[i][j]);
+                    exchange(f->swapped[k][i], &f->entry[k][j], &f->entry[i][j]);
         }
         vec inverse = splat(1.0) / f->entry[k][k];
         f->entry[k][k] = inverse;

@@ -62,7 +62,7 @@ static inline vec square_root(vec x)
     return root;
 }
 
-/* Functions of the C library, lane by lane: rare in the equations of machines. */
+/* Functions of the C library, lane by lane: CasADi's interpreter has the same digits. */
 #define LANE_BY_LANE(name, function)                                                   \
     static vec name(vec x)                                                             \
     {                                                                                  \
@@ -103,56 +103,11 @@ PAIR_BY_PAIR(smaller, fmin)
 PAIR_BY_PAIR(larger, fmax)
 PAIR_BY_PAIR(remainder_of, fmod)
 
-/* Sine and cosine, to about an ulp.
-
-   The angle is reduced to a quarter turn about 0 with pi/2 in three parts (Cody and
-   Waite), of which the first two have 33 bits: their products with a number of quarter
-   turns below 2^20 are exact. The polynomials are those of fdlibm (Sun Microsystems
-   1993, k_sin.c and k_cos.c). Beyond, the C library takes over. */
-#define FARTHEST_ANGLE 1e5
-
 static inline void sine_cosine(vec angle, vec *sine, vec *cosine)
 {
-    const vec shift = splat(0x1.8p52);
-    vec shifted = angle * splat(6.36619772367581382433e-01) + shift;
-    vec turns = shifted - shift;
-    mask quarter = (mask)shifted;
-    vec x = angle - turns * splat(1.57079632673412561417e+00);
-    x = x - turns * splat(6.07710050630396597660e-11);
-    x = x - turns * splat(2.02226624879595063154e-21);
-    vec z = x * x;
-
-    vec s = splat(1.58969099521155010221e-10);
-    s = s * z + splat(-2.50507602534068634195e-08);
-    s = s * z + splat(2.75573137070700676789e-06);
-    s = s * z + splat(-1.98412698298579493134e-04);
-    s = s * z + splat(8.33333333332248946124e-03);
-    s = s * z + splat(-1.66666666666666324348e-01);
-    s = x + (x * z) * s;
-
-    vec c = splat(-1.13596475577881948265e-11);
-    c = c * z + splat(2.08757232129817482790e-09);
-    c = c * z + splat(-2.75573143513906633035e-07);
-    c = c * z + splat(2.48015872894767294178e-05);
-    c = c * z + splat(-1.38888888888741095749e-03);
-    c = c * z + splat(4.16666666666666019037e-02);
-    vec half = splat(0.5) * z;
-    vec most = splat(1.0) - half;
-    c = most + (((splat(1.0) - most) - half) + (z * z) * c);
-
-    mask odd = -(quarter & 1);
-    vec a = choose(odd, c, s);
-    vec b = choose(odd, s, c);
-    *sine = (vec)((mask)a ^ ((quarter & 2) << 62));
-    *cosine = (vec)((mask)b ^ (((quarter + 1) & 2) << 62));
-
-    mask far = ~(absolute(angle) <= splat(FARTHEST_ANGLE));
-    if (any(far)) {
-        EACH_LANE if (far[lane])
-        {
-            (*sine)[lane] = sin(angle[lane]);
-            (*cosine)[lane] = cos(angle[lane]);
-        }
+    EACH_LANE {
+        (*sine)[lane] = sin(angle[lane]);
+        (*cosine)[lane] = cos(angle[lane]);
     }
 }
 

@@ -16,20 +16,24 @@ typedef struct {
     int64_t newton_steps, chord_steps;
 } limits;
 
-/* Take a step of the lanes that move; the largest entry of each lane's, NaN where one is. */
-static vec take_step(const factors *f, const vec *out, mask moves, vec *in)
+/* A step; the largest entry of each lane's, NaN where one is. */
+static vec step_from(const factors *f, const vec *out, vec *step)
 {
-    vec step[ROWS];
     for (int i = 0; i < ROWS; i++)
         step[i] = out[i];
     substitute(f, step);
     vec size = splat(0.0);
     for (int i = 0; i < ROWS; i++) {
         vec length = absolute(step[i]);
-        size = choose(~(length <= size), length, size);
-        in[i] -= keep(moves, step[i]);
+        size = choose((length <= size) | (size != size), size, length);
     }
     return size;
+}
+
+static void take(mask moves, const vec *step, vec *in)
+{
+    for (int i = 0; i < ROWS; i++)
+        in[i] -= keep(moves, step[i]);
 }
 
 /* Solve in all lanes; which are solved, and which others ended with a short step. */
@@ -39,21 +43,26 @@ static void solve_lanes(
     vec fixed[FIXED_ENTRIES + 1], out[OUTPUT_ENTRIES + 1];
     mask moves = ~(mask){0};
     factors f;
-    vec before;
+    vec before, step[ROWS];
     prepare(in, constants, fixed, out);
-    for (int64_t k = 0; k < at->newton_steps; k++) {
+    /* A lane whose step is short stays while others move: it finds the same step again. */
+    for (int64_t k = 1;; k++) {
         every_output(in, constants, fixed, out);
         factorise(out + ROWS, 0, &f);
-        before = take_step(&f, out, moves, in);
+        before = step_from(&f, out, step);
         moves &= before <= splat(at->longest); /* not where it is NaN */
-        if (!any(moves & (before > splat(at->short_step))))
+        mask goes_on = moves & (before > splat(at->short_step));
+        if (k == at->newton_steps || !any(goes_on))
             break;
+        take(goes_on, step, in);
     }
+    take(moves, step, in);
     mask possible = moves;
     vec after = before, error = splat(INFINITY);
     for (int64_t k = 0; k < at->chord_steps && any(moves); k++) {
         first_output(in, constants, fixed, out);
-        after = take_step(&f, out, moves, in);
+        after = step_from(&f, out, step);
+        take(moves, step, in);
         vec remains = choose(moves, after * after / before, error);
         error = choose(after == splat(0.0), splat(0.0), remains);
         moves &= ~(after <= splat(at->step_tolerance)) | ~(error <= splat(at->remaining));

@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from oed.mechanism import BatchedFunction
-from oed.mechanism.batch import CHUNK_SIZES
+from oed.mechanism.batch import MIN_ARRAY_POINTS
+from oed.mechanism.tape import CHUNK_SIZES, TAPE_SIZES
 
 A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
 SIZES = sorted(
-    {1, 2, 3, *CHUNK_SIZES, *(c + 1 for c in CHUNK_SIZES), 2 * CHUNK_SIZES[0] + 5}
+    {3, 100, MIN_ARRAY_POINTS - 1, MIN_ARRAY_POINTS, 5000}
+    | {size + more for size in (*CHUNK_SIZES, *TAPE_SIZES) for more in (0, 1)}
 )
 
 

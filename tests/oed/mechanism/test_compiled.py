@@ -1,4 +1,4 @@
-"""Compiled functions: against NumPy, the array code, closed forms and LAPACK."""
+"""Compiled functions and systems of equations: NumPy, closed forms, LAPACK, one another."""
 
 from __future__ import annotations
 
@@ -8,108 +8,22 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kernel.mechanism.compiling import compiled, compiled_files, needs_compiler
-from oed.mechanism import BatchedFunction, batch, begin_job, newton
+from kernel.mechanism.compiling import both, compiled, compiled_files, needs_compiler
+from oed.mechanism import BatchedFunction, batch, newton, systems
 from oed.mechanism import compiled as lanes
-from oed.mechanism.batch import CompileSettingError, CompileSwitch
-from oed.mechanism.tape import SolvedSystems
+from oed.mechanism.batch import CompileSettingError
+from oed.mechanism.systems import AdjointRows, SolvedSystems
 
 __all__ = ["compiled_files"]
 pytestmark = [needs_compiler, pytest.mark.usefixtures("compiled_files")]
 
-X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 Z, A = ca.SX.sym("z", 2), ca.SX.sym("a", 2)
 TOLERANCE, LONGEST = newton.STEP_TOLERANCE, 0.2
 COUNTS = (1, 7, 8, 9, 200)
-SPECIAL = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e-310, 1e300])
 
 
 def batched(inputs: list[ca.SX], outputs: list[ca.SX]) -> BatchedFunction:
     return compiled(lambda: BatchedFunction("f", inputs, outputs))
-
-
-ONE = {
-    "neg": (-X, np.negative),
-    "square": (X * X, np.square),
-    "twice": (X + X, lambda x: 2.0 * x),
-    "inverse": (1.0 / X, np.reciprocal),
-    "sqrt": (ca.sqrt(X), np.sqrt),
-    "exp": (ca.exp(X), np.exp),
-    "log": (ca.log(X), np.log),
-    "sin": (ca.sin(X), np.sin),
-    "cos": (ca.cos(X), np.cos),
-    "tan": (ca.tan(X), np.tan),
-    "asin": (ca.asin(X), np.arcsin),
-    "acos": (ca.acos(X), np.arccos),
-    "atan": (ca.atan(X), np.arctan),
-    "sinh": (ca.sinh(X), np.sinh),
-    "cosh": (ca.cosh(X), np.cosh),
-    "tanh": (ca.tanh(X), np.tanh),
-    "abs": (ca.fabs(X), np.abs),
-    "sign": (ca.sign(X), np.sign),
-    "floor": (ca.floor(X), np.floor),
-    "ceil": (ca.ceil(X), np.ceil),
-    "not": (ca.logic_not(X), np.logical_not),
-}
-TWO = {
-    "add": (X + Y, np.add),
-    "sub": (X - Y, np.subtract),
-    "mul": (X * Y, np.multiply),
-    "div": (X / Y, np.divide),
-    "pow": (X**Y, np.power),
-    "atan2": (ca.atan2(X, Y), np.arctan2),
-    "hypot": (ca.hypot(X, Y), np.hypot),
-    "copysign": (ca.copysign(X, Y), np.copysign),
-    "fmin": (ca.fmin(X, Y), np.fmin),
-    "fmax": (ca.fmax(X, Y), np.fmax),
-    "fmod": (ca.fmod(X, Y), np.fmod),
-    "less": (X < Y, np.less),
-    "less_equal": (X <= Y, np.less_equal),
-    "equal": (X == Y, np.equal),
-    "not_equal": (X != Y, np.not_equal),
-    "and": (ca.logic_and(X, Y), np.logical_and),
-    "or": (ca.logic_or(X, Y), np.logical_or),
-    "if": (ca.if_else(X < Y, 1.0 / X, Y), lambda x, y: np.where(x < y, 1.0 / x, y)),
-}
-
-
-@pytest.mark.filterwarnings(
-    "ignore::RuntimeWarning"
-)  # of NumPy, where there is no value
-def test_every_operation_equals_numpy(rng: np.random.Generator) -> None:
-    outputs = [formula for formula, _ in (ONE | TWO).values()]
-    function = batched([X, Y], outputs)
-    for n in COUNTS:
-        x, y = rng.uniform(-2.0, 2.0, (2, n))
-        if n > len(SPECIAL) ** 2:
-            x[: len(SPECIAL) ** 2] = np.repeat(SPECIAL, len(SPECIAL))
-            y[: len(SPECIAL) ** 2] = np.tile(SPECIAL, len(SPECIAL))
-        want = [call(x) for _, call in ONE.values()]
-        want += [call(x, y) for _, call in TWO.values()]
-        got = function(x[:, None], y[:, None])
-        assert function._compiled[lanes.Evaluation] is not None
-        for name, values, numbers in zip(ONE | TWO, got, want, strict=True):
-            np.testing.assert_allclose(
-                values[:, 0], numbers, rtol=5e-16, atol=0.0, err_msg=name
-            )
-
-
-def test_sines_and_cosines_are_within_an_ulp_or_two() -> None:
-    """Against 80 bits, where the machine has them, near multiples of pi/2 too."""
-    if np.finfo(np.longdouble).eps > 1e-18:
-        pytest.skip("no long doubles on this processor")
-    turns = np.pi / 2.0 * np.arange(-300, 301)
-    near = np.concatenate([turns, np.nextafter(turns, 1e9), turns + 1e-9])
-    wide = np.concatenate(
-        [np.linspace(-1e5, 1e5, 4001), [1e5 + 1.0, 1e9, -1e22, 1e300]]
-    )
-    small = np.geomspace(1e-300, 10.0, 1001)
-    angles = np.concatenate([near, wide, small, -small, [0.0]])
-    sine, cosine = batched([X], [ca.sin(X), ca.cos(X)])(angles[:, None])
-    for got, exact in ((sine, np.sin), (cosine, np.cos)):
-        want = exact(angles.astype(np.longdouble))
-        scale = np.maximum(np.abs(want), 1e-15).astype(float)
-        assert (np.abs(got[:, 0] - want) / np.spacing(scale)).max() < 2.0
 
 
 def test_a_point_does_not_depend_on_its_neighbours(rng: np.random.Generator) -> None:
@@ -140,10 +54,10 @@ def test_inputs_of_another_size_are_refused() -> None:
 
 
 def test_a_very_long_function_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lanes, "MAX_INSTRUCTIONS", 3)
+    monkeypatch.setattr(batch, "MAX_INSTRUCTIONS", 3)
     function = batched([A, Z], [A + Z])
     assert function(np.ones(2), np.ones(2))[0].tolist() == [[2.0, 2.0]]
-    assert function._compiled[lanes.Evaluation] is None
+    assert function._jobs[lanes.Evaluation].ready is None
 
 
 # -- Newton's method -------------------------------------------------------------------
@@ -153,17 +67,25 @@ SQUARES = ca.vertcat(Z[0] ** 2 - A[0], Z[0] * Z[1] - A[1])
 
 
 def solve(equations: ca.SX, start: np.ndarray, a: np.ndarray) -> SolvedSystems:
-    function = batched([Z, A], [equations, ca.jacobian(equations, Z)])
-    solution = function.solve([start, a], 1, TOLERANCE, LONGEST)
-    assert function._compiled[lanes.Newton] is not None
-    return solution
+    """Solved compiled, and with the same digits without."""
+    outputs = [equations, ca.jacobian(equations, Z)]
+    fast, plain = both(lambda: BatchedFunction("f", [Z, A], outputs))
+    found = fast.solve([start, a], TOLERANCE, LONGEST)
+    assert fast._jobs[lanes.Newton].ready is not None
+    other = plain.solve([start, a], TOLERANCE, LONGEST)
+    for one, two in zip(found[1:], other[1:], strict=True):
+        np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(
+        found.values[found.solved], other.values[other.solved]
+    )
+    return found
 
 
 @pytest.mark.parametrize("n", COUNTS)
 def test_solutions_are_the_closed_form(rng: np.random.Generator, n: int) -> None:
     a = rng.uniform(1.0, 1.2, (n, 2))
     z = np.column_stack([np.sqrt(a[:, 0]), a[:, 1] / np.sqrt(a[:, 0])])
-    (x,), solved, near = solve(SQUARES, z + rng.uniform(-0.05, 0.05, z.shape), a)
+    x, solved, near = solve(SQUARES, z + rng.uniform(-0.05, 0.05, z.shape), a)
     assert solved.all()
     assert not near.any()
     np.testing.assert_allclose(x, z, rtol=4e-16, atol=0.0)
@@ -171,7 +93,7 @@ def test_solutions_are_the_closed_form(rng: np.random.Generator, n: int) -> None
 
 def test_what_has_no_solution_is_not_solved_and_disturbs_no_other() -> None:
     a = np.array([[1.0, 1.0], [-1.0, 1.0], [np.nan, 1.0], [1.21, 1.1]])
-    (x,), solved, _ = solve(SQUARES, np.full((4, 2), 1.05), a)
+    x, solved, _ = solve(SQUARES, np.full((4, 2), 1.05), a)
     assert solved.tolist() == [True, False, False, True]
     np.testing.assert_allclose(x[[0, 3]], [[1.0, 1.0], [1.1, 1.0]], rtol=1e-15)
 
@@ -191,36 +113,75 @@ def test_a_step_longer_than_the_longest_is_left_to_careful_steps() -> None:
     assert not near.any()
 
 
-def test_each_lane_chooses_its_pivots() -> None:
+def test_a_system_does_not_depend_on_its_neighbours(rng: np.random.Generator) -> None:
+    """Some are solved in one step, others in four."""
+    a = np.column_stack([rng.uniform(1.0, 1.2, 40), np.ones(40)])
+    start = np.sqrt(a) + rng.uniform(-0.1, 0.1, (40, 2)) * (np.arange(40)[:, None] % 3)
+    together = solve(SQUARES, start, a)
+    for k in (0, 1, 2, 17):
+        alone = solve(SQUARES, start[k : k + 1], a[k : k + 1])
+        assert alone.values[0].tolist() == together.values[k].tolist()
+
+
+def test_each_point_chooses_its_pivots() -> None:
     """The pivot of the first system is 0 in the second: no order serves both."""
     turned = ca.vertcat(
         ca.cos(A[0]) * Z[0] + ca.sin(A[0]) * Z[1], -ca.sin(A[0]) * Z[0] + Z[1]
     )
     a = np.array([[0.0, 0.0], [np.pi / 2.0, 0.0], [0.7, 0.0]])
-    (x,), solved, _ = solve(turned, np.full((3, 2), 0.01), a)
+    x, solved, _ = solve(turned, np.full((3, 2), 0.01), a)
     assert solved.all()
     assert np.abs(x).max() < 1e-15
 
 
-def test_rows_by_adjoints_are_those_of_lapack(rng: np.random.Generator) -> None:
-    size, n = 5, 37
+def test_factors_are_those_of_lapack(rng: np.random.Generator) -> None:
+    matrices = rng.standard_normal((50, 5, 5))
+    right = rng.standard_normal((50, 5))
+    found = systems.factors(matrices).solve(right.T.copy()).T
+    wanted = np.linalg.solve(matrices, right[:, :, None])[:, :, 0]
+    error = np.abs(found - wanted).max(axis=1) / np.abs(wanted).max(axis=1)
+    assert (error < 1e-15 * np.maximum(np.linalg.cond(matrices), 10.0)).all()
+
+
+def pull_back(
+    inputs: list[ca.SX],
+    outputs: list[ca.SX],
+    values: list[np.ndarray],
+    right: np.ndarray,
+    scale: np.ndarray,
+) -> AdjointRows:
+    """Rows compiled, and with the same digits without."""
+    fast, plain = both(lambda: BatchedFunction("f", inputs, outputs))
+    rows, other = (f.pull_back(values, right, scale) for f in (fast, plain))
+    assert fast._jobs[lanes.Adjoint].ready is not None
+    held = np.isfinite(rows.condition)
+    np.testing.assert_array_equal(held, np.isfinite(other.condition))
+    for one, two in zip(rows, other, strict=True):
+        np.testing.assert_array_equal(one[held], two[held])
+    return rows
+
+
+@pytest.mark.parametrize("n", [1, 37, 300])
+def test_rows_by_adjoints_are_those_of_lapack(rng: np.random.Generator, n: int) -> None:
+    size = 5
     entries, factors = ca.SX.sym("entries", size * size), ca.SX.sym("factors", size)
     by = ca.SX.sym("by", size, 3)
     row = (by.T @ factors).T
-    function = batched(
-        [entries, ca.vec(by), factors], [ca.reshape(entries, size, size), row]
-    )
     matrices = np.eye(size) + 0.3 * rng.standard_normal((n, size, size))
     for matrix in matrices:  # each needs another order of rows
         matrix[:] = matrix[rng.permutation(size)]
     slopes = rng.standard_normal((n, size, 3))
     right = rng.standard_normal((n, 2, size))
     scale = np.array([1.0, 0.5, 2.0, 1.0, 3.0])
-    inputs = [m.transpose(0, 2, 1).reshape(n, -1) for m in (matrices, slopes)]
-    rows = function.pull_back(inputs, right, scale)
+    rows = pull_back(
+        [entries, ca.vec(by), factors],
+        [ca.reshape(entries, size, size), row],
+        [m.transpose(0, 2, 1).reshape(n, -1) for m in (matrices, slopes)],
+        right,
+        scale,
+    )
     adjoint = np.linalg.solve(matrices.transpose(0, 2, 1), right.transpose(0, 2, 1))
     want = adjoint.transpose(0, 2, 1) @ slopes
-    assert rows.accurate.all()
     np.testing.assert_allclose(rows.values, want, rtol=1e-11, atol=1e-12)
     exact = np.linalg.cond(matrices * scale)
     assert (rows.condition >= exact * (1.0 - 1e-9)).all()
@@ -229,12 +190,17 @@ def test_rows_by_adjoints_are_those_of_lapack(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(rows.condition, norm / volume, rtol=1e-9)
 
 
-def test_a_singular_matrix_has_no_row() -> None:
+def test_a_singular_matrix_has_no_finite_condition() -> None:
     entries, factors = ca.SX.sym("entries", 4), ca.SX.sym("factors", 2)
-    function = batched([entries, factors], [ca.reshape(entries, 2, 2), factors.T])
     matrices = np.array([[1.0, 2.0, 2.0, 4.0], [1.0, 0.0, 0.0, 1.0]])
-    rows = function.pull_back([matrices], np.ones((2, 1, 2)), np.ones(2))
-    assert rows.accurate.tolist() == [False, True]
+    rows = pull_back(
+        [entries, factors],
+        [ca.reshape(entries, 2, 2), factors.T],
+        [matrices],
+        np.ones((2, 1, 2)),
+        np.ones(2),
+    )
+    assert np.isfinite(rows.condition).tolist() == [False, True]
 
 
 # -- cores and the switch --------------------------------------------------------------
@@ -261,22 +227,51 @@ def test_a_stated_number_of_threads_holds(
     assert 1 <= lanes._cores() <= most
 
 
-def test_a_function_is_compiled_once_it_has_done_enough(
+@pytest.fixture
+def unset(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(batch.COMPILE_VARIABLE)
+
+
+def is_compiled(function: BatchedFunction) -> bool:
+    """Whether it is now, after a call; its values hold in any case."""
+    x = np.array([[1.0, 2.0], [0.5, 3.0]])
+    np.testing.assert_allclose(function(x, x)[0], np.sin(x) * x, rtol=1e-15)
+    return function._jobs[lanes.Evaluation].ready is not None
+
+
+@pytest.mark.usefixtures("unset")
+def test_a_function_is_compiled_beside_the_work(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.delenv(batch.COMPILE_VARIABLE)
-    counter = CompileSwitch()
-    assert not counter.is_on(batch.COMPILE_POINTS, 1000)
-    assert counter.is_on(batch.COMPILE_WORK // 1000 + 1, 1000)
-    begin_job()
-    assert not counter.is_on(1, 1000)
+    """Then another, of another machine, finds the file once a look would pay."""
+    monkeypatch.setattr(lanes, "MIN_SHARED_POINTS", 10**9)
+    function = BatchedFunction("f", [A, Z], [ca.sin(A) * Z])
+    assert not is_compiled(function)  # the work is short
+    for _ in range(10_000):
+        if is_compiled(function):
+            break
+    else:
+        pytest.fail("nothing was compiled beside the work")
+    another = BatchedFunction("f", [A, Z], [ca.sin(A) * Z])
+    while not is_compiled(another):
+        assert another._jobs[lanes.Evaluation]._spent < batch.COMPILER_START / 10.0
+
+
+@pytest.mark.usefixtures("unset")
+def test_a_call_that_is_longer_than_the_compilation_waits_for_it() -> None:
+    function = BatchedFunction("f", [A, Z], [ca.cos(A) * Z + 3.0])
+    x = np.ones((200, 2))
+    job = batch.CompiledJob(lanes.Evaluation, function._function, "")
+    assert job.after(10**9) is not None
+    np.testing.assert_array_equal(job.ready.run([x, x], 200)[0], function(x, x)[0])
 
 
 def test_the_variable_decides(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(batch.COMPILE_VARIABLE, batch.NEVER_COMPILE)
-    assert not CompileSwitch().is_on(10**12, 1000)
-    monkeypatch.setenv(batch.COMPILE_VARIABLE, f" {batch.COMPILE_AT_ONCE}")
-    assert CompileSwitch().is_on(1, 1)
-    monkeypatch.setenv(batch.COMPILE_VARIABLE, "off")
+    def setting(value: str) -> bool:
+        monkeypatch.setenv(batch.COMPILE_VARIABLE, value)
+        return is_compiled(BatchedFunction("f", [A, Z], [ca.sin(A) * Z]))
+
+    assert not setting(batch.NEVER_COMPILE)
+    assert setting(f" {batch.COMPILE_AT_ONCE}")
     with pytest.raises(CompileSettingError, match="OED_COMPILE is 'off': write 0"):
-        CompileSwitch()
+        setting("off")

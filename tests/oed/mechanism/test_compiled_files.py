@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,7 +28,9 @@ from oed.mechanism import compiled as compiler
 folder, text, start = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
 compiler.cache_folder = lambda: folder
 time.sleep(max(0.0, start - time.time()))
-print(compiler.load(text).answer())
+library = compiler.compiled_text(text)
+library.make()
+print(library.functions.answer())
 """
 
 
@@ -42,7 +45,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def forget() -> None:
     """As in a new process."""
-    compiler._load.cache_clear()
+    compiler._compiled_text.cache_clear()
     compiler.find_compiler.cache_clear()
 
 
@@ -54,15 +57,23 @@ def runs_compiled() -> bool:
     """Whether a function is compiled now; its values hold in any case."""
     function = compiled(lambda: BatchedFunction("f", [X], [2.0 * X]))
     np.testing.assert_array_equal(function(POINTS)[0], 2.0 * POINTS)
-    return function._compiled[compiler.Evaluation] is not None
+    return function._jobs[compiler.Evaluation].ready is not None
+
+
+def load(text: str) -> Any:
+    """The functions of a text, compiled or found."""
+    library = compiler.compiled_text(text)
+    assert library is not None
+    library.make()
+    return library.functions
 
 
 def test_a_text_is_compiled_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert compiler.load(text_of(41)).answer() == 41
+    assert load(text_of(41)).answer() == 41
     (file,) = folder.iterdir()
     forget()
     monkeypatch.setattr(compiler, "_compile", None)
-    assert compiler.load(text_of(41)).answer() == 41
+    assert load(text_of(41)).answer() == 41
     assert [*folder.iterdir()] == [file]
     assert folder.stat().st_mode & 0o777 == 0o700
 
@@ -70,13 +81,13 @@ def test_a_text_is_compiled_once(folder: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_another_compiler_or_processor_compiles_anew(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiler.load(text_of(42))
+    load(text_of(42))
     for identity in ("another", "a third"):
         known = compiler.find_compiler(os.environ["PATH"])
         assert known is not None
         changed = compiler.Compiler(known.path, identity)
         monkeypatch.setattr(compiler, "find_compiler", lambda _, c=changed: c)
-        assert compiler.load(text_of(42)).answer() == 42
+        assert load(text_of(42)).answer() == 42
         monkeypatch.undo()
         monkeypatch.setattr(compiler, "cache_folder", lambda: folder)
     assert len([*folder.iterdir()]) == 3
@@ -103,7 +114,7 @@ def test_two_processes_compile_at_once(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty"])
 def test_a_damaged_file_is_compiled_anew(folder: Path, damage: str) -> None:
-    compiler.load(text_of(44))
+    load(text_of(44))
     (file,) = folder.iterdir()
     content = bytearray(file.read_bytes())
     half = len(content) // 2
@@ -111,11 +122,11 @@ def test_a_damaged_file_is_compiled_anew(folder: Path, damage: str) -> None:
     file.unlink()  # this process runs the old one
     file.write_bytes({"cut": content[:half], "changed": content, "empty": b""}[damage])
     forget()
-    assert compiler.load(text_of(44)).answer() == 44
+    assert load(text_of(44)).answer() == 44
     assert [compiler._is_whole(f) for f in folder.iterdir()] == [True]
 
 
-def test_without_a_compiler_the_array_code_serves(
+def test_without_a_compiler_the_interpreter_serves(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert runs_compiled()
@@ -125,7 +136,7 @@ def test_without_a_compiler_the_array_code_serves(
 
 
 @pytest.mark.parametrize("program", ["exit 1", "echo no library > $OUT", "sleep 60"])
-def test_where_the_compiler_fails_the_array_code_serves(
+def test_where_the_compiler_fails_the_interpreter_serves(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str
 ) -> None:
     """It ends with an error; it writes something else; it does not end."""
@@ -156,7 +167,7 @@ def test_a_compiler_that_does_not_know_the_processor_serves(
     assert runs_compiled()
 
 
-def test_where_the_folder_cannot_be_the_array_code_serves(
+def test_where_the_folder_cannot_be_the_interpreter_serves(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder.write_text("a file in its place")
@@ -213,6 +224,34 @@ def test_a_compiler_of_the_current_folder_is_not_called(
 def test_the_folder_stays_small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "MAX_FILES", 2)
     for number in range(4):
-        compiler.load(text_of(number))
+        load(text_of(number))
     assert len([*folder.iterdir()]) == 2
-    assert compiler.load(text_of(0)).answer() == 0  # this process has it still
+    assert load(text_of(0)).answer() == 0  # this process has it still
+
+
+def test_a_program_that_ends_ends_its_compiler(tmp_path: Path) -> None:
+    """It does not wait for it, and leaves no file."""
+    script = tmp_path / "cc"
+    script.write_text("#!/bin/sh\nexec sleep 60\n")
+    script.chmod(0o755)
+    program = """
+import sys, tempfile, time
+from pathlib import Path
+from oed.mechanism import compiled as compiler
+compiler.cache_folder = lambda: Path(sys.argv[1]) / "compiled"
+compiler.compiled_text("int answer(void) { return 7; }").make_beside()
+while not compiler.child_process._running:
+    time.sleep(0.01)
+"""
+    (tmp_path / "scratch").mkdir()
+    paths = {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    scratch = {"TMPDIR": str(tmp_path / "scratch")}
+    start = time.monotonic()
+    subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)],
+        env={**os.environ, **paths, **scratch},
+        check=True,
+        timeout=40.0,
+    )
+    assert time.monotonic() - start < 30.0
+    assert not [*(tmp_path / "scratch").iterdir()]

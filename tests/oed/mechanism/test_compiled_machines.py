@@ -1,4 +1,4 @@
-"""Every machine compiled, beside its array code: poses, failures, slopes, readings."""
+"""Every machine compiled and not: the same digits of poses, failures, slopes, readings."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import pytest
 import pkm_models.machines
 from kernel.cases import CASES
 from kernel.mechanism.compiling import (
-    array_code,
+    both,
     compiled,
     compiled_files,
     needs_compiler,
+    not_compiled,
 )
 from oed.measurement import Measurement
 from oed.mechanism import AssemblyError, Kinematics
@@ -76,11 +77,11 @@ def reached(
 
 
 @pytest.mark.parametrize("name", marked(sorted(MACHINES)))
-def test_a_machine_compiled_equals_its_array_code(
+def test_a_machine_has_the_same_digits_compiled(
     name: str, rng: np.random.Generator
 ) -> None:
     machine = MACHINES[name]
-    plain = array_code(lambda: Kinematics(machine))
+    fast, plain = both(lambda: Kinematics(machine))
     x, q = reached(plain, rng, max(COUNTS))
     tolerance = np.array([p.tolerance for p in machine.parameters])
     p = machine.nominal + tolerance * rng.standard_normal((len(q), len(tolerance)))
@@ -92,43 +93,39 @@ def test_a_machine_compiled_equals_its_array_code(
     def poses(kinematics: Kinematics, n: int) -> tuple[np.ndarray, np.ndarray]:
         return kinematics.try_forward_per_pose(q[:n], p[:n], x[:n])
 
-    fast = compiled(lambda: Kinematics(machine))
     for n in COUNTS:
-        wanted, fails = array_code(lambda n=n: poses(plain, n))
+        wanted, fails = not_compiled(lambda n=n: poses(plain, n))
         solved, failed = compiled(lambda n=n: poses(fast, n))
         np.testing.assert_array_equal(failed, fails)
-        scale = np.abs(wanted[~fails]).max()
-        error = np.abs(solved - wanted)[~fails].max()
-        assert error < 1e-13 * scale, n
-    assert fast.equations.equations._compiled[lanes.Newton] is not None
+        np.testing.assert_array_equal(solved[~fails], wanted[~fails])
+    assert fast.equations.equations._jobs[lanes.Newton].ready is not None
 
     at = solved[~failed], q[~failed], p[~failed]
     slopes = rng.standard_normal((len(at[0]), 2, x.shape[1]))
-    rows, condition = array_code(lambda: plain.slopes.pull_back(*at, slopes))
-    same_rows, bounds = compiled(lambda: fast.slopes.pull_back(*at, slopes))
-    error = np.abs(same_rows - rows).max(axis=(1, 2)) / np.abs(rows).max(axis=(1, 2))
-    assert (error < 1e-14 * np.maximum(condition, 10.0)).all()
-    exact = np.linalg.cond(fast.equations.slopes(*at)[0] * fast.slopes._scale)
-    assert (bounds >= exact * (1.0 - 1e-9)).all()
-    every = array_code(lambda: plain.equations.slopes(*at))
-    for values, wanted in zip(
-        compiled(lambda: fast.equations.slopes(*at)), every, strict=True
+    for one, two in zip(
+        compiled(lambda: fast.slopes.pull_back(*at, slopes)),
+        not_compiled(lambda: plain.slopes.pull_back(*at, slopes)),
+        strict=True,
     ):
-        np.testing.assert_allclose(
-            values, wanted, rtol=0, atol=2e-15 * abs(wanted).max()
-        )
+        np.testing.assert_array_equal(one, two)
+    rows, bounds = plain.slopes.pull_back(*at, slopes)
+    by_x, by_p, _ = plain.equations.slopes(*at)
+    direct = slopes @ -np.linalg.solve(by_x, by_p)
+    error = np.abs(rows - direct).max(axis=(1, 2)) / np.abs(direct).max(axis=(1, 2))
+    assert (error < 1e-14 * np.maximum(bounds, 10.0)).all()
+    exact = np.linalg.cond(by_x * plain.slopes._scale)
+    assert (bounds >= exact * (1.0 - 1e-9)).all()
 
 
 @pytest.mark.parametrize(
     "name", ["planar_2dof", *(pytest.param(n, marks=pytest.mark.slow) for n in SETUPS)]
 )
-def test_readings_and_their_slopes_equal_those_of_the_array_code(
+def test_readings_and_their_slopes_have_the_same_digits_compiled(
     name: str, rng: np.random.Generator
 ) -> None:
     case = CASES[name]
     setups = [case.setups[SETUPS[name]]]
-    plain = array_code(lambda: Measurement(case.machine, setups))
-    fast = compiled(lambda: Measurement(case.machine, setups))
+    fast, plain = both(lambda: Measurement(case.machine, setups))
     command = case.commands(rng, 40)
     runs = [str(i // 8) for i in range(40)]
     by_run = setups[0].instrument.reference == "run"
@@ -137,21 +134,21 @@ def test_readings_and_their_slopes_equal_those_of_the_array_code(
         (9, len(plain.nominal))
     )
     for vectors in (theta[0], theta):
-        wanted = array_code(lambda v=vectors: plain.readings([series], v))
-        values = compiled(lambda v=vectors: fast.readings([series], v))
-        np.testing.assert_allclose(values, wanted, rtol=1e-12, atol=1e-14)
-        slopes = array_code(lambda v=vectors: plain.jacobian([series], v))
-        rows = compiled(lambda v=vectors: fast.jacobian([series], v))
-        np.testing.assert_allclose(
-            rows, slopes, rtol=1e-10, atol=1e-11 * np.abs(slopes).max()
-        )
+        for compute in ("readings", "jacobian"):
+            values = compiled(
+                lambda c=compute, v=vectors: getattr(fast, c)([series], v)
+            )
+            wanted = not_compiled(
+                lambda c=compute, v=vectors: getattr(plain, c)([series], v)
+            )
+            np.testing.assert_array_equal(values, wanted)
 
 
 @pytest.mark.parametrize("n", [3, 300])
 def test_poses_out_of_reach_are_reported_alike(n: int) -> None:
     machine = MACHINES["linear_delta"]
     reports = []
-    for build in (array_code, compiled):
+    for build in (not_compiled, compiled):
         kinematics = build(lambda: Kinematics(machine))
         x, q = kinematics.inverse(np.tile(machine.home_command, (n, 1)))
         q[1] += [0.0, 0.0, 50.0 * machine.lever]
