@@ -19,10 +19,6 @@ UNSEARCHED: list[str] = []
 #: what stands for the figures of reports, by the folder of tests
 SKETCHES: dict[Path, Any] = {}
 
-# Functions are compiled by the tests of compiled functions alone: a result does not wait for
-# a compiler, nor depend on what ran before it.
-os.environ.setdefault("OED_COMPILE", "0")
-
 # Looking for garbage after every 700 new objects takes a third of the time of collecting
 # tests, and 7 % of that of running them.
 gc.set_threshold(100_000, 20, 50)

@@ -5,7 +5,7 @@ Each set-up's readings are those of `oed.measurement.setup_readings`, series aft
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -153,27 +153,6 @@ class Measurement(ParameterVector):
             parts = list(np.split(wanted, np.cumsum(numbers)[:-1], axis=1))
         y = [self._read(s, vectors, w) for s, w in zip(series, parts, strict=True)]
         return np.hstack(y)[0] if theta.ndim == 1 else np.hstack(y)
-
-    def readings_near(
-        self, series: Sequence[Series], theta: Array
-    ) -> Callable[[Array], Array]:
-        """A faster `try_readings` for vectors (m, n) near theta (n,).
-
-        Poses take the Jacobian at theta (`Kinematics.nearby`).
-        """
-        size = len(self.machine.parameters)
-        nearby = [
-            self.kinematics.nearby(s.q, theta[:size], self.poses(s, theta))
-            for s in series
-        ]
-
-        def readings(vectors: Array) -> Array:
-            p = vectors[:, :size]
-            pairs = zip(series, nearby, strict=True)
-            y = [self._read_at(s, poses.solve(p), vectors) for s, poses in pairs]
-            return np.hstack(y)
-
-        return readings
 
     def taken_measurement(self, taken: Sequence[TakenReadings]) -> Measurement:
         """The measurement of series that have some readings of others."""

@@ -17,13 +17,6 @@ from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.expressions import MachineExpressions
 from oed.model import Machine
 
-#: error (m, rad) that the last step of poses near known ones may leave
-NEAR_ERROR = 1e-12
-#: longest second step (m, rad) of such poses
-NEAR_LONGEST_STEP = 1e-8
-#: last step of Newton's method where it takes over: leaves an error of 1e-11 m
-NEAR_STEP_TOLERANCE = 2e-6
-
 
 class ForwardKinematics:
     """Equations of one machine's poses: its closure, balanced where it is redundant.
@@ -53,12 +46,6 @@ class ForwardKinematics:
         e = self._expressions
         slopes = [ca.jacobian(e.balance, over) for over in (e.x, e.p)]
         return BatchedFunction("by_pose_and_parameter", [e.x, e.q, e.p], slopes)
-
-    @functools.cached_property
-    def misfit(self) -> BatchedFunction:
-        """Value (n, nx) of the equations."""
-        e = self._expressions
-        return BatchedFunction("balance", [e.x, e.q, e.p], [e.balance])
 
     @functools.cached_property
     def adjoint(self) -> BatchedFunction:
@@ -121,51 +108,3 @@ class ForwardKinematics:
 
         x[rest], failed[rest] = newton.solve(at, first, step_tolerance, longest=longest)
         return x, failed
-
-
-class NearbyPoses:
-    """Poses at joints q (n, nq) near those x (n, nx) at parameters p (np,).
-
-    With the pose x0 at parameters p0, the pose at p is x0 + dx/dp (p - p0) to first order.
-    Steps with the slope at x0,
-
-        x <- x - phi_x(x0)^-1 phi(x, q, p),
-
-    need neither new slopes nor new factorisations (the chord method; Ortega and Rheinboldt
-    1970, section 7.1). Each step leaves a share of the error that is the same for all
-    steps, so that two steps s1 and s2 tell the error that remains: s2^2 / s1. Where it is
-    too large, Newton's method takes over.
-    """
-
-    def __init__(
-        self, equations: ForwardKinematics, q: Array, p: Array, x: Array
-    ) -> None:
-        self._equations, self._q, self._p, self._x = equations, q, p, x
-        by_x, by_p, _ = equations.slopes(x, q, p)
-        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
-        self._inverse = newton.solve_linear(by_x, identity)
-        self._sensitivity = -(self._inverse @ by_p)
-
-    def solve(self, vectors: Array) -> Array:
-        """Poses (m, n, nx) at parameters (m, np); NaN where one cannot be assembled."""
-        m, (n, nx) = len(vectors), self._x.shape
-        change = (vectors - self._p) @ self._sensitivity.reshape(n * nx, -1).T
-        start = self._x + change.reshape(m, n, nx)
-        q = np.broadcast_to(self._q, (m, *self._q.shape)).reshape(m * n, -1)
-        p = np.repeat(vectors, n, axis=0)
-        x, sizes = start.reshape(m * n, nx).copy(), []
-        for _ in range(2):
-            (misfit,) = self._equations.misfit(x, q, p)
-            step = (self._inverse @ misfit.reshape(m, n, nx, 1)).reshape(m * n, nx)
-            x -= step
-            sizes.append(np.sqrt(np.einsum("ij,ij->i", step, step)))
-        first, second = sizes
-        near = (second**2 <= NEAR_ERROR * first) & (second <= NEAR_LONGEST_STEP)
-        far = np.flatnonzero(~near)
-        if far.size:
-            again = start.reshape(m * n, nx)[far]
-            x[far], failed = self._equations.solve(
-                (again, q[far], p[far]), NEAR_STEP_TOLERANCE
-            )
-            x[far[failed]] = np.nan
-        return x.reshape(m, n, nx)

@@ -37,7 +37,7 @@ from oed.mechanism.expressions import (
     strut_ends,
     twist_slope,
 )
-from oed.mechanism.forward import NEAR_ERROR, ForwardKinematics, NearbyPoses
+from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import PATH_STEPS, AssemblyError, InverseKinematics, listed
 from oed.mechanism.pose_slopes import PoseSlopes
 from oed.model import Machine
@@ -198,8 +198,6 @@ class Kinematics:
 
     #: what the controller holds; None: nominal parameters
     controller: Controller | None = None
-    #: error (m, rad) that poses of `nearby` may have
-    nearby_error = NEAR_ERROR
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -355,10 +353,6 @@ class Kinematics:
     ) -> tuple[Array, Mask]:
         """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
         return self.equations.solve((start, q, p), newton.STEP_TOLERANCE)
-
-    def nearby(self, q: Array, p: Array, x: Array) -> NearbyPoses:
-        """Poses at joints q (n, nq) near those x (n, nx) at parameters p (np,)."""
-        return NearbyPoses(self.equations, q, p, x)
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
         """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.

@@ -27,7 +27,6 @@ from oed.estimation import Estimate
 from oed.instrument import take_values
 from oed.linear_algebra import covariance_root
 from oed.measurement import Measurement, Series
-from oed.mechanism import Kinematics
 from oed.noise_law import NoisePosterior, ResidualModel
 
 # Readings of a long session near known parameters, interpolated from a few of them.
@@ -41,7 +40,7 @@ from oed.noise_law import NoisePosterior, ResidualModel
 # D = D_k T + E,
 #
 # by a QR decomposition with pivots. The machine is then solved exactly at k readings alone.
-# E is as small as what the solver leaves; points of their own check it.
+# E is small beside the noise; points of their own check it.
 
 #: readings from which on interpolation is faster
 LEAST_READINGS = 1000
@@ -49,8 +48,8 @@ LEAST_READINGS = 1000
 POINTS, CHECKS = 200, 20
 #: readings of points that are solved at once
 AT_ONCE = 300_000
-#: error over the noise of a reading that is left out, or that over what the solver leaves
-LEFT_OUT, OVER_SOLVER = 1e-6, 3.0
+#: error over the noise of a reading that is left out
+LEFT_OUT = 1e-6
 #: error that the checks may show, over that
 LARGEST_ERROR = 10.0
 
@@ -105,15 +104,14 @@ def interpolate(
     changes = (values[assembled] - middle) / sigma
     snapshots, checks = changes[1:-CHECKS], changes[-CHECKS:]
     triangle, order = linalg.qr(snapshots, mode="r", pivoting=True, check_finite=False)
-    left_out = max(LEFT_OUT, OVER_SOLVER * Kinematics.nearby_error / float(sigma.min()))
-    count = int((np.abs(np.diag(triangle)) > left_out).sum())
+    count = int((np.abs(np.diag(triangle)) > LEFT_OUT).sum())
     if not 0 < count < len(snapshots):
         return exact
     rows = np.sort(order[:count])
     inverse = linalg.solve_triangular(triangle[:count, :count], triangle[:count])
     matrix = np.empty((count, len(sigma)))
     matrix[:, order] = inverse[np.argsort(order[:count])]
-    if np.abs(checks[:, rows] @ matrix - checks).max() > LARGEST_ERROR * left_out:
+    if np.abs(checks[:, rows] @ matrix - checks).max() > LARGEST_ERROR * LEFT_OUT:
         return exact
     matrix *= sigma / sigma[rows, None]
     return InterpolatedReadings(some(rows), middle, rows, matrix)
@@ -199,7 +197,7 @@ class LogDensity:
         robust = estimate.robust_readings
         self._y = y if robust is None else robust
         self._series, self._theta = series, estimate.theta
-        self._exact = measurement.readings_near(series, estimate.theta)
+        self._exact = functools.partial(measurement.try_readings, series)
         self._noise = estimate.noise
         self._slope = estimate.noise.whiten(jacobian) @ self.coordinates.basis
         mode = self.law.mode if self.law else np.zeros(0)
@@ -241,8 +239,7 @@ class LogDensity:
         taken, columns = take_values(self._series, channels, rows)
         measurement = self.measurement.taken_measurement(taken)
         parts = [some.part for some in taken]
-        readings = measurement.readings_near(parts, self._theta)
-        return lambda theta: readings(theta)[:, columns]
+        return lambda theta: measurement.try_readings(parts, theta)[:, columns]
 
     def __call__(self, points: Array) -> Array:
         """Log density (walkers,) at points (walkers, dimensions).

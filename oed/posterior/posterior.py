@@ -49,7 +49,7 @@ def predictive_checks(
     structure = reading_structure(measurement, series, estimate.theta)
     theta = posterior.pooled
     chosen = rng.choice(len(theta), min(CHECKED_DRAWS, len(theta)), replace=False)
-    predicted = measurement.readings_near(series, estimate.theta)(theta[chosen])
+    predicted = measurement.try_readings(series, theta[chosen])
     residuals = structure.standardise((y - predicted).T).T
     laws = Laws.stated(structure, len(chosen), estimate.scatter)
     estimated = estimate.noise_posterior is not None
