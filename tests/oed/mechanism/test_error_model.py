@@ -114,13 +114,13 @@ def test_forward_undoes_inverse_and_slopes_are_differences() -> None:
     x, q = inverse.solve(COMMAND, NOMINAL, np.zeros(3))
     np.testing.assert_allclose(q, a3.inverse_nominal(*COMMAND.T, 0.0), atol=1e-12)
     forward = ForwardKinematics(a3_head.machine, expressions)
-    assert np.abs(forward.misfit(x, q, NOMINAL)[0]).max() < 1e-12
+    assert np.abs(forward.equations(x, q, NOMINAL)[0]).max() < 1e-12
     by_pose, by_parameter = forward.by_pose_and_parameter(x, q, NOMINAL)
     over_pose, over_parameter, over_joint = forward.slopes(x, q, NOMINAL)
     np.testing.assert_allclose(over_pose, by_pose, atol=1e-14)
     np.testing.assert_allclose(over_parameter, by_parameter, atol=1e-14)
     step = np.array([1e-6, 0.0, 0.0])
-    ahead, back = (forward.misfit(x, q + s * step, NOMINAL)[0] for s in (1.0, -1.0))
+    ahead, back = (forward.equations(x, q + s * step, NOMINAL)[0] for s in (1.0, -1.0))
     slope = ((ahead - back) / 2e-6).reshape(over_joint[..., 0].shape)
     np.testing.assert_allclose(over_joint[..., 0], slope, atol=1e-8)
 
