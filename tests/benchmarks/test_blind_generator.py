@@ -4,7 +4,6 @@ sizes and noise are as told.
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import hashlib
 from collections import Counter
@@ -35,18 +34,6 @@ ROOT = Path(__file__).resolve().parents[2]
 BLIND = ROOT / "benchmarks" / "blind"
 
 
-TOOLKIT = {
-    "oed",
-    "pkm_models",
-    "pkm_studies",
-    "pkm_reports",
-    "pkm_campaign",
-    "pkm_page",
-    "pkm_certificate",
-    "pkm_printers",
-}
-
-
 STUDIES = [
     (m, p) for m in ("a3", "planar", "delta", "hexapod") for p in ("full", "poor")
 ]
@@ -73,23 +60,6 @@ def stage_of(machine: str, plan: str, seed: int = 3) -> SimpleNamespace:
 def measurement_of(name: str):
     resolved = resolve.resolve(study.load(BLIND / name), readings=[])
     return resolved.measurement_with(resolved.setups)
-
-
-def test_generator_imports_nothing_of_the_toolkit():
-    paths = sorted((BLIND / "generator").rglob("*.py"))
-    assert len(paths) >= 7
-    for path in paths:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom):
-                assert not node.level, path
-                names = [node.module or ""]
-            for name in names:
-                assert name.split(".")[0] not in TOOLKIT, f"{path}: {name}"
-                if name.startswith("benchmarks"):
-                    assert name.startswith("benchmarks.blind.generator"), (
-                        f"{path}: {name}"
-                    )
 
 
 @pytest.mark.parametrize(("machine", "plan"), STUDIES)

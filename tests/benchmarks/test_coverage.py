@@ -10,9 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed import posterior
 from oed.accuracy import driven_errors, error_maps, predict
-from oed.estimation import identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
 from pkm_studies.commands import main
@@ -73,43 +71,6 @@ def test_laws_of_the_noise_are_as_stated() -> None:
     common = noise.draw("white", noise.Layout(chain, sigma, shared), rng)
     level = common.reshape(-1, 15).mean(axis=1).var()
     assert level == pytest.approx(9.0 + 4.0 / 15.0, rel=0.1)
-
-
-def test_draws_follow_the_lost_directions() -> None:
-    """Their readings are those of their coordinates; mean and spread are the fit's."""
-    bench = module("machines").configuration("a3_30")
-    m = bench.measurement
-    rng = np.random.default_rng(5)
-    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
-    y = bench.read(truth) + 0.5e-6 * rng.standard_normal(30)
-    estimate = identify(m, bench.series, y, estimate_noise=True)
-    z = posterior.draw_coordinates(estimate, rng, 40_000)
-    of_law = estimate.noise_posterior
-    assert of_law is not None
-    sd = np.sqrt(np.diag(of_law.covariance))
-    assert np.abs((z.mean(axis=0) - of_law.mean) / sd).max() < 0.1
-    assert z.std(axis=0) == pytest.approx(sd, rel=0.15)
-    theta = posterior.draw_lost_directions(m, bench.series, y, estimate, z[:50], rng)
-    straight = m.readings(bench.series, estimate.coordinates.to_theta(z[:50]))
-    moved = np.abs(theta - estimate.coordinates.to_theta(z[:50])).max(axis=0)
-    assert moved.max() > 1e-3
-    assert np.abs(m.readings(bench.series, theta) - straight).max() < 1e-8
-
-
-@pytest.mark.slow
-def test_intervals_hold_where_runs_are_off() -> None:
-    """Of the delta with offsets of 2 sigma, which intervals of the stated noise miss."""
-    one_machine = module("intervals").one_machine
-    bench = module("machines").configuration("delta")
-    estimated = [one_machine(bench, "offsets", k, 1) for k in range(8)]
-    stated = [
-        one_machine(bench, "offsets", k, 1, estimate_noise=False) for k in range(8)
-    ]
-    assert np.mean([o.combinations for o in estimated]) > 0.85
-    assert np.mean([o.bands for o in estimated]) > 0.85
-    assert 0.4 < np.mean([o.nees for o in estimated]) < 2.0
-    assert np.mean([o.combinations for o in stated]) < 0.85
-    assert np.mean([o.nees for o in stated]) > 3.0
 
 
 def test_a_stated_seat_is_of_the_same_machines_and_no_part_of_the_law() -> None:
@@ -232,27 +193,6 @@ def test_ranks_of_uniform_values_pass_and_of_narrow_ones_fail() -> None:
     narrow[:, 2] = 30 + narrow[:, 2] * 2 // 5
     assert calibration("abcdef", narrow, 1).joint < 1e-4
     assert calibration("abcdef", uniform, 1).counts.sum() == 1200
-
-
-@pytest.mark.slow
-def test_the_campaign_of_ranks_prints_its_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    few = {"seeds": "3", "configuration": '["planar", "delta"]'}
-    folder = run_campaign("ranks", tmp_path, few)
-    capsys.readouterr()
-    options = ["ranks", "--campaign", str(folder)]
-    assert importlib.import_module("benchmarks.harness.__main__").main(options) == 0
-    printed = capsys.readouterr().out
-    # Six combinations, and seven coordinates of the law: three scales, share, reach, level
-    # and course.
-    assert "| planar | 3 | 13 |" in printed
-    bench = module("machines").configuration("delta")
-    expected = module("ranks").one_machine(bench, 2, 1, "laplace")
-    row = pd.read_parquet(folder / "cases.parquet").iloc[5]
-    assert {name: int(row[name]) for name in expected} == expected
-    summary = pd.read_csv(folder / "summary.csv")
-    assert summary["quantities"].to_list() == [13, len(expected)]
 
 
 def test_ranks_are_of_the_laws_that_a_fit_of_few_readings_has() -> None:

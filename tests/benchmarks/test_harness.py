@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import math
 from pathlib import Path
@@ -23,7 +22,6 @@ from oed.gap.forms import library as library_of
 from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]
-HARNESS = ROOT / "benchmarks" / "harness"
 
 # -- intervals -------------------------------------------------------------------------
 
@@ -193,17 +191,6 @@ def test_the_campaign_keeps_labels_and_its_table_is_written(
     with pytest.raises(ValueError, match="has no lines"):
         pages.write_block(page, "another table", "")
     assert json.loads(next((out / "cases").glob("*.json")).read_text())["label"]
-
-
-def test_who_diagnoses_knows_no_world() -> None:
-    """The modules between readings and record import no world, and no label."""
-    for name in ("diagnosis", "stepwise"):
-        tree = ast.parse((HARNESS / f"{name}.py").read_text(encoding="utf-8"))
-        modules = [
-            n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)
-        ]
-        used = {m for m in modules if m.startswith("benchmarks")}
-        assert used <= {"benchmarks.harness.diagnosis"}
 
 
 # -- baseline --------------------------------------------------------------------------

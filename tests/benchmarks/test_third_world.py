@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks.harness import cases, diagnosis, judge
+from benchmarks.harness import diagnosis
 from benchmarks.third import faults, physics, world
 from benchmarks.third.machines import MACHINES, change, session
-from oed.effect_model import Effect
-from oed.gap import GapProblem
 
 COULOMB, BRISTLE = 30.0, 1e6  # N, N/m
 
@@ -104,34 +102,3 @@ def test_size_of_a_fault_is_as_drawn() -> None:
     assert label["sqrt_lambda_total"] == pytest.approx(20.0, rel=1e-3)
     assert label == again
     assert np.array_equal(values, same)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "tried",
-    [{"gravity", "backlash", "friction"}, None],
-    ids=["few", "all"],
-)
-def test_a_case_is_diagnosed_and_tabulated(
-    tried: set[str] | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With few effects of the catalogue, and with all."""
-    prepare = diagnosis.prepare
-
-    def prepared(study: Path, readings: Path) -> tuple[GapProblem, list[Effect]]:
-        problem, effects = prepare(study, readings)
-        return problem, [e for e in effects if tried is None or e.name in tried]
-
-    monkeypatch.setattr(diagnosis, "prepare", prepared)
-    setting = {"world": "third", "observer": cases.ESTIMATED}
-    row = {**setting, **cases.diagnosis(setting, 4), "cpu_s": 1.0}
-    assert row.get("failure") is None
-    assert row["verdict"] in {
-        "none", "scatter", "effect", "class", "mixture", "unknown",
-    }  # fmt: skip
-    assert row["label"]["effects"][0]["effect"] == "gravity"
-    text = judge.table([row])
-    assert text.startswith("1 cases, 0 of which the diagnosis could not read")
-    detected = int(row["verdict"] != "none")
-    line = "| detection at $\\sqrt\\lambda$ 10 and more, single | "
-    assert f"{line}{detected}.00 " in text

@@ -305,25 +305,6 @@ class PaperHead:
 
 
 @pytest.mark.slow
-def test_home_errors_of_the_paper_converge(tmp_path: Path) -> None:
-    """To 7.812, 9.237 and 6.690 mm, as at the paper's machine, in three rounds."""
-    head = PaperHead(a3.errors(dq=ROUGH_HOME), tmp_path)
-    before, spread = [], []
-    for _ in range(3):
-        result, length = head.round(ROUGH)
-        table = result["estimate"]["parameters"]
-        sd = 1e-3 * np.array([table[f"dq{i}"]["sd"] for i in (1, 2, 3)])
-        assert (np.abs(head.home(result) - ROUGH_HOME) < 4.0 * sd).all()
-        before.append(reported(result, "before"))
-        spread.append(float(np.std(length)))
-    # after one round the bar sees the offset of its cup alone, 14 um
-    assert spread[0] > 400e-6
-    assert max(spread[1:]) < 15e-6
-    assert (before[1] < 0.01 * before[0]).all()
-    assert (before[2] < before[1]).all()
-
-
-@pytest.mark.slow
 def test_the_two_steps_of_the_paper(tmp_path: Path) -> None:
     """Home errors in three rounds, then all errors of its Table 3 in a fourth."""
     fine = {k: v for k, v in a3.TABLE3.items() if k != "ds"}

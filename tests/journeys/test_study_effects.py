@@ -88,28 +88,6 @@ def test_a_name_that_is_no_effect_is_refused() -> None:
     assert "effects" in sample.refused(text).field
 
 
-def test_an_unknown_effect_is_refused_by_its_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study, readings = bad_fit_sample.write(tmp_path, bar_readings.a3_readings(0))
-    text = study.read_text().replace('effects = "none"', 'effects = ["backlsh"]')
-    study.write_text(text)
-    code = main(
-        [
-            "identify",
-            str(study),
-            "--readings",
-            str(readings),
-            "--out",
-            str(tmp_path / "o"),
-        ]
-    )
-    assert code == 2
-    error = capsys.readouterr().err
-    assert "identify.effects[1]" in error
-    assert "backlsh" in error
-
-
 #: workspace over which a leg's wrong scale is taken up
 WORKSPACE = """x_mm = [-80, 80]
 y_mm = [-80, 80]

@@ -81,21 +81,6 @@ def look(setup: Setup, plan: Array) -> Assessment:
     return assess(m, [m.series(setup.name, plan)])
 
 
-def test_positions_in_a_known_frame_lose_the_platforms_three_rotations(
-    rng: np.random.Generator,
-) -> None:
-    known = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}
-    seen = look(
-        mount(pose_tracker.position, "point", tolerances=known), commands(rng, 60)
-    )
-    assert seen.identifiability.rank == 39
-    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
-    assert motions == [
-        f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
-    ]
-    assert len(rest) == 0
-
-
 def test_a_free_frame_hides_what_leaves_the_guides_along_x(
     rng: np.random.Generator,
 ) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from blunder_table import BLUNDERS, CHANGES, ROWS, page_rows
 from blunder_tables import LAWS
-from blunders import SIGMA, Blunder
+from blunders import Blunder
 
 from oed.checks import Severity
 
@@ -83,17 +83,6 @@ def test_no_false_alarm(machine: str, law: str, seeds: range) -> None:
 def test_the_page_lists_every_blunder() -> None:
     assert sorted(name for name, *_ in page_rows()) == sorted(CHANGES)
     assert CHANGES.keys() >= ROWS.keys()
-
-
-def test_an_outlier_leaves_the_other_readings() -> None:
-    """The pull of a reading is its error over what the others predict it to."""
-    rows = machines.readings("a3", 3)
-    rows.loc[17, "length_mm"] += 50 * SIGMA
-    checked = machines.check("a3", rows)
-    assert checked.set_aside == (17,)
-    assert checked.outliers is not None
-    assert checked.outliers.gross[0].error == pytest.approx(25e-6, abs=3e-6)
-    assert not np.isin(17, checked.outliers.solution.session.values["row"] - 2)
 
 
 def test_misfits_that_are_no_noise_are_not_blamed_on_it() -> None:

@@ -81,18 +81,6 @@ def test_two_gross_errors_are_not_said_to_be_exchanged() -> None:
     assert exchanged(y) is None
 
 
-@pytest.mark.slow
-def test_readings_in_inches_are_a_mistake() -> None:
-    session = of_one_bar()
-    result = checked(session.with_y(session.y / 25.4))
-    assert result.mistaken
-    assert result.bad_fit
-    assert result.outliers is None
-    assert result.findings[0].severity == Severity.MISTAKE
-    assert result.explanations[0].kind == "unit"
-    assert result.explanations[0].probability > 0.9
-
-
 def test_a_mirrored_head_passes_unnoticed() -> None:
     """Reversed psi, and legs 2 and 3 exchanged, make an A3 head its mirror image.
 

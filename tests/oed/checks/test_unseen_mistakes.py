@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import blunder_machines as machines
 import numpy as np
 import pytest
@@ -14,30 +12,10 @@ from oracles import delta_trilateration as trilateration
 
 from oed.checks import judgement
 from oed.estimation import identify
-from pkm_studies.commands import main
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 #: limbs and towers that a reflection of x exchanges
 LIMBS, TOWERS = [0, 2, 1], [1, 0, 2]
-STUDY = """\
-schema = 1
-name = "clean"
-
-[machine]
-model = "linear_delta"
-
-[[setup]]
-name = "probe"
-instrument = "height_probe"
-
-[[setup]]
-name = "calliper"
-instrument = "calliper"
-
-[noise]
-probe = { height_um = 10.0 }
-calliper = { length_um = 20.0 }
-"""
 
 
 def mirrored(p: Array) -> Array:
@@ -95,18 +73,6 @@ def test_check_and_fit_judge_by_one_noise_law() -> None:
     assert scales == pytest.approx(fitted.scale[0].tolist(), rel=0.1)
     assert law.law.level[0] == pytest.approx(fitted.level[0], rel=0.2)
     assert fitted.level[0] > 0.9
-
-
-@pytest.mark.parametrize(
-    "seed",
-    [pytest.param(seed, marks=pytest.mark.slow) for seed in range(3)],
-)
-def test_clean_files_with_run_offsets_pass(tmp_path: Path, seed: int) -> None:
-    study = tmp_path / "clean.study.toml"
-    study.write_text(STUDY, encoding="utf-8")
-    path = tmp_path / "clean.readings.csv"
-    machines.readings("delta", seed, "run offsets").to_csv(path, index=False)
-    assert main(["check", str(study), str(path)]) == 0
 
 
 @pytest.mark.slow

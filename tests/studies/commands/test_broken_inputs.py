@@ -183,16 +183,6 @@ def test_ten_megabytes_of_noise(
     assert str(path) in refusal(capsys, "check", path)
 
 
-@pytest.mark.parametrize("size", [1_000, 100_000])
-@pytest.mark.parametrize("kind", ["binary", "lines"])
-def test_noise_that_is_not_too_large(
-    kind: str, size: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    path = tmp_path / "x.study.toml"
-    path.write_bytes(noise(kind)[:size])
-    assert str(path) in refusal(capsys, "run", path)
-
-
 @pytest.mark.parametrize("content", [b"", b"\n \n", b"\xef\xbb\xbf"])
 @pytest.mark.parametrize("name", ["x.study.toml", "x.readings.csv"])
 def test_empty(

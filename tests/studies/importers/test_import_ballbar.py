@@ -265,18 +265,3 @@ def test_bad_traces_name_line_and_remedy(text: str, words: str, tmp_path: Path) 
             column_map=tmp_path / "my.toml",
         )
     assert words in str(raised.value)
-
-
-def test_columns_that_are_not_used_are_named(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
-    path = write_trace(tmp_path / "a.csv", [trace(rng, 1, 0.0)])
-    lines = path.read_text(encoding="utf-8").splitlines()
-    ends = [";Room (C)", *[";20,5"] * (len(lines) - 4)]
-    wider = [*lines[:3], *[a + b for a, b in zip(lines[3:], ends, strict=True)]]
-    path.write_text("\n".join(wider) + "\n", encoding="utf-8")
-    (tmp_path / "m.toml").write_text(MAP)
-    _, imported = import_files(
-        "ballbar", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
-    )
-    assert "Not used: Room (C)." in imported.statements

@@ -88,29 +88,6 @@ def test_cable_lengths_alone_come_in(tmp_path: Path, rng: np.random.Generator) -
         )
 
 
-def test_tensions_come_in_for_cables_that_the_machine_has(tmp_path: Path) -> None:
-    lines = ["q1_mm,q2_mm,q3_mm,q4_mm,F", *["1280,1290,1285,1281,40"] * 3]
-    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    head = 'machine = "cables_planar"\ninstrument = "redundancy"\n[columns]\n'
-    for k in (4, 5):
-        path = tmp_path / f"map{k}.toml"
-        path.write_text(f'{head}tension_{k}_N = "F"\n')
-    _, imported = import_files(
-        "columns",
-        [tmp_path / "a.csv"],
-        tmp_path / "4",
-        column_map=tmp_path / "map4.toml",
-    )
-    assert [row["tension_4_N"] for row in imported.rows] == ["40.0"] * 3
-    with pytest.raises(InputError, match="no column of readings"):
-        import_files(
-            "columns",
-            [tmp_path / "a.csv"],
-            tmp_path / "5",
-            column_map=tmp_path / "map5.toml",
-        )
-
-
 def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
     """A camera that looks from above reads x and y; z is missing, not 0."""
     (tmp_path / "c.csv").write_text(

@@ -206,27 +206,6 @@ def test_angles_of_the_inverse_rotation_are_refused(
         import_files("tracker", files, tmp_path / "out", column_map=given)
 
 
-def test_angles_of_a_tracker_turn_with_its_frame(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
-    """The instrument's own angles as well, in the units that the map states."""
-    command = poses(rng)
-    rotation, point = stand(command)
-    turned = Rotation.from_euler("z", 40.0, degrees=True)
-    seen = 1e3 * (turned * rotation).as_euler("XYZ")
-    write(tmp_path / "p.csv", command, turned.apply(point), seen)
-    own = 'read_alpha_mrad = "w"\nread_beta_mrad = "i"\nread_gamma_mrad = "j"\n'
-    text = MAP.replace('"known"', '"best_fit"').replace("\n[orientation]\n", own)
-    (tmp_path / "m.toml").write_text(text)
-    study, _ = import_files(
-        "tracker",
-        [tmp_path / "p.csv"],
-        tmp_path / "out",
-        column_map=tmp_path / "m.toml",
-    )
-    assert imported_angles(study) == pytest.approx(rotation.as_euler("XYZ"), abs=1e-8)
-
-
 LASER = """\
 machine = "prs_spindle"
 instrument = "laser_ball_bar"

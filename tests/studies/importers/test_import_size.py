@@ -10,8 +10,6 @@ import pytest
 
 from pkm_studies.base import InputError
 from pkm_studies.drafts.bodies import mjcf_file, urdf_file
-from pkm_studies.importers import ImportRequest
-from pkm_studies.importers.column_map import load
 
 Run = Callable[..., tuple[int, str, str]]
 LOOPS = "loop,link_a,a_x_m,a_y_m,a_z_m,link_b,b_x_m,b_y_m,b_z_m\n1,l1,0,0,0,l2,0,0,0\n"
@@ -76,15 +74,3 @@ def test_time_grows_with_the_number_of_links(
         with pytest.raises(InputError, match=words):
             urdf_file.read(*files)
     assert time.perf_counter() - start < SOON
-
-
-@pytest.mark.parametrize(
-    "text", ["a = " + "[" * 5000 + "]" * 5000, ".".join("a" * 5000) + " = 1"]
-)
-def test_a_column_map_that_is_nested_too_deeply_is_refused(
-    text: str, tmp_path: Path
-) -> None:
-    (tmp_path / "map.toml").write_text(text)
-    request = ImportRequest(files=(), name="x", map=tmp_path / "map.toml")
-    with pytest.raises(InputError, match="nested too deeply"):
-        load(request)

@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 import sample
 
-from oed.result import CoefficientRecord, StudyResult
+from oed.result import StudyResult
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 from pkm_studies.stages import outcome
-from pkm_studies.stages.gap.sentences import implausible_sentences
 
 
 def run(*arguments: str | Path) -> int:
@@ -77,32 +76,6 @@ def test_coefficients_have_a_readers_unit(result: StudyResult) -> None:
     assert abs(struts.value - 60.0) < 4.0 * struts.sd
 
 
-def test_a_coefficient_far_beyond_its_expected_size_is_implausible(
-    result: StudyResult,
-) -> None:
-    """60 um where 10 were expected; of the usual 20 um, it is three times as much."""
-    assert result.corrected is not None
-    assert not any("implausible" in warning for warning in result.warnings)
-    struts = result.corrected.effects["gravity: struts"]
-
-    def sentences(expected: float) -> list[str]:
-        coefficient = CoefficientRecord(
-            effect="gravity",
-            name="struts",
-            label="",
-            value=1e-6 * struts.value,
-            sd=1e-6 * struts.sd,
-            unit="m",
-            prior_sd=expected,
-        )
-        return implausible_sentences([coefficient], {})
-
-    assert sentences(20e-6) == []
-    (sentence,) = sentences(10e-6)
-    assert sentence.startswith(f"Gravity: struts is {struts.value:.3g} um")
-    assert "times the 10 um expected" in sentence
-
-
 def test_the_prediction_states_its_conditions(result: StudyResult) -> None:
     corrected = result.corrected
     assert corrected is not None
@@ -110,14 +83,6 @@ def test_the_prediction_states_its_conditions(result: StudyResult) -> None:
     assert any("payload" in sentence for sentence in corrected.conditions)
     z = corrected.prediction.components["z"]
     assert z.after.rms < 0.2 * corrected.parameters_only["z"].rms
-
-
-def test_compensation_takes_the_corrected_values(
-    folder: Path, result: StudyResult
-) -> None:
-    assert run("compensate", folder / "out", "--to", "json") == 0
-    written = (folder / "out" / "compensation.json").read_text()
-    assert "section corrected" in written
 
 
 def test_exports_hold_tables_of_the_effects_or_say_so(
@@ -238,21 +203,6 @@ def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
     assert f"residuals are {ratio:.2g} times" in first
     assert 0.5 < ratio < 1.5
     assert "<p>The fit is bad" not in (folder / "page.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_without_effects_the_alarm_stays(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study, readings = tmp_path / "loads.study.toml", folder / "loads.readings.csv"
-    text = (folder / "loads.study.toml").read_text()
-    study.write_text(text.split("[gap]")[0] + '[identify]\neffects = "none"\n')
-    out = tmp_path / "out"
-    assert run("identify", study, "--readings", readings, "--out", out) == 1
-    printed = capsys.readouterr()
-    lines = printed.out.splitlines()
-    assert lines[lines.index("report") + 1].startswith(("The fit is", "The readings"))
-    assert "the fit is bad" in printed.err
 
 
 @pytest.mark.slow

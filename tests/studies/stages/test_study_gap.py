@@ -20,10 +20,9 @@ from oed import result
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import gap_request
-from pkm_studies.study import load, parse, schemas
+from pkm_studies.study import load
 
 Run = Callable[..., tuple[int, str, str]]
-FOLDER = Path(__file__).resolve().parent
 
 
 #: the small study with half of its readings, where their number does not matter
@@ -163,24 +162,6 @@ def test_a_mistake_is_refused_with_field_and_remedy(case: str) -> None:
     assert remedy in str(error.value)
 
 
-def test_a_study_file_is_read_back() -> None:
-    gap = parse(gap_fixture.STUDY, FOLDER / "x.study.toml").gap
-    assert gap.conditions.payload == 50.0
-    assert gap.conditions.feed_mm_min == [500.0, 1000.0]
-    assert gap.acting[0].coefficients == {"leg 2": 2.0, "leg 3": -0.5}
-
-
-def test_the_schema_has_the_tables() -> None:
-    tables = schemas.study()["$defs"]
-    assert {"effects", "without", "gravity", "conditions", "acting"} <= set(
-        tables["GapTable"]["properties"]
-    )
-    assert {"feed_mm_min", "payload_N"} <= set(tables["ConditionsTable"]["properties"])
-    required = schemas.result()["$defs"]["GapSection"]["required"]
-    assert {"verdict", "answers", "set95", "where", "closure"} <= set(required)
-    assert {"not_testable", "confusable"} <= set(required)
-
-
 # -- the section --------------------------------------------------------------------
 
 
@@ -239,20 +220,6 @@ def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
         np.testing.assert_allclose(a["after"], b["after"], atol=2e-4)
     assert oed("run", study, "--out", "whole", "--quiet") == (0, "", "")
     assert json.loads((tmp_path / "whole/result.json").read_text())["gap"] == simulated
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes(
-    oed: Run, virtual: Diagnosed, tmp_path: Path
-) -> None:
-    again = tmp_path / "again"
-    oed("diagnose", virtual.study, "--out", again, "--quiet", "--seed", "8")
-    results = [
-        json.loads((folder / "result.json").read_text()) | {"seconds": 0}
-        for folder in (virtual.folder, again)
-    ]
-    assert results[0] == results[1]
-    assert results[0]["seed"] == 8
 
 
 def test_claims_can_point_into_the_diagnosis(virtual: Diagnosed) -> None:
