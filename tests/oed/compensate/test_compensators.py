@@ -5,8 +5,6 @@ import pytest
 from oracles import a3_geometry as a3
 from shipped_models import a3_head, hexapod, planar_2dof
 
-from oed import compensate
-from oed.compensate import InterpolationTable
 from oed.mechanism import Kinematics, component_errors, error_model
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
@@ -47,19 +45,6 @@ def cut_off(p: np.ndarray, command: np.ndarray) -> np.ndarray:
     """Errors (n, 3) in z, psi, theta that a machine with p has at these joints."""
     joints = linear_joints(p, command)
     return component_errors(A3, command, joints, p)[:, 2:5]
-
-
-def test_joints_through_the_closure_leave_nothing_that_joints_drive() -> None:
-    joints = compensate.compensated_joints(A3, CIRCLE, TABLE3)
-    error = reached(joints, TABLE3, CIRCLE)
-    assert np.abs(error[:, 0]).max() <= 1e-9
-    assert np.abs(error[:, 1:]).max() * a3.D <= 1e-9
-    remaining = component_errors(A3, CIRCLE, joints, TABLE3)
-    assert np.abs(remaining[:, :2]).max() > 1e-4
-    (sentence,) = compensate.undriven_components(a3_head.machine, remaining)
-    assert "no joint drives" in sentence
-    assert "phi" in sentence
-    assert compensate.undriven_components(hexapod.machine, np.ones((1, 6))) == ()
 
 
 def test_corrected_commands_do_it_with_an_unchanged_controller(
@@ -145,20 +130,3 @@ def test_table_3_in_the_frames_that_a_tracker_can_have() -> None:
 
 
 # -- tables ----------------------------------------------------------------------------
-
-
-def test_a_table_is_multilinear_and_keeps_its_border(rng: np.random.Generator) -> None:
-    knots = (np.array([0.0, 0.3, 1.0]), np.array([-1.0, 0.0, 2.0]))
-    a, b, c, d = rng.standard_normal(4)
-
-    def bilinear(p: np.ndarray) -> np.ndarray:
-        return a + b * p[:, 0] + c * p[:, 1] + d * p[:, 0] * p[:, 1]
-
-    nodes = np.array([[x, y] for x in knots[0] for y in knots[1]])
-    table = InterpolationTable(("u", "v"), knots, bilinear(nodes).reshape(3, 3, 1))
-    places = np.column_stack([rng.uniform(0, 1, 50), rng.uniform(-1, 2, 50)])
-    assert table.at(places)[:, 0] == pytest.approx(bilinear(places), abs=1e-12)
-    beyond, border = np.array([[5.0, -3.0]]), np.array([[1.0, -1.0]])
-    assert table.at(beyond) == pytest.approx(table.at(border))
-    with pytest.raises(ValueError, match="ascend"):
-        InterpolationTable(("u",), (np.array([1.0, 0.0]),), np.zeros((2, 1)))

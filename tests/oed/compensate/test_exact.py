@@ -8,7 +8,6 @@ from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
 from oed.compensate.exact import (
-    compensated_joints,
     joint_corrections,
     undriven_components,
 )
@@ -25,26 +24,9 @@ def truth(rng: np.random.Generator) -> np.ndarray:
     return machine.nominal + sd * rng.standard_normal(len(sd))
 
 
-def test_joints_hold_the_command_on_the_real_machine(truth: np.ndarray) -> None:
-    upright = np.r_[truth[:5], 0.0, 0.0]
-    joints = compensated_joints(PLANAR, COMMAND, upright)
-    assert joints == pytest.approx(planar_geometry.inverse(COMMAND, upright), abs=1e-10)
-    joints = compensated_joints(PLANAR, COMMAND, truth)
-    assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
-
-
 def test_corrections_join_those_of_a_nominal_controller(truth: np.ndarray) -> None:
     nominal = planar_geometry.inverse(COMMAND)
     joints = nominal + joint_corrections(PLANAR, COMMAND, truth)
-    assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
-
-
-def test_a_nominal_controller_holds_the_command_by_the_corrected_one(
-    truth: np.ndarray,
-) -> None:
-    sent = PLANAR.corrected_commands(COMMAND, truth)
-    assert np.abs(sent - COMMAND).max() > 1e-5
-    joints = planar_geometry.inverse(sent)
     assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
 
 

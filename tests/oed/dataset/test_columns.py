@@ -172,16 +172,6 @@ def test_references_of_runs_are_rows_without_readings(
     assert consecutive_slices([2, 0, 3]) == (slice(0, 2), slice(2, 2), slice(2, 5))
 
 
-def test_rows_become_readings_with_their_poses() -> None:
-    m = Measurement(planar_2dof.machine, [mount(pose_tracker.position, "tracker")])
-    names = ["setup", "run", "order", "y_mm", "z_mm", *(f"read_{n}_mm" for n in "xyz")]
-    cells = ["tracker", "a", "1", "100", "200", "1", "2", "3"]
-    rows = table.from_rows([(1, names), (2, cells)], "x.csv")
-    readings = csv_input.from_tables([rows], m)
-    np.testing.assert_allclose(readings.y, [1e-3, 2e-3, 3e-3])
-    np.testing.assert_allclose(readings.series[0].command, [[0.1, 0.2]])
-
-
 def test_a_table_has_two_hundred_columns_at_most() -> None:
     """Columns without a name count as well."""
     for spare, accepted in ((194, True), (195, False)):

@@ -84,11 +84,6 @@ def test_rows_are_taken_in_time(head: Measurement, tmp_path: Path) -> None:
     assert list(found.covariates["run"]) == ["high", "low", "low"]
 
 
-def test_excel_files_are_read(head: Measurement, tmp_path: Path) -> None:
-    text = "\ufeff" + sample.READINGS.replace("\n", "\r\n") + ",,,,,,,,,\r\n"
-    assert len(loaded(text, head, tmp_path)) == 3
-
-
 def test_files_are_taken_together_and_must_not_meet(
     head: Measurement, tmp_path: Path
 ) -> None:
@@ -223,13 +218,4 @@ def test_a_column_says_its_unit(stem: str, unit: str) -> None:
         stem,
         units.si_unit(unit),
         units.factor(unit),
-    )
-
-
-def test_feed_is_a_length_in_a_minute() -> None:
-    column = columns.ReadingsColumn.parse("feed_mm_min")
-    assert (column.stem, column.unit, column.factor) == (
-        "feed",
-        "m/s",
-        pytest.approx(1e-3 / 60.0),
     )

@@ -48,19 +48,3 @@ def test_without_tilts_it_is_a_height_probe_of_another_zero() -> None:
     )
     assert y == pytest.approx(z - 1.166, abs=1e-12)
     assert m.sigma([m.series("gauge", POSES)]) == pytest.approx(1e-6)
-
-
-def test_its_slopes_are_those_of_its_readings() -> None:
-    m = gauge()
-    series, step = m.series("gauge", POSES), 1e-6
-    moves = np.vstack(
-        [
-            m.nominal + s * step * np.eye(len(m.nominal))[k]
-            for k in range(len(m.nominal))
-            for s in (1, -1)
-        ]
-    )
-    y = m.readings([series], moves)
-    assert m.jacobian([series], m.nominal) == pytest.approx(
-        ((y[::2] - y[1::2]) / (2.0 * step)).T, abs=1e-5
-    )

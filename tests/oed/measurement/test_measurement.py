@@ -248,12 +248,6 @@ def test_scales_of_the_columns() -> None:
         identifiability.column_scale(m, "mm")
 
 
-def test_whitening(rng: np.random.Generator) -> None:
-    rows, sd = rng.standard_normal((6, 3)), rng.uniform(1, 2, 6)
-    assert identifiability.whiten(rows, sd) == pytest.approx(rows / sd[:, None])
-    assert identifiability.whiten(rows[:, 0], sd) == pytest.approx(rows[:, 0] / sd)
-
-
 def test_posterior_covariance_in_units_of_the_tolerances(
     rng: np.random.Generator,
 ) -> None:

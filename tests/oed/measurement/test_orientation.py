@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, hexapod, linear_delta, orientation, planar_2dof
 
 from oed.instrument import mount
@@ -25,19 +24,6 @@ def test_a_turn_about_one_axis_is_read_with_its_sign(kind: object, axis: int) ->
     """By hand: 2 mrad about x lifts v; -3 mrad about y lifts u; 5 mrad turns u to y."""
     expected = np.array(ANGLES[axis])[: len(kind.channels)]
     assert read(kind, ANGLES[axis]) == pytest.approx(expected, abs=1e-15)
-
-
-def test_level_and_autocollimator_read_what_they_touch() -> None:
-    """Large angles: slopes of the platform's edges, and directions of its normal."""
-    rx, ry, spin = ANGLES[3]
-    turned = Rotation.from_rotvec([rx, ry, 0.0]) * Rotation.from_euler("z", spin)
-    u, v, w = turned.as_matrix().T
-    slope = [np.arcsin(v[2]), -np.arcsin(u[2]), np.arctan2(u[1], u[0])]
-    assert read(orientation.instrument, ANGLES[3]) == pytest.approx(slope, abs=1e-14)
-    assert read(orientation.level, ANGLES[3]) == pytest.approx(slope[:2], abs=1e-14)
-    normal = [-np.arctan(w[1] / w[2]), np.arctan(w[0] / w[2])]
-    mirror = read(orientation.autocollimator, ANGLES[3])
-    assert mirror == pytest.approx(normal, abs=1e-14)
 
 
 def test_rows_can_be_taken_one_by_one() -> None:

@@ -11,13 +11,10 @@ from shipped_models import a3_head, ball_bar, planar_2dof, pose_tracker, relativ
 
 from kernel.plan_catalogues import searched, stage_after
 from oed.accuracy import error_maps
-from oed.estimation import identify
 from oed.instrument import mount
 from oed.measurement import (
     Measurement,
     commands_at_fixed_reading,
-    draw_parameters,
-    draw_readings,
 )
 from oed.model import Machine
 from oed.planning import (
@@ -31,7 +28,7 @@ from oed.planning import (
     workspace_goal,
 )
 from oed.planning.knowledge import Prior
-from oed.planning.virtual_machines import PlanRealisation, refit_machines
+from oed.planning.virtual_machines import PlanRealisation
 
 #: cups (height, distance from the axis) in m, tools and bars in m
 CUPS = ((1.126, 0.0), (1.126, 0.1), (1.306, 0.1), (1.286, 0.0))
@@ -350,20 +347,6 @@ def test_machines_are_drawn_from_an_earlier_posterior() -> None:
     assert apart.predicted[0] > 5.0 * alone.predicted[0]
 
 
-def test_refits_are_the_fits_of_identify() -> None:
-    """Readings of drawn machines, fitted from nominal by either."""
-    option = planar(660.0).best.stages[0].option
-    m, rng = option.measurement, np.random.default_rng(4)
-    for _ in range(3):
-        y = draw_readings(m, option.series, draw_parameters(m, rng), rng)
-        every = np.ones((1, len(y)), dtype=bool)
-        (fast,) = refit_machines(m, option.series, y[None], every, m.nominal[None])
-        slow = identify(m, option.series, y)
-        difference = np.abs(fast.theta - slow.theta)
-        assert (difference[m.free] < 1e-3 * slow.sd[m.free]).all()
-        assert np.sqrt(np.diag(fast.covariance)) == pytest.approx(slow.sd, rel=1e-3)
-
-
 def test_machines_together_are_as_machines_one_by_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -382,15 +365,3 @@ def test_machines_together_are_as_machines_one_by_one(
     assert at_once.realised_loss == one_by_one.realised_loss
     assert at_once.coverage == one_by_one.coverage
     assert at_once.realised == pytest.approx(one_by_one.realised, rel=1e-6)
-
-
-def test_the_same_seed_gives_the_same_virtual_machines() -> None:
-    stages = planar(660.0).best.stages
-    workspace = np.array([[0.0, 0.5], [1.0, 1.0]])
-    one, two = (
-        propagate(stages, workspace, 5, np.random.default_rng(1)).stages[0]
-        for _ in range(2)
-    )
-    assert (one.realised == two.realised).all()
-    with pytest.raises(ValueError, match="at least one of each"):
-        propagate([], workspace, 5, np.random.default_rng(1))

@@ -19,34 +19,6 @@ from oed.planning.problem import best_plan, is_better
 THREE = Goal(("a", "b", "c"), np.eye(3)[:, None, :], np.ones(3), has_targets=False)
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [*range(4), *(pytest.param(k, marks=pytest.mark.slow) for k in range(4, 12))],
-)
-@pytest.mark.parametrize("minutes", [12.0, 40.0])
-def test_no_plan_beats_the_bound_and_the_planner_finds_nearly_the_best(
-    seed: int, minutes: float
-) -> None:
-    """All sets of readings of at most two of three options.
-
-    One budget binds, the other one hardly does.
-    """
-    equal_times = seed % 2 == 0
-    options, goal = catalogues.catalogue(
-        np.random.default_rng(seed), equal_times=equal_times
-    )
-    value, time = catalogues.every_plan(options, goal, 2)
-    within = (time > 0.0) & (time <= 60.0 * minutes)
-    assert within.any()
-    best = float(value[within].min())
-    result = searched(options, goal, 60.0 * minutes, stages=2)
-    assert result.bound.value <= best * (1 + 1e-9)
-    assert result.most_accurate.value >= best * (1 - 1e-9)
-    # readings of unequal length are chosen for their information, not for their time
-    assert result.most_accurate.value <= (1.03 if equal_times else 1.4) * best
-    assert result.most_accurate.seconds <= 60.0 * minutes * (1 + 1e-9)
-
-
 def test_the_bound_is_the_relaxation_of_the_only_combination() -> None:
     """One option without travel: the bound is its plan of all readings."""
     options, goal = catalogues.catalogue(np.random.default_rng(3), options=1)
@@ -266,10 +238,3 @@ def test_targets_are_reached_at_least_cost_or_reported_out_of_reach() -> None:
         searched(options, goal, 10.0)
     with pytest.raises(ValueError, match="no measurement is left to plan"):
         searched([], goal, 3000.0)
-
-
-def test_same_seed_same_plan() -> None:
-    options, goal = catalogues.catalogue(np.random.default_rng(4))
-    first, again = (searched(options, goal, 2000.0, seed=3, stages=2) for _ in range(2))
-    assert first.best.names == again.best.names
-    assert first.best.value == again.best.value

@@ -21,7 +21,6 @@ from oed.measurement import Measurement
 from oed.model import Coordinate, Machine, Parameter
 from oed.planning import Goal, Option, build_option, travel
 from oed.planning import prediction as stage_module
-from oed.planning.prediction import profiled_information
 
 machine = planar_2dof.machine
 
@@ -168,32 +167,6 @@ def test_the_capture_probability_of_a_mixture_is_the_mean() -> None:
     mean = np.mean(each, axis=0)
     assert capture(option, mixture) == pytest.approx(mean, abs=1e-12)
     assert (each[0] < each[1] - 1e-3).all()
-
-
-def test_profiled_unknowns_are_those_of_the_joint_inverse(
-    rng: np.random.Generator,
-) -> None:
-    blocks, weights = rng.standard_normal((9, 2, 7)), rng.uniform(size=9)
-    prior = np.diag(rng.uniform(1.0, 5.0, 4))
-    joint = np.eye(7) + np.einsum("c,ckn,ckm->nm", weights, blocks, blocks)
-    joint[:4, :4] += prior - np.eye(4)
-    covariance = np.linalg.inv(prior + profiled_information(blocks, weights, 4))
-    assert covariance == pytest.approx(np.linalg.inv(joint)[:4, :4], rel=1e-9)
-
-
-def test_the_order_of_stages_without_travel_does_not_matter(
-    rng: np.random.Generator,
-) -> None:
-    one, two = line_option(4), line_option(5)
-    covariances = []
-    for order in ((one, two), (two, one)):
-        covariance = np.eye(7)
-        for option in order:
-            chosen = everything(option)[::2]
-            stage = stage_after(option, chosen, covariance, rng, exact=False)
-            covariance = stage.covariance
-        covariances.append(covariance)
-    assert covariances[0] == pytest.approx(covariances[1], rel=1e-7, abs=1e-12)
 
 
 #: 1/m
@@ -349,24 +322,6 @@ def test_the_cheapest_plan_that_is_accurate_enough() -> None:
         excess.append(result.best.seconds / shortest - 1.0)
         assert excess[-1] > -1e-9
     assert np.sum(np.array(excess) > 0.02) <= 1, excess
-
-
-def test_a_goal_out_of_reach_is_reported() -> None:
-    problem = small_problem(1, target=0.8)
-    result = solved(problem)
-    assert not result.reached
-    assert result.best is result.most_accurate
-    assert 1.0 < problem.value.min() <= result.best.value
-
-
-def test_a_budget_that_pays_for_nothing_is_refused_in_words() -> None:
-    problem = small_problem(1)
-    least = min(o.mounting_seconds + o.candidate_seconds.min() for o in problem.options)
-    with pytest.raises(
-        ValueError,
-        match=f"pays for no measurement: the shortest takes {least / 60.0:.1f} min",
-    ):
-        searched(problem.options, problem.goal, 60.0, stages=3)
 
 
 def test_the_same_seed_gives_the_same_plan() -> None:

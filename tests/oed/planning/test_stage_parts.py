@@ -80,25 +80,6 @@ def test_equal_stages_are_predicted_once() -> None:
     assert memory.recall(p.extend(empty, first), option, first.chosen, 10) is None
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_selected_readings_are_not_bettered_by_one_exchange(seed: int) -> None:
-    options, goal = catalogue(seed)
-    option, start = options[0], np.eye(N)
-    criterion = goal.criterion(1)
-    chosen = select_readings(option, 3, start, criterion, np.ones(ROWS), sweeps=20)
-    assert len(set(chosen.tolist())) == 3
-
-    def value(plan: tuple[int, ...]) -> float:
-        return goal.value(covariance_after(start, option, plan))
-
-    mine = value(tuple(chosen.tolist()))
-    for place in range(3):
-        for other in set(range(ROWS)) - set(chosen.tolist()):
-            changed = chosen.copy()
-            changed[place] = other
-            assert value(tuple(changed.tolist())) >= mine - 1e-9
-
-
 def test_readings_that_are_not_captured_are_not_selected() -> None:
     options, goal = catalogue(1)
     probability = np.array([1.0, 1.0, 0.0, 1.0, 0.0])

@@ -29,8 +29,6 @@ from pkm_studies.study import load
 
 pytestmark = pytest.mark.pictures
 
-NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
-
 
 @pytest.fixture(scope="module")
 def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
@@ -138,36 +136,6 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap: GapSection) -> None:
     )
     old = {key: stored[key] for key in contract}
     assert render_pdf(build_document(_result(old))).startswith(b"%PDF")
-
-
-def test_text_of_the_readings_is_never_markup(gap: GapSection, tmp_path: Path) -> None:
-    traces = [
-        replace(trace, setup=NASTY, run=NASTY, base=NASTY, channel=NASTY)
-        for trace in gap.traces
-    ]
-    nasty = replace(
-        gap,
-        traces=traces,
-        words=[NASTY],
-        next=[NASTY],
-        noise=[NASTY],
-        not_testable=[NASTY],
-        marginal={NASTY: 0.5},
-        where=[replace(gap.where[0], block=f"run {NASTY}"), *gap.where[1:]],
-        sizes=[replace(gap.sizes[0], effect=NASTY)],
-        coefficients=[replace(gap.coefficients[0], name=NASTY)],
-        answers=[replace(gap.answers[0], effects=[NASTY]), *gap.answers[1:]],
-    )
-    page, book = write_report(_result(nasty), tmp_path)
-    source = page.read_text(encoding="utf-8")
-    assert "<b>&" not in source
-    assert source.count("</script>") == 1
-    assert book.read_bytes().startswith(b"%PDF")
-
-
-def test_the_same_result_gives_the_same_bytes(gap: GapSection) -> None:
-    first = render_html(build_document(_result(gap)))
-    assert render_html(build_document(_result(gap))) == first
 
 
 # -- tables ----------------------------------------------------------------------------

@@ -52,43 +52,16 @@ STUDIES = {
         "design.criterium",
         "did you mean criterion",
     ),
-    "nan": (
-        ("length_mm = 300.0", "length_mm = nan"),
-        "setup[1].length_mm = nan",
-        "give a number",
-    ),
-    "wrong unit": (
-        ("length_um = 0.5", "length_kg = 0.5"),
-        "noise.length_kg",
-        "length_mm",
-    ),
-    "unit of another kind": (
-        ("psi_deg = 0.0", "psi_mm = 0.0"),
-        "setup[1].teach.psi_mm",
-        "psi_deg",
-    ),
-    "pose out of the workspace": (
-        ("to = 1266.0", "to = 1300.0"),
-        "design.candidates[1].z_mm",
-        "1066 mm to 1266 mm",
-    ),
     "pose out of reach": (
         ("z_mm = 1286.0", "z_mm = 3000.0"),
         "setup[1].teach",
         "keep to poses within",
-    ),
-    "missing set-up": (("[[setup]]", "[[setup_]]"), "setup_", "did you mean setup"),
-    "grid of no set-up": (
-        ('setup = "cup"', 'setup = "bar"'),
-        'design.candidates[1].setup = "bar"',
-        "set-ups: cup",
     ),
     "half a file": (
         ('[expect]\nrank = { of = "identifiability.rank", equals = 18 }', "[expe"),
         "",
         "line",
     ),
-    "future": (("schema = 1", "schema = 99"), "schema = 99", "schema = 1"),
 }
 
 
@@ -124,33 +97,11 @@ READINGS = {
         "row 2, column length_mm = NaN",
         "leave the cell empty",
     ),
-    "wrong unit": (
-        ("length_mm", "length_kg"),
-        "row 1, column length_kg",
-        "write length_m, length_mm, length_um",
-    ),
     "pose out of reach": (
         ("1146,90", "2146,90"),
         "row 3, column z_mm = 2146",
         "1066 to 1266",
     ),
-    "unknown column": (
-        ("direction", "dierction"),
-        "row 1, column dierction",
-        "did you mean direction?",
-    ),
-    "missing set-up": (("cup,high", ",high"), "row 5, column setup", "name the setup"),
-    "unknown set-up": (
-        ("cup,high", "bar,high"),
-        "row 5, column setup = bar",
-        "known: cup",
-    ),
-    "unknown quantity": (
-        ("time_s", "tine_s"),
-        "row 1, column tine_s",
-        "did you mean time_s?",
-    ),
-    "repeated order": (("low,2", "low,1"), "row 3, column order = 1", "1, 2, 3"),
 }
 
 

@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
-from oracles import prs_geometry as prs
 from sample import table_lines
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
@@ -18,7 +17,6 @@ from shipped_models import (
     hexapod,
     linear_delta,
     planar_2dof,
-    prs_spindle,
     tripod_passive_leg,
     tripod_prs,
     tripod_rps,
@@ -259,35 +257,6 @@ def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -
 
 
 # -- other machines --------------------------------------------------------------------
-
-
-def prs_parameters(errors: np.ndarray) -> np.ndarray:
-    """Parameters of `prs_spindle`, SI, from rows of Table 4 (3, 6), mm."""
-    names = [p.name for p in prs_spindle.machine.parameters]
-    order = {"b": 0, "R": 3, "l": 5}
-    values = np.zeros(len(names))
-    for k, name in enumerate(names):
-        column = order[name[1]] + ("xyz".index(name[3]) if len(name) > 3 else 0)
-        values[k] = 1e-3 * errors[int(name[2]) - 1, column]
-    return values
-
-
-def test_offsets_of_a_3_prs_head_are_the_oracle_s() -> None:
-    """Table 4's errors: x, y and the rotation about the spindle, at exact joints."""
-    kinematics = Kinematics(prs_spindle.machine)
-    parameters = prs_parameters(prs.TABLE_4)
-    command = np.array([[0.2, 0.0, 0.0], [0.1, 0.3, -0.2], [0.3, -0.5, 0.4]])
-    further = further_axes(kinematics)
-    assert [a.name for a in further.axes] == ["x", "y", "turn"]
-    offsets = further.offsets(command, parameters)
-    q = compensated_joints(kinematics, command, parameters)
-    tip, rotation, _ = prs.forward(q, 1e-3 * prs.TABLE_4)
-    wanted = prs.nominal(*command.T)
-    turn = Rotation.from_matrix(rotation @ np.swapaxes(wanted[1], 1, 2)).as_rotvec()
-    axis = wanted[1][:, :, 2]
-    assert np.abs(offsets).min() > 1e-5
-    assert offsets[:, :2] == pytest.approx((tip - wanted[0])[:, :2], abs=1e-12)
-    assert offsets[:, 2:] * axis == pytest.approx(turn, abs=1e-11)
 
 
 @pytest.mark.parametrize(

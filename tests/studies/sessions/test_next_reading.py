@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 import sample
 
 from oed.design import Candidates
-from oed.poses import Belief
 from pkm_studies import shipped
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -27,106 +25,8 @@ STUDY = sample.changed(
 
 
 @pytest.fixture
-def factors() -> np.ndarray:
-    """Three components of two combinations each, of six columns."""
-    return np.random.default_rng(4).standard_normal((3, 2, 6))
-
-
-@pytest.fixture
-def belief(factors: np.ndarray) -> Belief:
-    root = np.random.default_rng(5).standard_normal((6, 6))
-    return Belief.build(root @ root.T + np.eye(6), factors)
-
-
-@pytest.fixture
 def blocks() -> np.ndarray:
     return np.random.default_rng(6).standard_normal((20, 2, 6))
-
-
-def test_a_reading_adds_its_information(belief: Belief, blocks: np.ndarray) -> None:
-    """By inverting the sum of informations, which the update never does."""
-    information = np.linalg.inv(belief.covariance) + blocks[3].T @ blocks[3]
-    expected = np.linalg.inv(information)
-    np.testing.assert_allclose(belief.after(blocks[3]).covariance, expected, rtol=1e-9)
-
-
-def test_variances_of_all_candidates_are_those_one_by_one(
-    belief: Belief, factors: np.ndarray, blocks: np.ndarray
-) -> None:
-    together = belief.variances_after(blocks)
-    for k, block in enumerate(blocks):
-        covariance = belief.after(block).covariance
-        expected = [np.trace(f @ covariance @ f.T) for f in factors]
-        np.testing.assert_allclose(together[k], expected, rtol=1e-9)
-
-
-def test_the_best_is_better_than_all_others(
-    belief: Belief, factors: np.ndarray, blocks: np.ndarray
-) -> None:
-    def score(block: np.ndarray) -> float:
-        covariance = belief.after(block).covariance
-        traces = [np.trace(f @ covariance @ f.T) for f in factors]
-        return float(np.sum(np.log(traces)))
-
-    scores = [score(block) for block in blocks]
-    assert belief.best_candidate(blocks) == int(np.argmin(scores))
-
-
-def test_components_that_are_reached_hardly_count(
-    belief: Belief, factors: np.ndarray, blocks: np.ndarray
-) -> None:
-    limits = np.array([1e-9, np.nan, 1e9])
-    assert belief.open_components(limits) == [0]
-    index = belief.best_candidate(blocks, limits)
-    covariances = [belief.after(block).covariance for block in blocks]
-    first = factors[0]
-    traces = [np.trace(first @ c @ first.T) for c in covariances]
-    assert index == int(np.argmin(traces))
-
-
-def test_planning_together_is_no_worse_than_one_by_one(
-    belief: Belief, blocks: np.ndarray
-) -> None:
-    def score(known: Belief) -> float:
-        return float(np.log(known.variances).sum())
-
-    greedy = belief
-    for _ in range(4):
-        greedy = greedy.after(blocks[greedy.best_candidate(blocks)])
-    plan = belief.best_remaining(blocks, 4)
-    together = belief.update_all(blocks, plan)
-    assert score(together) <= score(greedy) + 1e-12
-    alone = [score(belief.after(blocks[k])) for k in plan]
-    assert alone[0] == min(alone)
-    one_more = score(together.after(blocks[0]))
-    assert one_more < score(together)
-
-
-def test_the_fewest_readings_reach_the_goal(belief: Belief, blocks: np.ndarray) -> None:
-    """Against all sets of the size below, none of which does."""
-    rng = np.random.default_rng(8)
-    blocks = blocks[:9]
-    some = [int(k) for k in rng.choice(9, size=3, replace=False)]
-    reached = belief.update_all(blocks, some)
-    limits = np.sqrt(reached.variances) * (1.0 + 1e-9)
-    answer = belief.fewest_remaining(blocks, 9, limits)
-    assert answer is not None
-    plan, count = answer
-    assert len(plan) == count - 1
-    assert _reaching(belief, blocks, limits, count)
-    assert not _reaching(belief, blocks, limits, count - 1)
-    assert belief.fewest_remaining(blocks, count - 1, limits) is None
-    wide = np.sqrt(belief.variances) * 2.0
-    assert belief.fewest_remaining(blocks, 9, wide) == ([], 0)
-
-
-def _reaching(
-    belief: Belief, blocks: np.ndarray, limits: np.ndarray, count: int
-) -> bool:
-    """Whether any set of so many candidates reaches all limits."""
-    sets = itertools.combinations_with_replacement(range(len(blocks)), count)
-    after = (belief.update_all(blocks, chosen) for chosen in sets)
-    return any(not known.open_components(limits) for known in after)
 
 
 # -- command ---------------------------------------------------------------------------
