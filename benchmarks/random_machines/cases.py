@@ -39,8 +39,6 @@ Array = np.ndarray
 SIGMAS = (0.1e-6, 0.5e-3)
 #: least and largest noise over the machine's size
 SHARES = (3e-7, 3e-4)
-#: size of a gap over sigma, and time within which a leg warms, s
-SEVERITY, WARMS = 8.0, 3600.0
 #: readings of channels of one machine, at most
 MOST = 700
 #: how often each instrument is taken, by what the machine moves
@@ -118,19 +116,15 @@ def _sigma(size: float, rng: np.random.Generator) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
-def draw_with_gap(model: str, gap: str, kind: str, seed: int) -> Case:
-    """A machine of a family with a gap ("" for none), read in every way.
-
-    gap     a leg that warms (`warm leg`) or a drive with play (`play`)
-    kind    of its instrument
-    """
+def draw_fully_read(model: str, kind: str, seed: int) -> Case:
+    """A machine of a family, read in every way by an instrument of a kind."""
     rng = np.random.default_rng(seed)
     own = machine_of({"model": model})
     while True:
         drawn = machines.draw(model, own, rng)
         plan = sessions.full(drawn.size)
         try:
-            return _case(drawn, sessions.draw_law("white", rng), rng, gap, [kind], plan)
+            return _case(drawn, sessions.draw_law("white", rng), rng, [kind], plan)
         except AssemblyError:
             continue
 
@@ -139,7 +133,6 @@ def _case(
     drawn: machines.Drawn,
     law: sessions.Law,
     rng: np.random.Generator,
-    gap: str = "",
     kinds: Sequence[str] = (),
     plan: sessions.Plan | None = None,
 ) -> Case:
@@ -156,7 +149,7 @@ def _case(
         kinds = [str(k) for k in rng.choice(_choices(machine, drawn.model), count)]
     if plan is None:
         plan = sessions.draw_plan(drawn.size, MOST // (3 * len(kinds)), rng)
-    session = _Session(machine, truth, bench, plan, law, gap)
+    session = _Session(machine, truth, bench, plan, law)
     setups = [session.take(f"s{k + 1}", kind) for k, kind in enumerate(kinds)]
     tables = {
         "schema": 1,
@@ -188,10 +181,9 @@ class _Session:
         bench: Bench,
         plan: sessions.Plan,
         law: sessions.Law,
-        gap: str,
     ) -> None:
         self.machine, self.truth, self.bench = machine, truth, bench
-        self.plan, self.law, self.gap = plan, law, gap
+        self.plan, self.law = plan, law
         self.rows: list[pd.DataFrame] = []
         self._now = 0.0
 
@@ -214,7 +206,7 @@ class _Session:
                     plan, number, forward, times[taken], warm[taken]
                 )
                 label = f"{number + 1}{'+' if forward else '-'}"
-                row = self._pass(mounted, label, commands, said, times[taken])
+                row = self._pass(mounted, label, commands, said)
                 self.rows.append(row)
                 taken += 1
         return mounted
@@ -288,12 +280,11 @@ class _Session:
         label: str,
         commands: Array,
         said: Mapping[str, Any],
-        times: Array,
     ) -> pd.DataFrame:
         """Rows of one pass of a path."""
         rng, count = self.bench.rng, len(commands)
         chains = [self.law.chain(count, rng) for _ in range(mounted.sources)]
-        point, rotation = self.truth.tool(commands, self._shift(commands, times))
+        point, rotation = self.truth.tool(commands)
         values = mounted.read(point, rotation, np.column_stack(chains))
         rows: dict[str, Any] = {
             "setup": mounted.table["name"],
@@ -310,25 +301,6 @@ class _Session:
         if mounted.reference and "length_mm" in mounted.channels:
             table.loc[0, "length_mm"] = np.nan
         return table
-
-    def _shift(self, commands: Array, times: Array) -> Array | float:
-        """What the gap, if there is one, adds to the joints (n, nq)."""
-        if not self.gap:
-            return 0.0
-        joints = self.truth.joints(commands)
-        shift = np.zeros_like(joints)
-        if self.gap == "warm leg":
-            grown = SEVERITY * self.bench.sigma * (1.0 - np.exp(-times / WARMS))
-            shift[:, 1] = grown * joints[:, 1] / np.abs(joints[:, 1]).max()
-        else:  # play
-            shift[:, 0] = -0.5 * SEVERITY * self.bench.sigma * _sense(joints[:, 0])
-        return shift
-
-
-def _sense(joint: Array) -> Array:
-    """Sign (n,) of a joint's last motion; that to come at the first pose."""
-    step = np.diff(joint)
-    return np.sign(np.concatenate([step[:1], step]))
 
 
 def write(case: Case, folder: Path) -> Path:

@@ -138,13 +138,10 @@ class PlainMachine:
     planar: bool = False
 
     def tool(
-        self, command: Array, nominal: Numbers, true: Numbers, shift: Array | float
+        self, command: Array, nominal: Numbers, true: Numbers
     ) -> tuple[Array, Array]:
-        """Tool points (n, 3) and rotations (n, 3, 3) of the true machine at commands.
-
-        shift   (n, nq) by which joints are off their commands
-        """
-        joints = self.inverse(command, nominal) + shift
+        """Tool points (n, 3) and rotations (n, 3, 3) of the true machine at commands."""
+        joints = self.inverse(command, nominal)
         pose = _solve(lambda x: self.closure(x, joints, true), command)
         point = pose[:, :3]
         if self.planar:
@@ -291,17 +288,14 @@ class Truth:
         rotation, point, _ = self.kinematics.frames(pose, np.zeros(3))
         return point, rotation
 
-    def tool(self, command: Array, shift: Array | float = 0.0) -> tuple[Array, Array]:
-        """Tool points (n, 3) and rotations (n, 3, 3) of the true machine.
-
-        shift   (n, nq) by which joints are off their commands
-        """
+    def tool(self, command: Array) -> tuple[Array, Array]:
+        """Tool points (n, 3) and rotations (n, 3, 3) of the true machine."""
         if self._plain is None:
             pose, joints = self.kinematics.inverse(command)
-            pose = self.kinematics.forward(joints + shift, self.true, pose)
+            pose = self.kinematics.forward(joints, self.true, pose)
             rotation, point, _ = self.kinematics.frames(pose, np.zeros(3))
             return point, rotation
         names = [p.name for p in self.machine.parameters]
         nominal = dict(zip(names, self.machine.nominal, strict=True))
         true = dict(zip(names, self.true, strict=True))
-        return self._plain.tool(command, nominal, true, shift)
+        return self._plain.tool(command, nominal, true)

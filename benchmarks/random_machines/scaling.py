@@ -1,10 +1,9 @@
-"""A case with all of its lengths times a factor, and what that changes in the answers.
-
-    python -m benchmarks.random_machines.scaling
+"""A case with all of its lengths times a factor.
 
 No answer may depend on the unit of length: the same machine a thousand times as large,
-read with a thousand times the noise, has the same probabilities. Times, turns, loads
-and temperatures stay.
+read with a thousand times the noise, has the same columns of effects in units of the
+noise (tests/benchmarks/test_random_machines.py). Times, turns, loads and temperatures
+stay.
 """
 
 from __future__ import annotations
@@ -20,8 +19,6 @@ from benchmarks.random_machines.cases import Case
 from oed import build_study, identify, read_readings
 from oed.effect_model import Effect
 from oed.gap import GapProblem, assemble
-from oed.gap.cause import searches
-from oed.gap.cause.compare import compare, probabilities
 from pkm_studies.resolve import gap_request
 
 FACTOR = 1000.0
@@ -61,33 +58,6 @@ period = dataclasses.replace(
 )
 drum = dataclasses.replace(drum_runout.effect, constants={{"circumference": ({drum},)}})
 '''
-#: machines, their gaps and instruments of the table
-CASES = (
-    ("delta", "", "camera", 1),
-    ("delta", "warm leg", "camera", 1),
-    ("hexapod_ups", "", "ball_bar", 2),
-    ("hexapod_ups", "play", "ball_bar", 2),
-    ("cables_planar", "", "planar_position", 3),
-    ("cables_planar", "warm leg", "planar_position", 3),
-    ("tripod_rps", "", "ball_bar", 4),
-    ("tripod_rps", "play", "ball_bar", 4),
-)
-
-Probabilities = Mapping[str, float]
-
-
-def changes(case: Case, factor: float = FACTOR) -> tuple[Probabilities, Probabilities]:
-    """Probabilities of all hypotheses of a case, as it is and with lengths times a factor."""
-    larger = scaled(case, factor)
-    usual = hypotheses(*prepared(case, 1.0))
-    other = hypotheses(*prepared(larger, factor))
-    return usual, other
-
-
-def largest(usual: Probabilities, other: Probabilities) -> float:
-    """The largest change of any hypothesis' probability."""
-    names = {*usual, *other}
-    return max(abs(usual.get(n, 0.0) - other.get(n, 0.0)) for n in names)
 
 
 def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
@@ -113,17 +83,6 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
         gravity=request.gravity,
     )
     return residuals, request.effects
-
-
-def hypotheses(residuals: GapProblem, effects: Sequence[Effect]) -> Probabilities:
-    """Probability of each set of effects, by their names."""
-    ranked = compare(searches.searches(residuals, effects))
-    shares = probabilities(ranked)
-    named: dict[str, float] = {}
-    for h, share in zip(ranked, shares, strict=True):
-        unknown = ("unknown",) if h.unknown else ()
-        named[" + ".join((*sorted(h.effects), *unknown)) or "none"] = float(share)
-    return named
 
 
 # -- lengths times a factor ------------------------------------------------------------
@@ -172,17 +131,3 @@ def _times(value: Any, factor: float) -> Any:
     if isinstance(value, list):
         return [_times(item, factor) for item in value]
     return factor * value
-
-
-def main() -> None:
-    """Print how much a thousandfold length changes probabilities."""
-    print("| machine | gap | largest change |")
-    print("| --- | --- | --: |")
-    for model, gap, kind, seed in CASES:
-        drawn = cases.draw_with_gap(model, gap, kind, seed)
-        change = largest(*changes(drawn))
-        print(f"| `{model}` | {gap or 'none'} | {change:.4f} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()

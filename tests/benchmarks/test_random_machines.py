@@ -61,7 +61,7 @@ def test_columns_of_effects_have_no_unit_of_length(model: str) -> None:
     it hardly improves.
     """
     kind = "planar_position" if model == "cables_planar" else "ball_bar"
-    drawn = cases.draw_with_gap(model, "", kind, 6)
+    drawn = cases.draw_fully_read(model, kind, 6)
     larger = scaling.scaled(drawn)
     usual, effects = scaling.prepared(drawn, 1.0)
     other, scaled = scaling.prepared(larger, scaling.FACTOR)
@@ -100,12 +100,3 @@ def test_few_random_machines_are_said_to_have_a_gap() -> None:
     records = [cases.alarm({"stream": 7}, number) for number in range(4, 9)]
     assert not [r["traceback"] for r in records if r["verdict"] == cases.FAILED]
     assert sum(map(cases.is_alarm, records)) <= 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("row", scaling.CASES[:6])
-def test_no_probability_hangs_on_the_unit_of_length(row) -> None:
-    """Of named effects and none."""
-    drawn = cases.draw_with_gap(*row)
-    usual, other = scaling.changes(drawn)
-    assert scaling.largest(usual, other) < 0.01

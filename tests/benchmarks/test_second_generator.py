@@ -1,4 +1,4 @@
-"""The second generator as a world: its files, its noise laws, its printed answers."""
+"""The second generator as a world: its files and its noise laws."""
 
 import json
 import math
@@ -7,13 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from benchmarks.harness.diagnosis import prepare
 from benchmarks.second import __main__ as command
-from benchmarks.second import texts, world
+from benchmarks.second import world
 from oed.noise import Laws, NoiseLaw
-from pkm_reports.blocks import Items, Paragraph, Picture, Table, TableColumn
 
 
 def test_without_the_generator_the_command_says_so(
@@ -78,56 +76,3 @@ def test_the_true_law_has_the_labels_sizes() -> None:
     assert scale * math.sqrt(carried) == pytest.approx(0.5)
     assert scale * law.level[0] == pytest.approx(0.8)
     assert math.exp(-1.0 / law.reach[0]) == pytest.approx(0.9)
-
-
-# -- printed answers -------------------------------------------------------------------
-
-
-def test_the_words_of_blocks_in_lines() -> None:
-    blocks = [
-        Items(["It comes from friction."]),
-        Table(
-            [TableColumn("Cause"), TableColumn("Probability")],
-            [["friction", "90 %"]],
-            "T",
-        ),
-        Picture("causes", Figure, "A figure."),
-        Paragraph("The rms residual falls."),
-    ]
-    assert texts.block_lines(blocks) == [
-        "- It comes from friction.",
-        "T",
-        "Cause | Probability",
-        "friction | 90 %",
-        "A figure.",
-        "The rms residual falls.",
-    ]
-
-
-def test_some_cases_of_each_machine_in_an_order_that_the_seed_gives() -> None:
-    first = texts.chosen(seed=3)
-    assert len(set(first)) == 4 * texts.READ
-    counts = [sum(machine == m for machine, _ in first) for m in world.MACHINES]
-    assert counts == [texts.READ] * 4
-    assert first == texts.chosen(seed=3)
-    assert first != texts.chosen(seed=4)
-    assert all(0 <= number < texts.DRAWN for _, number in first)
-
-
-def test_a_truth_in_one_line() -> None:
-    acting = {
-        "effect": "friction",
-        "classes": ["backlash", "friction"],
-        "sqrt_lambda": 9.96,
-        "out_of_span": 2.0,
-        "where": {"legs": [2]},
-    }
-    label = {"kind": "single", "law": {"law": "white"}, "effects": [acting]}
-    assert texts.truth(label) == (
-        "single: friction, or backlash (10.0, given others 2.0; {'legs': [2]}) | noise:"
-        " white"
-    )
-    repeats = {"law": "repeats", "repeat_over_sigma": 0.71}
-    assert texts.truth({"kind": "null", "law": repeats, "effects": []}) == (
-        "null: nothing | noise: repeats, 0.7 of the stated"
-    )
