@@ -16,6 +16,7 @@ SHARED = ROOT.parent / "shared"
 #: tests of the search for mistakes, and the running test if its readings are not searched
 CHECKS = ROOT / "tests" / "oed" / "checks"
 UNSEARCHED: list[str] = []
+COMPENSATE = ROOT / "tests" / "oed" / "compensate"
 #: what stands for the figures of reports, by the folder of tests
 SKETCHES: dict[Path, Any] = {}
 
@@ -90,6 +91,19 @@ def sketched_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         drawn = SKETCHES.setdefault(request.path.parent, sketches.Sketches())
         patch.setattr(document, "drawn_image", drawn)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse_tables(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Tables for controllers are judged at fewer places than a user's.
+
+    How they are judged is tested in tests/oed/compensate.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if COMPENSATE not in request.path.parents:
+            patch.setattr("oed.compensate.command_grid.N_POSITIONS", 128)
+            patch.setattr("oed.compensate.export_errors.N_POSITIONS", 250)
         yield
 
 
