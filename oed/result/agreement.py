@@ -6,8 +6,9 @@ contradict itself; then a report of it would be wrong, or fail half-way.
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -107,6 +108,8 @@ forecast/nodes/* names ../#
 """
 
 
+#: steps of a pattern that stand for each entry, or for all of them together
+EVERY: Final = ("*", "#")
 #: keys from the whole result on, and what is there
 Keys = tuple[str, ...]
 Entry = tuple[Keys, Any]
@@ -119,9 +122,25 @@ class Breach(NamedTuple):
     problem: str
 
 
+class _Reference:
+    """What a rule compares with: all entries of one table have the same."""
+
+    def __init__(self, values: list[Any]) -> None:
+        self.values = values
+
+    @functools.cached_property
+    def names(self) -> Collection[str]:
+        return _names(self.values)
+
+
 def breaches(result: StudyResult) -> Iterator[Breach]:
     """Contradictions within a result, by field; none where all fits."""
     tree = msgspec.to_builtins(result)
+
+    @functools.cache
+    def reference(steps: Keys) -> _Reference:
+        return _Reference([value for _, value in _entries(tree, steps)])
+
     yield from value_breaches((), tree)
     yield from _parameter_breaches(tree["machine"]["parameters"])
     for line in filter(None, RULES.splitlines()):
@@ -129,7 +148,7 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         for field in _expanded(pattern):
             for keys, value in _entries(tree, field.rstrip("?").split("/")):
                 if value or not field.endswith("?"):
-                    yield from _rule_breaches(tree, (keys, value), relation, other)
+                    yield from _rule_breaches(reference, (keys, value), relation, other)
 
 
 def _expanded(pattern: str) -> list[str]:
@@ -150,37 +169,50 @@ def _entries(tree: Any, steps: Sequence[str], keys: Keys = ()) -> Iterator[Entry
     if not steps:
         yield keys, tree
         return
-    entries = tree
+    for key, value in _below(tree, steps[0]):
+        yield from _entries(value, steps[1:], (*keys, key))
+
+
+def _below(tree: Any, step: str) -> Iterator[tuple[str, Any]]:
+    """Keys and values of a table or list that a step of a pattern stands for."""
     if isinstance(tree, list | tuple):
-        entries = {str(k): value for k, value in enumerate(tree)}
-    for key in list(entries) if steps[0] in ("*", "#") else [steps[0]]:
-        yield from _entries(entries.get(key), steps[1:], (*keys, key))
+        every = step in EVERY
+        numbers = range(len(tree)) if every else [int(step)]
+        yield from ((str(k), tree[k]) for k in numbers if k < len(tree))
+    elif step in EVERY:
+        yield from tree.items()
+    else:
+        yield step, tree.get(step)
 
 
 def _rule_breaches(
-    tree: Any, entry: Entry, relation: str, other: str
+    reference: Callable[[Keys], _Reference], entry: Entry, relation: str, other: str
 ) -> Iterator[Breach]:
     """Where a field does not agree with the other one of a rule."""
     keys, value = entry
     ups = other.count("..")
     steps = (*(keys[:-ups] if ups else ()), *other.rstrip("?").split("/")[ups:])
-    others = [value for _, value in _entries(tree, steps)]
+    compared = reference(steps)
+    others = compared.values
     if not others or (other.endswith("?") and not any(others)):
         return
-    field, of = _field(keys), _field(steps)
     if relation in ("length", "at_most", "one_more"):
         size, expected = _count(value), _count(others[0]) + (relation == "one_more")
         if size > expected or (size < expected and relation != "at_most"):
-            yield Breach(field, f"{size}, where {of} has {expected}")
+            words = f"{size}, where {_field(steps)} has {expected}"
+            yield Breach(_field(keys), words)
         return
-    names, allowed = _names([value]), _names(others)
+    names, allowed = _names([value]), compared.names
     for name in names:
         if name not in allowed:
+            of = _field(steps)
             remedy = suggest(name, allowed, kind=of, limit=12)
-            yield Breach(field, f"{shorten(name, 40)!r} is not in {of}; {remedy}")
+            words = f"{shorten(name, 40)!r} is not in {of}; {remedy}"
+            yield Breach(_field(keys), words)
     for name in allowed if relation == "names" else ():
         if name not in names:
-            yield Breach(field, f"{shorten(name, 40)!r} is missing, which {of} has")
+            words = f"{shorten(name, 40)!r} is missing, which {_field(steps)} has"
+            yield Breach(_field(keys), words)
 
 
 def _count(value: Any) -> int:
