@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import itertools
 import json
 import shutil
@@ -93,22 +95,24 @@ def folder(session: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def adjusted_session(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same after `oed adjust`."""
-    folder = tmp_path_factory.mktemp("adjusted") / "out"
+def adjusted_session(
+    session: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, str]:
+    """The same after `oed adjust`, and what it said."""
+    folder, said = tmp_path_factory.mktemp("adjusted") / "out", io.StringIO()
     shutil.copytree(session, folder)
-    assert main(["adjust", str(folder)]) == 0
-    return folder
+    with contextlib.redirect_stdout(said):
+        assert main(["adjust", str(folder)]) == 0
+    return folder, said.getvalue()
 
 
 @pytest.fixture
-def adjusted(adjusted_session: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(adjusted_session, tmp_path / "adjusted"))
+def adjusted(adjusted_session: tuple[Path, str], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(adjusted_session[0], tmp_path / "adjusted"))
 
 
-def test_the_files_say_the_same(folder: Path, oed: Run) -> None:
-    code, out, _ = oed("adjust", folder)
-    assert code == 0
+def test_the_files_say_the_same(adjusted_session: tuple[Path, str]) -> None:
+    folder, out = adjusted_session
     section = json.loads((folder / "result.json").read_text("utf-8"))["adjustment"]
     lines = section["lines"]
     with (folder / "adjust.csv").open(encoding="utf-8", newline="") as file:
@@ -159,18 +163,19 @@ def test_the_next_study_takes_the_adjusted_machine(adjusted: Path) -> None:
     )
 
 
-def test_a_controller_gets_the_adjusted_machine(folder: Path, oed: Run) -> None:
+def test_a_controller_gets_the_adjusted_machine(
+    folder: Path, adjusted: Path, oed: Run
+) -> None:
     code, _, error = oed("compensate", folder, "--to", "json", "--adjusted")
     assert code == 2
     assert "oed adjust DIR" in error
-    oed("adjust", folder)
-    table = tomllib.loads((folder / "adjusted.toml").read_text("utf-8"))
-    call = ("compensate", folder, "--to", "csv", "--commands", 60)
+    table = tomllib.loads((adjusted / "adjusted.toml").read_text("utf-8"))
+    call = ("compensate", adjusted, "--to", "csv", "--commands", 60)
     code, out, _ = oed(*call, "--adjusted")
     assert code == 0
     assert "after all adjustments of adjust.csv" in out
     assert "the fitter's own error comes on top" in out
-    path = folder / "compensation_parameters.csv"
+    path = adjusted / "compensation_parameters.csv"
     lines = path.read_text("utf-8").splitlines()
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))
     values = {row["name"]: float(row["value"]) for row in rows}
@@ -293,19 +298,17 @@ def test_a_plan_alone_adjusts_nothing(tmp_path: Path, oed: Run) -> None:
     assert "no estimate" in error
 
 
-def test_software_corrects_what_the_drives_reach(session: Path, oed: Run) -> None:
+def test_software_corrects_what_the_drives_reach(folder: Path, oed: Run) -> None:
     """Struts of another length are no work for a fitter."""
-    text = (session.parent / "prs.study.toml").read_text(encoding="utf-8")
+    text = json.loads((folder / "result.json").read_text("utf-8"))["study_text"]
     start, end = text.index("[[machine.adjust]]"), text.index("[[setup]]")
     table = '[[machine.adjust]]\nparameters = ["dl*"]\nby = "strut {i}"\n\n'
-    study = session.parent / "struts.study.toml"
+    study = folder.parent / "struts.study.toml"
     study.write_text(text[:start] + table + text[end:], encoding="utf-8")
-    out = session.parent / "struts"
-    assert oed("run", study, "--out", out, "--quiet")[0] == 0
-    code, words, _ = oed("adjust", out)
-    assert code == 0
+    code, words, error = oed("adjust", folder, "--study", study)
+    assert code == 0, error
     assert words.startswith("No adjustment is worth its work")
-    assert not (out / "adjustment.pdf").exists()
+    assert not (folder / "adjustment.pdf").exists()
 
 
 TABLE = '\n[[machine.adjust]]\nparameters = ["{}"]\nby = "shim {{i}}"\n{}\n'
