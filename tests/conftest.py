@@ -16,7 +16,13 @@ SHARED = ROOT.parent / "shared"
 #: tests of the search for mistakes, and the running test if its readings are not searched
 CHECKS = ROOT / "tests" / "oed" / "checks"
 UNSEARCHED: list[str] = []
-COMPENSATE = ROOT / "tests" / "oed" / "compensate"
+#: tests that write tables for controllers and do not ask how finely these are judged
+WRITE_TABLES = (
+    *(ROOT / "tests/studies/compensation").glob("test_*.py"),
+    ROOT / "tests/journeys/test_rounds.py",
+    ROOT / "tests/studies/resolve/test_controller.py",
+    ROOT / "tests/studies/stages/test_corrected_command.py",
+)
 #: what stands for the figures of reports, by the folder of tests
 SKETCHES: dict[Path, Any] = {}
 
@@ -101,7 +107,7 @@ def coarse_tables(request: pytest.FixtureRequest) -> Iterator[None]:
     How they are judged is tested in tests/oed/compensate.
     """
     with pytest.MonkeyPatch.context() as patch:
-        if COMPENSATE not in request.path.parents:
+        if request.path in WRITE_TABLES:
             patch.setattr("oed.compensate.command_grid.N_POSITIONS", 128)
             patch.setattr("oed.compensate.export_errors.N_POSITIONS", 250)
         yield

@@ -5,6 +5,7 @@ its own; the A3 head yields. It must never import the toolkit. SI units (m, rad)
 """
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,7 @@ def _calibrate(gantry: planar_gantry.Gantry, rng: np.random.Generator) -> NDArra
     return p
 
 
+@functools.cache
 def planar() -> Calibrated:
     """The shipped gantry."""
     return calibrated(np.random.default_rng(PLANAR_SEED))

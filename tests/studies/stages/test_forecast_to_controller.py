@@ -172,7 +172,7 @@ def test_a_finer_line_widens_the_interval(
     assert "shorter than" not in said
     wide = components()
     added = table(tmp_path / "out" / "forecast_table.csv")
-    left = 1e6 * Machine(AMPLITUDE, added).errors(places(3000))
+    left = 1e6 * Machine(AMPLITUDE, added).errors(places(1000))
     realised = np.sqrt(np.mean(left**2, axis=0))
     assert realised[0] > narrow["y"]["high"]
     for k, name in enumerate("yz"):
