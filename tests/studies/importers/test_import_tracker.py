@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles.delta_trilateration import nozzle, travel_to
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 import oed
 from oed import units
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.importers import import_files
+from pkm_studies.importers import ImportedSession, import_files
 
 #: the shipped delta, and a true one: mm and rad
 NOMINAL = (161.75, [345.0] * 3, np.radians([210.0, 330.0, 90.0]), [420.0] * 3)
@@ -203,10 +204,27 @@ SPATIAL_ANALYZER = (
 )
 
 
+#: commands of the points in an export, mm
+EXPORTED = np.column_stack(
+    [
+        axis.ravel()
+        for axis in np.meshgrid([-60.0, 0, 60.0], [-60.0, 0, 60.0], [20.0, 120.0])
+    ]
+)
+
+
+def assert_points(imported: ImportedSession, unit: str, factor: float) -> None:
+    """The points at their commands, as far from one another as on the true delta."""
+    rows = imported.rows
+    np.testing.assert_allclose(_commanded(rows), EXPORTED, atol=1e-9)
+    read = [[float(row[f"read_{a}_{unit}"]) for a in "xyz"] for row in rows]
+    apart = pdist(np.array(read) / factor)
+    np.testing.assert_allclose(apart, pdist(true_points(EXPORTED)), atol=1e-5)
+
+
 def exported(folder: Path, header: str, line: str, points: np.ndarray) -> list[Path]:
     """Files of a tracker's export and of the poses, side by side."""
-    grid = np.meshgrid([-60.0, 0.0, 60.0], [-60.0, 0.0, 60.0], [20.0, 120.0])
-    commanded = np.column_stack([axis.ravel() for axis in grid])
+    commanded = EXPORTED
     turned = Rotation.from_euler("zyx", [70.0, 5.0, -3.0], degrees=True)
     shift = np.array([3000.0, -500.0, 800.0])
     seen = points * (turned.apply(true_points(commanded)) + shift)
@@ -241,12 +259,12 @@ def test_points_and_uncertainties_of_a_leica_need_no_map(
     assert "U(95) X" in said
     assert "over k = 2" in said
     assert "Not used: U(95)  [" in said
-    readings = oed.read_readings(oed.load_study(study))
+    oed.read_readings(oed.load_study(study))
     # 8 um of 95 % are 4 um in each coordinate, in every direction
     names = [name for name in imported.rows[0] if name.startswith("sigma_")]
     sigma = [factor * float(row[name]) for row in imported.rows for name in names]
     assert sigma == pytest.approx([4e-3 * factor**2] * 54, rel=1e-6)
-    assert max(oed.identify(readings).section.rms_after.values()) < 2.0
+    assert_points(imported, "m" if factor < 1.0 else "mm", factor)
 
 
 MOTIVE = """\
@@ -297,14 +315,12 @@ def test_points_of_motion_capture_need_no_map(
     header: str, line: str, factor: float, name: str, tmp_path: Path
 ) -> None:
     files = exported(tmp_path, header, line, np.array(factor))
-    study, imported = import_files(
+    _, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
     )
     unit = "m" if factor < 1.0 else "mm"
     assert f"{name} as read_x_{unit}" in " ".join(imported.statements)
-    estimate = oed.identify(oed.read_readings(oed.load_study(study)))
-    # exact points of the true delta: radii, arms and angles explain them
-    assert max(estimate.section.rms_after.values()) < 2.0
+    assert_points(imported, unit, factor)
 
 
 @pytest.mark.parametrize(
