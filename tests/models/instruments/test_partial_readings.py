@@ -1,6 +1,4 @@
-"""Instruments of which part is read: planes, some channels of a pose, tilted beds, and
-cable lengths without any other column.
-"""
+"""Instruments of which part is read: planes, some channels of a pose, tilted beds."""
 
 from __future__ import annotations
 
@@ -36,20 +34,6 @@ camera,a,1,0,100,0.1,100.2
 camera,a,2,500,100,500.1,100.1
 camera,a,3,0,600,0.2,600.3
 """
-CABLES = """\
-schema = 1
-name = "cables"
-
-[machine]
-model = "cables_planar"
-
-[[setup]]
-name = "drums"
-instrument = "redundancy"
-
-[readings]
-files = ["drums.csv"]
-"""
 
 
 def test_a_camera_in_a_plane_has_two_readings_a_pose(tmp_path: Path) -> None:
@@ -70,22 +54,6 @@ def test_a_camera_in_a_plane_has_two_readings_a_pose(tmp_path: Path) -> None:
 )
 def test_channels_that_do_not_exist_are_refused(channels: str, said: str) -> None:
     assert said in str(refused(ARM, ('["read_y", "read_z"]', channels)))
-
-
-def test_cable_lengths_need_no_other_column(tmp_path: Path) -> None:
-    machine = cables_planar.machine
-    points = np.array([[0.0, 0.0], [0.2, 0.1], [-0.3, 0.2]])
-    away = points[:, None] - np.array(cables_planar.ANCHORS)
-    rows = ["setup,run,order," + ",".join(f"{c.name}_mm" for c in machine.joints)]
-    for k, lengths in enumerate(1e3 * np.linalg.norm(away, axis=2)):
-        rows.append(f"drums,a,{k + 1}," + ",".join(f"{v:.9f}" for v in lengths))
-    (tmp_path / "drums.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    study = resolved(CABLES, tmp_path)
-    assert study.dataset is not None
-    assert study.dataset.y.tolist() == [0.0] * 6
-    (series,) = study.dataset.series
-    predicted = study.measurement.readings([series], study.measurement.nominal)
-    assert np.abs(predicted).max() < 1e-11
 
 
 def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(

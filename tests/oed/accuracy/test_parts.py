@@ -7,15 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import stats
-from shipped_models import a3_head, planar_2dof, relative
+from shipped_models import planar_2dof, relative
 
 from oed.acceptance import Promise, state_limits
-from oed.accuracy import budget_model, driven_errors, error_maps, variance_over_machines
+from oed.accuracy import budget_model, error_maps, variance_over_machines
 from oed.instrument import mount
 from oed.measurement import Measurement, draw_parameters
-from oed.mechanism import AssemblyError, Kinematics
-
-COMMAND = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.5], [1.25, 1.1, 0.05]])
+from oed.mechanism import AssemblyError
 
 
 def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(
@@ -41,24 +39,6 @@ def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(
     )
     assert plan.power[0] == pytest.approx(beyond.sf(limit), abs=0.02)
     assert plan.false_alarm == pytest.approx(0.1, abs=1e-3)
-
-
-def test_exact_errors_of_small_draws_are_those_of_the_maps(
-    rng: np.random.Generator,
-) -> None:
-    kinematics = Kinematics(a3_head.machine)
-    nominal = a3_head.machine.nominal
-    change = 1e-6 * rng.standard_normal((2, len(nominal)))
-    told = driven_errors(
-        kinematics, COMMAND, nominal + change, "home", believed=nominal
-    )
-    by_maps = error_maps(kinematics, COMMAND, "home")
-    linear = np.einsum("nkp,mp->mnk", by_maps.remaining, change)
-    raw = np.einsum("nkp,mp->mnk", by_maps.raw, change)
-    assert told == pytest.approx(raw, abs=1e-3 * np.abs(raw).max())
-    assert np.abs(linear).max() <= np.abs(raw).max()
-    nothing = driven_errors(kinematics, COMMAND, nominal, "home", believed=nominal)
-    assert np.abs(nothing).max() < 1e-12
 
 
 def test_machines_near_nominal_have_its_variance(rng: np.random.Generator) -> None:
