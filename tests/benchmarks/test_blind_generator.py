@@ -2,8 +2,6 @@
 sizes and noise are as told.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections import Counter

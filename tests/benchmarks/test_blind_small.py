@@ -4,8 +4,6 @@ The generator shares no code with the diagnosis. `make blind` does the whole ben
 the second test here looks at false alarms, noise law by noise law.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Any

@@ -5,8 +5,6 @@ Values are computed here from the chosen rows; bounds of D are drawn here from t
 weights alone.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

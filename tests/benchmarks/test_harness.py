@@ -1,7 +1,5 @@
 """The benchmarks' harness: intervals, measures by hand, the campaign and its table."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Long traces: memory and answers of whole diagnoses, in processes of their own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The board of real machines: one entry runs, and its baselines are those published."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

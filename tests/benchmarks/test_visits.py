@@ -1,7 +1,5 @@
 """The benchmark of second visits: one machine in both visits, and what its table counts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

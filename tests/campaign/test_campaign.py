@@ -1,7 +1,5 @@
 """Campaigns: every combination and seed once, resumed where they were interrupted."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A campaign that is killed, or whose worker is, ends as an unbroken one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

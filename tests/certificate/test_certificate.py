@@ -1,7 +1,5 @@
 """`oed certificate`: PTB's schema, a public reader, conformity, and what is asked for."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

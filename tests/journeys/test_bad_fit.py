@@ -1,7 +1,5 @@
 """A bad fit is loud: first line, exit code, and no accuracy predicted from it."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from pathlib import Path

@@ -2,8 +2,6 @@
 (tests/oracles/planar_cables.py), which knows |A - E| = L0 (1 + T / (E A)).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgspec

@@ -1,7 +1,5 @@
 """A session's readings count once, in whatever order and file they come again."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -18,8 +18,6 @@ stated), the lines by 0.2 mm (0.5 mm stated), with no order in the readings or i
 No effect could be seen under such noise: none is tested.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Healthy machines with turns between their poses, and nests beside the axis, end to end."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

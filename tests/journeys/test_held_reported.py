@@ -1,7 +1,5 @@
 """A held value that the readings contradict reaches result.json, report and terminal."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The estimated noise law reaches result.json, the report and the terminal."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

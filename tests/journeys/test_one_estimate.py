@@ -1,7 +1,5 @@
 """The diagnosis and the corrected model have one estimate of each coefficient."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What was computed stays where a later part of a run fails."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from unittest import mock

@@ -1,7 +1,5 @@
 """A run that is killed and called again ends as the unbroken one."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """Two rounds: measure, compensate, measure again under the compensated controller."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

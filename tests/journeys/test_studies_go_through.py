@@ -4,8 +4,6 @@ Each study runs as shipped, with readings of its own simulation under five seeds
 that cannot be simulated by its nature is skipped with the command's own refusal.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Callable

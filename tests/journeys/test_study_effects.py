@@ -1,7 +1,5 @@
 """`effects` of [identify]: what is allowed, refused, reported and predicted."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from pathlib import Path

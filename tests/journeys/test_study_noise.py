@@ -1,7 +1,5 @@
 """`[noise]` of a study: amounts that are stated, what they change, what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

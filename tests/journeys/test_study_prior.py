@@ -1,7 +1,5 @@
 """`[[prior.correlated]]` of a study: what it changes, what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run driven the other way than its rows say is the first line on the terminal."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

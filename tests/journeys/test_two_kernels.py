@@ -4,8 +4,6 @@ Its numbers agree but for rounding; figures of draws agree within the Monte Carl
 that the result states, and what is printed is the same.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -5,8 +5,6 @@ number that stands before a unit, in a column or beside a field with a unit must
 the same SI value. A value from one function and a unit from another are not.
 """
 
-from __future__ import annotations
-
 import csv
 import html
 import json

@@ -3,8 +3,6 @@
 Lengths in mm, angles in rad. It must never import the toolkit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Newton's method moves the passive joints of a model until the points of its loop
 coincide. It must never import the toolkit.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

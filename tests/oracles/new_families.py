@@ -6,8 +6,6 @@ of the crank, `l1` of the strut, `a1x`.. of the platform joint, and `turn1x`.. o
 guide as a rotation vector. It must never import the toolkit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

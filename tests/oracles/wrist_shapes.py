@@ -3,8 +3,6 @@
 It must never import the toolkit.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A page at the machine on a free port, and a client that speaks HTTP by itself."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import http.client

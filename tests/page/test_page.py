@@ -1,7 +1,5 @@
 """The page at the machine: decisions of the command, two pages at once, slips of the hand."""
 
-from __future__ import annotations
-
 import csv
 import re
 import socket

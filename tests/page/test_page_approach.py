@@ -1,7 +1,5 @@
 """The direction of approach on the page: what it says, what it writes, passes both ways."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 The tests need a Chromium of the system, and are skipped where there is none.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import itertools

@@ -1,7 +1,5 @@
 """Readings that arrive at the page as lines: of a port, a file, a folder."""
 
-from __future__ import annotations
-
 import io
 import queue
 import socket

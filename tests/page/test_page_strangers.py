@@ -1,7 +1,5 @@
 """What strangers send to the page: 500 requests, scripts in remarks, no token."""
 
-from __future__ import annotations
-
 import json
 import random
 from collections.abc import Callable, Mapping

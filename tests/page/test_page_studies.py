@@ -1,7 +1,5 @@
 """Studies from the page's form, and results as cards: what is written, what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

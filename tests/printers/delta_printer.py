@@ -1,7 +1,5 @@
 """Delta printers in tests: files in, the study that is imported, and its export."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`oed compensate` for delta printers: the firmware of the oracle reads the file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

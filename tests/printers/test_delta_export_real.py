@@ -1,7 +1,5 @@
 """Real readings of a delta printer, exported for Klipper: its own formula on the file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import compensation_sample as sample

@@ -1,7 +1,5 @@
 """`oed import klipper`: printers of an oracle and real ones, to Klipper's own cost."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`oed import klipper`: the block that SAVE_CONFIG wrote, and positions that are stale."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ The right values come from least squares over the oracle's delta, which shares n
 with the importer; logs have invented numbers.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Readings of printers: the noise that nobody measured, and readings that are equal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

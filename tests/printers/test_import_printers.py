@@ -1,7 +1,5 @@
 """`oed import rrf` and `oed import marlin`: logs of printers that an oracle probed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

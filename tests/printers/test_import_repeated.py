@@ -4,8 +4,6 @@ Right values by the definition: sums of squares about the mean of each place, ov
 degrees of freedom.
 """
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The right values come from least squares over the oracle's delta, which shares n
 with the importer; files have invented numbers.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Logs whose lines carry times: read in the order of time, or refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

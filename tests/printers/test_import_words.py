@@ -4,8 +4,6 @@ The lists of words are written from the firmwares' documentation: Klipper's conf
 reference, the G-code dictionary of RepRapFirmware, Marlin's pages of G-codes.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -4,8 +4,6 @@ From the files of RepRapFirmware to the lines that are pasted into config.g. The
 the oracle's, with six rods: it shares no code with the toolkit.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

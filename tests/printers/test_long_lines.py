@@ -1,7 +1,5 @@
 """Lines of a printer's files that are longer than any that it writes."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

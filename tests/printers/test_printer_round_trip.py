@@ -5,8 +5,6 @@ imported and fitted, and the export is read back by the same firmware. Bed and d
 the printer are then as good as least squares over the oracle's delta can make them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ After LinearDeltaSolution.cpp, Endstops.cpp and the strategies of G29 of Smoothi
 carriage at its switch counts as that of the nozzle at Z + M206 Z, less its trim.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

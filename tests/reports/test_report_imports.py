@@ -1,7 +1,5 @@
 """What writing a report loads: nothing that models or solves."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

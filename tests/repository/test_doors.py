@@ -1,7 +1,5 @@
 """A room hands out few names, by its `__init__`, with a sentence each."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re

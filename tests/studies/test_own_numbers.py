@@ -1,7 +1,5 @@
 """A user's own numbers: a CSV and a machine's name, against machines of NumPy and SciPy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

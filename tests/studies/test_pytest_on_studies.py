@@ -1,7 +1,5 @@
 """Studies as parametrised tests of pytest."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sweeps over varied studies in a user's own test suite, also on several processes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Effects of gears, cables and targets, each against its own geometry."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -2,8 +2,6 @@
 anew (`constraint_machines`), what leads a locked machine, and the advice on sensors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from constraint_machines import (

@@ -2,8 +2,6 @@
 closures written anew (`constraint_machines`), from estimate to files and commands.
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Instruments of which part is read: planes, some channels of a pose, tilted beds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -2,8 +2,6 @@
 their own (tests/oracles/planar_cables.py) and finite differences.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles import planar_cables

@@ -4,8 +4,6 @@ Numbers come from rotations that SciPy makes of the stated order, and from tool 
 the machine's own rotation is what they are compared with.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

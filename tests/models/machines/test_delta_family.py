@@ -1,7 +1,5 @@
 """Deltas of any size: readings against trilateration, the mode, refusals in studies."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -2,8 +2,6 @@
 oracle of tests/oracles/machine_shapes.py, and studies describe them.
 """
 
-from __future__ import annotations
-
 import importlib
 import itertools
 

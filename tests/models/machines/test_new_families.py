@@ -2,8 +2,6 @@
 descriptions, and new studies of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path

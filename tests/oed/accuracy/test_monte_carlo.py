@@ -1,7 +1,5 @@
 """Standard errors of drawn figures, against closed forms and against other samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

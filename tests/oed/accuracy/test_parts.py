@@ -1,7 +1,5 @@
 """Acceptance limits, exact errors and means over machines against closed forms."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors of readings that add up, each with a factor, against dense matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 Independent: closed-form A3 heads of the oracles, errors composed by scipy's rotations.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

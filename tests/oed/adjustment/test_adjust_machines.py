@@ -4,8 +4,6 @@ Readings, controller and realised errors come from tests/oracles. The fitter wor
 steps of 0.02 mm (0.1 mrad) and errs by up to half of one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import NamedTuple

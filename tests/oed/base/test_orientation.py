@@ -1,7 +1,5 @@
 """Angles and rotations of an orientation, against matrices multiplied in their order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import stated_order

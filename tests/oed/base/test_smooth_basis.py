@@ -2,8 +2,6 @@
 quadrature.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special

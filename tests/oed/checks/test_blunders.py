@@ -1,7 +1,5 @@
 """Checks of readings against the table of blunders, and against correct sessions."""
 
-from __future__ import annotations
-
 import itertools
 
 import blunder_machines as machines

@@ -1,7 +1,5 @@
 """Covariates and poses that no workshop has, and what they may mean instead."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import blunder_machines as machines

@@ -1,7 +1,5 @@
 """Evidence of readings and of mistakes against densities written out."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows of several files: each is named with its file, and no two are the same."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import blunder_machines as machines

@@ -1,7 +1,5 @@
 """What belongs to an instrument: where it was used, and the zeros of what it reads inside."""
 
-from __future__ import annotations
-
 import blunder_machines as machines
 import numpy as np
 import pytest

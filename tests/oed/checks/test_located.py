@@ -3,8 +3,6 @@
 All that rests on a fit has one verdict on it.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Without the mistake, readings and poses are those of the file before it was made.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from types import ModuleType

@@ -4,8 +4,6 @@
 that of `oed identify`: the check names rows and sets them aside, the others are fitted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,7 +1,5 @@
 """Odds of gross errors against quadrature, and what a design's freedom lets them prove."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import integrate, stats

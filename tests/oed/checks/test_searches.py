@@ -1,7 +1,5 @@
 """What a check computes on its way: ranges, copies, outliers, senses, clocks, priors."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from types import SimpleNamespace

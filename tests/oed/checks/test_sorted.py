@@ -1,7 +1,5 @@
 """How many sorted readings are looked at, on one run of the head."""
 
-from __future__ import annotations
-
 import blunder_machines as machines
 import numpy as np
 import pandas as pd

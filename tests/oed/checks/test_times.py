@@ -1,7 +1,5 @@
 """Times that no session has: falling, standing still, in other units, two runs at once."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

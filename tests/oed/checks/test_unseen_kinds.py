@@ -1,7 +1,5 @@
 """Mistakes of kinds that no table of blunders had, in readings of independent machines."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import ModuleType
 

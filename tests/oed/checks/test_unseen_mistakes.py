@@ -1,7 +1,5 @@
 """Mistakes that no check can see: they turn a machine of the model into another one."""
 
-from __future__ import annotations
-
 import blunder_machines as machines
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Verdicts on a fit: its goodness, its outliers, and the odds of mistakes."""
 
-from __future__ import annotations
-
 import blunder_machines as machines
 import numpy as np
 import pytest

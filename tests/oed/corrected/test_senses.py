@@ -1,7 +1,5 @@
 """Runs driven the other way than their rows say, on A3 heads of the oracle with play."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

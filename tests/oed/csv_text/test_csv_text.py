@@ -1,7 +1,5 @@
 """Cells of text that a spreadsheet would evaluate, and their way back."""
 
-from __future__ import annotations
-
 import csv
 import io
 

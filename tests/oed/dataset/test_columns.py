@@ -1,7 +1,5 @@
 """Columns, dialects and rows of a readings file, part by part."""
 
-from __future__ import annotations
-
 import dataclasses
 import tracemalloc
 from pathlib import Path

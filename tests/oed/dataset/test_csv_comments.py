@@ -1,7 +1,5 @@
 """Lines with # above the header of a readings file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -2,8 +2,6 @@
 row and column.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

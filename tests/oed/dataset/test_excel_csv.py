@@ -1,7 +1,5 @@
 """Readings as spreadsheets save them: semicolons, decimal commas, marks, remarks."""
 
-from __future__ import annotations
-
 import codecs
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Readings files that are refused, with row and column."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import tracemalloc

@@ -1,7 +1,5 @@
 """Exchanges of blocks for D: gains by determinants, all subsets, starts of several kinds."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Branch and bound against every subset, and against the exchange."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

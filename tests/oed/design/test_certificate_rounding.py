@@ -1,7 +1,5 @@
 """The bound in exact arithmetic: it holds however ill-conditioned the candidates are."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

@@ -1,7 +1,5 @@
 """Condition number, E and O4: bounds against every plan, values against a conic solver."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

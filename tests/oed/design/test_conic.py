@@ -3,8 +3,6 @@
 It is checked against all subsets, and against the Newton relaxation.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Criteria: slopes by finite differences, values after adding, supporting lines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

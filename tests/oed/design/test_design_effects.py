@@ -1,7 +1,5 @@
 """Designs that allow for effects: against dense covariances and all subsets."""
 
-from __future__ import annotations
-
 import itertools
 
 import msgspec

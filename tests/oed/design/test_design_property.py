@@ -5,8 +5,6 @@ Sizes, ranks, blocks, priors, costs, set-ups and criteria vary. The greedy plan 
 written again here, and the values are computed from the chosen blocks with NumPy alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tabu search for D: against all subsets, and against a plain exchange of many starts."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tabu search for E: its traces by eigenvalues, and all subsets; copies among candidates."""
 
-from __future__ import annotations
-
 import itertools
 from unittest import mock
 

@@ -2,8 +2,6 @@
 and every subset.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Single rules of a plan against counting by hand, candidate by candidate."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

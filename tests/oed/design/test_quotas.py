@@ -1,7 +1,5 @@
 """Quotas against every subset of small problems: feasibility, plans and certificates."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -2,8 +2,6 @@
 convex solver.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import cvxpy as cp

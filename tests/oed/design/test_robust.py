@@ -1,7 +1,5 @@
 """Robust designs against every subset of small problems, and against the nominal plan."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Combinations of set-ups over which plans are bounded, listed by hand."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -4,8 +4,6 @@ Six circles of eight readings against two of twelve, each run twice. The standar
 of theta over the workspace follows from the oracle's slopes and dense matrices.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

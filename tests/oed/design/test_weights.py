@@ -1,7 +1,5 @@
 """Weights by each solver: the same optimum, and a plan of the largest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Sizes over decades: what is far beyond the expected size costs little and stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import integrate, stats

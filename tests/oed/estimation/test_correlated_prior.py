@@ -1,7 +1,5 @@
 """Correlated tolerances: the closed form of a linear Gaussian model, written out."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -3,8 +3,6 @@
 The ruler's sag is simulated by a formula of its own; no effect of the catalogue has it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

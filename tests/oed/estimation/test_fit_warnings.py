@@ -1,7 +1,5 @@
 """What is said of residuals that the stated noise does not explain."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

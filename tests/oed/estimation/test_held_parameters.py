@@ -1,7 +1,5 @@
 """Held parameters that readings contradict, against deltas that other code computes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

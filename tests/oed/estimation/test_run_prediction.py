@@ -1,7 +1,5 @@
 """Runs predicted from the others, and predictive checks, against dense matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What no noise law explains widens intervals, and moves no value."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from shipped_models import planar_2dof, pose_tracker

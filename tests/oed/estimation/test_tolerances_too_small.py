@@ -1,7 +1,5 @@
 """Tolerances that are stated ten times too small: seen, taken larger, and said."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

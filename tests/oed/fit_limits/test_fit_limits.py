@@ -1,7 +1,5 @@
 """Residuals beside the distribution that they have where the stated noise is right."""
 
-from __future__ import annotations
-
 import pytest
 from scipy import stats
 

@@ -4,8 +4,6 @@ Nodes are planned, read with noise and fitted; the table then acts on the simula
 machine. What is left is as predicted, within a factor of 1.2.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

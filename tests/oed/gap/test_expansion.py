@@ -1,7 +1,5 @@
 """Points about which effects act, and what they explain, against dense matrices."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What to do next."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from kernel.gap_lines import BOW, DRIFT, SLIP

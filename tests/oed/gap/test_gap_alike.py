@@ -1,7 +1,5 @@
 """Limbs that are built alike: what they share, and how they differ."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

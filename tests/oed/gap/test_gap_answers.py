@@ -1,7 +1,5 @@
 """Answers from hypotheses: verdicts, classes, the 95 % set, when no gap comes first."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -5,8 +5,6 @@ Readings come from the blind benchmark's generator, which shares no code with th
 diagnosis, or from the exact closure.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path

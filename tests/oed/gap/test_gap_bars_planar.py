@@ -1,7 +1,5 @@
 """A planar machine with gravity and over-constraint: diagnosed, corrected, predicted."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

@@ -2,8 +2,6 @@
 found where they were planted.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,8 +2,6 @@
 from the bar's length on an A3.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Collection

@@ -1,7 +1,5 @@
 """The discrepancy's kernels, priors and covariates."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -2,8 +2,6 @@
 a dense inverse.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Noise laws that the evidence of a hypothesis rests on: their number, and more of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special

@@ -1,7 +1,5 @@
 """Laws that stand for all: evidence against the mean over laws drawn from the prior."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import linalg, special

@@ -1,7 +1,5 @@
 """Roots, products, folds and conditioning of a diagnosis, against dense matrices."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -2,8 +2,6 @@
 against virtual machines.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

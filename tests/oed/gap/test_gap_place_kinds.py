@@ -1,7 +1,5 @@
 """Places that a gap can be in at all: set-ups, times and directions of what acts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -2,8 +2,6 @@
 planted effects.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -2,8 +2,6 @@
 tells as much as theory allows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

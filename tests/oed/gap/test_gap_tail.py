@@ -1,7 +1,5 @@
 """Tail probabilities of the chi-square distribution against their recurrence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

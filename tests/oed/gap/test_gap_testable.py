@@ -1,7 +1,5 @@
 """Which effects readings can test: those whose usual sizes show, not expected ones alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """An unknown with an effect in an adapted form, an unknown alone, errors that come back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

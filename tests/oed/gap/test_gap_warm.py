@@ -2,8 +2,6 @@
 or lets the tool grow.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

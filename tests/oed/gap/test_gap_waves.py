@@ -1,7 +1,5 @@
 """Steady waves as unknown effects: found at their periods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

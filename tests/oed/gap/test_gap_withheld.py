@@ -1,7 +1,5 @@
 """Hypotheses by withheld runs and evidence together, against dense covariances."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

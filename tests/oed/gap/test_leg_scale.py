@@ -1,7 +1,5 @@
 """A leg whose conversion is wrong: named, called implausible, and estimated unbent."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import leg_scale

@@ -1,7 +1,5 @@
 """Errors of the references of set-ups, against plain numpy: forms, offers, and names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Readings taken again: what differs between them, and errors that recur at each pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

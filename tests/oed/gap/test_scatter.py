@@ -1,7 +1,5 @@
 """Readings that scatter more than their instrument is stated to."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Second visits: the expected probability against closed forms, and what is advised."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`[prior] from`: the prior from other machines, against integrals and on drawn fleets."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

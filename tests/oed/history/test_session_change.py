@@ -1,7 +1,5 @@
 """Two sessions of one machine, against one least-squares fit of both together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Drift over sessions against one least-squares fit of all."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

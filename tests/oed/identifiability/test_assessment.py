@@ -1,7 +1,5 @@
 """Assessments of small plans against covariances written out and known lost directions."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameter vectors, series and channels of set-ups against what is written out by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Bases and roots that depend on the matrix alone, not on the library."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import linalg, stats

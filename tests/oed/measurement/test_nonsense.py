@@ -1,7 +1,5 @@
 """Readings of another machine, and fits that mirror the machine, are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 from shipped_models import camera, delta
 

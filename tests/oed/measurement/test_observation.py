@@ -1,7 +1,5 @@
 """Observations, their noise and their runs against differences and matrices by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Set-ups on one station: several nests that one tracker reads share its registration."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compiled functions and systems of equations: NumPy, closed forms, LAPACK, one another."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

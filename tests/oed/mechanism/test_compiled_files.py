@@ -1,7 +1,5 @@
 """Compiled files: two processes at once, damaged files, no compiler, no folder."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

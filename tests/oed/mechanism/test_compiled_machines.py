@@ -1,7 +1,5 @@
 """Every machine compiled and not: the same digits of poses, failures, slopes, readings."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 

@@ -1,7 +1,5 @@
 """Pose errors of a wrong machine: exact, linear, and pulled back to its parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import casadi as ca

@@ -2,8 +2,6 @@
 trilateration of the delta.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Linear equations of many poses at once, some of them singular, worked by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

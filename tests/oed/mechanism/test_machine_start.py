@@ -1,7 +1,5 @@
 """Where a machine's solver starts, worked by hand on a delta."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import casadi as ca

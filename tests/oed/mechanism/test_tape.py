@@ -1,7 +1,5 @@
 """NumPy operations and compiled functions: each digit is that of CasADi's interpreter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import casadi as ca

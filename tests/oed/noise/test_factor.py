@@ -1,7 +1,5 @@
 """Roots of covariances, and what held-out readings add, against dense matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

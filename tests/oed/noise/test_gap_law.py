@@ -1,7 +1,5 @@
 """The law of a diagnosis in words."""
 
-from __future__ import annotations
-
 from kernel.laws import noise_law
 
 

@@ -1,7 +1,5 @@
 """Noise in linear time: each root, precision and innovation against dense matrices."""
 
-from __future__ import annotations
-
 import dataclasses
 import tracemalloc
 

@@ -3,8 +3,6 @@
 The covariance is written out from the oracle's slopes over the cup, reading by reading.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

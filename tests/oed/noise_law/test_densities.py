@@ -1,7 +1,5 @@
 """Densities of single errors: scores and information by other means."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

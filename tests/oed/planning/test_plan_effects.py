@@ -1,7 +1,5 @@
 """Plans that allow for effects: stages against a dense Bayesian update, and the words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stages of a plan: exchange of readings, profiled unknowns, and what rounding may do."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The planner on small catalogues of linear readings, against every plan there is."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Parts of the planner on linear readings, against inverses and all sets of readings."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -1,7 +1,5 @@
 """Bounds of parameters: draws are those of exact rejection from the closed form."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A sampler that is killed and resumed: the draws of the unbroken one, bit by bit."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from pathlib import Path

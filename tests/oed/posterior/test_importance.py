@@ -1,7 +1,5 @@
 """Independent draws: what they are worth, and densities whose weights must be refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, cast
 

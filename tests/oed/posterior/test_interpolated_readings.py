@@ -1,7 +1,5 @@
 """Readings interpolated from a few of them, against the exact ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from shipped_models import a3_head, ball_bar, height_probe, linear_delta

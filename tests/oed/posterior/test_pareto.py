@@ -1,7 +1,5 @@
 """Smoothed importance weights against ArviZ, and the fitted tail against its truth."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

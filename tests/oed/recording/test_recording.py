@@ -1,7 +1,5 @@
 """What else to record: moments over courses, errors by dense updates, and the table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import design_sample

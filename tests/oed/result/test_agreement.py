@@ -1,7 +1,5 @@
 """A result that contradicts itself is refused with its field."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

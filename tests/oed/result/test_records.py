@@ -1,7 +1,5 @@
 """What records say of themselves, and how they are read and written."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pytest

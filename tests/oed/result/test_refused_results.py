@@ -1,7 +1,5 @@
 """A result.json that contradicts itself is refused at the door, with its field."""
 
-from __future__ import annotations
-
 import functools
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files are replaced while they are as written; what a user changed stays."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Where no other user can put a file: the folder, those above it, and links."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

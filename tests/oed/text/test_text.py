@@ -1,7 +1,5 @@
 """Numbers and names as messages say them."""
 
-from __future__ import annotations
-
 import pytest
 
 from oed import text, units

@@ -1,7 +1,5 @@
 """One verdict on a fit."""
 
-from __future__ import annotations
-
 import msgspec
 from result_sample import whole
 

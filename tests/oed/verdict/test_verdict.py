@@ -1,7 +1,5 @@
 """One function for every verdict: against quantiles of a known distribution."""
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 

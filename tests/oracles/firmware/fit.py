@@ -1,7 +1,5 @@
 """Least squares over a delta: what a calibration can do at best with its contacts."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import least_squares
 

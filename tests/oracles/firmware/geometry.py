@@ -3,8 +3,6 @@
 A firmware offers `travel(points (n, 3)) -> (n, 3)`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Protocol
 

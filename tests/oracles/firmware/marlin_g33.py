@@ -4,8 +4,6 @@ After src/gcode/calibrate/G33.cpp of 1.1.9 and later. A reading of the ring coun
 two neighbours among six directions, from 210 degrees on, by the square of a cosine.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from oracles.firmware.geometry import Probe

@@ -5,8 +5,6 @@ tower; a rod joins each pair. The pose of the effector solves the six lengths. N
 the toolkit's model enters: neither its closure nor a tilt to first order.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

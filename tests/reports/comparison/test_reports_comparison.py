@@ -1,7 +1,5 @@
 """Several results side by side: differences, accuracy, parameters, diagnoses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

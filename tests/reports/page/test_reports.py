@@ -1,7 +1,5 @@
 """Reports: complete, self-contained and escaped files, also where sections are missing."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

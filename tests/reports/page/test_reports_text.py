@@ -1,7 +1,5 @@
 """Numbers, units, shares, lists and combinations as text of a report."""
 
-from __future__ import annotations
-
 import pytest
 
 from pkm_reports import text

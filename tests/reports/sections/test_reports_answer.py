@@ -1,7 +1,5 @@
 """The first page answers the user's questions, and says nothing that is not so."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

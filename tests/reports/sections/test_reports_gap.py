@@ -1,7 +1,5 @@
 """The report's chapter on the gap: sound for every verdict, its figures legible."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

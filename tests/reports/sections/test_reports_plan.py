@@ -1,7 +1,5 @@
 """The chapter of a plan in stages and its measurement sheet, also where parts lack."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

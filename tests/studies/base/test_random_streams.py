@@ -1,7 +1,5 @@
 """Random streams: each use has numbers of its own."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What holds on Windows: no POSIX-only name, terminals without Unicode, paths."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import json

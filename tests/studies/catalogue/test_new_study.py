@@ -1,7 +1,5 @@
 """Machines of one's own, the catalogue, and studies that `oed new` writes."""
 
-from __future__ import annotations
-
 import fnmatch
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Times as one says them, and the readings that they have room for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

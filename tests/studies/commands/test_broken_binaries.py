@@ -1,7 +1,5 @@
 """An error names its file: draws and tables that are no such thing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

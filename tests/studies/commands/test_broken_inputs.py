@@ -1,7 +1,5 @@
 """Broken inputs: exit 2 and one paragraph with file, field and remedy."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ Beside the study lie files with the names of all modules of Python and of all pa
 are installed. Each leaves its name in a file where it runs.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.metadata
 import subprocess

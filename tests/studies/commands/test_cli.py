@@ -1,7 +1,5 @@
 """The command: what it prints, its exit codes, and that it leaves whole files only."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

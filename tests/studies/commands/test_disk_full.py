@@ -1,8 +1,6 @@
 """Disks that are full, read-only or beyond a quota: said as such, nothing half, nothing
 lost that was computed."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

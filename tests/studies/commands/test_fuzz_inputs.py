@@ -4,8 +4,6 @@ Mutations come from Hypothesis: 200 by default, 2000 in the nightly tests. `oed 
 runs in this process; whatever it raises fails the test.
 """
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Numbers that no workshop has end in a sentence with file, field, value and remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

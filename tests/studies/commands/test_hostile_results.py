@@ -1,7 +1,5 @@
 """A stranger's result.json: its texts are no paths, and no commands of a controller."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """Odd studies and readings that once ended in a traceback."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a user filled in stays, and what is to be measured is the same in every file."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options that are given more than once: readings count all, others are refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An output that is closed or full is one line on stderr, and exit code 2."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -2,8 +2,6 @@
 where the identified machine's stands.
 """
 
-from __future__ import annotations
-
 import csv
 import xml.etree.ElementTree as ET
 from collections.abc import Callable

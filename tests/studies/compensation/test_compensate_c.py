@@ -1,7 +1,5 @@
 """`oed compensate --to c`: compiled and called, beside Python and beside an oracle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`oed compensate`: files that controllers read, by formulas written here."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -2,8 +2,6 @@
 LinuxCNC's documentation, drive the identified machine.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

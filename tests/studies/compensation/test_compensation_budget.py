@@ -1,7 +1,5 @@
 """`oed compensate` on a budget: what a file costs, on the oracle's A3 heads."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What no drive corrects: offsets for additional axes, on machines of the oracles."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`oed import` of ball-bar traces, against the oracle of the delta."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`oed import` of any CSV, against the oracles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

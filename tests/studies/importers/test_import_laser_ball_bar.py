@@ -1,7 +1,5 @@
 """R, theta and phi of a laser ball bar in column maps and readings files, by NumPy alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

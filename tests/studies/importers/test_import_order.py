@@ -1,7 +1,5 @@
 """Tables whose lines carry times: in the order of time, or refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Quaternions, rotation vectors and directions in column maps, against SciPy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files that are deeper or larger than any machine: refused at once, with the reason."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Several nests of one tracker: one frame, and orientations where they were measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`oed import tracker`, of the shipped delta and of a large one, against the oracle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 the platform of the file, and files that describe no family are refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Loops as public MJCF draws them: two chains that meet, a platform on a leg, welds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A notebook's diagnosis is the command's, and what a step refuses it explains."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace

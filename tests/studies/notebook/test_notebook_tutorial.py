@@ -1,7 +1,5 @@
 """The tutorial for notebooks runs as written, and its figures show what the sections say."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a file says of its columns."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from shipped_models import prs_spindle

@@ -1,7 +1,5 @@
 """What the controller holds: from a result, parameters or a table; against plain numpy."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Gears of a machine's declaration: `drive = { kind = "gear", ratio = 63 }`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Joints that count from another zero: strokes of legs in place of their lengths."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

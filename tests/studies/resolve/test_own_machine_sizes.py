@@ -4,8 +4,6 @@ Two carriages on upright rails at x = -a and a carry the tool by rods of length 
 q_i = y + sqrt(L^2 - (x -+ a)^2), 0.7 m for a rod, 0.3 m for a.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Numbers with their unit in the key: SI values, or a refusal with the units that fit."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Studies as the kernel's objects: every number in SI where it belongs."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Poses as users give them: lists, files, circles, lines, cubes and samples."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

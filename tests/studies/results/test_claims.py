@@ -1,7 +1,5 @@
 """Claims of a study: paths into its result, and whether the values there meet them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

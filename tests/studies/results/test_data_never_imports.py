@@ -6,8 +6,6 @@ place of any string of the data. An audit hook sees every import and every execu
 code in this process, whichever way they come about.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import sys

@@ -1,7 +1,5 @@
 """`oed adjust`: the search against all lists, files, refusals, and the way to a controller."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -1,7 +1,5 @@
 """`oed verify` beside what a plan said of a healthy machine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace

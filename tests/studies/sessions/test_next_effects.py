@@ -1,7 +1,5 @@
 """Advice at a machine with effects: against a dense update of parameters and effects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

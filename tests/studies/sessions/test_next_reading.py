@@ -1,7 +1,5 @@
 """The best next reading: against direct inversion, and as the command tells it."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A second visit as a user does it: advised, printed, read and diagnosed with the first."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shlex

@@ -1,7 +1,5 @@
 """`oed compare` and `oed history` on the sessions of one virtual machine."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """An effect that varies faster than its table is none that a controller corrects."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

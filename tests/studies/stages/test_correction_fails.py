@@ -1,7 +1,5 @@
 """A correction for effects that does not converge, after a diagnosis and by name."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from unittest import mock
 

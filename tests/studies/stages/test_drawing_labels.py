@@ -1,7 +1,5 @@
 """Labels of the drawing stand where their parameters act; plans state the joints."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

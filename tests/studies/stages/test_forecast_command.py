@@ -1,7 +1,5 @@
 """`oed forecast`: nodes to measure, their table at work on the oracle, what is refused."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Measured errors in the controller's file, and waves that no node sees, on the gantry."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

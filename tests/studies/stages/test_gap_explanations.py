@@ -1,7 +1,5 @@
 """Explanations beside the best one: no sentence contradicts another one's probability."""
 
-from __future__ import annotations
-
 import msgspec
 import report_fixture
 from result_sample import whole

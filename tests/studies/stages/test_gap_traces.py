@@ -1,7 +1,5 @@
 """Residuals of a diagnosis laid out run by run, and over places of the tool."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

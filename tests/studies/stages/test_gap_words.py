@@ -1,7 +1,5 @@
 """Sentences of a diagnosis: cause, place, closure, next steps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Sentences and table on the predicted accuracy say what becomes of each component."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

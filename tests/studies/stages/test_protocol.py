@@ -1,7 +1,5 @@
 """Repeat protocols: passes averaged into one reading, or each a reading."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a controller is sent: the compensation of least expected error, or nothing."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import msgspec

@@ -1,7 +1,5 @@
 """`states` of [prediction]: read with their units, refused where nothing follows from them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bad_fit_sample

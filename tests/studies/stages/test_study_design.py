@@ -1,7 +1,5 @@
 """Criteria of a study's [design] against all subsets, with any instruments."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

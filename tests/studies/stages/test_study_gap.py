@@ -1,7 +1,5 @@
 """[gap] of a study: its effects, its mistakes, and `oed diagnose` with its section."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """What planned readings could find: the section, its files, its chapter, refusals."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

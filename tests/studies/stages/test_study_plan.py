@@ -1,7 +1,5 @@
 """Plans of stages in studies, against all subsets of lines and after a session."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import itertools

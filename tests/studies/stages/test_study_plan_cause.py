@@ -1,7 +1,5 @@
 """A plan for accuracy and runs that find the cause of what it leaves, in one time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -3,8 +3,6 @@
 Plans are compared with every subset of eight candidates.
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Weights in a study: D, A and E by each solver, against cvxpy's own atoms; refusals."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rules, limits, polish and order of a study's [design], each checked on the plan."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A summary on the terminal has few lines, and hides nothing that a user must see."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

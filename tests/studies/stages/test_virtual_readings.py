@@ -1,7 +1,5 @@
 """Readings of a virtual machine: their covariates, and the effects that it has."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The accuracy that [prediction] wants: beside the predicted one, with pass or fail."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgspec

@@ -1,7 +1,5 @@
 """Shipped studies: listed, run by name, copied under a new name."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

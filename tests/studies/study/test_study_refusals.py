@@ -1,7 +1,5 @@
 """Studies with a mistake: every refusal names field, value and remedy in one line."""
 
-from __future__ import annotations
-
 import pytest
 import sample
 

@@ -1,7 +1,5 @@
 """Python files run once their user allowed them, and no other way leads to them."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import json

@@ -4,8 +4,6 @@ With cranks of 200 mm and rods of 20 mm no limb spans the 250 mm between a motor
 from the middle, and a plate joint, 100 mm from it: 30 mm are missing in each.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report's chapters about the design: complete, also where parts are missing."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Figures: those without data say so, all words stay inside, and many marks become pixels."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any
