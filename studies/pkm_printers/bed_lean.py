@@ -17,8 +17,8 @@ import numpy as np
 from scipy import optimize, stats
 
 from oed.base import Array
-from pkm_printers.delta_contact import changed, tool_heights, travels
-from pkm_printers.delta_study import SPARE, DeltaGeometry
+from pkm_printers.delta_geometry import DeltaGeometry
+from pkm_printers.delta_study import SPARE
 from pkm_printers.probed_point import ProbedPoint
 
 #: factors without the lean, and with it
@@ -55,12 +55,12 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
     if len(points) < LEAST:
         return None
     commands = np.array([[point.x, point.y, point.z] for point in points])
-    moved = travels(commands, geometry)
+    moved = geometry.travels(commands)
 
     def heights(change: Array) -> Array:
         """Heights (n,) of the tool over the bed, mm."""
         slope = geometry.bed_slope + change[6:]
-        raised = tool_heights(moved, changed(geometry, change[:6]))
+        raised = geometry.changed(change[:6]).tool_heights(moved)
         return np.asarray(raised - commands[:, :2] @ slope)
 
     start = np.zeros(LEANING)

@@ -22,8 +22,6 @@ from pkm_studies.importers import MeshUse, Row
 
 #: mm; places of a mesh are rounded by as much
 ROUNDING = 0.1
-#: decimals of a sum of heights, mm
-DIGITS = 9
 #: standard deviation, mm, of a mesh's level against that of the calibration
 LEVEL = 1.0
 USES = {
@@ -57,19 +55,10 @@ class BedMesh:
         """Largest distance of a point from the middle, mm."""
         return max(math.hypot(p.x, p.y) for p in self.points)
 
-    def rows(self) -> list[Row]:
-        """Rows of the readings file."""
-        points = enumerate(self.points, start=1)
-        return [contact_row(k, p, self.setup) for k, p in points]
-
     def rows_at(self, height: float) -> list[Row]:
-        """The same with the height (mm) at which the probe triggers as reading.
-
-        A delta moves along z alike everywhere, so commands are raised by as much.
-        """
-        places = [p._replace(z=round(p.z + height, DIGITS)) for p in self.points]
-        raised = dataclasses.replace(self, points=tuple(places))
-        return [{**row, "height_mm": repr(height)} for row in raised.rows()]
+        """Rows of the readings file, for a probe that triggers at a height, mm."""
+        points = enumerate(self.points, start=1)
+        return [contact_row(k, p, self.setup, height) for k, p in points]
 
     def setup_table(self, *, is_reference: bool = False) -> str:
         """The table [[setup]] of a study; a reference states where the bed is."""

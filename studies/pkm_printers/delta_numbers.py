@@ -10,8 +10,7 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from oed.model import Machine
-from pkm_printers.delta_contact import travels
-from pkm_printers.delta_study import SLOPES, TOWERS, DeltaGeometry
+from pkm_printers.delta_geometry import SLOPES, TOWERS, DeltaGeometry
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation
 from pkm_studies.tables import NOT_KNOWN, ControllerTable
@@ -130,7 +129,7 @@ def home_notes(compensation: Compensation, name: str) -> list[str]:
 def delta_joints(geometry: DeltaGeometry, compensation: Compensation) -> Array:
     """Travels (n, 3) down from the endstops, m, by the formula of delta firmwares."""
     commands = units.from_si(compensation.command, "mm")
-    return units.to_si(travels(commands, geometry), "mm")
+    return units.to_si(geometry.travels(commands), "mm")
 
 
 def not_a_delta(machine: Machine) -> str | None:

@@ -13,19 +13,17 @@ from collections.abc import Iterable, Sequence
 
 from pkm_printers.bed_lean import (
     LEANING,
-    PLAIN,
     is_to_be_fitted,
     lean_of,
     lean_sentence,
 )
 from pkm_printers.bed_mesh import BedMesh, distinct, explanations
+from pkm_printers.delta_geometry import FACTORS, SLOPES, DeltaGeometry
 from pkm_printers.delta_study import (
-    FACTORS,
-    SLOPES,
-    DeltaGeometry,
     DeltaStudy,
     Firmware,
     Offset,
+    PrinterGeometry,
     free_tilts,
     noise_table,
 )
@@ -44,6 +42,7 @@ TILTS_FITTED = (
     " 0.05 mm over 50 mm (1 mrad, standard deviation). Where it tilts by more, probe with the"
     " nozzle itself, or type the heights of the nozzle at several places too."
 )
+TILTS_NOT_MODELLED = "The model of a {about} does not have that: where it tilts, probe with the nozzle itself."
 TILTS_LEFT_OUT = (
     "These heights are too few for that: the predicted errors do not hold it. Probe twenty"
     " places, or with the nozzle itself."
@@ -64,7 +63,7 @@ def delta_session(
     name: str,
     firmware: Firmware,
     files: str,
-    geometry: DeltaGeometry,
+    geometry: PrinterGeometry,
     points: Sequence[ProbedPoint],
     accounts: Sequence[str],
     notes: Sequence[str],
@@ -72,6 +71,7 @@ def delta_session(
     repeated: Sequence[Sequence[float]] = (),
     meshes: Sequence[BedMesh] = (),
     mesh: MeshUse = "hold-out",
+    trigger: float = 0.0,
 ) -> ImportedSession:
     """Study, readings and statements of probed points.
 
@@ -82,6 +82,7 @@ def delta_session(
     repeated       further readings of the probe at one place, in lists by place, mm
     meshes         further heights of the same bed, for which use; without points, the
                    first one states where the bed is
+    trigger        height of the nozzle over the bed at contact, mm; 0 where it drops out
     """
     _check_places([*points, *[point for one in meshes for point in one.points]], files)
     meshes, mesh_notes = distinct(meshes)
@@ -89,14 +90,12 @@ def delta_session(
     mesh_notes += explanations(meshes, "M665 and M666")
     probed = points or [point for one in meshes[:1] for point in one.points]
     spread = pooled([*by_place(points), *repeated])
-    lean = lean_of(geometry, probed)
-    has_lean = firmware.name == WITH_SLOPES and is_to_be_fitted(lean, len(probed))
-    free = free or FACTORS[LEANING if has_lean else PLAIN]
-    tilts = free_tilts((point.probe for point in probed), free, len(probed))
-    about_lean = lean_sentence(lean, len(probed), is_fitted=set(SLOPES) <= set(free))
+    free, about_lean = _factors(firmware, geometry, probed, free)
+    offsets = [point.probe for point in probed]
+    tilts = free_tilts(offsets, free, len(probed), geometry)
     about_noise = spread.sentence() if spread else ASSUMED
-    about_tilts = tilt_sentences((p.probe for p in probed), is_fitted=bool(tilts))
-    notes = [*mesh_notes, about_noise, about_lean, *about_tilts, *notes]
+    about_tilts = tilt_sentences(offsets, tilts, geometry)
+    notes = [*mesh_notes, about_noise, *about_lean, *about_tilts, *notes]
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
@@ -117,7 +116,8 @@ def delta_session(
         mesh_radius=radius,
         predict=[one.setup for one in meshes] if mesh == "hold-out" else [],
     )
-    rows = [*contact_rows(points), *(row for one in meshes for row in one.rows())]
+    rows = contact_rows(points, trigger)
+    rows += [row for one in meshes for row in one.rows_at(trigger)]
     counted = f"Readings: {len(points)} points of contact with the bed as set-up probe."
     statements = [
         geometry.sentence(),
@@ -131,6 +131,22 @@ def delta_session(
     )
 
 
+def _factors(
+    firmware: Firmware,
+    geometry: PrinterGeometry,
+    probed: Sequence[ProbedPoint],
+    wanted: tuple[str, ...] | None,
+) -> tuple[tuple[str, ...], list[str]]:
+    """Parameters that are fitted, and what heights say of a bed that leans."""
+    if not isinstance(geometry, DeltaGeometry):
+        return wanted or geometry.of_heights, []
+    lean = lean_of(geometry, probed)
+    has_lean = firmware.name == WITH_SLOPES and is_to_be_fitted(lean, len(probed))
+    free = wanted or (FACTORS[LEANING] if has_lean else geometry.of_heights)
+    is_fitted = set(SLOPES) <= set(free)
+    return free, [lean_sentence(lean, len(probed), is_fitted=is_fitted)]
+
+
 def _noise(spread: PooledSpread | None) -> str:
     """The table [noise]: of repeated readings, or assumed as the last resort."""
     if spread is None or not spread.is_known:
@@ -139,11 +155,18 @@ def _noise(spread: PooledSpread | None) -> str:
     return noise_table(NOISE, height, freedom=spread.freedom)
 
 
-def tilt_sentences(probes: Iterable[Offset], *, is_fitted: bool) -> list[str]:
-    """What becomes of the tilts of the effector, for probes (2,) from the nozzle."""
+def tilt_sentences(
+    probes: Iterable[Offset], tilts: Sequence[str], geometry: PrinterGeometry
+) -> list[str]:
+    """What becomes of the tilts of the effector, for probes (2,) from the nozzle.
+
+    tilts  that are fitted
+    """
     if not any(map(any, probes)):
         return []
-    return [f"{TILTS} {TILTS_FITTED if is_fitted else TILTS_LEFT_OUT}"]
+    if not geometry.tilting:
+        return [f"{TILTS} {TILTS_NOT_MODELLED.format(about=geometry.about)}"]
+    return [f"{TILTS} {TILTS_FITTED if tilts else TILTS_LEFT_OUT}"]
 
 
 def _check_places(points: Sequence[ProbedPoint], files: str) -> None:

@@ -6,71 +6,27 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence
 
-import numpy as np
-
-from oed.base import Array
 from pkm_printers import words
+from pkm_printers.delta_geometry import TOWERS, DeltaGeometry
+from pkm_printers.rotary_delta import RotaryGeometry
 from pkm_studies.importers import readings_name
 
-MODEL = "delta_printer"
 #: what to do with other machines
 OTHER_MACHINES = (
-    "this importer is for linear deltas; take `columns` with a map that states the machine: the"
-    " models rotary_delta and five_bar have a firmware's numbers as their geometry"
+    "this importer is for deltas and rotary deltas; take `columns` with a map that states the"
+    " machine, or for a Hangprinter `hangprinter`"
 )
-TOWERS = (1, 2, 3)
-#: angles of the towers from which firmwares count corrections, degrees
-TOWER_ANGLES = np.array([210.0, 330.0, 90.0])
-PPM = 1e-6
+PrinterGeometry = DeltaGeometry | RotaryGeometry
 #: place (2,) of a probe from the nozzle, mm
 Offset = tuple[float, float]
 #: share of the probed radius that the accuracy is predicted on
 SHARE = 0.7
-#: half the workspace's width over the delta's radius, at least
-WIDTH_SHARE = 0.8
 #: correlation of the errors of the three arms: their differences are held within 10 um
 COMMON = 0.999998
-#: parameters that a firmware frees with a number of factors: endstops, radius, angles of
-#: two towers, length of the rods, slopes of the bed
-ENDSTOPS = ("endstop1", "endstop2", "endstop3")
-ANGLES = ("angle1", "angle2")
-ARMS = ("arm1", "arm2", "arm3")
-SLOPES = ("bed_slope_x", "bed_slope_y")
-FACTORS: Mapping[int, tuple[str, ...]] = {
-    3: ENDSTOPS,
-    4: (*ENDSTOPS, "radius"),
-    6: (*ENDSTOPS, "radius", *ANGLES),
-    7: (*ENDSTOPS, "radius", *ANGLES, *ARMS),
-    8: (*ENDSTOPS, "radius", *ANGLES, *SLOPES),
-    9: (*ENDSTOPS, "radius", *ANGLES, *ARMS, *SLOPES),
-}
-#: what tilts the effector, which only a probe beside the nozzle reads: differences of the
-#: rods of a pair, turns of the carriages
-TILTING = ("pair1", "pair2", "pair3", "turn1", "turn2", "turn3")
 #: further heights that estimate how far they scatter
 SPARE = 4
-#: all parameters of the model
-PARAMETERS = (
-    *("radius", *ARMS, *ANGLES, "angle3", *ENDSTOPS),
-    *("trim1", "trim2", "trim3", *SLOPES, *TILTING),
-)
-#: standard deviations of an assembled printer's numbers about those of its firmware
 FIXED_BECAUSE = "not among what is fitted; heights alone give the arms badly"
 EXACT_TRIGGER = "the firmware takes the trigger height as exact"
-TOLERANCES = """\
-# How far the true numbers may be from those of the firmware (standard deviations).
-[[prior.tolerance]]
-parameters = ["radius*", "endstop*"]
-sigma_mm = 5.0
-
-[[prior.tolerance]]
-parameters = ["arm*"]
-sigma_mm = 5.0
-
-[[prior.tolerance]]
-parameters = ["angle*"]
-sigma_deg = 2.0
-"""
 COMMON_ARM = f"""
 # The firmware has one length of the rods.
 [[prior.correlated]]
@@ -83,59 +39,6 @@ name = "calliper"
 instrument = "calliper"
 tolerance = { scale = 0.0 }  # the firmware takes the object's size as exact
 """
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class DeltaGeometry:
-    """A delta as its firmware knows it; mm and deg, as in the firmware's files.
-
-    radius       from the middle to a carriage, less the platform's radius
-    arms         arm lengths (3,)
-    angles       of the towers (3,), counter-clockwise from x
-    endstops     height (3,) of the tool over the bed at each endstop
-    radius_trim  (3,) what each tower adds to the radius
-    bed_slope    (2,) what the firmware adds to z along x and y, mm/mm
-    """
-
-    radius: float
-    arms: Array
-    angles: Array
-    endstops: Array
-    radius_trim: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
-    bed_slope: Array = dataclasses.field(default_factory=lambda: np.zeros(2))
-
-    @property
-    def radii(self) -> Array:
-        """Radius (3,) of each tower."""
-        return self.radius + self.radius_trim
-
-    def table(self) -> str:
-        """The table [machine.nominal] of a study."""
-        lines = [f"radius_mm = {self.radius!r}"]
-        for stem, values, unit in (
-            ("arm", self.arms, "mm"),
-            ("angle", self.angles, "deg"),
-            ("endstop", self.endstops, "mm"),
-        ):
-            numbers = _tower_values(stem, values)
-            lines += [f"{name}_{unit} = {value!r}" for name, value in numbers.items()]
-        if any(self.radius_trim):
-            trims = _tower_values("trim", self.radius_trim)
-            lines += [f"{name}_mm = {value!r}" for name, value in trims.items()]
-        for name, slope in zip(SLOPES, self.bed_slope.tolist(), strict=True):
-            if slope:
-                lines.append(f"{name}_ppm = {slope / PPM!r}")
-        return "\n".join(["[machine.nominal]", *lines, ""])
-
-    def sentence(self) -> str:
-        """The geometry in words."""
-        radius = f"radius {self.radius:g} mm"
-        if any(self.radius_trim):
-            radius = f"radii {_listed(self.radii)} mm"
-        return (
-            f"Machine: delta, {radius}, arms {_listed(self.arms)} mm, towers at"
-            f" {_listed(self.angles)} deg, endstops at {_listed(self.endstops)} mm."
-        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -205,7 +108,7 @@ class DeltaStudy:
     name: str
     firmware: Firmware
     files: str
-    geometry: DeltaGeometry
+    geometry: PrinterGeometry
     free: tuple[str, ...]
     noise: str
     calliper: bool
@@ -221,18 +124,19 @@ class DeltaStudy:
     def title(self) -> str:
         """The title of the report; printer.cfg and config.g name nothing."""
         is_unnamed = self.name in ("printer", "config")
-        return "Delta printer" if is_unnamed else f"Delta printer {self.name}"
+        about = self.geometry.about.capitalize()
+        return about if is_unnamed else f"{about} {self.name}"
 
     def text(self) -> str:
         """The text of the study."""
-        fixed = (p for p in PARAMETERS if p not in self.free)
+        fixed = (p for p in self.geometry.parameters if p not in self.free)
         listed = ", ".join(f'"{parameter}"' for parameter in fixed)
         reach = round(SHARE * self.probed_radius, 1)
-        tolerances = TOLERANCES
+        tolerances = self.geometry.tolerances
         if "arm1" in self.free and not self.calliper:
             tolerances += COMMON_ARM
         return f"""\
-# A delta printer, imported from {self.files}: geometry and readings of {self.firmware.title}.
+# A {self.geometry.about}, imported from {self.files}: geometry and readings of {self.firmware.title}.
 # `oed run` calibrates it; every number has its unit in the name of its field.
 #
 {words.comments(self.accounts)}
@@ -243,7 +147,7 @@ question = "What do the readings say about the geometry, and how accurate is it 
 seed = 1
 
 [machine]
-model = "{MODEL}"
+model = "{self.geometry.model}"
 fixed = [{listed}]  # {FIXED_BECAUSE}
 
 # The geometry that the firmware has now.
@@ -269,13 +173,13 @@ z_mm = {[float(h) for h in self.heights]}
         probed = max(self.probed_radius, self.mesh_radius)
         # ranges move with the tool of a set-up; a command is that of the nozzle
         offsets = [abs(v) for probe in self.probes.values() for v in probe]
-        width = max(1.05 * probed, WIDTH_SHARE * geometry.radius)
+        width = max(1.05 * probed, geometry.half_width)
         width += max(offsets, default=0.0)
         width = round(width, 1)
-        stop = min(geometry.endstops)
+        stop = geometry.stop
         low, high = round(-0.1 * stop, 1), round(0.9 * stop, 1)
-        travel = round(max(geometry.endstops) + max(geometry.arms), 1)
-        joints = "\n".join(f"q{i}_mm = [{-travel}, {travel}]" for i in TOWERS)
+        travel, unit = geometry.travel, geometry.unit
+        joints = "\n".join(f"q{i}_{unit} = [{-travel}, {travel}]" for i in TOWERS)
         return f"""\
 [machine.workspace]
 x_mm = [{-width}, {width}]
@@ -324,11 +228,15 @@ tolerance = {{ offset_mm = {level_mm} }}  # {why}
 
 
 def free_tilts(
-    probes: Iterable[Offset], free: Sequence[str], count: int
+    probes: Iterable[Offset],
+    free: Sequence[str],
+    count: int,
+    geometry: PrinterGeometry,
 ) -> tuple[str, ...]:
     """Tilts that are fitted beside what is free: of probes beside the nozzle, many heights."""
-    is_many = count >= len(free) + len(TILTING) + SPARE
-    return TILTING if is_many and any(map(any, probes)) else ()
+    tilting = geometry.tilting
+    is_many = count >= len(free) + len(tilting) + SPARE
+    return tilting if is_many and any(map(any, probes)) else ()
 
 
 def noise_table(
@@ -350,12 +258,3 @@ def noise_table(
     if distance is not None:
         lines.append(f"length_um = {distance:.9g}")
     return "\n".join([*lines, ""])
-
-
-def _tower_values(stem: str, values: Array) -> dict[str, float]:
-    pairs = zip(TOWERS, values.tolist(), strict=True)
-    return {f"{stem}{i}": value for i, value in pairs}
-
-
-def _listed(values: Array) -> str:
-    return ", ".join(f"{value:g}" for value in values)

@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from oed.text import suggest
-from pkm_printers import delta_study, gcode
+from pkm_printers import delta_geometry, gcode
 from pkm_printers.gcode import TextLine
 
 #: how many numbers each has
@@ -52,8 +52,13 @@ def version(lines: Sequence[TextLine]) -> str | None:
     return None if stated is None else stated[1]
 
 
-def factors(lines: Sequence[TextLine]) -> tuple[str, ...] | None:
+def factors(
+    lines: Sequence[TextLine],
+    parameters: Mapping[int, tuple[str, ...]] = delta_geometry.FACTORS,
+) -> tuple[str, ...] | None:
     """Parameters of the factors that a user wants fitted; None without.
+
+    parameters  by number of factors, as the firmware fits them
 
     Raises InputError.
     """
@@ -61,11 +66,11 @@ def factors(lines: Sequence[TextLine]) -> tuple[str, ...] | None:
     if stated is None:
         return None
     line, text = stated
-    choices = [str(number) for number in delta_study.FACTORS]
+    choices = [str(number) for number in parameters]
     if text not in choices:
         problem = f"firmwares fit {', '.join(choices)} factors"
         raise line.error(problem, "choose one of them", FACTORS)
-    return delta_study.FACTORS[int(text)]
+    return parameters[int(text)]
 
 
 def _stated(lines: Sequence[TextLine], name: str) -> tuple[TextLine, str] | None:

@@ -15,24 +15,22 @@ import numpy as np
 from scipy.optimize import brentq
 
 from oed.base import Array
-from pkm_printers import gcode, klipper_config, klipper_mesh
+from pkm_printers import gcode, klipper_config, klipper_mesh, klipper_rotary
 from pkm_printers.bed_mesh import distinct, explanations
-from pkm_printers.delta_contact import tool_heights
+from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import ASSUMED, tilt_sentences
 from pkm_printers.delta_study import (
-    ARMS,
-    FACTORS,
     OTHER_MACHINES,
-    TOWER_ANGLES,
-    DeltaGeometry,
     DeltaStudy,
     Firmware,
+    PrinterGeometry,
     free_tilts,
     noise_table,
 )
-from pkm_printers.klipper_account import config_account
+from pkm_printers.klipper_account import WORDS, config_account
 from pkm_printers.klipper_config import Entry, KlipperConfig
 from pkm_printers.repeated import PooledSpread, pooled, repeated_in_log
+from pkm_printers.rotary_delta import RotaryGeometry
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, ImportRequest, Row
 
@@ -46,10 +44,10 @@ REMEDY = (
 )
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
+#: turn of the last gear of a rotary delta, degrees
+FULL_TURN = 360.0
 #: ends of the names of files of the console, in which each sample of the probe is a line
 LOGS = (".log", ".txt")
-#: endstops, radius and two angles, beside the arms
-KLIPPER_FACTORS = 6
 #: weight of a height's square over that of a distance, times heights over distances
 MEASURE_WEIGHT = 0.5
 #: mm; one probed height, with the bed's flatness, and one calliper distance
@@ -66,7 +64,7 @@ class KlipperImporter:
     """Reads `printer.cfg`, and the files that it includes where they are given too."""
 
     name = "klipper"
-    about = "Klipper printer.cfg of a delta, with the readings of DELTA_CALIBRATE"
+    about = "Klipper printer.cfg of a delta or rotary delta, with DELTA_CALIBRATE"
     unused = ("--machine", "--map")
 
     def read(self, request: ImportRequest) -> ImportedSession:
@@ -74,16 +72,20 @@ class KlipperImporter:
         logs = [path for path in request.files if path.suffix.lower() in LOGS]
         config = klipper_config.read([p for p in request.files if p not in logs])
         spread = pooled(repeated_in_log(gcode.read(logs)))
-        _check_delta(config)
-        steps = [_step_distance(config, stepper) for stepper in STEPPERS]
+        is_rotary = _is_rotary(config)
+        turn = FULL_TURN if is_rotary else None
+        steps = [_step_distance(config, stepper, turn) for stepper in STEPPERS]
         _check_partners(config)
-        heights = list(_heights(config, steps))
-        distances = list(_distances(config, steps))
+        unit = RotaryGeometry.unit if is_rotary else DeltaGeometry.unit
+        heights = list(_heights(config, steps, unit))
+        distances = list(_distances(config, steps, unit))
         if not heights:
             remedy = "run DELTA_CALIBRATE and SAVE_CONFIG, then import the file again"
             raise config.missing(SAVED, "height0", remedy)
-        account = config_account(config, request.files)
-        geometry = _geometry(config)
+        words = klipper_rotary.ROTARY_WORDS if is_rotary else WORDS
+        account = config_account(config, request.files, words)
+        read_geometry = klipper_rotary.rotary_geometry if is_rotary else linear_geometry
+        geometry: PrinterGeometry = read_geometry(config)
         check_positions(_positions(config, steps), geometry)
         count, height = len(distances) // 2, float(heights[0]["height_mm"])
         meshes, mesh_notes = distinct(klipper_mesh.meshes(config))
@@ -93,9 +95,9 @@ class KlipperImporter:
         setups = {row["setup"] for row in heights}
         offsets = {PROBE: klipper_mesh.probe_offset(config), NOZZLE: (0.0, 0.0)}
         probes = {name: offsets[name] for name in offsets if name in setups}
-        free = (*FACTORS[KLIPPER_FACTORS], *(ARMS if distances else ()))
-        tilts = free_tilts(probes.values(), free, len(heights) + count)
-        noise_notes += tilt_sentences(probes.values(), is_fitted=bool(tilts))
+        free = (*geometry.of_heights, *(geometry.lengths if distances else ()))
+        tilts = free_tilts(probes.values(), free, len(heights) + count, geometry)
+        noise_notes += tilt_sentences(probes.values(), tilts, geometry)
         study = DeltaStudy(
             name=request.name,
             firmware=Firmware(name="klipper", title="Klipper"),
@@ -131,19 +133,31 @@ class KlipperImporter:
 importer = KlipperImporter()
 
 
-def _check_delta(config: KlipperConfig) -> None:
+def _is_rotary(config: KlipperConfig) -> bool:
+    """Whether a delta is a rotary one. Raises InputError for other machines."""
     entry = config.find("printer", "kinematics")
-    if entry is not None and entry.text != "delta":
-        problem = "this is no linear delta"
-        raise entry.error("[printer] kinematics", problem, OTHER_MACHINES)
+    if entry is None or entry.text == "delta":
+        return False
+    if entry.text == klipper_rotary.KINEMATICS:
+        return True
+    raise entry.error("[printer] kinematics", "this is no delta", OTHER_MACHINES)
 
 
-def _step_distance(config: KlipperConfig, stepper: str) -> float:
-    """Travel of one microstep, mm."""
+def _step_distance(
+    config: KlipperConfig, stepper: str, rotation: float | None
+) -> float:
+    """Travel of one microstep, mm, or degrees. Raises InputError.
+
+    rotation  of the last gear, degrees; None where the file states it, in mm
+    """
     old = config.find(stepper, "step_distance")
-    if old is not None:
+    if old is not None and rotation is None:
         return config.positive(stepper, "step_distance")
-    rotation = config.positive(stepper, "rotation_distance")
+    if rotation is None:
+        rotation = config.positive(stepper, "rotation_distance")
+    elif config.find(stepper, "gear_ratio") is None:
+        remedy = "state the gear_ratio of the arm, as Klipper wants it"
+        raise config.missing(stepper, "gear_ratio", remedy)
     microsteps = config.positive(stepper, "microsteps")
     full_steps = config.positive(stepper, "full_steps_per_rotation", FULL_STEPS)
     return rotation / (full_steps * microsteps * _gear_ratio(config, stepper))
@@ -167,8 +181,11 @@ def _gear_ratio(config: KlipperConfig, stepper: str) -> float:
     return ratio
 
 
-def _geometry(config: KlipperConfig) -> DeltaGeometry:
-    """The geometry in use; towers b and c take what they do not say from tower a."""
+def linear_geometry(config: KlipperConfig) -> DeltaGeometry:
+    """The geometry in use; towers b and c take what they do not say from tower a.
+
+    Raises InputError.
+    """
     arm = config.positive(STEPPERS[0], "arm_length")
     stop = config.number(STEPPERS[0], "position_endstop")
     angles = zip(STEPPERS, TOWER_ANGLES.tolist(), strict=True)
@@ -191,7 +208,7 @@ def _geometry(config: KlipperConfig) -> DeltaGeometry:
     return geometry
 
 
-def _heights(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
+def _heights(config: KlipperConfig, steps: list[float], unit: str) -> Iterator[Row]:
     """Rows of probed heights, then of those typed by hand, which are of the nozzle."""
     order = 0
     is_beside = any(klipper_mesh.probe_offset(config))
@@ -201,17 +218,17 @@ def _heights(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
             key, order = f"{prefix}{i}", order + 1
             height = config.number(SAVED, key)
             label = {"setup": setup, "run": "1", "order": str(order)}
-            joints = _joints(config, f"{key}_pos", steps)
+            joints = _joints(config, f"{key}_pos", steps, unit)
             yield label | joints | {"height_mm": repr(height)}
 
 
-def _distances(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
+def _distances(config: KlipperConfig, steps: list[float], unit: str) -> Iterator[Row]:
     """Two rows a distance, of which the first is the reference."""
     for i in config.indices(SAVED, r"distance(\d+)"):
         length = config.positive(SAVED, f"distance{i}")
         label = {"setup": "calliper", "run": f"distance {i}"}
-        first = _joints(config, f"distance{i}_pos1", steps)
-        second = _joints(config, f"distance{i}_pos2", steps)
+        first = _joints(config, f"distance{i}_pos1", steps, unit)
+        second = _joints(config, f"distance{i}_pos2", steps, unit)
         yield label | {"order": "1"} | first
         yield label | {"order": "2"} | second | {"length_mm": repr(length)}
 
@@ -231,7 +248,7 @@ def _check_partners(config: KlipperConfig) -> None:
 def _positions(
     config: KlipperConfig, steps: list[float]
 ) -> dict[str, tuple[Entry, list[float], float]]:
-    """Saved positions by option: travels (3,), mm, and the height of the tool, mm.
+    """Saved positions by option: travels (3,), and the height of the tool, mm.
 
     Distances are measured on the bed.
     """
@@ -247,14 +264,16 @@ def _positions(
     return positions
 
 
-def _joints(config: KlipperConfig, key: str, steps: list[float]) -> dict[str, str]:
-    """Carriage travels down from the endstops, q1_mm to q3_mm."""
+def _joints(
+    config: KlipperConfig, key: str, steps: list[float], unit: str
+) -> dict[str, str]:
+    """Travels down from the endstops, in this unit."""
     travels = _travels(config, key, steps)
-    return {f"q{k}_mm": repr(travel) for k, travel in enumerate(travels, start=1)}
+    return {f"q{k}_{unit}": repr(travel) for k, travel in enumerate(travels, start=1)}
 
 
 def _travels(config: KlipperConfig, key: str, steps: list[float]) -> list[float]:
-    """Carriage travels (3,), mm. Raises InputError."""
+    """Travels (3,) from the endstops. Raises InputError."""
     entry = config.find(SAVED, key)
     if entry is None:
         raise config.missing(SAVED, key, "import the file as SAVE_CONFIG wrote it")
@@ -296,15 +315,16 @@ def _unused(config: KlipperConfig) -> list[str]:
 
 def _statements(
     config: KlipperConfig,
-    geometry: DeltaGeometry,
+    geometry: PrinterGeometry,
     steps: list[float],
     heights: int,
     distances: int,
 ) -> list[str]:
-    travel = ", ".join(f"{1000.0 * step:g}" for step in steps)
+    scale, unit = (1000.0, "um") if geometry.unit == "mm" else (1.0, geometry.unit)
+    travel = ", ".join(f"{scale * step:g}" for step in steps)
     statements = [
         geometry.sentence(),
-        f"Positions: steps down from the endstops, of {travel} um.",
+        f"Positions: steps down from the endstops, of {travel} {unit}.",
         f"Readings: {heights} probed heights as set-up probe.",
     ]
     if distances:
@@ -326,13 +346,13 @@ def _statements(
 
 def check_positions(
     positions: Mapping[str, tuple[Entry, Sequence[float], float]],
-    geometry: DeltaGeometry,
+    geometry: PrinterGeometry,
 ) -> None:
     """Refuse positions from which the tool is far from where it was. Raises InputError.
 
-    positions  by option: its entry, travels (3,) in mm, and the height of the tool, mm
+    positions  by option: its entry, travels (3,), and the height of the tool, mm
     """
-    limit = FAR * min(geometry.endstops)
+    limit = FAR * geometry.stop
     for option, (entry, travels, height) in positions.items():
         miss = _tool_height(np.asarray(travels), geometry) - height
         if abs(miss) <= limit:
@@ -342,7 +362,7 @@ def check_positions(
 
 
 def _problem(
-    travels: Sequence[float], height: float, miss: float, geometry: DeltaGeometry
+    travels: Sequence[float], height: float, miss: float, geometry: PrinterGeometry
 ) -> str:
     if np.isnan(miss):
         where = "the arms cannot reach this position"
@@ -355,7 +375,7 @@ def _problem(
     return f"{where}; its steps are {1.0 / factor:.3g} times those that reach the bed"
 
 
-def _factor(travels: Array, height: float, geometry: DeltaGeometry) -> float | None:
+def _factor(travels: Array, height: float, geometry: PrinterGeometry) -> float | None:
     """Factor of the travels that brings the tool to a height; None where none does."""
 
     def miss(factor: float) -> float:
@@ -369,6 +389,6 @@ def _factor(travels: Array, height: float, geometry: DeltaGeometry) -> float | N
     return float(brentq(miss, low, high, xtol=1e-6))
 
 
-def _tool_height(travels: Array, geometry: DeltaGeometry) -> float:
+def _tool_height(travels: Array, geometry: PrinterGeometry) -> float:
     """Height, mm, of the tool at travels (3,); NaN where the arms cannot reach it."""
-    return float(tool_heights(travels[None], geometry)[0])
+    return float(geometry.tool_heights(travels[None])[0])

@@ -237,15 +237,18 @@ INCLUDED = (
 )
 
 
-def config_account(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
+def config_account(
+    config: KlipperConfig, files: Sequence[Path], table: WordTable
+) -> list[str]:
     """Sentences on the options read and not read. Raises InputError.
 
     files  that were given
+    table  words of the kinematics
     """
     other = {**PLACE, OTHERS: HARMLESS}
-    words = {**WORDS, **{f"[{name}]": other for name in other_probes(config)}}
+    words = {**table, **{f"[{name}]": other for name in other_probes(config)}}
     zeros = [key for key in SIZE_OFFSETS if config.number("printer", key, 0.0) == 0.0]
-    words["[printer]"] = {**PRINTER, **same(HARMLESS, zeros)}
+    words["[printer]"] = {**table["[printer]"], **same(HARMLESS, zeros)}
     plain = [
         _group(name, words)
         for name in config.sections

@@ -133,6 +133,13 @@ def read(paths: Sequence[Path]) -> KlipperConfig:
     return KlipperConfig(file, saved | written, unused, parsed.sections)
 
 
+def of_text(text: str) -> KlipperConfig:
+    """The options of a text that has no saved block."""
+    parsed = _Parsed()
+    _parse(text, "", parsed)
+    return KlipperConfig("", parsed.written, {}, parsed.sections)
+
+
 def numbers(entry: Entry, option: str, count: int) -> list[float]:
     """So many finite numbers, separated by commas. Raises InputError."""
     cells = entry.text.split(",")

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import configparser
+import dataclasses
 
 import numpy as np
 
 from oed.base import Array
+from pkm_printers import klipper_config, rotary_delta
 from pkm_printers.delta_numbers import (
     delta_joints,
     delta_numbers,
     home_notes,
     not_a_delta,
 )
-from pkm_printers.delta_study import DeltaGeometry
+from pkm_printers.klipper import linear_geometry
+from pkm_printers.klipper_rotary import WHERE, rotary_format
+from pkm_printers.machine_formats import by_machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME, TOWERS = "klipper", "abc"
-WHERE = (
-    "put these values into the sections of your printer.cfg, above the block of"
-    " SAVE_CONFIG: there they win over it"
-)
 BED_TILT = (
     "[bed_tilt] raises z by the rise of the bed. Klipper takes either it or [bed_mesh]: with a"
     " mesh leave it out, and probe the mesh anew"
@@ -54,30 +53,20 @@ def notes(compensation: Compensation) -> tuple[str, ...]:
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Travels of a printer with this file."""
-    parser = configparser.ConfigParser()
-    parser.read_string(texts[".cfg"])
-
-    def read(option: str) -> Array:
-        return np.array([parser.getfloat(f"stepper_{t}", option) for t in TOWERS])
-
-    numbers = DeltaGeometry(
-        radius=parser.getfloat("printer", "delta_radius"),
-        arms=read("arm_length"),
-        angles=read("angle"),
-        endstops=read("position_endstop"),
-        bed_slope=np.array(
-            [parser.getfloat("bed_tilt", f"{a}_adjust", fallback=0.0) for a in "xy"]
-        ),
-    )
+    config = klipper_config.of_text(texts[".cfg"])
+    slope = [config.number("bed_tilt", f"{a}_adjust", 0.0) for a in "xy"]
+    geometry = linear_geometry(config)
+    numbers = dataclasses.replace(geometry, bed_slope=np.array(slope))
     return delta_joints(numbers, compensation)
 
 
-controller = ControllerFormat(
+linear_format = ControllerFormat(
     name=NAME,
-    about="printer.cfg of a delta printer: radius, arms, tower angles, endstops",
-    source="Klipper, klippy/kinematics/delta.py",
+    about="printer.cfg of a delta or rotary delta: radius, arms, angles, endstops",
+    source="Klipper, klippy/kinematics/delta.py and rotary_delta.py",
     write=write,
     joints=joints,
     unfit=not_a_delta,
     notes=notes,
 )
+controller = by_machine(linear_format, {rotary_delta.MODEL: rotary_format})

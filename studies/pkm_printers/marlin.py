@@ -23,8 +23,9 @@ import numpy as np
 from oed.base import Array
 from pkm_printers import facts, gcode, marlin_home
 from pkm_printers.bed_mesh import ROUNDING, BedMesh
+from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry, Firmware, Offset
+from pkm_printers.delta_study import Firmware, Offset
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.marlin_home import Home
 from pkm_printers.marlin_log import Settings, probing

@@ -9,6 +9,7 @@ import numpy as np
 
 from oed.base import Array
 from pkm_printers import marlin_version
+from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
     check_level,
     delta_joints,
@@ -18,7 +19,6 @@ from pkm_printers.delta_numbers import (
     trim_notes,
     trims,
 )
-from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.marlin_version import (
     LEAST_STEPS,
     NOT_READ,

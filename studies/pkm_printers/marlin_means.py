@@ -17,8 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from oed.base import Array
-from pkm_printers import delta_contact
-from pkm_printers.delta_study import DeltaGeometry
+from pkm_printers.delta_geometry import DeltaGeometry
 from pkm_printers.gcode import TextLine
 from pkm_printers.probed_point import ProbedPoint
 
@@ -195,8 +194,8 @@ def _corrections(
     travels = _to_bed(places, geometry)
 
     def believed(change: Array, travels: Array) -> Array:
-        changed = delta_contact.changed(geometry, change)
-        return -delta_contact.tool_heights(travels, changed)
+        changed = geometry.changed(change)
+        return -changed.tool_heights(travels)
 
     def misses(change: Array) -> Array:
         misfit = (means @ believed(change, travels) - heights) / ROUNDING
@@ -210,4 +209,4 @@ def _corrections(
 
 def _to_bed(places: Array, geometry: DeltaGeometry) -> Array:
     """Travels (n, 3) to z = 0 at places (n, 2), mm."""
-    return delta_contact.travels(np.pad(places, ((0, 0), (0, 1))), geometry)
+    return geometry.travels(np.pad(places, ((0, 0), (0, 1))))

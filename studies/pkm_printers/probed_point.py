@@ -9,6 +9,8 @@ from pkm_printers.delta_study import Offset
 from pkm_studies.importers import Row
 
 SETUP = "probe"
+#: decimals of a sum of heights, mm
+DIGITS = 9
 
 
 class ProbedPoint(NamedTuple):
@@ -30,17 +32,25 @@ def probes_of(points: Iterable[ProbedPoint]) -> dict[str, Offset]:
     return dict(zip(names, offsets, strict=False))
 
 
-def contact_rows(points: Sequence[ProbedPoint]) -> list[Row]:
-    """Rows of the readings file, each with the set-up of its probe."""
+def contact_rows(points: Sequence[ProbedPoint], height: float) -> list[Row]:
+    """Rows of the readings file, each with the set-up of its probe.
+
+    height  mm, at which the probe triggers
+    """
     setups = {offset: name for name, offset in probes_of(points).items()}
     return [
-        contact_row(k, point, setups[point.probe])
+        contact_row(k, point, setups[point.probe], height)
         for k, point in enumerate(points, start=1)
     ]
 
 
-def contact_row(order: int, point: ProbedPoint, setup: str) -> Row:
-    """A row of the readings file: the command at contact; its reading is 0."""
+def contact_row(order: int, point: ProbedPoint, setup: str, height: float) -> Row:
+    """A row of the readings file: the command at contact, and the height read there, mm.
+
+    Heights of a firmware count from the one at which the probe triggers. A linear delta
+    moves along z alike everywhere, so that 0 serves as well.
+    """
     label = {"setup": setup, "run": "1", "order": str(order)}
-    pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(point.z)}
-    return label | pose
+    z = round(point.z + height, DIGITS)
+    pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(z)}
+    return label | pose | ({"height_mm": repr(height)} if height else {})

@@ -15,26 +15,22 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from pkm_printers import facts, gcode
+from pkm_printers import facts, gcode, rotary_delta, rrf_rotary
 from pkm_printers.bed_mesh import BedMesh
+from pkm_printers.delta_geometry import FACTORS, TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import (
-    OTHER_MACHINES,
-    TOWER_ANGLES,
-    DeltaGeometry,
-    Firmware,
-)
+from pkm_printers.delta_study import OTHER_MACHINES, Firmware, PrinterGeometry
 from pkm_printers.gcode import NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
 from pkm_printers.rrf_points import has_heights, mesh_offset, probed_points
-from pkm_printers.rrf_sequence import ExecutionOrder, execution_order
+from pkm_printers.rrf_sequence import ExecutionOrder, capitals, execution_order
 from pkm_printers.rrf_words import WORDS
 from pkm_studies import files
 from pkm_studies.base import InputError
@@ -55,6 +51,8 @@ PROBE = re.compile(
     rf"\s+Y(?P<Y>{NUMBER})"
 )
 REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
+#: number of a linear delta's kinematics, M669 K
+LINEAR: Final = "3"
 #: M666 A and B are in percent
 PERCENT = 1e-2
 VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
@@ -83,9 +81,7 @@ class RrfImporter:
     """Reads config.g, bed.g and a log, in any order."""
 
     name = "rrf"
-    about = (
-        "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32, heightmap.csv"
-    )
+    about = "RepRapFirmware delta or rotary delta: config.g, bed.g, log of G32, heightmap.csv"
     unused = ("--machine", "--map")
 
     def read(self, request: ImportRequest) -> ImportedSession:
@@ -93,44 +89,78 @@ class RrfImporter:
         maps = [path for path in request.files if is_height_map(path)]
         others = [path for path in request.files if path not in maps]
         texts = gcode.read(others)
-        order = execution_order([_command_text(line) for line in texts])
+        commands = [_command_text(line) for line in texts]
+        is_rotary = _is_rotary(commands)
+        words = rrf_rotary.ROTARY_WORDS if is_rotary else WORDS
+        order = execution_order(commands, words)
         lines = order.lines
-        _check_kinematics(lines)
         given = facts.numbers(lines)
-        delta = gcode.merged(lines, "M665", "give the config.g that has M665")
-        stops = gcode.optional(lines, "M666")
-        account = gcode.account_of(lines, WORDS)
+        read = _rotary if is_rotary else _linear
+        printer = read(order, given)
+        account = gcode.account_of(lines, words)
         points: list[ProbedPoint] = []
         notes: list[str] = []
         if has_heights(order) or not maps or request.mesh != "readings":
             points, notes = probed_points(order, given)
         return delta_session(
             name=request.name,
-            firmware=_firmware(order, delta, given),
+            firmware=printer.firmware,
             files=", ".join(path.name for path in request.files),
-            geometry=_geometry(delta, stops, given),
+            geometry=printer.geometry,
             points=points,
             accounts=account.sentences(),
             notes=[*notes, *order.notes, *gcode.order_text(texts)],
-            free=facts.factors(lines),
+            free=facts.factors(lines, printer.factors),
             repeated=repeated_in_log(lines),
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,
+            trigger=printer.trigger,
         )
 
 
 importer = RrfImporter()
 
 
-def _check_kinematics(lines: Sequence[TextLine]) -> None:
-    """Refuse other kinematics than that of a linear delta, K3."""
-    for command in gcode.commands(lines, "M669"):
-        if command.words.get("K", "3") != "3":
-            raise command.line.error(
-                "this is no linear delta (K3)",
-                OTHER_MACHINES,
-                "M669 K",
-            )
+class _Printer(NamedTuple):
+    """A printer as its files have it.
+
+    factors  parameters by number of factors, as the firmware fits them
+    trigger  height of the nozzle at contact, mm; 0 where it drops out
+    """
+
+    geometry: PrinterGeometry
+    firmware: Firmware
+    factors: Mapping[int, tuple[str, ...]]
+    trigger: float
+
+
+def _is_rotary(lines: Sequence[TextLine]) -> bool:
+    """Whether a delta is a rotary one (K10). Raises InputError for other machines."""
+    is_rotary = False
+    for command in gcode.commands([capitals(line) for line in lines], "M669"):
+        number = command.words.get("K", LINEAR)
+        is_rotary = number == rrf_rotary.KINEMATICS
+        if not is_rotary and number != LINEAR:
+            problem = "this is no delta (K3) and no rotary delta (K10)"
+            raise command.line.error(problem, OTHER_MACHINES, "M669 K")
+    return is_rotary
+
+
+def _linear(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
+    """A linear delta by M665 and M666. Raises InputError."""
+    delta = gcode.merged(order.lines, "M665", "give the config.g that has M665")
+    stops = gcode.optional(order.lines, "M666")
+    reach = [f"{k}{delta.words[k]}" for k in "BS" if k in delta.words]
+    firmware = _firmware(order, {"M665": " ".join(reach)}, given)
+    return _Printer(_geometry(delta, stops, given), firmware, FACTORS, 0.0)
+
+
+def _rotary(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
+    """A rotary delta by M669 and M666. Raises InputError."""
+    geometry = rrf_rotary.rotary_geometry(order.lines)
+    firmware = _firmware(order, rrf_rotary.retained_words(order.lines), given)
+    trigger = rrf_rotary.trigger_height(order.lines)
+    return _Printer(geometry, firmware, rotary_delta.FACTORS, trigger)
 
 
 def _geometry(
@@ -158,19 +188,18 @@ def _geometry(
 
 def _firmware(
     order: ExecutionOrder,
-    delta: Command,
+    keep: Mapping[str, str],
     given: dict[str, tuple[float, ...]],
 ) -> Firmware:
     """The firmware, with the words that calibration leaves as they are."""
     lines = order.lines
     printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
-    reach = [f"{k}{delta.words[k]}" for k in "BS" if k in delta.words]
     return Firmware(
         name="rrf",
         title="RepRapFirmware",
         version=facts.version(lines) or (printed[-1] if printed else None),
         file=order.stored,
-        keep={"M665": " ".join(reach)},
+        keep=keep,
         radius_trim_mm=given.get("radius_trim_mm", ()),
     )
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base import Array
+from pkm_printers import rotary_delta
+from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
     SLACK,
     delta_joints,
@@ -16,8 +18,9 @@ from pkm_printers.delta_numbers import (
     trim_notes,
     trims,
 )
-from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry
+from pkm_printers.machine_formats import by_machine
 from pkm_printers.marlin_format import words
+from pkm_printers.rrf_rotary import rotary_format
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME = "rrf"
@@ -111,12 +114,13 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     return delta_joints(numbers, compensation)
 
 
-controller = ControllerFormat(
+linear_format = ControllerFormat(
     name=NAME,
-    about="RepRapFirmware's M665 and M666 of a delta printer, four decimals",
+    about="RepRapFirmware's M665, M666 and M669 of deltas, rotary deltas and five-bars",
     source="RepRapFirmware, src/Movement/Kinematics/LinearDeltaKinematics.cpp",
     write=write,
     joints=joints,
     unfit=not_a_delta,
     notes=notes,
 )
+controller = by_machine(linear_format, {rotary_delta.MODEL: rotary_format})

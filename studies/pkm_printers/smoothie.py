@@ -14,8 +14,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from pkm_printers import facts, gcode
+from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry, Firmware, Offset
+from pkm_printers.delta_study import Firmware, Offset
 from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base import Array
+from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
     check_level,
     delta_joints,
@@ -13,7 +14,6 @@ from pkm_printers.delta_numbers import (
     home_notes,
     not_a_delta,
 )
-from pkm_printers.delta_study import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.marlin_format import words
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 

@@ -91,8 +91,6 @@ def test_towers_at_one_angle_are_no_traceback(tmp_path: Path) -> None:
 
 
 def test_another_machine_is_refused_with_the_way_in(tmp_path: Path) -> None:
-    text = example().replace("kinematics: delta", "kinematics: rotary_delta")
-    with pytest.raises(
-        InputError, match=r"line 2, \[printer\] kin.*models rotary_delta"
-    ):
+    text = example().replace("kinematics: delta", "kinematics: winch")
+    with pytest.raises(InputError, match=r"line 2, \[printer\] kin.*take `columns`"):
         take("klipper", {"printer.cfg": text}, tmp_path)

@@ -254,8 +254,8 @@ def test_what_a_loop_changes_is_refused(lines: str, tmp_path: Path) -> None:
             "G31 T1 X9 Y0\nG31 T4 X23 Y0",
             "probe_offset_mm = x, y",
         ),
-        ("config.g", "M558", "M669 K0\nM558", "this is no linear delta"),
-        ("config.g", "M558", "M669 K10\nM558", r"line 4, M669 K.*models rotary_delta"),
+        ("config.g", "M558", "M669 K0\nM558", "this is no delta"),
+        ("config.g", "M558", "M669 K6\nM558", "line 4, M669 K.*`hangprinter`"),
         ("config.g", "L241.987", "L241.987:242:242:200", "not one or three"),
     ],
 )

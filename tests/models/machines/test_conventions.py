@@ -195,7 +195,11 @@ CARRIAGES = {
     "tripod_prs": None,
     "orthoglide": None,
 }
-CRANKS = ("five_bar", "hexapod_rus", "rotary_delta", "tripod_wrist")  # new_families
+#: new_families; of the printer, test_rotary_printers
+CRANKS = (
+    *("five_bar", "hexapod_rus", "rotary_delta", "tripod_wrist"),
+    "rotary_delta_printer",
+)
 
 
 @pytest.mark.parametrize("name", [n for n in MACHINES if n not in CRANKS])

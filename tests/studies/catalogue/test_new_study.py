@@ -97,7 +97,10 @@ OF_PASSIVE_JOINTS = ("passive_joint", "locked_joint")
 #: machines whose workspace is drafted in a moment
 SMALL = ("linear_delta", "planar_2dof", "micro_cmm")
 CHECKED_ELSEWHERE = tuple(new_families.CLOSURES)
-UNNAMED = ("cable_robot", "delta_printer", "hexaglide", "planar_2dof")
+UNNAMED = (
+    *("cable_robot", "delta_printer", "hexaglide", "planar_2dof"),
+    "rotary_delta_printer",
+)
 
 
 def can_read(machine: str, instrument: str) -> bool:

@@ -1,0 +1,160 @@
+"""RepRapFirmware: a rotary delta, M669 K10 with M666, in and out.
+
+Limbs stand at 210, 330 and 90 degrees and M669 X, Y, Z more. An arm at its switch counts as
+at the largest angle over the horizontal, the second number of M669 A, plus its M666. M500
+stores two decimals of M669, so its lines are for config.g.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from oed.base import Array
+from pkm_printers import gcode
+from pkm_printers.delta_geometry import TOWER_ANGLES
+from pkm_printers.delta_numbers import SLACK, firmware_of
+from pkm_printers.gcode import Command, TextLine
+from pkm_printers.rotary_delta import (
+    RotaryGeometry,
+    identified_geometry,
+    rotary_joints,
+)
+from pkm_printers.rrf_words import WORDS
+from pkm_printers.words import HARMLESS, READ, WordTable, refused, same
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
+
+KINEMATICS: Final = "10"
+#: words of M669 that the fit leaves as they are
+KEPT: Final = "BST"
+#: M669 A that the firmware has without, degrees
+USUAL_RANGE: Final = "-45:45"
+#: mm: G31 Z that the firmware has without
+USUAL_TRIGGER: Final = 0.7
+OF_LINEAR: Final = refused(
+    "M665 is of linear deltas, and this is a rotary one (M669 K10)",
+    "leave the kinematics that the printer has, in a copy",
+)
+ROTARY_WORDS: Final[WordTable] = {
+    **WORDS,
+    "M665": same(OF_LINEAR, ("", *"LRHBXYZ")),
+    "M666": same(READ, "XYZ"),
+    "M669": {**same(READ, "KULHRXYZA"), **same(HARMLESS, KEPT)},
+}
+NOTES: Final = (
+    "for config.g of RepRapFirmware 3, in place of its M669 and M666; where M501 reads"
+    " config-override.g, below it",
+    "M500 stores two decimals of M669 alone, which are 0.005 mm and 0.005 deg: keep these"
+    " lines",
+)
+
+
+def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
+    """The geometry of M669 K10 and M666. Raises InputError."""
+    delta = gcode.merged(lines, "M669", "give the config.g that has M669 K10")
+    stops = gcode.optional(lines, "M666")
+    _, largest = _numbers(delta, "A", (2,))
+    heights = _by_limb(delta, "H")
+    if np.ptp(heights) > SLACK:
+        raise delta.line_of("H").error(
+            "the model has its three shoulders at one height",
+            "level them, and give the one height that they have then",
+            "M669 H",
+        )
+    return RotaryGeometry(
+        radius=delta.number("R"),
+        height=float(heights.mean()),
+        upper=_by_limb(delta, "U"),
+        lower=_by_limb(delta, "L"),
+        angles=TOWER_ANGLES + delta.numbers("XYZ"),
+        endstops=largest + stops.numbers("XYZ"),
+    )
+
+
+def retained_words(lines: Sequence[TextLine]) -> dict[str, str]:
+    """Words of M669 that are written back as they are; A holds what M666 counts from."""
+    delta = gcode.merged(lines, "M669", "")
+    kept = [f"{k}{delta.words[k]}" for k in f"A{KEPT}" if k in delta.words]
+    return {"M669": " ".join(kept)}
+
+
+def trigger_height(lines: Sequence[TextLine]) -> float:
+    """Height of the nozzle at which the probe triggers, mm."""
+    return gcode.optional(lines, "G31").number("Z", USUAL_TRIGGER)
+
+
+def _by_limb(command: Command, letter: str) -> Array:
+    """Numbers (3,) of the limbs; one stands for all. Raises InputError."""
+    return np.array(_numbers(command, letter, (1, 3))) * np.ones(3)
+
+
+def _numbers(command: Command, letter: str, counts: Sequence[int]) -> list[float]:
+    """Numbers of a word, separated by colons, as many as it may have.
+
+    Raises InputError.
+    """
+    usual = USUAL_RANGE if letter == "A" else ""
+    cells = command.words.get(letter, usual).split(":")
+    line = command.line_of(letter)
+    if not cells[0]:
+        problem = f"M669 has no {letter}"
+        raise line.error(problem, "give the full command", f"M669 {letter}")
+    if len(cells) not in counts:
+        wanted = " or ".join(map(str, counts))
+        problem = f"{len(cells)} numbers, where {wanted} belong"
+        raise line.error(problem, "give the full command", f"M669 {letter}")
+    return [gcode.finite(cell, line) for cell in cells]
+
+
+# -- out -------------------------------------------------------------------------------
+
+
+def _write(compensation: Compensation) -> Texts:
+    """M669 and M666, four decimals of mm and five of degrees."""
+    geometry = identified_geometry(compensation)
+    retained = _retained(compensation)
+    # limbs of other firmwares stand elsewhere: the same angle from -180 to 180
+    lean = (geometry.angles - TOWER_ANGLES + 180.0) % 360.0 - 180.0
+    command = next(gcode.commands([TextLine(f"M669 {retained}", "", 0)]))
+    adjust = geometry.endstops - _numbers(command, "A", (2,))[1]
+    lines = [f"; {sentence}" for sentence in compensation.comments]
+    lengths = (("U", geometry.upper), ("L", geometry.lower))
+    arms = " ".join(f"{k}{':'.join(f'{v:.4f}' for v in row)}" for k, row in lengths)
+    lines += [
+        f"M669 K{KINEMATICS} R{geometry.radius:.4f} H{geometry.height:.4f} {arms}"
+        f" {_letters(lean)} {retained}",
+        f"M666 {_letters(adjust)}",
+        "",
+    ]
+    return {".g": "\n".join(lines)}
+
+
+def _letters(values: Array) -> str:
+    """X, Y and Z with five decimals: 1e-5 degrees move an arm of 300 mm by 0.05 um."""
+    return " ".join(f"{k}{v:.5f}" for k, v in zip("XYZ", values, strict=True))
+
+
+def _retained(compensation: Compensation) -> str:
+    """What M669 keeps; its A, from which M666 counts, at least."""
+    firmware = firmware_of(compensation, "rrf")
+    kept = "" if firmware is None else firmware.keep.get("M669", "")
+    return kept if kept.startswith("A") else f"A{USUAL_RANGE} {kept}".rstrip()
+
+
+def _joints(texts: Texts, compensation: Compensation) -> Array:
+    """Turns of a printer with these commands."""
+    lines = [TextLine(line, "", 0) for line in texts[".g"].splitlines()]
+    commands = [line for line in lines if line.text.startswith("M")]
+    return rotary_joints(rotary_geometry(commands), compensation)
+
+
+rotary_format = ControllerFormat(
+    name="rrf",
+    about="M669 K10 and M666 of a rotary delta",
+    source="RepRapFirmware, src/Movement/Kinematics/RotaryDeltaKinematics.cpp",
+    write=_write,
+    joints=_joints,
+    notes=lambda compensation: NOTES,
+)
