@@ -85,15 +85,26 @@ class Command:
 
     def number(self, letter: str, default: float | None = None) -> float:
         """The number of a word. Raises InputError where it is missing."""
-        text = self.words.get(letter)
-        if text is None and default is not None:
+        if letter not in self.words and default is not None:
             return default
-        if not text:
+        return self.values(letter)[0]
+
+    def values(self, letter: str, *counts: int) -> list[float]:
+        """Numbers of a word, separated by colons, as many as one of the counts.
+
+        Raises InputError.
+        """
+        line, cells = self.line_of(letter), self.words.get(letter, "").split(":")
+        problem = ""
+        if not cells[0]:
             problem = f"{self.name} has no {letter}"
-            raise self.line.error(
-                problem, "give the full command, as the printer has it"
-            )
-        return finite(text.split(":")[0], self.line_of(letter))
+        elif counts and len(cells) not in counts:
+            wanted = " or ".join(map(str, counts))
+            problem = f"{len(cells)} numbers, where {wanted} belong"
+        if problem:
+            remedy = "give the full command, as the printer has it"
+            raise line.error(problem, remedy, f"{self.name} {letter}")
+        return [finite(cell, line) for cell in cells]
 
     def numbers(self, letters: str) -> Array:
         """Numbers (n,) of words; 0 of those that it lacks. Raises InputError."""

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from pkm_printers import facts, gcode, rotary_delta, rrf_rotary
+from pkm_printers import facts, gcode, rotary_delta, rrf_five_bar, rrf_rotary
 from pkm_printers.bed_mesh import BedMesh
 from pkm_printers.delta_geometry import FACTORS, TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
@@ -51,8 +51,13 @@ PROBE = re.compile(
     rf"\s+Y(?P<Y>{NUMBER})"
 )
 REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
-#: number of a linear delta's kinematics, M669 K
+#: machines by M669 K
 LINEAR: Final = "3"
+KINEMATICS: Final = {
+    LINEAR: "linear delta",
+    rrf_five_bar.KINEMATICS: "five-bar",
+    rrf_rotary.KINEMATICS: "rotary delta",
+}
 #: M666 A and B are in percent
 PERCENT = 1e-2
 VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
@@ -81,7 +86,10 @@ class RrfImporter:
     """Reads config.g, bed.g and a log, in any order."""
 
     name = "rrf"
-    about = "RepRapFirmware delta or rotary delta: config.g, bed.g, log of G32, heightmap.csv"
+    about = (
+        "RepRapFirmware: config.g, with bed.g and log of G32 or heightmap.csv of a delta or"
+        " rotary delta, with a CSV of a five-bar"
+    )
     unused = ("--machine", "--map")
 
     def read(self, request: ImportRequest) -> ImportedSession:
@@ -90,7 +98,10 @@ class RrfImporter:
         others = [path for path in request.files if path not in maps]
         texts = gcode.read(others)
         commands = [_command_text(line) for line in texts]
-        is_rotary = _is_rotary(commands)
+        kinematics = _kinematics(commands)
+        if kinematics == rrf_five_bar.KINEMATICS:
+            return rrf_five_bar.five_bar_session(request, maps)
+        is_rotary = kinematics == rrf_rotary.KINEMATICS
         words = rrf_rotary.ROTARY_WORDS if is_rotary else WORDS
         order = execution_order(commands, words)
         lines = order.lines
@@ -134,16 +145,16 @@ class _Printer(NamedTuple):
     trigger: float
 
 
-def _is_rotary(lines: Sequence[TextLine]) -> bool:
-    """Whether a delta is a rotary one (K10). Raises InputError for other machines."""
-    is_rotary = False
+def _kinematics(lines: Sequence[TextLine]) -> str:
+    """The number of the machine. Raises InputError for one that is not read."""
+    number = LINEAR
     for command in gcode.commands([capitals(line) for line in lines], "M669"):
-        number = command.words.get("K", LINEAR)
-        is_rotary = number == rrf_rotary.KINEMATICS
-        if not is_rotary and number != LINEAR:
-            problem = "this is no delta (K3) and no rotary delta (K10)"
+        number = command.words.get("K", number)
+        if number not in KINEMATICS:
+            listed = ", ".join(f"{title} (K{k})" for k, title in KINEMATICS.items())
+            problem = f"this is none of {listed}"
             raise command.line.error(problem, OTHER_MACHINES, "M669 K")
-    return is_rotary
+    return number
 
 
 def _linear(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
@@ -167,12 +178,7 @@ def _geometry(
     delta: Command, stops: Command, given: dict[str, tuple[float, ...]]
 ) -> DeltaGeometry:
     """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
-    cells = [arm for arm in delta.words.get("L", "").split(":") if arm]
-    arms = [gcode.finite(arm, delta.line_of("L")) for arm in cells]
-    if len(arms) not in (1, 3):
-        raise delta.line_of("L").error(
-            "M665 has no L, or not one or three", "give the rods"
-        )
+    arms = delta.values("L", 1, 3)
     trims = given.get("rod_trim_mm", (0.0, 0.0, 0.0))
     rods = arms * 3 if len(arms) == 1 else arms
     height = delta.number("H")

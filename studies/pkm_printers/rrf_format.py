@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base import Array
-from pkm_printers import rotary_delta
+from pkm_printers import rotary_delta, rrf_five_bar
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
     SLACK,
@@ -123,4 +123,10 @@ linear_format = ControllerFormat(
     unfit=not_a_delta,
     notes=notes,
 )
-controller = by_machine(linear_format, {rotary_delta.MODEL: rotary_format})
+controller = by_machine(
+    linear_format,
+    {
+        rotary_delta.MODEL: rotary_format,
+        rrf_five_bar.MODEL: rrf_five_bar.five_bar_format,
+    },
+)

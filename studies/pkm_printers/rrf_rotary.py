@@ -33,13 +33,13 @@ KEPT: Final = "BST"
 USUAL_RANGE: Final = "-45:45"
 #: mm: G31 Z that the firmware has without
 USUAL_TRIGGER: Final = 0.7
-OF_LINEAR: Final = refused(
-    "M665 is of linear deltas, and this is a rotary one (M669 K10)",
-    "leave the kinematics that the printer has, in a copy",
+OF_DELTAS: Final = refused(
+    "this command is of linear deltas, which this printer is not by its M669 K",
+    "remove what the printer does not have from a copy",
 )
 ROTARY_WORDS: Final[WordTable] = {
     **WORDS,
-    "M665": same(OF_LINEAR, ("", *"LRHBXYZ")),
+    "M665": {"": OF_DELTAS},
     "M666": same(READ, "XYZ"),
     "M669": {**same(READ, "KULHRXYZA"), **same(HARMLESS, KEPT)},
 }
@@ -55,7 +55,6 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
     """The geometry of M669 K10 and M666. Raises InputError."""
     delta = gcode.merged(lines, "M669", "give the config.g that has M669 K10")
     stops = gcode.optional(lines, "M666")
-    _, largest = _numbers(delta, "A", (2,))
     heights = _by_limb(delta, "H")
     if np.ptp(heights) > SLACK:
         raise delta.line_of("H").error(
@@ -69,7 +68,7 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
         upper=_by_limb(delta, "U"),
         lower=_by_limb(delta, "L"),
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
-        endstops=largest + stops.numbers("XYZ"),
+        endstops=_largest(delta) + stops.numbers("XYZ"),
     )
 
 
@@ -85,27 +84,15 @@ def trigger_height(lines: Sequence[TextLine]) -> float:
     return gcode.optional(lines, "G31").number("Z", USUAL_TRIGGER)
 
 
+def _largest(command: Command) -> float:
+    """The angle at the switches, deg. Raises InputError."""
+    stated = Command("M669", {"A": USUAL_RANGE} | command.words, command.line)
+    return stated.values("A", 2)[1]
+
+
 def _by_limb(command: Command, letter: str) -> Array:
     """Numbers (3,) of the limbs; one stands for all. Raises InputError."""
-    return np.array(_numbers(command, letter, (1, 3))) * np.ones(3)
-
-
-def _numbers(command: Command, letter: str, counts: Sequence[int]) -> list[float]:
-    """Numbers of a word, separated by colons, as many as it may have.
-
-    Raises InputError.
-    """
-    usual = USUAL_RANGE if letter == "A" else ""
-    cells = command.words.get(letter, usual).split(":")
-    line = command.line_of(letter)
-    if not cells[0]:
-        problem = f"M669 has no {letter}"
-        raise line.error(problem, "give the full command", f"M669 {letter}")
-    if len(cells) not in counts:
-        wanted = " or ".join(map(str, counts))
-        problem = f"{len(cells)} numbers, where {wanted} belong"
-        raise line.error(problem, "give the full command", f"M669 {letter}")
-    return [gcode.finite(cell, line) for cell in cells]
+    return np.array(command.values(letter, 1, 3)) * np.ones(3)
 
 
 # -- out -------------------------------------------------------------------------------
@@ -118,7 +105,7 @@ def _write(compensation: Compensation) -> Texts:
     # limbs of other firmwares stand elsewhere: the same angle from -180 to 180
     lean = (geometry.angles - TOWER_ANGLES + 180.0) % 360.0 - 180.0
     command = next(gcode.commands([TextLine(f"M669 {retained}", "", 0)]))
-    adjust = geometry.endstops - _numbers(command, "A", (2,))[1]
+    adjust = geometry.endstops - _largest(command)
     lines = [f"; {sentence}" for sentence in compensation.comments]
     lengths = (("U", geometry.upper), ("L", geometry.lower))
     arms = " ".join(f"{k}{':'.join(f'{v:.4f}' for v in row)}" for k, row in lengths)

@@ -254,9 +254,14 @@ def test_what_a_loop_changes_is_refused(lines: str, tmp_path: Path) -> None:
             "G31 T1 X9 Y0\nG31 T4 X23 Y0",
             "probe_offset_mm = x, y",
         ),
-        ("config.g", "M558", "M669 K0\nM558", "this is no delta"),
+        ("config.g", "M558", "M669 K0\nM558", "none of linear delta"),
         ("config.g", "M558", "M669 K6\nM558", "line 4, M669 K.*`hangprinter`"),
-        ("config.g", "L241.987", "L241.987:242:242:200", "not one or three"),
+        (
+            "config.g",
+            "L241.987",
+            "L241.987:242:242:200",
+            "4 numbers, where 1 or 3 belong",
+        ),
     ],
 )
 def test_files_that_mislead_are_refused(

@@ -175,7 +175,7 @@ def test_what_klipper_does_not_take_is_refused(
 @pytest.mark.parametrize(
     ("before", "after", "problem"),
     [
-        ("K10", "K4", "line 1, M669 K.*no delta"),
+        ("K10", "K4", "line 1, M669 K.*none of linear delta"),
         ("H412.9", "H412.9:413.2:412.9", "line 1, M669 H.*one height"),
         ("U170", "U170:170", "line 1, M669 U.*2 numbers, where 1 or 3 belong"),
         ("U170 ", "", "M669 U.*has no U"),

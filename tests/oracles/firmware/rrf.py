@@ -29,7 +29,7 @@ def gcode(text: str) -> list[tuple[str, dict[str, str]]]:
         for part in re.split(r"(?=\b[GM]\d+\b)", code):
             head = re.match(r"[GM]\d+", part)
             if head:
-                words = re.findall(r"([A-Z])\s*([-+]?[\d.:]*)", part[head.end() :])
+                words = re.findall(r"([A-Z])\s*([-+\d.:]*)", part[head.end() :])
                 commands.append((head[0], dict(words)))
     return commands
 
