@@ -119,19 +119,18 @@ class DeltaGeometry:
 
     def table(self) -> str:
         """The table [machine.nominal] of a study."""
-        lines = [f"radius_mm = {self.radius!r}"]
-        for stem, values, unit in (
-            ("arm", self.arms, "mm"),
-            ("angle", self.angles, "deg"),
-            ("endstop", self.endstops, "mm"),
-        ):
-            lines += nominal_lines(stem, values, unit)
+        numbers: dict[str, float | Array] = {
+            "radius_mm": self.radius,
+            "arm_mm": self.arms,
+            "angle_deg": self.angles,
+            "endstop_mm": self.endstops,
+        }
         if any(self.radius_trim):
-            lines += nominal_lines("trim", self.radius_trim, "mm")
+            numbers["trim_mm"] = self.radius_trim
         for name, slope in zip(SLOPES, self.bed_slope.tolist(), strict=True):
             if slope:
-                lines.append(f"{name}_ppm = {slope / PPM!r}")
-        return "\n".join(["[machine.nominal]", *lines, ""])
+                numbers[f"{name}_ppm"] = slope / PPM
+        return nominal_table(numbers)
 
     def sentence(self) -> str:
         """The geometry in words."""
@@ -162,10 +161,17 @@ class DeltaGeometry:
         return np.asarray(top - np.sqrt(self.arms**2 - across) - raised[:, None])
 
 
-def nominal_lines(stem: str, values: Array, unit: str) -> list[str]:
-    """Lines of [machine.nominal] for a number of each tower."""
-    pairs = zip(TOWERS, values.tolist(), strict=True)
-    return [f"{stem}{i}_{unit} = {value!r}" for i, value in pairs]
+def nominal_table(numbers: Mapping[str, float | Array]) -> str:
+    """The table [machine.nominal] of numbers, and of arrays (3,), one a tower."""
+    lines = ["[machine.nominal]"]
+    for name, value in numbers.items():
+        if isinstance(value, float):
+            lines.append(f"{name} = {value!r}")
+            continue
+        stem, unit = name.rsplit("_", 1)
+        pairs = zip(TOWERS, value.tolist(), strict=True)
+        lines += [f"{stem}{i}_{unit} = {v!r}" for i, v in pairs]
+    return "\n".join([*lines, ""])
 
 
 def listed(values: Array) -> str:

@@ -21,7 +21,6 @@ from pkm_printers.bed_mesh import BedMesh, distinct, explanations
 from pkm_printers.delta_geometry import FACTORS, SLOPES, DeltaGeometry
 from pkm_printers.delta_study import (
     DeltaStudy,
-    Firmware,
     Offset,
     PrinterGeometry,
     free_tilts,
@@ -31,6 +30,7 @@ from pkm_printers.probed_point import ProbedPoint, contact_rows, probes_of
 from pkm_printers.repeated import PooledSpread, by_place, pooled
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, MeshUse
+from pkm_studies.tables import ControllerTable
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
@@ -61,7 +61,7 @@ LARGEST = 1e4
 def delta_session(
     *,
     name: str,
-    firmware: Firmware,
+    controller: ControllerTable,
     files: str,
     geometry: PrinterGeometry,
     points: Sequence[ProbedPoint],
@@ -90,7 +90,7 @@ def delta_session(
     mesh_notes += explanations(meshes, "M665 and M666")
     probed = points or [point for one in meshes[:1] for point in one.points]
     spread = pooled([*by_place(points), *repeated])
-    free, about_lean = _factors(firmware, geometry, probed, free)
+    free, about_lean = _factors(controller, geometry, probed, free)
     offsets = [point.probe for point in probed]
     tilts = free_tilts(offsets, free, len(probed), geometry)
     about_noise = spread.sentence() if spread else ASSUMED
@@ -99,7 +99,7 @@ def delta_session(
     radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
-        firmware=firmware,
+        controller=controller,
         files=files,
         geometry=geometry,
         free=(*free, *tilts),
@@ -132,7 +132,7 @@ def delta_session(
 
 
 def _factors(
-    firmware: Firmware,
+    controller: ControllerTable,
     geometry: PrinterGeometry,
     probed: Sequence[ProbedPoint],
     wanted: tuple[str, ...] | None,
@@ -141,7 +141,7 @@ def _factors(
     if not isinstance(geometry, DeltaGeometry):
         return wanted or geometry.of_heights, []
     lean = lean_of(geometry, probed)
-    has_lean = firmware.name == WITH_SLOPES and is_to_be_fitted(lean, len(probed))
+    has_lean = controller.firmware == WITH_SLOPES and is_to_be_fitted(lean, len(probed))
     free = wanted or (FACTORS[LEANING] if has_lean else geometry.of_heights)
     is_fitted = set(SLOPES) <= set(free)
     return free, [lean_sentence(lean, len(probed), is_fitted=is_fitted)]

@@ -6,10 +6,14 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence
 
+import msgspec
+import tomli_w
+
 from pkm_printers import words
 from pkm_printers.delta_geometry import TOWERS, DeltaGeometry
 from pkm_printers.rotary_delta import RotaryGeometry
 from pkm_studies.importers import readings_name
+from pkm_studies.tables import ControllerTable
 
 #: what to do with other machines
 OTHER_MACHINES = (
@@ -17,6 +21,13 @@ OTHER_MACHINES = (
     " machine, or for a Hangprinter `hangprinter`"
 )
 PrinterGeometry = DeltaGeometry | RotaryGeometry
+#: firmwares as people write them
+TITLES = {
+    "klipper": "Klipper",
+    "marlin": "Marlin",
+    "rrf": "RepRapFirmware",
+    "smoothie": "Smoothieware",
+}
 #: place (2,) of a probe from the nozzle, mm
 Offset = tuple[float, float]
 #: share of the probed radius that the accuracy is predicted on
@@ -41,58 +52,19 @@ tolerance = { scale = 0.0 }  # the firmware takes the object's size as exact
 """
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Firmware:
-    """The firmware of a printer, for the table [controller].
-
-    name, title     as in `oed compensate --to`, and as people write it
-    version         where the files show it
-    m665_b          what M665 B is, for Marlin
-    keep            words that are written back as they are, by command
-    radius_trim_mm  and
-    rod_trim_mm     trims (3,) of the towers that stay in the firmware
-    """
-
-    name: str
-    title: str
-    version: str | None = None
-    m665_b: str | None = None
-    file: str | None = None
-    home_offset_mm: float | str | None = None
-    probe_z_mm: float | None = None
-    steps_per_mm: float | None = None
-    keep: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    radius_trim_mm: tuple[float, ...] = ()
-    rod_trim_mm: tuple[float, ...] = ()
-
-    def table(self) -> str:
-        """The table [controller] of a study."""
-        lines = ["[controller]  # for `oed compensate`", f'firmware = "{self.name}"']
-        if self.version is not None:
-            lines.append(f"version = {json.dumps(self.version)}")
-        for name in ("m665_b", "file"):
-            text = getattr(self, name)
-            if text is not None:
-                lines.append(f"{name} = {json.dumps(text)}")
-        for name in ("home_offset_mm", "probe_z_mm", "steps_per_mm"):
-            value = getattr(self, name)
-            if value is not None:
-                text = json.dumps(value) if isinstance(value, str) else f"{value:.9g}"
-                lines.append(f"{name} = {text}")
-        for name in ("radius_trim_mm", "rod_trim_mm"):
-            trims = getattr(self, name)
-            if any(trims):
-                lines.append(f"{name} = {list(trims)}  # stays in the firmware")
-        texts = [f"{name} = {json.dumps(w)}" for name, w in self.keep.items() if w]
-        if texts:
-            lines.append(f"keep = {{ {', '.join(texts)} }}  # written back as it is")
-        return "\n".join([*lines, ""])
+def controller_text(controller: ControllerTable) -> str:
+    """The table [controller] of a study, for `oed compensate`."""
+    plain = msgspec.to_builtins(controller)
+    defaults = msgspec.to_builtins(ControllerTable(firmware=""))
+    stated = {name: value for name, value in plain.items() if value != defaults[name]}
+    return tomli_w.dumps({"controller": stated})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DeltaStudy:
     """What the study of a delta printer says.
 
+    controller     the firmware
     free           parameters that are identified
     noise          the lines of [noise]
     calliper       whether distances were read as well
@@ -106,7 +78,7 @@ class DeltaStudy:
     """
 
     name: str
-    firmware: Firmware
+    controller: ControllerTable
     files: str
     geometry: PrinterGeometry
     free: tuple[str, ...]
@@ -136,7 +108,7 @@ class DeltaStudy:
         if "arm1" in self.free and not self.calliper:
             tolerances += COMMON_ARM
         return f"""\
-# A {self.geometry.about}, imported from {self.files}: geometry and readings of {self.firmware.title}.
+# A {self.geometry.about}, imported from {self.files}: geometry and readings of {TITLES[self.controller.firmware]}.
 # `oed run` calibrates it; every number has its unit in the name of its field.
 #
 {words.comments(self.accounts)}
@@ -165,7 +137,7 @@ x_mm = [{-reach}, 0.0, {reach}]
 y_mm = [{-reach}, 0.0, {reach}]
 z_mm = {[float(h) for h in self.heights]}
 
-{self.firmware.table()}"""
+{controller_text(self.controller)}"""
 
     def _workspace(self) -> str:
         """The tables of workspace, home and travel, after the printer's size; mm."""

@@ -23,6 +23,8 @@ COUNTS = {
     "radius_trim_mm": 3,
     "rod_trim_mm": 3,
 }
+#: trims (3,) of the towers where a user states none, mm
+NO_TRIMS = (0.0, 0.0, 0.0)
 VERSION, FACTORS = "firmware_version", "factors"
 FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version|factors)\s*=(.*)")
 
@@ -44,6 +46,14 @@ def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
             raise line.error(problem, "separate numbers by commas", name)
         facts[name] = tuple(gcode.finite(cell.strip(), line) for cell in cells)
     return facts
+
+
+def trims(
+    given: Mapping[str, tuple[float, ...]], name: str
+) -> tuple[float, float, float]:
+    """Trims of the towers by a user's line of this name, mm; 0 without."""
+    x, y, z = given.get(name, NO_TRIMS)
+    return x, y, z
 
 
 def version(lines: Sequence[TextLine]) -> str | None:

@@ -22,7 +22,6 @@ from pkm_printers.delta_probe import ASSUMED, tilt_sentences
 from pkm_printers.delta_study import (
     OTHER_MACHINES,
     DeltaStudy,
-    Firmware,
     PrinterGeometry,
     free_tilts,
     noise_table,
@@ -33,6 +32,7 @@ from pkm_printers.repeated import PooledSpread, pooled, repeated_in_log
 from pkm_printers.rotary_delta import RotaryGeometry
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, ImportRequest, Row
+from pkm_studies.tables import ControllerTable
 
 #: distance from the bed, over the height of the lowest endstop, of a position that is wrong
 FAR = 0.2
@@ -100,7 +100,7 @@ class KlipperImporter:
         noise_notes += tilt_sentences(probes.values(), tilts, geometry)
         study = DeltaStudy(
             name=request.name,
-            firmware=Firmware(name="klipper", title="Klipper"),
+            controller=ControllerTable(firmware="klipper"),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
             free=(*free, *tilts),

@@ -25,7 +25,7 @@ from pkm_printers import facts, gcode, marlin_home
 from pkm_printers.bed_mesh import ROUNDING, BedMesh
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import Firmware, Offset
+from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.marlin_home import Home
 from pkm_printers.marlin_log import Settings, probing
@@ -45,6 +45,7 @@ from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
 from pkm_studies.importers import ImportedSession, ImportRequest
+from pkm_studies.tables import ControllerTable
 
 RADII: Final = refused(
     "versions and forks mean trims of the towers' radii, or of their angles, by it",
@@ -76,7 +77,6 @@ G33: Final[dict[str, Word]] = {
 BED_LEVELING: Final = costs(
     "with bed leveling on, heights may be those over the mesh: probe with M420 S0"
 )
-NO_TRIMS = (0.0, 0.0, 0.0)
 #: M665 B, mm, above which it cannot be the trim of a rod
 LONGEST_TRIM = 10.0
 #: versions whose M665 has no H
@@ -139,16 +139,15 @@ class MarlinImporter:
         meshes, about_grid = mesh_grids(lines, given, probed.offset, points)
         return delta_session(
             name=request.name,
-            firmware=Firmware(
-                name="marlin",
-                title="Marlin",
+            controller=ControllerTable(
+                firmware="marlin",
                 version=version,
                 m665_b=b,
                 home_offset_mm=home.offset,
                 probe_z_mm=home.probe_z,
                 steps_per_mm=home.steps_per_mm,
-                radius_trim_mm=given.get("radius_trim_mm", ()),
-                rod_trim_mm=given.get("rod_trim_mm", ()),
+                radius_trim_mm=facts.trims(given, "radius_trim_mm"),
+                rod_trim_mm=facts.trims(given, "rod_trim_mm"),
             ),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
@@ -225,7 +224,7 @@ def _geometry(
     settings: Settings, given: Given, b: MeaningOfB | None, home: Home
 ) -> DeltaGeometry:
     delta = settings.command("M665")
-    trims = given.get("rod_trim_mm", NO_TRIMS)
+    trims = facts.trims(given, "rod_trim_mm")
     if b == ROD_TRIM:
         trims = tuple(delta.numbers("ABC"))
     rod = delta.number("L")
@@ -234,7 +233,7 @@ def _geometry(
         arms=rod + np.array(trims),
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
         endstops=np.array(home.endstops),
-        radius_trim=np.array(given.get("radius_trim_mm", NO_TRIMS)),
+        radius_trim=np.array(facts.trims(given, "radius_trim_mm")),
     )
 
 

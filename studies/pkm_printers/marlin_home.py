@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Literal
 
 from pkm_printers.gcode import Command
 from pkm_printers.marlin_log import Settings
@@ -37,7 +38,7 @@ class Home:
     """
 
     endstops: tuple[float, ...]
-    offset: float | str
+    offset: float | Literal["not known"]
     probe_z: float | None
     steps_per_mm: float | None
     notes: list[str]
@@ -66,7 +67,7 @@ def home(
     moves = [_move(settings.command("M666"), k, steps_per_mm, rules) for k in TOWERS]
     notes += _band_text(settings.command("M666"), moves)
     endstops = tuple(height + move for move in moves)
-    stated = NOT_KNOWN if offset is None else offset
+    stated: float | Literal["not known"] = NOT_KNOWN if offset is None else offset
     return Home(endstops, stated, probe_z, steps_per_mm, notes)
 
 

@@ -23,7 +23,7 @@ from pkm_printers.delta_geometry import (
     TOWERS,
     listed,
     lower_heights,
-    nominal_lines,
+    nominal_table,
 )
 from pkm_studies.catalogue import Compensation
 
@@ -129,15 +129,16 @@ class RotaryGeometry:
 
     def table(self) -> str:
         """The table [machine.nominal] of a study."""
-        lines = [f"radius_mm = {self.radius!r}", f"height_mm = {self.height!r}"]
-        for stem, values, unit in (
-            ("angle", self.angles, "deg"),
-            ("upper", self.upper, "mm"),
-            ("lower", self.lower, "mm"),
-            ("endstop", self.endstops, "deg"),
-        ):
-            lines += nominal_lines(stem, values, unit)
-        return "\n".join(["[machine.nominal]", *lines, ""])
+        return nominal_table(
+            {
+                "radius_mm": self.radius,
+                "height_mm": self.height,
+                "angle_deg": self.angles,
+                "upper_mm": self.upper,
+                "lower_mm": self.lower,
+                "endstop_deg": self.endstops,
+            }
+        )
 
     def sentence(self) -> str:
         """The geometry in words."""

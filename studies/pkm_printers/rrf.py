@@ -25,7 +25,7 @@ from pkm_printers import facts, gcode, rotary_delta, rrf_five_bar, rrf_rotary
 from pkm_printers.bed_mesh import BedMesh
 from pkm_printers.delta_geometry import FACTORS, TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import OTHER_MACHINES, Firmware, PrinterGeometry
+from pkm_printers.delta_study import OTHER_MACHINES, PrinterGeometry
 from pkm_printers.gcode import NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
@@ -36,6 +36,7 @@ from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import plain_number
 from pkm_studies.importers import ImportedSession, ImportRequest, line_field
+from pkm_studies.tables import ControllerTable
 
 DELTA = re.compile(
     rf"Diagonals?\s+(?P<L>{NUMBER}(?::{NUMBER})*),\s*delta radius\s+(?P<R>{NUMBER}),"
@@ -115,7 +116,7 @@ class RrfImporter:
             points, notes = probed_points(order, given)
         return delta_session(
             name=request.name,
-            firmware=printer.firmware,
+            controller=printer.controller,
             files=", ".join(path.name for path in request.files),
             geometry=printer.geometry,
             points=points,
@@ -140,7 +141,7 @@ class _Printer(NamedTuple):
     """
 
     geometry: PrinterGeometry
-    firmware: Firmware
+    controller: ControllerTable
     factors: Mapping[int, tuple[str, ...]]
     trigger: float
 
@@ -162,24 +163,24 @@ def _linear(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Prin
     delta = gcode.merged(order.lines, "M665", "give the config.g that has M665")
     stops = gcode.optional(order.lines, "M666")
     reach = [f"{k}{delta.words[k]}" for k in "BS" if k in delta.words]
-    firmware = _firmware(order, {"M665": " ".join(reach)}, given)
-    return _Printer(_geometry(delta, stops, given), firmware, FACTORS, 0.0)
+    controller = _controller(order, {"M665": " ".join(reach)}, given)
+    return _Printer(linear_geometry(delta, stops, given), controller, FACTORS, 0.0)
 
 
 def _rotary(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
     """A rotary delta by M669 and M666. Raises InputError."""
     geometry = rrf_rotary.rotary_geometry(order.lines)
-    firmware = _firmware(order, rrf_rotary.retained_words(order.lines), given)
+    controller = _controller(order, rrf_rotary.retained_words(order.lines), given)
     trigger = rrf_rotary.trigger_height(order.lines)
-    return _Printer(geometry, firmware, rotary_delta.FACTORS, trigger)
+    return _Printer(geometry, controller, rotary_delta.FACTORS, trigger)
 
 
-def _geometry(
-    delta: Command, stops: Command, given: dict[str, tuple[float, ...]]
+def linear_geometry(
+    delta: Command, stops: Command, given: Mapping[str, tuple[float, ...]]
 ) -> DeltaGeometry:
     """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
     arms = delta.values("L", 1, 3)
-    trims = given.get("rod_trim_mm", (0.0, 0.0, 0.0))
+    trims = facts.trims(given, "rod_trim_mm")
     rods = arms * 3 if len(arms) == 1 else arms
     height = delta.number("H")
     return DeltaGeometry(
@@ -187,26 +188,23 @@ def _geometry(
         arms=np.array(rods) + trims,
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
         endstops=height + stops.numbers("XYZ"),
-        radius_trim=np.array(given.get("radius_trim_mm", (0.0, 0.0, 0.0))),
+        radius_trim=np.array(facts.trims(given, "radius_trim_mm")),
         bed_slope=PERCENT * stops.numbers("AB"),
     )
 
 
-def _firmware(
-    order: ExecutionOrder,
-    keep: Mapping[str, str],
-    given: dict[str, tuple[float, ...]],
-) -> Firmware:
+def _controller(
+    order: ExecutionOrder, keep: dict[str, str], given: dict[str, tuple[float, ...]]
+) -> ControllerTable:
     """The firmware, with the words that calibration leaves as they are."""
     lines = order.lines
     printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
-    return Firmware(
-        name="rrf",
-        title="RepRapFirmware",
+    return ControllerTable(
+        firmware="rrf",
         version=facts.version(lines) or (printed[-1] if printed else None),
         file=order.stored,
-        keep=keep,
-        radius_trim_mm=given.get("radius_trim_mm", ()),
+        keep={name: words for name, words in keep.items() if words},
+        radius_trim_mm=facts.trims(given, "radius_trim_mm"),
     )
 
 

@@ -18,7 +18,7 @@ from oed import units
 from oed.base import Array
 from pkm_printers import gcode, words
 from pkm_printers.delta_numbers import firmware_of
-from pkm_printers.delta_study import Firmware
+from pkm_printers.delta_study import controller_text
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.rrf_rotary import OF_DELTAS
 from pkm_printers.rrf_sequence import execution_order
@@ -34,7 +34,7 @@ from pkm_studies.importers import (
     read_tables,
 )
 from pkm_studies.resolve import described_machine
-from pkm_studies.tables import MachineTable
+from pkm_studies.tables import ControllerTable, MachineTable
 from pkm_studies.user_code import Origin
 
 KINEMATICS: Final = "9"
@@ -118,14 +118,14 @@ def five_bar_session(request: ImportRequest, tables: Sequence[Path]) -> Imported
         request, Model(machine, table), "Five-bar", [SETUP], NOISE, "best_fit"
     )
     kept = " ".join(f"{k}{command.words[k]}" for k in KEPT if k in command.words)
-    firmware = Firmware(name="rrf", title="RepRapFirmware", keep={"M669": kept})
+    controller = ControllerTable(firmware="rrf", keep={"M669": kept})
     rows = [
         {"setup": "places", "run": "1", "order": str(k + 1)}
         | {f"{c}_mm": repr(v) for c, v in zip(COLUMNS, row, strict=True)}
         for k, row in enumerate(np.hstack([places, measured]).tolist())
     ]
     return ImportedSession(
-        study=words.comments(notes) + text + PRIOR + firmware.table(),
+        study=words.comments(notes) + text + PRIOR + controller_text(controller),
         rows=rows,
         statements=[f"Readings: {len(rows)} places as set-up places.", *notes],
     )

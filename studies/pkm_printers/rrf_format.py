@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from oed.base import Array
-from pkm_printers import rotary_delta, rrf_five_bar
+from pkm_printers import gcode, rotary_delta, rrf_five_bar
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
     SLACK,
@@ -18,8 +20,9 @@ from pkm_printers.delta_numbers import (
     trim_notes,
     trims,
 )
+from pkm_printers.gcode import TextLine
 from pkm_printers.machine_formats import by_machine
-from pkm_printers.marlin_format import words
+from pkm_printers.rrf import linear_geometry
 from pkm_printers.rrf_rotary import rotary_format
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
@@ -100,17 +103,12 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     z of a study without slopes of the bed counts along the towers, as the firmware's does
     once it has raised it by M666 A and B.
     """
-    has_bed = has_slopes(compensation.machine)
-    geometry = words(texts[".g"], "M665")
-    adjust = words(texts[".g"], "M666")
-    numbers = DeltaGeometry(
-        radius=geometry["R"][0],
-        arms=np.array(geometry["L"]) * np.ones(3),
-        angles=TOWER_ANGLES + [geometry[k][0] for k in "XYZ"],
-        endstops=geometry["H"][0] + np.array([adjust[k][0] for k in "XYZ"]),
-        radius_trim=trims(compensation, NAME, "radius_trim_mm"),
-        bed_slope=np.array([adjust[k][0] if has_bed else 0.0 for k in "AB"]) / 100.0,
-    )
+    lines = [TextLine(line, "", 0) for line in texts[".g"].splitlines()]
+    delta, stops = (gcode.merged(lines, name, "") for name in ("M665", "M666"))
+    trims_mm = {"radius_trim_mm": tuple(trims(compensation, NAME, "radius_trim_mm"))}
+    numbers = linear_geometry(delta, stops, trims_mm)
+    if not has_slopes(compensation.machine):
+        numbers = dataclasses.replace(numbers, bed_slope=np.zeros(2))
     return delta_joints(numbers, compensation)
 
 

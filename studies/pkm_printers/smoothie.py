@@ -16,13 +16,14 @@ from typing import Final
 from pkm_printers import facts, gcode
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
-from pkm_printers.delta_study import Firmware, Offset
+from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
 from pkm_printers.words import HARMLESS, READ, WordTable, costs, refused, same
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, ImportRequest
+from pkm_studies.tables import ControllerTable
 
 #: what a host writes before an answer: a time, Recv:
 HOST: Final = r"^(?i:[^a-z]|recv|read|[ap]m)*"
@@ -85,9 +86,7 @@ class SmoothieImporter:
         home = gcode.optional(lines, "M206").number("Z", 0.0)
         return delta_session(
             name=request.name,
-            firmware=Firmware(
-                name="smoothie", title="Smoothieware", home_offset_mm=home
-            ),
+            controller=ControllerTable(firmware="smoothie", home_offset_mm=home),
             files=", ".join(path.name for path in request.files),
             geometry=_geometry(delta, gcode.optional(lines, "M666"), home),
             points=_points(lines, (x, y)),
