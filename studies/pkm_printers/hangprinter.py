@@ -1,15 +1,19 @@
 """Hangprinter: anchors and spools of M669 and M666, motor angles, places by a camera.
 
-A CSV with the columns A, B, C, D has the motors' angles since the origin, deg, one pose a
-line; a CSV with x, y, z has where the mover was, mm, at the first of these poses. Four
-lines are one more than the place needs, so every pose counts as a reading of the lines.
+A CSV with a column for each anchor, A, B, C, D, has the motors' angles since the origin, deg,
+one pose a line; columns FA, FB, ... the forces, N, by which the lines stretch. A CSV with x,
+y, z has where the mover was, mm, at the first of these poses. Each line more than three is
+more than the place needs, so that every pose counts as a reading of the lines.
+
+The firmware turns a motor by k0 (sqrt(R^2 + k2 l) - R) for a line that is l longer than at
+the origin, k2 = -U O Q. A force F makes it F (U d + Y) / (S U) longer, d from the anchor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,6 +21,7 @@ from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_printers import gcode, words
+from pkm_printers.delta_study import controller_text
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_sequence import execution_order
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
@@ -31,31 +36,33 @@ from pkm_studies.importers import (
     read_tables,
 )
 from pkm_studies.resolve import described_machine
-from pkm_studies.tables import MachineTable
+from pkm_studies.tables import ControllerTable, MachineTable
 from pkm_studies.user_code import Origin
 
-MOTORS: Final = "ABCD"
+#: letters of the anchors in the firmware's order
+LETTERS: Final = "ABCDI"
 MODEL: Final = "cable_robot"
-#: what the model has built in, by letter of M666
-BUILT_IN: Final = {
-    "U": (2.0, 2.0, 2.0, 4.0),
-    "H": (255.0,) * 4,
-    "L": (20.0,) * 4,
-    "O": (1.0,) * 4,
-}
+#: words of M666 that the firmware has without, by line
+USUAL: Final = {"H": 255.0, "L": 20.0, "O": 1.0}
+#: words that are written back as they are
+KEPT: Final = {"M669": "PST", "M666": "UOLHJWSIXYTCA"}
+#: shares of the nearest anchor across, and of the highest, that the workspace spans
+ACROSS, UP = 0.25, 0.6
 MORE_LINES: Final = refused(
-    "the model has four lines, A to D", "describe the machine by a study of your own"
+    "the firmware has five anchors at most, A to D and I", "remove it from a copy"
+)
+FLEX: Final = costs(
+    "it is how the firmware plans forces for its flex compensation, and stays as it is"
 )
 M669: Final[dict[str, Word]] = {
-    **same(READ, MOTORS),
-    "K": READ,
-    **same(HARMLESS, "NPSTRF"),
-    **same(MORE_LINES, "IJ"),
+    **same(READ, f"{LETTERS}KN"),
+    **same(HARMLESS, "PSTRF"),
+    **same(MORE_LINES, "JLO"),
 }
 M666: Final[dict[str, Word]] = {
-    **same(READ, "RQUHLO"),
-    **same(costs("lines of the model do not stretch"), "WSGX"),
-    **same(HARMLESS, "AFJT"),
+    **same(READ, "RQUHLOSY"),
+    **same(FLEX, "WITX"),
+    **same(HARMLESS, "AFJCG"),
 }
 WORDS: Final[WordTable] = {
     "M669": M669,
@@ -64,11 +71,8 @@ WORDS: Final[WordTable] = {
 }
 #: mm; no anchor is farther away
 LARGEST: Final = 1e6
-NOISE: Final = {
-    "assumed": True,
-    **{f"read_{axis}_mm": 1.0 for axis in "xyz"},
-    "gap_mm": 0.5,
-}
+PLACE_NOISE: Final = {f"read_{axis}_mm": 1.0 for axis in "xyz"}
+GAP_MM: Final = 0.5
 #: share of the nearest anchor's distance within which all poses say nothing of a machine
 NEAR_ORIGIN = 0.02
 #: factor between recorded and expected angles from which on they are no such angles
@@ -80,7 +84,7 @@ class HangprinterImporter:
 
     name = "hangprinter"
     about = (
-        "Hangprinter: config.g (M669, M666), CSV of motors A, B, C, D, CSV of x, y, z"
+        "Hangprinter: config.g (M669, M666), CSV of motors A, B, C, ..., CSV of x, y, z"
     )
     unused = ("--machine", "--map", "--mesh")
 
@@ -97,41 +101,41 @@ class HangprinterImporter:
             *gcode.order_text(texts),
             *gcode.account_of(lines, WORDS).sentences(),
         ]
-        _check_built_in(spools)
-        _check_tables(tables, request.files)
-        motors, places = _motors(tables), _places(tables)
-        if len(places) > len(motors):
-            problem = f"{len(places)} places, but {len(motors)} poses of the motors"
+        table = machine_table(anchors, spools)
+        motors = _letters(anchors)
+        _check_tables(tables, request.files, motors)
+        turns, places = _cells(tables, motors), _cells(tables, "xyz")
+        if len(places) > len(turns):
+            problem = f"{len(places)} places, but {len(turns)} poses of the motors"
             raise InputError(problem, "give the motors of each place", file="x, y, z")
-        table = MachineTable(
-            model=MODEL,
-            nominal=_nominal(anchors, spools),
-            geometry={"buildup_mm": _numbers(spools, "Q")[0]},
-        )
         machine = described_machine(
             table, Origin.command(request.consent), Location("")
         )
-        file = next(t.file for t in tables if set(MOTORS) <= set(t.header))
-        check_motor_unit(machine, motors, places, file)
-        setups = [{"name": "lines", "instrument": "redundancy"}]
-        if len(places):
-            setups.append({"name": "camera", "instrument": "camera_known_frame"})
+        file = next(t.file for t in tables if set(motors) <= set(t.header))
+        check_motor_unit(machine, turns, places, file)
         text = imported_study(
             request,
             Model(machine, table),
             "Hangprinter",
-            setups,
-            NOISE if len(places) else {"assumed": True, "gap_mm": 0.5},
+            *_setups(len(motors), len(places)),
             "home" if len(places) else "best_fit",
         )
+        forces = _cells(tables, [f"F{motor}" for motor in motors])
+        keep = {
+            name: " ".join(f"{k}{c.words[k]}" for k in KEPT[name] if k in c.words)
+            for name, c in (("M669", anchors), ("M666", spools))
+        }
+        controller = ControllerTable(firmware="rrf", keep=keep)
         statements = [
-            f"Readings: four lines at {len(motors)} poses as set-up lines.",
+            f"Readings: {len(motors)} lines at {len(turns)} poses as set-up lines."
+            if len(motors) > len("xyz")
+            else "Readings: three lines are no more than the place needs.",
             *_camera_sentences(places),
             *accounts,
         ]
         return ImportedSession(
-            study=words.comments(accounts) + text,
-            rows=_rows(motors, places),
+            study=words.comments(accounts) + text + controller_text(controller),
+            rows=_rows(turns, places, forces),
             statements=statements,
         )
 
@@ -143,53 +147,100 @@ def _is_csv(path: Path) -> bool:
     return path.suffix.lower() == ".csv"
 
 
-def _numbers(command: Command, letter: str) -> list[float]:
-    """Numbers of a word, separated by colons. Raises InputError."""
-    text = command.words.get(letter)
-    if not text:
-        problem = f"{command.name} has no {letter}"
-        raise command.line.error(problem, "give the full command")
-    line = command.line_of(letter)
-    return [gcode.finite(cell, line) for cell in text.split(":")]
+def _letters(anchors: Command) -> str:
+    """Letters of the anchors, as many as N. Raises InputError."""
+    stated = "".join(letter for letter in LETTERS if letter in anchors.words)
+    count = int(anchors.number("N", max(len(stated), len("xyz"))))
+    if not len("xyz") <= count <= len(LETTERS) or stated != LETTERS[:count]:
+        problem = f"{count} anchors are stated as {', '.join(stated)}"
+        remedy = "give three to five, as N says: A, B, C, D, I in this order"
+        raise anchors.line_of("N").error(problem, remedy, "M669 N")
+    return stated
 
 
-def _check_built_in(spools: Command) -> None:
-    """Refuse gears and folds other than the model's. Raises InputError."""
-    for letter, wanted in BUILT_IN.items():
-        if letter not in spools.words:
-            continue
-        stated = _numbers(spools, letter)
-        if not np.allclose(stated, wanted[: len(stated)], rtol=1e-6):
-            listed = ":".join(f"{value:g}" for value in wanted)
-            raise spools.line_of(letter).error(
-                f"the model {MODEL} has {letter}{listed} built in",
-                "describe another machine by a study of your own",
-                f"M666 {letter}",
-            )
-
-
-def _nominal(anchors: Command, spools: Command) -> dict[str, float]:
-    """Anchors, spools and lines of the machine, mm. Raises InputError."""
-    nominal = {}
-    radii = _numbers(spools, "R")
-    if len(radii) != len(MOTORS):
-        raise spools.line_of("R").error(
-            "R needs four radii", "give the full command", "M666 R"
+def machine_table(anchors: Command, spools: Command) -> MachineTable:
+    """Anchors, spools and lines of the machine. Raises InputError."""
+    letters = _letters(anchors)
+    places = np.array([_anchor(anchors, letter) for letter in letters])
+    distance = np.linalg.norm(places, axis=1)
+    numbers = {k: np.array(spools.values(k, len(letters))) for k in "RU"}
+    for letter, usual in USUAL.items():
+        is_stated = letter in spools.words
+        cells = (
+            spools.values(letter, len(letters)) if is_stated else [usual] * len(places)
         )
-    for i, motor in enumerate(MOTORS, start=1):
-        location = _numbers(anchors, motor)
-        if len(location) == 1:  # the upper anchor of three-number versions: its height
-            location = [0.0, 0.0, *location]
-        if len(location) != len("xyz") or np.abs(location).max() > LARGEST:
-            problem = "an anchor has x, y and z, in mm"
-            raise anchors.line_of(motor).error(
-                problem, "give the full command", f"M669 {motor}"
-            )
-        for axis, value in zip("xyz", location, strict=True):
-            nominal[f"anchor{i}{axis}_mm"] = value
-        nominal[f"radius{i}_mm"] = radii[i - 1]
-        nominal[f"line{i}_mm"] = round(float(np.linalg.norm(location)), 6)
-    return nominal
+        numbers[letter] = np.array(cells)
+    if np.ptp(numbers["O"]):
+        problem = "the spools hold different numbers of lines"
+        remedy = "describe the machine by a study of your own"
+        raise spools.line_of("O").error(problem, remedy, "M666 O")
+    geometry: dict[str, Any] = {
+        "anchor_mm": places.tolist(),
+        "fold": numbers["U"].tolist(),
+        "gear": (numbers["H"] / numbers["L"]).tolist(),
+        "buildup_mm": spools.values("Q", 1)[0] * float(numbers["O"][0]),
+        "zeroed": 1.0,
+    }
+    if "S" in spools.words:
+        beyond = _guy_wires(places, spools) / (numbers["U"] * distance)
+        geometry["stiffness_N"] = (spools.number("S") / (1.0 + beyond)).tolist()
+    across = np.linalg.norm(places[:, :2], axis=1)
+    reach = round(ACROSS * float(across[across > 0.0].min()), 1)
+    return MachineTable(
+        model=MODEL,
+        geometry=geometry,
+        nominal={f"radius{i}_mm": v for i, v in enumerate(numbers["R"].tolist(), 1)},
+        workspace={
+            **{f"{axis}_mm": (-reach, reach) for axis in "xy"},
+            "z_mm": (0.0, round(UP * float(places[:, 2].max()), 1)),
+        },
+    )
+
+
+def _anchor(anchors: Command, letter: str) -> list[float]:
+    """Place (3,) of an anchor, mm. Raises InputError."""
+    location = anchors.values(letter)
+    if len(location) == 1:  # the upper anchor of three-number versions: its height
+        location = [0.0, 0.0, *location]
+    if len(location) != len("xyz") or np.abs(location).max() > LARGEST:
+        problem, remedy = "an anchor has x, y and z, in mm", "give the full command"
+        raise anchors.line_of(letter).error(problem, remedy, f"M669 {letter}")
+    return location
+
+
+def _guy_wires(places: Array, spools: Command) -> Array:
+    """Lengths (n,) of the lines between spools and anchors, mm. Raises InputError.
+
+    Without Y the firmware takes all spools to be at the last anchor.
+    """
+    if "Y" in spools.words and min(spools.values("Y", len(places))) >= 0.0:
+        return np.array(spools.values("Y"))
+    return np.asarray(np.linalg.norm(places - places[-1], axis=1))
+
+
+def _setups(
+    lines: int, places: int
+) -> tuple[list[Mapping[str, object]], dict[str, object]]:
+    """Set-ups and noise of so many lines and places. Raises InputError without any."""
+    setups: list[Mapping[str, object]] = []
+    noise: dict[str, object] = {"assumed": True}
+    spare = lines - len("xyz")
+    if spare:
+        setups.append({"name": "lines", "instrument": "redundancy"})
+        noise |= dict.fromkeys(_gaps(lines), GAP_MM)
+    if places:
+        setups.append({"name": "camera", "instrument": "camera_known_frame"})
+        noise |= PLACE_NOISE
+    if not setups:
+        problem = "three lines alone say nothing of the machine"
+        raise InputError(problem, "give a CSV with x, y, z as well", file="FILE")
+    return setups, noise
+
+
+def _gaps(lines: int) -> list[str]:
+    """Columns of what the lines of a machine fail to meet by."""
+    spare = lines - len("xyz")
+    return ["gap_mm"] if spare == 1 else [f"gap{k}_mm" for k in range(1, spare + 1)]
 
 
 def _camera_sentences(places: Array) -> list[str]:
@@ -198,60 +249,55 @@ def _camera_sentences(places: Array) -> list[str]:
     return [f"Readings: {len(places)} places of the first poses as set-up camera."]
 
 
-def _check_tables(tables: Sequence[CsvTable], paths: Sequence[Path]) -> None:
-    """Refuse tables that are neither, and two of one kind. Raises InputError."""
+def _check_tables(
+    tables: Sequence[CsvTable], paths: Sequence[Path], motors: str
+) -> None:
+    """Refuse tables that are neither, two of one kind, and none. Raises InputError."""
     files = [str(path) for path in paths if _is_csv(path)]
     kinds: dict[str, str] = {}
     for table, file in zip(tables, files, strict=True):
         header = set(table.header)
-        kind = next((k for k in (MOTORS, "xyz") if set(k) <= header), "")
+        kind = next((k for k in (motors, "xyz") if set(k) <= header), "")
         if not kind or kind in kinds:
             raise InputError(
                 f"{kinds[kind]} has the columns {', '.join(kind)} too"
                 if kind
                 else f"its columns are {', '.join(table.header)}",
-                "give one CSV with A, B, C, D, and one with x, y, z at most",
+                f"give one CSV with {', '.join(motors)}, and one with x, y, z at most",
                 file=file,
             )
         kinds[kind] = file
+    if motors not in kinds:
+        remedy = f"give a CSV with the columns {', '.join(motors)} in deg"
+        raise InputError("no motor angles", remedy, file="FILE")
 
 
-def _motors(tables: Sequence[CsvTable]) -> Array:
-    """Angles (n, 4) of the motors, deg. Raises InputError."""
+def _cells(tables: Sequence[CsvTable], names: Sequence[str]) -> Array:
+    """Columns (m, n) of the table that has them all; none (0, n) without."""
     for table in tables:
-        if set(MOTORS) <= set(table.header):
-            return np.column_stack([table.numbers(motor) for motor in MOTORS])
-    raise InputError(
-        "no motor angles", "give a CSV with the columns A, B, C, D in deg", file="FILE"
-    )
+        if set(names) <= set(table.header):
+            return np.column_stack([table.numbers(name) for name in names])
+    return np.zeros((0, len(names)))
 
 
-def _places(tables: Sequence[CsvTable]) -> Array:
-    """Places (n, 3) of the mover, mm; none where no file has them."""
-    for table in tables:
-        if set("xyz") <= set(table.header):
-            return np.column_stack([table.numbers(axis) for axis in "xyz"])
-    return np.zeros((0, 3))
-
-
-def _rows(motors: Array, places: Array) -> list[Row]:
-    """Rows of the readings file: the camera's, then the lines'."""
-    joints = [
-        {f"q{i}_deg": repr(float(v)) for i, v in enumerate(row, start=1)}
-        for row in motors
-    ]
+def _rows(turns: Array, places: Array, forces: Array) -> list[Row]:
+    """Rows of the readings file: the camera's, then those of spare lines."""
+    poses = [_numbered("q{}_deg", row) for row in turns.tolist()]
+    for pose, row in zip(poses, forces.tolist(), strict=False):
+        pose |= _numbered("tension_{}_N", row)
     rows: list[Row] = []
-    for k, location in enumerate(places):
-        label = {"setup": "camera", "run": "1", "order": str(k + 1)}
-        read = {
-            f"read_{axis}_mm": repr(float(value))
-            for axis, value in zip("xyz", location, strict=True)
-        }
-        rows.append(label | joints[k] | read)
-    for k, pose in enumerate(joints):
-        label = {"setup": "lines", "run": "1", "order": str(k + 1)}
-        rows.append(label | pose | {"gap_mm": "0"})
+    for k, (pose, place) in enumerate(zip(poses, places.tolist(), strict=False), 1):
+        label = {"setup": "camera", "run": "1", "order": str(k)}
+        read = {f"read_{a}_mm": repr(v) for a, v in zip("xyz", place, strict=True)}
+        rows.append(label | pose | read)
+    gaps = dict.fromkeys(_gaps(turns.shape[1]), "0")
+    for k, pose in enumerate(poses if gaps else [], start=1):
+        rows.append({"setup": "lines", "run": "1", "order": str(k)} | pose | gaps)
     return rows
+
+
+def _numbered(column: str, values: Sequence[float]) -> dict[str, str]:
+    return {column.format(i): repr(v) for i, v in enumerate(values, start=1)}
 
 
 # -- whether motor angles are degrees --------------------------------------------------
@@ -300,5 +346,5 @@ def _motor_refusal(problem: str, file: str) -> InputError:
         "give degrees since the origin, positive where a line is paid out; radians times"
         " 57.2958",
         file=file,
-        field="A, B, C, D",
+        field="motor angles",
     )

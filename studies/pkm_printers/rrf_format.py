@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array
-from pkm_printers import gcode, rotary_delta, rrf_five_bar
+from pkm_printers import gcode, hangprinter, rotary_delta, rrf_five_bar
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
     SLACK,
@@ -21,6 +21,7 @@ from pkm_printers.delta_numbers import (
     trims,
 )
 from pkm_printers.gcode import TextLine
+from pkm_printers.hangprinter_format import hangprinter_format
 from pkm_printers.machine_formats import by_machine
 from pkm_printers.rrf import linear_geometry
 from pkm_printers.rrf_rotary import rotary_format
@@ -114,7 +115,7 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
 
 linear_format = ControllerFormat(
     name=NAME,
-    about="RepRapFirmware's M665, M666 and M669 of deltas, rotary deltas and five-bars",
+    about="RepRapFirmware: M665, M666, M669 of deltas, rotary deltas, five-bars, Hangprinters",
     source="RepRapFirmware, src/Movement/Kinematics/LinearDeltaKinematics.cpp",
     write=write,
     joints=joints,
@@ -126,5 +127,6 @@ controller = by_machine(
     {
         rotary_delta.MODEL: rotary_format,
         rrf_five_bar.MODEL: rrf_five_bar.five_bar_format,
+        hangprinter.MODEL: hangprinter_format,
     },
 )

@@ -35,10 +35,9 @@ def test_the_real_machine_comes_in_and_its_lines_close(
     path, sentences, rows = taken(CONFIG, shared_data, tmp_path)
     assert len(rows) == 9 + 44
     assert "Words read: M669 K A B C D" in sentences
-    assert "M666 W (line 3): lines of the model do not stretch" in sentences
+    assert "M666 W (line 3): it is how the firmware plans forces" in sentences
     study = oed.load_study(path)
-    assert study.machine.nominal["anchor4z_mm"] == 2350.0
-    assert study.machine.nominal["line1_mm"] == pytest.approx(np.hypot(1620.0, 150.0))
+    assert study.machine.geometry["anchor_mm"][3] == [0.0, 0.0, 2350.0]
     section = oed.identify(oed.read_readings(study)).section
     # known: anchors and spools from all poses leave 0.65 mm
     assert section.rms_after["gap"] < 800.0
@@ -48,9 +47,12 @@ def test_the_real_machine_comes_in_and_its_lines_close(
 @pytest.mark.parametrize(
     ("before", "after", "problem"),
     [
-        ("U2:2:2:4", "U2:2:2:2", "built in"),
-        ("R75:75:75:75", "R75:75:75", "four radii"),
-        ("D2350", "D2350 I0:0:2000", "four lines"),
+        ("U2:2:2:4 ", "", "line 3, M666 U.*M666 has no U"),
+        ("O1:1:1:1", "O1:1:1:2", "line 3, M666 O.*different numbers of lines"),
+        ("R75:75:75:75", "R75:75:75", "line 3, M666 R.*3 numbers, where 4 belong"),
+        ("D2350", "D2350 J0:0:2000", "line 2, M669 J.*five anchors at most"),
+        ("D2350", "I2350", "line 2, M669 N.*4 anchors are stated as A, B, C, I"),
+        ("D2350", "D2350 N5", "line 2, M669 N.*5 anchors are stated as A, B, C, D"),
         ("A0:-1620:-150", "A0:-1620", "x, y and z"),
         ("W2.0", "E20", "does not know this word"),
         ("D2350", "D1e300", "x, y and z, in mm"),
@@ -143,10 +145,10 @@ def rows_of(header: str, rows: list[np.ndarray] | np.ndarray) -> str:
 
 
 def test_an_error_names_the_line_of_its_word(tmp_path: Path) -> None:
-    config = CONFIG.replace("U2:2:2:4", "").replace("M666", "M666 U2:2:2:2\nM666", 1)
+    config = CONFIG.replace("U2:2:2:4", "").replace("M666", "M666 U2:2:2\nM666", 1)
     (tmp_path / "config.g").write_text(config)
     (tmp_path / "m.csv").write_text("A,B,C,D\n1,2,3,4\n5,6,7,8\n")
-    with pytest.raises(InputError, match=r"line 3, M666 U.*M666 U2:2:2:2"):
+    with pytest.raises(InputError, match=r"line 3, M666 U.*M666 U2:2:2"):
         import_files(
             "hangprinter", [tmp_path / "config.g", tmp_path / "m.csv"], tmp_path / "o"
         )
