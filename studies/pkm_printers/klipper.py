@@ -44,6 +44,8 @@ REMEDY = (
 )
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 SAVED, PROBE, NOZZLE = "delta_calibrate", "probe", "nozzle"
+#: what a tower of a fork's delta adds to the radius
+RADIUS_OFFSET = "delta_radius_offset"
 #: turn of the last gear of a rotary delta, degrees
 FULL_TURN = 360.0
 #: ends of the names of files of the console, in which each sample of the probe is a line
@@ -100,7 +102,7 @@ class KlipperImporter:
         noise_notes += tilt_sentences(probes.values(), tilts, geometry)
         study = DeltaStudy(
             name=request.name,
-            controller=ControllerTable(firmware="klipper"),
+            controller=_controller(geometry),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
             free=(*free, *tilts),
@@ -131,6 +133,14 @@ class KlipperImporter:
 
 
 importer = KlipperImporter()
+
+
+def _controller(geometry: PrinterGeometry) -> ControllerTable:
+    """The firmware; trims of the radii say that it is a fork which has them."""
+    if not isinstance(geometry, DeltaGeometry):
+        return ControllerTable(firmware="klipper")
+    x, y, z = geometry.radius_trim.tolist()
+    return ControllerTable(firmware="klipper", radius_trim_mm=(x, y, z))
 
 
 def _is_rotary(config: KlipperConfig) -> bool:
@@ -188,6 +198,7 @@ def linear_geometry(config: KlipperConfig) -> DeltaGeometry:
     """
     arm = config.positive(STEPPERS[0], "arm_length")
     stop = config.number(STEPPERS[0], "position_endstop")
+    trim = config.number(STEPPERS[0], RADIUS_OFFSET, 0.0)
     angles = zip(STEPPERS, TOWER_ANGLES.tolist(), strict=True)
     geometry = DeltaGeometry(
         radius=config.positive("printer", "delta_radius"),
@@ -196,6 +207,7 @@ def linear_geometry(config: KlipperConfig) -> DeltaGeometry:
         endstops=np.array(
             [config.number(s, "position_endstop", stop) for s in STEPPERS]
         ),
+        radius_trim=np.array([config.number(s, RADIUS_OFFSET, trim) for s in STEPPERS]),
     )
     if geometry.radius >= min(geometry.arms):
         raise InputError(

@@ -76,6 +76,7 @@ STEPPER: Final[dict[str, Word]] = {
             "full_steps_per_rotation",
             "gear_ratio",
             "step_distance",
+            "delta_radius_offset",  # of the fork thhdragon/klipper
         ),
     ),
     **same(

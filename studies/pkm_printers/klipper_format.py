@@ -13,8 +13,9 @@ from pkm_printers.delta_numbers import (
     delta_numbers,
     home_notes,
     not_a_delta,
+    trims,
 )
-from pkm_printers.klipper import linear_geometry
+from pkm_printers.klipper import RADIUS_OFFSET, linear_geometry
 from pkm_printers.klipper_rotary import WHERE, rotary_format
 from pkm_printers.machine_formats import by_machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
@@ -27,15 +28,21 @@ BED_TILT = (
 
 
 def write(compensation: Compensation) -> Texts:
-    """The options that calibration changes, with Klipper's own six decimals."""
-    numbers = delta_numbers(compensation, NAME)
+    """The options that calibration changes, with Klipper's own six decimals.
+
+    A printer whose file has trims of the radii takes a radius for each tower.
+    """
+    by_tower = bool(trims(compensation, NAME, "radius_trim_mm").any())
+    numbers = delta_numbers(compensation, NAME, by_tower=by_tower)
     lines = [f"# {sentence}" for sentence in compensation.comments]
     lines.append(f"# {WHERE}")
     lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
     rows = zip(TOWERS, numbers.endstops, numbers.arms, numbers.angles, strict=True)
-    for tower, endstop, arm, angle in rows:
+    for k, (tower, endstop, arm, angle) in enumerate(rows):
         lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
         lines += [f"arm_length: {arm:.6f}", f"angle: {angle:.6f}"]
+        if by_tower:
+            lines.append(f"{RADIUS_OFFSET}: {numbers.radius_trim[k]:.6f}")
     if numbers.bed_slope.any():
         lines += ["", "[bed_tilt]"]
         rises = zip("xy", numbers.bed_slope, strict=True)
@@ -46,7 +53,7 @@ def write(compensation: Compensation) -> Texts:
 def notes(compensation: Compensation) -> tuple[str, ...]:
     """What the file does not hold, and what it goes together with."""
     sentences = home_notes(compensation, NAME)
-    if delta_numbers(compensation, NAME).bed_slope.any():
+    if delta_numbers(compensation, NAME, by_tower=True).bed_slope.any():
         sentences.append(BED_TILT)
     return tuple(sentences)
 

@@ -30,7 +30,10 @@ LIMBS: Final = "abc"
 STEPPERS: Final = tuple(f"stepper_{limb}" for limb in LIMBS)
 #: angles of the limbs that a file leaves out, degrees
 USUAL_ANGLES: Final = (30.0, 150.0, 270.0)
-WITHOUT: Final = ("rotation_distance", "step_distance", "arm_length")
+WITHOUT: Final = (
+    *("rotation_distance", "step_distance"),
+    *("arm_length", "delta_radius_offset"),
+)
 ROTARY_STEPPER: Final[dict[str, Word]] = {
     **{option: word for option, word in STEPPER.items() if option not in WITHOUT},
     **same(READ, ("upper_arm_length", "lower_arm_length")),

@@ -86,6 +86,21 @@ def test_klipper_with_distances(tmp_path: Path) -> None:
     check(firmware, real, best)
 
 
+def test_klipper_of_a_fork_that_trims_radii(tmp_path: Path) -> None:
+    """delta_radius_offset: a radius for each tower in, and out."""
+    text = example(probe=(0, 0, 2.5))
+    for tower, trim in zip("abc", (0.4, -0.3, 0.1), strict=True):
+        head = f"[stepper_{tower}]"
+        text = text.replace(head, f"{head}\ndelta_radius_offset: {trim}")
+    firmware = Klipper(text)
+    real = delta(110.3 + np.array([0.4, -0.3, 0.1]), 250.0, ANGLES, STOPS)
+    probe = Probe(z=2.5, sigma=NOISE)
+    firmware.calibrate(real, probe, spiral(18, REACH), np.random.default_rng(2))
+    export = calibrate("klipper", {"printer.cfg": firmware.text()}, tmp_path)
+    assert "delta_radius_offset: -0.300000" in export
+    check(firmware.apply(export), real, None)
+
+
 # -- RepRapFirmware --------------------------------------------------------------------
 
 CONFIG = """\

@@ -98,7 +98,11 @@ class Klipper:
             float(options[s].get("angle", v))
             for s, v in zip(STEPPERS, BASE, strict=True)
         ]
-        return delta(float(options["printer"]["delta_radius"]), arms, angles, stops)
+        # of a fork: what a tower adds to the radius, that of tower a where it says none
+        trim = a.get("delta_radius_offset", 0.0)
+        trims = [float(options[s].get("delta_radius_offset", trim)) for s in STEPPERS]
+        radii = float(options["printer"]["delta_radius"]) + np.array(trims)
+        return delta(radii, arms, angles, stops)
 
     @property
     def step(self) -> float:
