@@ -92,6 +92,12 @@ def firmware_of(compensation: Compensation, name: str) -> ControllerTable | None
     return firmware if firmware is not None and firmware.firmware == name else None
 
 
+def retained_words(compensation: Compensation, name: str, command: str) -> str:
+    """Words of a command that this firmware keeps as they are."""
+    firmware = firmware_of(compensation, name)
+    return "" if firmware is None else firmware.keep.get(command, "")
+
+
 def trims(compensation: Compensation, name: str, field: str) -> Array:
     """Trims (3,) by tower that stay in this firmware, mm."""
     firmware = firmware_of(compensation, name)

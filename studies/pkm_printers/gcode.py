@@ -121,16 +121,20 @@ def read(paths: Sequence[Path]) -> list[TextLine]:
         text = files.read_text(
             path, limit=LIMIT, what="log or configuration", is_foreign=True
         )
-        lines = [
-            TextLine(line.partition(";")[0], str(path), number, line)
-            for number, line in enumerate(text.splitlines(), start=1)
-        ]
-        logs.append(_is_in_time(lines))
+        logs.append(_is_in_time(lines_of(text, str(path))))
     dated = [k for k, log in enumerate(logs) if log.start and log.start.is_dated]
     by_date = sorted((logs[k] for k in dated), key=lambda log: log.start or NO_TIME)
     for k, log in zip(dated, by_date, strict=True):
         logs[k] = log
     return [line for log in logs for line in log.lines]
+
+
+def lines_of(text: str, file: str = "") -> list[TextLine]:
+    """Lines of a text, comments after ; cut off."""
+    return [
+        TextLine(line.partition(";")[0], file, number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+    ]
 
 
 class _Log(NamedTuple):

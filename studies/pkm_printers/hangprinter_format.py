@@ -12,11 +12,11 @@ from oed import units
 from oed.base import Array
 from oed.model import Machine
 from pkm_printers import gcode
-from pkm_printers.delta_numbers import firmware_of
-from pkm_printers.gcode import Command, TextLine
+from pkm_printers.delta_numbers import retained_words
 from pkm_printers.hangprinter import LETTERS, machine_table
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
+COMMANDS = ("M669", "M666")
 NOT_WRITTEN = (
     "S, W, T, X, Y and other words of the flex compensation stay as they are: the study"
     " does not identify them"
@@ -29,27 +29,24 @@ def _write(compensation: Compensation) -> Texts:
     anchors = [_place(compensation, f"anchor{i + 1}") for i in range(count)]
     places = np.array(anchors) - _place(compensation, "origin_")
     radii = [compensation.parameter(f"radius{i + 1}") for i in range(count)]
-    kept = _kept(compensation)
-    lines_per_spool = Command("M666", {"O": "1"} | kept["M666"].words, _line(""))
-    buildup = compensation.parameter("buildup") / lines_per_spool.number("O")
+    retained = [retained_words(compensation, "rrf", name) for name in COMMANDS]
+    (spool_words,) = gcode.commands(gcode.lines_of(f"M666 {retained[1]}"))
+    buildup = compensation.parameter("buildup") / spool_words.number("O", 1.0)
     cells = [":".join(f"{v:.4f}" for v in place) for place in places]
     phrases = [f"{k}{v}" for k, v in zip(LETTERS, cells, strict=False)]
     spools = ":".join(f"{v:.4f}" for v in units.from_si(np.array(radii), "mm"))
-    settings = (
-        ("M669", ["K6", f"N{count}", *phrases]),
-        ("M666", [f"Q{units.number(buildup, 'mm'):.6f}", f"R{spools}"]),
-    )
-    lines = [f"; {sentence}" for sentence in compensation.comments]
-    for name, phrase in settings:
-        rest = [f"{k}{v}" for k, v in kept[name].words.items()]
-        lines.append(" ".join([name, *phrase, *rest]))
+    lines = [
+        *(f"; {sentence}" for sentence in compensation.comments),
+        f"M669 K6 N{count} {' '.join(phrases)} {retained[0]}",
+        f"M666 Q{units.number(buildup, 'mm'):.6f} R{spools} {retained[1]}",
+    ]
     return {".g": "\n".join([*lines, ""])}
 
 
 def _joints(texts: Texts, compensation: Compensation) -> Array:
     """Motor angles of a printer with these commands, without flex."""
-    lines = [_line(text) for text in texts[".g"].splitlines() if text[0] != ";"]
-    anchors, spools = (gcode.merged(lines, name, "") for name in ("M669", "M666"))
+    lines = gcode.lines_of(texts[".g"])
+    anchors, spools = (gcode.merged(lines, name, "") for name in COMMANDS)
     table = machine_table(anchors, spools)
     places = np.array(table.geometry["anchor_mm"])
     fold, gear = (np.array(table.geometry[k]) for k in ("fold", "gear"))
@@ -64,22 +61,10 @@ def _joints(texts: Texts, compensation: Compensation) -> Array:
     return np.asarray(turned * fold * gear)
 
 
-def _line(text: str) -> TextLine:
-    return TextLine(text, "", 0)
-
-
 def _place(compensation: Compensation, stem: str) -> Array:
     """Three coordinates (3,), mm."""
     values = [compensation.parameter(f"{stem}{axis}") for axis in "xyz"]
     return units.from_si(np.array(values), "mm")
-
-
-def _kept(compensation: Compensation) -> dict[str, Command]:
-    """Words that the printer keeps, by command."""
-    firmware = firmware_of(compensation, "rrf")
-    keep = {} if firmware is None else firmware.keep
-    lines = [_line(f"{name} {keep.get(name, '')}") for name in ("M669", "M666")]
-    return {command.name: command for command in gcode.commands(lines)}
 
 
 def _notes(compensation: Compensation) -> tuple[str, ...]:

@@ -170,7 +170,7 @@ def _linear(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Prin
 def _rotary(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
     """A rotary delta by M669 and M666. Raises InputError."""
     geometry = rrf_rotary.rotary_geometry(order.lines)
-    controller = _controller(order, rrf_rotary.retained_words(order.lines), given)
+    controller = _controller(order, rrf_rotary.kinematics_words(order.lines), given)
     trigger = rrf_rotary.trigger_height(order.lines)
     return _Printer(geometry, controller, rotary_delta.FACTORS, trigger)
 

@@ -17,9 +17,9 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from pkm_printers import gcode, words
-from pkm_printers.delta_numbers import firmware_of
+from pkm_printers.delta_numbers import retained_words
 from pkm_printers.delta_study import controller_text
-from pkm_printers.gcode import Command, TextLine
+from pkm_printers.gcode import Command
 from pkm_printers.rrf_rotary import OF_DELTAS
 from pkm_printers.rrf_sequence import execution_order
 from pkm_printers.rrf_words import WORDS
@@ -117,8 +117,8 @@ def five_bar_session(request: ImportRequest, tables: Sequence[Path]) -> Imported
     text = imported_study(
         request, Model(machine, table), "Five-bar", [SETUP], NOISE, "best_fit"
     )
-    kept = " ".join(f"{k}{command.words[k]}" for k in KEPT if k in command.words)
-    controller = ControllerTable(firmware="rrf", keep={"M669": kept})
+    phrases = [f"{k}{command.words[k]}" for k in KEPT if k in command.words]
+    controller = ControllerTable(firmware="rrf", keep={"M669": " ".join(phrases)})
     rows = [
         {"setup": "places", "run": "1", "order": str(k + 1)}
         | {f"{c}_mm": repr(v) for c, v in zip(COLUMNS, row, strict=True)}
@@ -182,22 +182,20 @@ def _write(compensation: Compensation) -> Texts:
         values = [compensation.parameter(f"{stem.format(i)}") for i in (1, 2)]
         return list(units.from_si(np.array(values), unit))
 
-    firmware = firmware_of(compensation, "rrf")
-    kept = "" if firmware is None else firmware.keep.get("M669", "")
+    retained = retained_words(compensation, "rrf", "M669")
     lengths = {"X": "b{}x", "Y": "b{}y", "P": "r{}", "D": "l{}"}
     stated = {k: [f"{v:.4f}" for v in read(stem, "mm")] for k, stem in lengths.items()}
     stated["D"] += ["0", "0"]  # the firmware asks for four
     stated["B"] = [f"{v:.5f}" for v in read("zero{}", "deg")]
     phrases = [f"{k}{':'.join(cells)}" for k, cells in stated.items()]
     lines = [f"; {sentence}" for sentence in compensation.comments]
-    lines += [" ".join([f"M669 K{KINEMATICS}", *phrases, kept]).rstrip(), ""]
+    lines += [" ".join([f"M669 K{KINEMATICS}", *phrases, retained]).rstrip(), ""]
     return {".g": "\n".join(lines)}
 
 
 def _joints(texts: Texts, compensation: Compensation) -> Array:
     """Turns of a printer with this command, nearest to those of the study."""
-    line = TextLine(texts[".g"].splitlines()[-1], "", 0)
-    linkage = _linkage(gcode.merged([line], "M669", ""))
+    linkage = _linkage(gcode.merged(gcode.lines_of(texts[".g"]), "M669", ""))
     places = units.from_si(compensation.command, "mm")
     turns = np.radians(linkage.turns(places))
     _, nearest = compensation.kinematics.inverse(compensation.command)

@@ -17,10 +17,10 @@ from pkm_printers.delta_numbers import (
     has_slopes,
     home_notes,
     not_a_delta,
+    retained_words,
     trim_notes,
     trims,
 )
-from pkm_printers.gcode import TextLine
 from pkm_printers.hangprinter_format import hangprinter_format
 from pkm_printers.machine_formats import by_machine
 from pkm_printers.rrf import linear_geometry
@@ -71,8 +71,6 @@ def write(compensation: Compensation) -> Texts:
     height = float(np.mean(numbers.endstops))
     adjust = numbers.endstops - height
     arms = _rods(numbers)
-    firmware = firmware_of(compensation, NAME)
-    retained = {} if firmware is None else firmware.keep
     lines = [f"; {sentence}" for sentence in compensation.comments]
     rods = arms[0] if len(set(arms)) == 1 else ":".join(arms)
     delta = (
@@ -84,8 +82,8 @@ def write(compensation: Compensation) -> Texts:
         rise = 100.0 * numbers.bed_slope
         stops += f" A{rise[0]:.4f} B{rise[1]:.4f}"
     lines += [
-        f"{delta} {retained.get('M665', '')}".rstrip(),
-        f"{stops} {retained.get('M666', '')}".rstrip(),
+        f"{delta} {retained_words(compensation, NAME, 'M665')}".rstrip(),
+        f"{stops} {retained_words(compensation, NAME, 'M666')}".rstrip(),
         "",
     ]
     return {".g": "\n".join(lines)}
@@ -104,7 +102,7 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     z of a study without slopes of the bed counts along the towers, as the firmware's does
     once it has raised it by M666 A and B.
     """
-    lines = [TextLine(line, "", 0) for line in texts[".g"].splitlines()]
+    lines = gcode.lines_of(texts[".g"])
     delta, stops = (gcode.merged(lines, name, "") for name in ("M665", "M666"))
     trims_mm = {"radius_trim_mm": tuple(trims(compensation, NAME, "radius_trim_mm"))}
     numbers = linear_geometry(delta, stops, trims_mm)

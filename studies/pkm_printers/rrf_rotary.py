@@ -15,7 +15,7 @@ import numpy as np
 from oed.base import Array
 from pkm_printers import gcode
 from pkm_printers.delta_geometry import TOWER_ANGLES
-from pkm_printers.delta_numbers import SLACK, firmware_of
+from pkm_printers.delta_numbers import SLACK, retained_words
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.rotary_delta import (
     RotaryGeometry,
@@ -72,11 +72,11 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
     )
 
 
-def retained_words(lines: Sequence[TextLine]) -> dict[str, str]:
+def kinematics_words(lines: Sequence[TextLine]) -> dict[str, str]:
     """Words of M669 that are written back as they are; A holds what M666 counts from."""
     delta = gcode.merged(lines, "M669", "")
-    kept = [f"{k}{delta.words[k]}" for k in f"A{KEPT}" if k in delta.words]
-    return {"M669": " ".join(kept)}
+    phrases = [f"{k}{delta.words[k]}" for k in f"A{KEPT}" if k in delta.words]
+    return {"M669": " ".join(phrases)}
 
 
 def trigger_height(lines: Sequence[TextLine]) -> float:
@@ -101,10 +101,12 @@ def _by_limb(command: Command, letter: str) -> Array:
 def _write(compensation: Compensation) -> Texts:
     """M669 and M666, four decimals of mm and five of degrees."""
     geometry = identified_geometry(compensation)
-    retained = _retained(compensation)
+    retained = retained_words(compensation, "rrf", "M669")
+    if not retained.startswith("A"):
+        retained = f"A{USUAL_RANGE} {retained}".rstrip()
     # limbs of other firmwares stand elsewhere: the same angle from -180 to 180
     lean = (geometry.angles - TOWER_ANGLES + 180.0) % 360.0 - 180.0
-    command = next(gcode.commands([TextLine(f"M669 {retained}", "", 0)]))
+    command = gcode.merged(gcode.lines_of(f"M669 {retained}"), "M669", "")
     adjust = geometry.endstops - _largest(command)
     lines = [f"; {sentence}" for sentence in compensation.comments]
     lengths = (("U", geometry.upper), ("L", geometry.lower))
@@ -123,18 +125,10 @@ def _letters(values: Array) -> str:
     return " ".join(f"{k}{v:.5f}" for k, v in zip("XYZ", values, strict=True))
 
 
-def _retained(compensation: Compensation) -> str:
-    """What M669 keeps; its A, from which M666 counts, at least."""
-    firmware = firmware_of(compensation, "rrf")
-    kept = "" if firmware is None else firmware.keep.get("M669", "")
-    return kept if kept.startswith("A") else f"A{USUAL_RANGE} {kept}".rstrip()
-
-
 def _joints(texts: Texts, compensation: Compensation) -> Array:
     """Turns of a printer with these commands."""
-    lines = [TextLine(line, "", 0) for line in texts[".g"].splitlines()]
-    commands = [line for line in lines if line.text.startswith("M")]
-    return rotary_joints(rotary_geometry(commands), compensation)
+    geometry = rotary_geometry(gcode.lines_of(texts[".g"]))
+    return rotary_joints(geometry, compensation)
 
 
 rotary_format = ControllerFormat(
