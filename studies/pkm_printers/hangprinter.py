@@ -1,7 +1,7 @@
 """Hangprinter: anchors and spools of M669 and M666, motor angles, places by a camera.
 
 A CSV with a column for each anchor, A, B, C, D, has the motors' angles since the origin, deg,
-one pose a line; columns FA, FB, ... the forces, N, by which the lines stretch. A CSV with x,
+one pose a line; columns FA, FB, ... the forces, N, beyond those at the origin. A CSV with x,
 y, z has where the mover was, mm, at the first of these poses. Each line more than three is
 more than the place needs, so that every pose counts as a reading of the lines.
 
@@ -44,8 +44,8 @@ LETTERS: Final = "ABCDI"
 MODEL: Final = "cable_robot"
 #: words of M666 that the firmware has without, by line
 USUAL: Final = {"H": 255.0, "L": 20.0, "O": 1.0}
-#: words that are written back as they are
-KEPT: Final = {"M669": "PST", "M666": "UOLHJWSIXYTCA"}
+#: words that are identified, or written in any case; others are written back as they are
+WRITTEN: Final = f"{LETTERS}KN", "QR"
 #: shares of the nearest anchor across, and of the highest, that the workspace spans
 ACROSS, UP = 0.25, 0.6
 MORE_LINES: Final = refused(
@@ -122,8 +122,8 @@ class HangprinterImporter:
         )
         forces = _cells(tables, [f"F{motor}" for motor in motors])
         keep = {
-            name: " ".join(f"{k}{c.words[k]}" for k in KEPT[name] if k in c.words)
-            for name, c in (("M669", anchors), ("M666", spools))
+            c.name: " ".join(f"{k}{v}" for k, v in c.words.items() if k not in letters)
+            for c, letters in zip((anchors, spools), WRITTEN, strict=True)
         }
         controller = ControllerTable(firmware="rrf", keep=keep)
         statements = [
