@@ -42,6 +42,8 @@ ROTARY_WORDS: Final[WordTable] = {
     "M665": {"": OF_DELTAS},
     "M666": same(READ, "XYZ"),
     "M669": {**same(READ, "KULHRXYZA"), **same(HARMLESS, KEPT)},
+    # such a machine does not move alike at all heights, so that this one counts
+    "G31": {**WORDS["G31"], "Z": READ},
 }
 NOTES: Final = (
     "for config.g of RepRapFirmware 3, in place of its M669 and M666; where M501 reads"

@@ -128,6 +128,8 @@ def test_reprapfirmware_heights_put_the_bed_right(tmp_path: Path) -> None:
     firmware = RrfRotary(RRF_CONFIG)
     study, imported = take("rrf", files, tmp_path)
     assert "24 points of contact" in said(imported)
+    assert "G31 X Y Z;" in said(imported)
+    assert {row["height_mm"] for row in imported.rows} == {"2.5"}
     assert nominal(study)["endstop1_deg"] == pytest.approx(45.5)
     with_known_noise(study, 1e3 * NOISE)
     export = compensate(study, "rrf")
