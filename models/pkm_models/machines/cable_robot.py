@@ -69,7 +69,7 @@ DIMENSIONS = (
     Dimension("anchor", "m", (None, 3), tuple(ANCHOR.values()), "anchors, one for each line"),
     Dimension("fold", "1", (None,), tuple(FOLD.values()), "how often each line runs to its anchor"),
     Dimension("gear", "1", (None,), GEAR, "turns of the motors over those of the spools"),
-    Dimension("stiffness", "N", (None,), math.inf, STIFFNESS),
+    Dimension("stiffness", "N", (None,), None, STIFFNESS),
     Dimension("zeroed", "1", (), 0.0, ZEROED),
 )  # fmt: skip
 
@@ -131,8 +131,10 @@ def build(geometry: families.Geometry) -> Machine:
     if buildup < 0.0:
         raise ValueError("buildup is below 0: a line on its spool adds to the radius")
     count = len(anchors)
+    stated = math.inf if table["stiffness"] is None else table["stiffness"]
     fold, gear, stiffness = (
-        families.as_rows(table[name], count) for name in ("fold", "gear", "stiffness")
+        families.as_rows(values, count)
+        for values in (table["fold"], table["gear"], stated)
     )
     if min(fold.min(), gear.min(), stiffness.min()) <= 0.0 or count < 3:
         raise ValueError("three lines or more, with folds, gears and stiffness above 0")
