@@ -242,7 +242,7 @@ def test_a_command_that_sets_one_number_lacks_the_others(tmp_path: Path) -> None
     """Not its home height first, which a version may not have."""
     log = "Send: M665 R124.5\nSend: M666 X0 Y0 Z0\n" + BED
     with pytest.raises(
-        InputError, match="line 1, M665 L.*M665 has no L; give the full"
+        InputError, match=r"line 1, M665 L.*M665 has no L; give the full"
     ):
         take("marlin", {"log": log}, tmp_path)
 
