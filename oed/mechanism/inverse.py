@@ -28,7 +28,7 @@ from oed.model import Machine
 
 #: change of the slopes, over the largest, that is steady within Newton's last step
 SLOPE_TOLERANCE = 1e-3
-#: steps in which a solution is followed, first few, then more
+#: steps in which a solution is followed, first few, then more from where these end
 PATH_STEPS = (8, 64, 512)
 #: number of starts about the machine's own, for a home pose that fails
 N_STARTS = 64
@@ -102,18 +102,21 @@ class InverseKinematics:
         z = self._starts(command, p)
         z, failed = self._newton(z, command, p, tool)
         home, mode = self._home_for(command, failed)
-        reached = self.modes(z, command, p, tool)
-        mirrored = ~failed & _differ(reached, mode)
+        mirrored = ~failed & _differ(self.modes(z, command, p, tool), mode)
         lost = np.flatnonzero(failed | mirrored)
+        z[lost], reached = home, np.zeros(len(z))
         for steps in PATH_STEPS:
             if not lost.size:
                 break
-            followed, done = self._follow_from_home(
-                (home, mode), command[lost], _rows_of(p, lost), tool, steps
+            at, of_lost = command[lost], _rows_of(p, lost)
+            z[lost], reached[lost] = self._follow_from_home(
+                (z[lost], reached[lost]), mode, at, of_lost, tool, steps
             )
-            done &= self._has_slopes(followed, command[lost], _rows_of(p, lost), tool)
-            z[lost[done]] = followed[done]
-            lost = lost[~done]
+            done = reached[lost] == 1.0
+            regular = self._has_slopes(z[lost], at, of_lost, tool)
+            again = lost[done & ~regular]
+            z[again], reached[again] = home, 0.0
+            lost = lost[~(done & regular)]
         if lost.size:
             reason = MIRRORED if mirrored[lost].any() else OUT_OF_REACH
             raise self._error(command, lost, reason)
@@ -203,13 +206,14 @@ class InverseKinematics:
         """Home, followed from that of the machine as drawn; None where the way ends."""
         z, drawn_command, drawn_p = drawn
 
-        def point(share: float) -> tuple[Array, Array, Array]:
+        def point(share: float, rows: Index) -> tuple[Array, Array, Array]:
             passed = drawn_command + share * (command - drawn_command)
             return passed, drawn_p + share * (p - drawn_p), tool
 
+        followed, reached = z[None], np.zeros(1)
         for steps in PATH_STEPS:
-            followed, done = self._follow(z[None], mode, point, steps)
-            if done[0]:
+            followed, reached = self._follow((followed, reached), mode, point, steps)
+            if reached[0] == 1.0:
                 return np.asarray(followed[0])
         return None
 
@@ -253,46 +257,50 @@ class InverseKinematics:
 
     def _follow_from_home(
         self,
-        home: tuple[Array, Array],
+        begun: tuple[Array, Array],
+        mode: Array,
         command: Array,
         p: Array,
         tool: Array,
         steps: int,
-    ) -> tuple[Array, Mask]:
-        """Solutions (n, nx + nq) followed from the home pose, and which were reached."""
-        z, mode = home
+    ) -> tuple[Array, Array]:
+        """Solutions followed from the home pose towards commands; as `_follow`."""
         start_command, start_p = self.machine.home_command, self.machine.nominal
 
-        def point(share: float) -> tuple[Array, Array, Array]:
-            passed = start_command + share * (command - start_command)
-            return passed, start_p + share * (p - start_p), share * tool
+        def point(share: float, rows: Index) -> tuple[Array, Array, Array]:
+            passed = start_command + share * (command[rows] - start_command)
+            to = _rows_of(p, rows)
+            return passed, start_p + share * (to - start_p), share * tool
 
-        starts = np.repeat(z[None], len(command), axis=0)
-        return self._follow(starts, mode, point, steps)
+        return self._follow(begun, mode, point, steps)
 
     def _follow(
         self,
-        z: Array,
+        begun: tuple[Array, Array],
         mode: Array,
-        point: Callable[[float], tuple[Array, Array, Array]],
+        point: Callable[[float, Index], tuple[Array, Array, Array]],
         steps: int,
-    ) -> tuple[Array, Mask]:
-        """Follow solutions z (n, nx + nq) in steps that keep the mode.
+    ) -> tuple[Array, Array]:
+        """Follow solutions in steps that keep the mode, each as far as it goes.
 
-        point  commands, parameters and tool at a share 0 to 1 of the way
+        begun  solutions (n, nx + nq), and shares (n,) of the way at which they are
+        point  commands, parameters and tool of some rows at a share 0 to 1 of the way
 
-        Returns the last solutions, and the mask (n,) of those that arrived.
+        Returns the last solutions, and their shares: 1 of those that arrived.
         """
-        alive = np.ones(len(z), dtype=bool)
-        z = z.copy()
+        z, reached = begun[0].copy(), begun[1].copy()
+        ended = np.zeros(len(z), dtype=bool)
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-            command, p, tool = point(float(share))
-            z, failed = self._newton(z, command, p, tool)
-            z = np.where(np.isfinite(z), z, 0.0)
-            alive &= ~failed & ~_differ(self.modes(z, command, p, tool), mode)
-            if not alive.any():
-                break
-        return z, alive
+            rows = np.flatnonzero(~ended & (reached < share))
+            if not rows.size:
+                continue
+            command, p, tool = point(float(share), rows)
+            next_z, failed = self._newton(z[rows], command, p, tool)
+            next_z = np.where(np.isfinite(next_z), next_z, 0.0)
+            kept = ~failed & ~_differ(self.modes(next_z, command, p, tool), mode)
+            z[rows[kept]], reached[rows[kept]] = next_z[kept], share
+            ended[rows[~kept]] = True
+        return z, reached
 
     def _has_slopes(self, z: Array, command: Array, p: Array, tool: Array) -> Mask:
         """Whether the equations have slopes at solutions (n, nx + nq).
