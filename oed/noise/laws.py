@@ -37,6 +37,8 @@ from oed.noise.structure import ReadingStructure
 OUTLIER_SIZES = (5.0, 50.0)
 #: numbers in the largest array of one batch of laws: 8 MB
 BATCH_SIZE = 1_000_000
+#: numbers of whitened readings that are worked on together: half of a core's cache
+CACHED_NUMBERS = 64_000
 #: size of a part of a law, over the stated noise, from which it is described
 DESCRIBED_SIZE = 0.2
 
@@ -306,9 +308,8 @@ class Whitening:
 
     White and correlated error have the banded root of `oed.noise.banded`, which a share and a
     reach of the correlated part make: laws that differ in no more than scales and sizes
-    have it in common, and these are factors on its products. Values are (m, P, C, T), for
-    P pairs of share and reach, chain by chain. Where a chain has no reading they are 0, of
-    variance 1.
+    have it in common. Values are (P, C, T, m), for P pairs of share and reach, chain by
+    chain. Where a chain has no reading they are 0, of variance 1.
     """
 
     def __init__(self, structure: ReadingStructure, laws: Laws) -> None:
@@ -346,80 +347,97 @@ class Whitening:
         number = np.arange(len(laws))
         if values.ndim == 2:
             values = values[None]
-            pairs, number = np.unique(pairs, axis=0, return_inverse=True)
-        grams, across, inner, log_variances = self._unscaled(pairs, values)
-        factors = self._factors(values.shape[-1])
-        whole = np.zeros((len(laws), *grams.shape[2:]))
-        for group in range(factors.shape[1]):
-            factor = factors[:, group]
-            whole += factor[:, :, None] * grams[number, group] * factor[:, None]
-        across = across[number] * factors[:, structure.group_of_chain, None]
-        amounts = laws.sizes[:, structure.kinds]
-        shared = taken_out(inner[number], self._run_sums(across), amounts)
-        counts = np.bincount(structure.group, minlength=laws.scale.shape[1])
-        log_determinant = log_variances[number] + 2.0 * np.log(laws.scale) @ counts
-        return whole - shared[0], log_determinant + shared[1]
+            distinct, of_law = np.unique(pairs, axis=0, return_inverse=True)
+            if len(distinct) < len(laws):
+                pairs, number = distinct, of_law
+        grid = self._chain_grid(self._with_common(values))
+        shared = self._chain_grid(structure.columns[None])
+        count = grid.shape[-1]
+        size = (count + shared.shape[-1]) * math.prod(structure.shape) + count**2
+        step = max(1, CACHED_NUMBERS // size)
+        if len(pairs) < len(laws):  # a pair's laws have its products in common
+            step = 1
+        gram, log_determinant = np.empty((len(laws), count, count)), np.empty(len(laws))
+        for first in range(0, len(pairs), step):
+            some = slice(first, first + step)
+            rows = np.flatnonzero((number >= first) & (number < first + step))
+            part = grid if len(grid) == 1 else grid[some]
+            gram[rows], log_determinant[rows] = self._pair_products(
+                pairs[some], laws.take(rows), part, shared
+            )
+        return gram, log_determinant
 
-    def _factors(self, count: int) -> Array:
-        """Factors (L, G, m) on values, of which there are `count`, and on what all share."""
-        count += self.structure.effects.shape[1]
-        of_values = np.repeat(1.0 / self.laws.scale[:, :, None], count, axis=2)
-        if not self._has_course:
-            return of_values
-        shape = (*of_values.shape[:2], self.structure.course.shape[1])
-        of_course = np.broadcast_to(self.laws.course[:, None, None], shape)
-        return np.concatenate([of_values, of_course], axis=2)
+    def _with_common(self, values: Array) -> Array:
+        """Values (L or 1, N, m), then the columns that all readings share."""
+        structure = self.structure
+        wide = [structure.effects] if structure.has_effects else []
+        wide += [structure.course] if self._has_course else []
+        parts = [np.broadcast_to(w, (len(values), *w.shape)) for w in wide]
+        return np.concatenate([values, *parts], axis=2)
 
     @property
     def _has_course(self) -> bool:
         return bool(self.structure.course.size and self.laws.course.any())
 
-    def _unscaled(self, pairs: Array, values: Array) -> tuple[Array, ...]:
-        """Products under unit scales and sizes, for P pairs (P, 2) of share and reach.
-
-        values  (1 or P, N, m); what all readings share stands after them
-
-        Products (P, G, m, m) of the readings of each group; (P, C, K, m) with the errors
-        that a run shares, in each chain; (P, R, K, K) of these; log determinants (P,).
-        """
-        structure = self.structure
-        wide = [structure.effects] if structure.has_effects else []
-        wide += [structure.course] if self._has_course else []
-        parts = [np.broadcast_to(w, (len(values), *w.shape)) for w in wide]
-        grid = self._chain_grid(np.concatenate([values, *parts], axis=2))
-        shared = self._chain_grid(structure.columns[None])
-        size = grid[:, 0].size + shared.size
-        step = max(1, BATCH_SIZE // size)
-        blocks = []
-        for k in range(0, len(pairs), step):
-            some = pairs[k : k + step]
-            part = grid if len(values) == 1 else grid[:, k : k + step]
-            blocks.append(self._pair_products(some, part, shared))
-        return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
-
     def _pair_products(
-        self, pairs: Array, grid: Array, shared: Array
-    ) -> tuple[Array, ...]:
-        """The same of some pairs, for values (m, 1 or P, C, T) and columns (K, 1, C, T)."""
-        shape, count = (len(pairs), *self.structure.shape), len(grid)
+        self, pairs: Array, laws: Laws, grid: Array, shared: Array
+    ) -> tuple[Array, Array]:
+        """The same of one law for each of P pairs (P, 2), or of all laws of one pair.
+
+        Values are (1 or P, C, T, m), columns that a run shares (1, C, T, K).
+        """
+        structure, count = self.structure, grid.shape[-1]
+        shape = (len(pairs), *structure.shape)
         both = np.concatenate(
-            [np.broadcast_to(part, (len(part), *shape)) for part in (grid, shared)]
+            [np.broadcast_to(p, (*shape, p.shape[-1])) for p in (grid, shared)], axis=3
         )
         log_variances = np.zeros(len(pairs))
         if pairs[:, 0].any():
             factor = self._factor(pairs)
             log_variances = factor.log_variances.reshape(len(pairs), -1).sum(axis=1)
-            flat = both.reshape(len(both), math.prod(shape)).T
-            both = factor.whiten(flat).T.reshape(both.shape)
-        rows = [_rows(both[:count, :, c]) for c in self.structure.chains_of_group]
-        grams = np.stack([part @ part.swapaxes(1, 2) for part in rows], axis=1)
+            both = factor.whiten(both.reshape(-1, both.shape[-1])).reshape(both.shape)
+        white, columns = both[..., :count], both[..., count:]
+        factors = self._factors(laws, count)[:, structure.group_of_chain]
+        if len(pairs) == len(laws):
+            rows = (white * factors[:, :, None]).reshape(len(laws), -1, count)
+            gram = rows.swapaxes(1, 2) @ rows
+        else:
+            gram = self._weighted_sums(laws, white[0])
         # raised by what rounds off the sums: what is left of them stays positive definite
         # where shared errors take nearly all, under noise far below the stated one
-        diagonal = np.einsum("pgmm->pgm", grams)
-        diagonal *= 1.0 + np.sqrt(math.prod(shape[1:])) * np.finfo(float).eps
-        across = both[count:].transpose(1, 2, 0, 3) @ both.transpose(1, 2, 3, 0)
-        inner = self._run_sums(across[..., count:])
-        return grams, across[..., :count], inner, log_variances
+        diagonal = np.einsum("lmm->lm", gram)
+        diagonal *= 1.0 + np.sqrt(math.prod(structure.shape)) * np.finfo(float).eps
+        transposed = columns.swapaxes(2, 3)
+        across = self._run_sums((transposed @ white) * factors[:, :, None])
+        inner = self._run_sums(transposed @ columns)
+        amounts = laws.sizes[:, structure.kinds]
+        removed, more = taken_out(inner, across, amounts)
+        counts = np.bincount(structure.group, minlength=laws.scale.shape[1])
+        log_scales = np.log(laws.scale) @ counts
+        return gram - removed, log_variances + 2.0 * log_scales + more
+
+    def _factors(self, laws: Laws, count: int) -> Array:
+        """Factors (l, G, m) of laws on m values, the session's course the last of them."""
+        factors = np.repeat(1.0 / laws.scale[:, :, None], count, axis=2)
+        if self._has_course:
+            factors[..., -self.structure.course.shape[1] :] = laws.course[:, None, None]
+        return factors
+
+    def _weighted_sums(self, laws: Laws, white: Array) -> Array:
+        """Products (l, m, m) of white values (C, T, m) under laws of one pair."""
+        rows = [white[chains] for chains in self.structure.chains_of_group]
+        rows = [part.reshape(-1, part.shape[-1]) for part in rows]
+        grams = np.array([part.T @ part for part in rows])
+        inverse = 1.0 / laws.scale
+        sums = np.tensordot(inverse**2, grams, 1)
+        if self._has_course:
+            start = grams.shape[-1] - self.structure.course.shape[1]
+            course = laws.course[:, None, None]
+            mixed = course * np.tensordot(inverse, grams[:, :start, start:], 1)
+            sums[:, :start, start:] = mixed
+            sums[:, start:, :start] = mixed.swapaxes(1, 2)
+            sums[:, start:, start:] = course**2 * grams[:, start:, start:].sum(axis=0)
+        return sums
 
     def _factor(self, pairs: Array) -> ChainFactor:
         """White and correlated errors (P C T,)."""
@@ -430,10 +448,10 @@ class Whitening:
         return ChainFactor(decay.ravel(), single.ravel(), fresh.ravel())
 
     def _chain_grid(self, values: Array) -> Array:
-        """Values (L or 1, N, m) by chains (m, L or 1, C, T)."""
+        """Values (L or 1, N, m) by chains (L or 1, C, T, m)."""
         reading, absent = self.structure.reading_of_slot
-        grid = np.take(values.transpose(2, 0, 1), reading, axis=2)
-        grid[:, :, absent] = 0.0
+        grid = np.take(values, reading, axis=1)
+        grid[:, absent] = 0.0
         return grid
 
     def _run_sums(self, of_chains: Array) -> Array:
@@ -482,11 +500,6 @@ class Whitening:
         decay = np.exp(-self.structure.steps / self.laws.reach[:, None, None])
         fresh = np.sqrt(1.0 - decay**2) * white
         return chain_errors(decay.ravel(), fresh.ravel()).reshape(white.shape)
-
-
-def _rows(values: Array) -> Array:
-    """Values (m, P, C, T) by pairs (P, m, C T)."""
-    return values.swapaxes(0, 1).reshape(*values.shape[1::-1], -1)
 
 
 def _student_over_pseudo(dof: float) -> float:
