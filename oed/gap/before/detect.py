@@ -147,8 +147,10 @@ def needed_lambda(columns: int) -> float:
 
 # Confusion of effects: principal angles, imitated combinations, classes.
 #
-# `gram` is the Gram matrix (K, K) of the columns of all forms, after calibration has
-# absorbed what it can (`oed.gap.before.detect`).
+# What a rival's form with columns R_j leaves of R_k, all after calibration has absorbed
+# what it can, has the trace tr A_kk - |L_j^-1 R_j^T R_k|^2, L_j L_j^T = A_jj + P. An effect
+# may have thousands of columns: their products with those of another are made a few forms
+# at a time.
 #
 # Combinations of an effect's coefficients are put into words, in prior standard deviations.
 
@@ -161,50 +163,132 @@ RIVAL_SHARE = 0.5
 SAME_ANGLE = 1.0
 #: share of the mean by which coefficients that are common may differ
 COMMON_TOLERANCE = 0.1
+#: numbers in an array of such products: 16 MB
+PRODUCT_NUMBERS = 2_000_000
+#: pairs of forms whose smallest angle is sought at once, those of most in common first
+ANGLES_AT_ONCE = 64
 
 
-def effect_rival(
-    gram: Array, forms: Sequence[Form], rivals: Sequence[Form]
-) -> RivalRecord:
+class RemainingForms:
+    """What calibration leaves of all forms of an effect.
+
+    forms    F of them
+    columns  (N, K) of the forms, one after the other
+    starts   (F,) first column of each
+    grams    (k, k) Gram matrices of each form's columns
+    axes     (N, m) orthonormal directions in which each form's textbook columns are seen
+    """
+
+    def __init__(self, forms: Sequence[Form], remaining: Array) -> None:
+        """Of an effect's forms, out of the remaining columns (N, all) of all effects."""
+        self.forms = forms
+        self.columns = remaining[:, np.concatenate([form.at for form in forms])]
+        self.starts = np.cumsum([0, *(len(form.at) for form in forms)])[:-1]
+        self.grams: list[Array] = []
+        self.axes: list[Array] = []
+        for k, form in enumerate(forms):
+            columns = self.of_form(k)
+            self.grams.append(columns.T @ columns)
+            block = self.grams[-1][np.ix_(form.textbook, form.textbook)]
+            self.axes.append(columns[:, form.textbook] @ _visible_root(block))
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+        return self.forms[0].effect
+
+    def of_form(self, k: int) -> Array:
+        """Columns (N, k) of a form."""
+        start = self.starts[k]
+        return self.columns[:, start : start + len(self.forms[k].at)]
+
+    @functools.cached_property
+    def absorbing(self) -> list[Array]:
+        """L_j^-1 R_j^T (k, N) of each form as a rival."""
+        halves = []
+        for k, (form, gram) in enumerate(zip(self.forms, self.grams, strict=True)):
+            root = np.linalg.cholesky(gram + np.diag(form.precision))
+            columns = self.of_form(k).T
+            halves.append(linalg.solve_triangular(root, columns, lower=True))
+        return halves
+
+    @functools.cached_property
+    def padded_axes(self) -> Array:
+        """The axes (F, m, N), with zeros where a form has fewer than another."""
+        most = max(axes.shape[1] for axes in self.axes)
+        padded = np.zeros((len(self.axes), most, len(self.columns)))
+        for k, axes in enumerate(self.axes):
+            padded[k, : axes.shape[1]] = axes.T
+        return padded
+
+    def traces_left_by(self, rival: RemainingForms) -> Array:
+        """Traces (F, F') of what each form of a rival leaves of each form."""
+        absorbed = np.empty((len(self.forms), len(rival.forms)))
+        most = max(len(half) for half in rival.absorbing)
+        step = max(1, PRODUCT_NUMBERS // (most * self.columns.shape[1]))
+        for first in range(0, len(rival.forms), step):
+            halves = rival.absorbing[first : first + step]
+            squares = (np.concatenate(halves) @ self.columns) ** 2
+            ends = np.cumsum([0, *(len(half) for half in halves)])[:-1]
+            of_forms = np.add.reduceat(squares, self.starts, axis=1)
+            of_both = np.add.reduceat(of_forms, ends, axis=0)
+            absorbed[:, first : first + step] = of_both.T
+        return np.array([[np.trace(gram)] for gram in self.grams]) - absorbed
+
+    def smallest_angle(self, rival: RemainingForms) -> float:
+        """Smallest principal angle, deg, of any form with any of a rival; 90 without any."""
+        ours, theirs = self.padded_axes, rival.padded_axes
+        of_ours = ours.reshape(-1, ours.shape[2])
+        step = max(1, PRODUCT_NUMBERS // (len(of_ours) * max(theirs.shape[1], 1)))
+        largest = 0.0
+        for first in range(0, len(theirs), step):
+            some = theirs[first : first + step]
+            cross = of_ours @ some.reshape(-1, ours.shape[2]).T
+            shape = (len(ours), ours.shape[1], *some.shape[:2])
+            blocks = cross.reshape(shape).swapaxes(1, 2)
+            blocks = blocks.reshape(-1, ours.shape[1], some.shape[1])
+            largest = max(largest, _largest_cosine(blocks, largest))
+        return float(np.rad2deg(np.arccos(min(largest, 1.0))))
+
+
+def _largest_cosine(blocks: Array, least: float) -> float:
+    """Largest singular value of matrices (b, m, m'), where it is above the least.
+
+    None is larger than the root of its sum of squares.
+    """
+    bounds = np.sqrt(np.einsum("bij,bij->b", blocks, blocks))
+    order = np.argsort(-bounds)
+    for first in range(0, len(order), ANGLES_AT_ONCE):
+        some = order[first : first + ANGLES_AT_ONCE]
+        if bounds[some[0]] <= least:
+            break
+        values = np.linalg.svd(blocks[some], compute_uv=False)
+        least = max(least, float(values.max(initial=0.0)))
+    return least
+
+
+def effect_rival(effect: RemainingForms, rival: RemainingForms) -> RivalRecord:
     """How well an effect is distinguished from a rival at its most absorbing constants.
 
-    `forms` are the effect's, `rivals` are the rival's. The separation is a mean over
-    the effect's forms, the angle the smallest of all. Combinations are those of the
-    form that is absorbed most.
+    The separation is a mean over the effect's forms, the angle the smallest of all.
+    Combinations are those of the form that is absorbed most.
     """
-    rest = [[np.trace(_left(gram, f, r)) for r in rivals] for f in forms]
-    remaining = np.array(rest)
+    remaining = effect.traces_left_by(rival)
     least = remaining.min(axis=1)
     hardest = int(np.argmin(least))
     nearest = int(np.argmin(remaining[hardest]))
+    columns = effect.of_form(hardest), rival.of_form(nearest)
+    both = np.hstack(columns)
+    split = columns[0].shape[1]
+    numbers = np.arange(both.shape[1])
+    form = dataclasses.replace(effect.forms[hardest], at=numbers[:split])
+    other = dataclasses.replace(rival.forms[nearest], at=numbers[split:])
     return RivalRecord(
-        name=rivals[0].signature.effect,
+        name=rival.effect,
         separation=max(float(least.mean()), 0.0) ** 0.5,
-        angle_deg=_smallest_angle(gram, forms, rivals),
-        shared=_shared(gram, forms[hardest], rivals[nearest]),
+        angle_deg=effect.smallest_angle(rival),
+        shared=_shared(both.T @ both, form, other),
     )
-
-
-def _left(gram: Array, form: Form, rival: Form) -> Array:
-    return separated(gram, form.at, rival.at, rival.precision)
-
-
-def _smallest_angle(
-    gram: Array, forms: Sequence[Form], rivals: Sequence[Form]
-) -> float:
-    """Smallest principal angle, deg, of any form with any rival; 90 without any."""
-    columns_of, rival_at = (
-        [form.at[form.textbook] for form in several] for several in (forms, rivals)
-    )
-    roots = [_visible_root(gram, columns) for columns in columns_of]
-    rival_roots = [_visible_root(gram, columns) for columns in rival_at]
-    largest = 0.0
-    for columns, root in zip(columns_of, roots, strict=True):
-        for others, other in zip(rival_at, rival_roots, strict=True):
-            cross = root.T @ gram[np.ix_(columns, others)] @ other
-            cosine = np.linalg.svd(cross, compute_uv=False)
-            largest = max(largest, float(cosine.max(initial=0.0)))
-    return float(np.rad2deg(np.arccos(min(largest, 1.0))))
 
 
 def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
@@ -212,9 +296,10 @@ def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Arra
 
     The second result are the combinations (k, r) of unit length.
     """
-    columns, rival_columns = form.at[form.textbook], rival.at[rival.textbook]
-    root, rival_root = _visible_root(gram, columns), _visible_root(gram, rival_columns)
-    cross = root.T @ gram[np.ix_(columns, rival_columns)] @ rival_root
+    columns, others = form.at[form.textbook], rival.at[rival.textbook]
+    root = _visible_root(gram[np.ix_(columns, columns)])
+    rival_root = _visible_root(gram[np.ix_(others, others)])
+    cross = root.T @ gram[np.ix_(columns, others)] @ rival_root
     u, cosine, _ = np.linalg.svd(cross)
     missing = np.zeros(u.shape[1] - len(cosine))
     cosine = np.append(np.minimum(cosine, 1.0), missing)
@@ -223,14 +308,13 @@ def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Arra
     return np.rad2deg(np.arccos(cosine)), vectors / lengths
 
 
-def _visible_root(gram: Array, columns: Index) -> Array:
-    """R (k, r) with R^T A R = 1 over the directions that can be seen.
+def _visible_root(gram: Array) -> Array:
+    """R (k, r) with R^T A R = 1 over the directions of a Gram matrix that can be seen.
 
     These have the energy of the noise at a prior standard deviation, or a hundredth of
     the largest.
     """
-    block = gram[np.ix_(columns, columns)]
-    return inverse_root(block, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
+    return inverse_root(gram, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
 
 
 def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
@@ -240,12 +324,13 @@ def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
     """
     angles, vectors = _principal_angles(gram, form, rival)
     columns, block = form.at[form.textbook], np.ix_(form.textbook, form.textbook)
-    inner, separated = gram[np.ix_(columns, columns)], _left(gram, form, rival)[block]
+    inner = gram[np.ix_(columns, columns)]
+    left = separated(gram, form.at, rival.at, rival.precision)[block]
     names = [form.signature.names[k] for k in form.textbook]
     shared = []
     for angle, v in zip(angles, vectors.T, strict=True):
         whole = float(v @ inner @ v)
-        distinct = float(max(v @ separated @ v, 0.0))
+        distinct = float(max(v @ left @ v, 0.0))
         visible = whole >= needed_lambda(1)
         imitated = distinct < min(MIN_SEPARATION**2, RIVAL_SHARE * whole)
         if angle < SAME_ANGLE or (visible and imitated):
@@ -343,14 +428,21 @@ def detect(
     forms = effect_forms(problem, effects)
     metric = Metric(problem, law)
     white = metric.whiten(forms.columns)
+    energy = np.einsum("nk,nk->k", white, white)
     remaining = metric.remaining(white)
-    gram = remaining.T @ remaining
+    if len(remaining) > remaining.shape[1]:  # the same products from fewer rows
+        remaining = linalg.qr(remaining, mode="r", check_finite=False)[0]
+        remaining = remaining[: remaining.shape[1]]
+    left = {
+        name: RemainingForms(of_effect, remaining)
+        for name, of_effect in forms.by_effect.items()
+    }
     records = []
     for effect in effects:
         if effect.name in forms.reasons:
             record = _untestable(effect, forms.reasons[effect.name])
         else:
-            record = _record(problem, gram, white, effect, forms.by_effect, rng)
+            record = _record(problem, left, energy, effect, rng)
         records.append(record)
     testable = [record for record in records if record.not_testable is None]
     names = [record.name for record in testable]
@@ -405,22 +497,19 @@ def _untestable(effect: Effect, reason: str) -> DetectabilityRecord:
 
 def _record(
     problem: GapProblem,
-    gram: Array,
-    white: Array,
+    left: Mapping[str, RemainingForms],
+    energy: Array,
     effect: Effect,
-    by_effect: Mapping[str, Sequence[Form]],
     rng: np.random.Generator,
 ) -> DetectabilityRecord:
     """Detectability of one effect.
 
-    gram         (K, K) of the columns of all forms
-    white        (N, K) these columns before calibration absorbs
-    by_effect    {effect: its forms}
+    left    {effect: its forms}
+    energy  (K,) of the columns of all forms before calibration absorbs
     """
-    forms = by_effect[effect.name]
-    grams = [gram[np.ix_(form.at, form.at)] for form in forms]
+    forms, grams = left[effect.name].forms, left[effect.name].grams
     traces = np.array([max(float(np.trace(g)), 0.0) for g in grams])
-    raw = np.array([np.sum(white.take(form.at, axis=1) ** 2) for form in forms])
+    raw = np.array([energy[form.at].sum() for form in forms])
     remaining = traces / np.maximum(raw, 1e-300)
     columns = max(len(g) for g in grams)
     needed, mean = needed_lambda(columns), float(traces.mean())
@@ -439,8 +528,8 @@ def _record(
         signature[channel] = float(np.sqrt(mean_square)) / unit
         least[channel] = _bounded(best / unit)
         median[channel] = _bounded(typical / unit)
-    others = [by_effect[name] for name in by_effect if name != effect.name]
-    rivals = [effect_rival(gram, forms, other) for other in others]
+    others = [other for name, other in left.items() if name != effect.name]
+    rivals = [effect_rival(left[effect.name], other) for other in others]
     return DetectabilityRecord(
         name=effect.name,
         about=effect.about,
