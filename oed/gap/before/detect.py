@@ -190,7 +190,10 @@ class RemainingForms:
             columns = self.of_form(k)
             self.grams.append(columns.T @ columns)
             block = self.grams[-1][np.ix_(form.textbook, form.textbook)]
-            self.axes.append(columns[:, form.textbook] @ _visible_root(block))
+            energy, vectors = np.linalg.eigh(block)  # of which the space alone matters
+            seen = energy > _least_seen(float(energy.max(initial=0.0)))
+            root = vectors[:, seen] / np.sqrt(energy[seen])
+            self.axes.append(columns[:, form.textbook] @ root)
 
     @property
     def effect(self) -> str:
@@ -314,7 +317,12 @@ def _visible_root(gram: Array) -> Array:
     These have the energy of the noise at a prior standard deviation, or a hundredth of
     the largest.
     """
-    return inverse_root(gram, lambda largest: min(1.0, 0.01 * max(largest, 1e-300)))
+    return inverse_root(gram, _least_seen)
+
+
+def _least_seen(largest: float) -> float:
+    """Energy from which a direction is seen."""
+    return min(1.0, 0.01 * max(largest, 1e-300))
 
 
 def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
