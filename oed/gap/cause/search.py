@@ -166,6 +166,8 @@ class FormProducts:
         """Of a library's forms, and of processes; `effects` are those in question."""
         self._problem, self._law = problem, law
         self._library, self._processes = library, processes
+        #: products (k, P) of the columns of effects' forms with all processes' columns
+        self._cross: dict[bytes, Array] = {}
         forms = [atom.columns for atom in library.atoms if atom.effect in effects]
         #: numbers of the columns of the effects in question
         self._needed = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *forms]))
@@ -175,31 +177,90 @@ class FormProducts:
         """The metric of the law."""
         return Metric(self._problem, self._law)
 
+    def whitened(self, columns: Index) -> WhitenedColumns:
+        """Some columns of the effects. Those of many readings take much memory."""
+        return WhitenedColumns(
+            self._problem, self.metric, self._library.columns, columns
+        )
+
     @functools.cached_property
-    def effects(self) -> WhitenedColumns:
-        """Columns of the effects in question."""
-        columns = self._library.columns
-        return WhitenedColumns(self._problem, self.metric, columns, self._needed)
+    def _in_question(self) -> Grams:
+        """Grams of the columns of the effects in question."""
+        return self.whitened(self._needed).grams(self._needed)
+
+    def grams_of(self, columns: Index) -> Grams:
+        """Grams of some columns of the effects in question."""
+        return self._in_question.take(np.searchsorted(self._needed, columns))
 
     @functools.cached_property
     def remainders(self) -> Remainders:
         """The processes that an unknown remainder may be."""
         columns = WhitenedColumns(self._problem, self.metric, self._processes.columns)
         log_kinds = discrepancy.log_shares(self._processes, self._library)
-        return Remainders(self.effects, columns, self._processes, log_kinds)
+        return Remainders(columns, self._processes, log_kinds)
+
+    def log_remainders(self, alone: Grams, selected: Selected) -> Array:
+        """Log evidence (processes, sizes) of each process, over no remainder.
+
+        alone       grams of the selected columns, these in the model
+        selected    columns of each selected effect, with their size
+        """
+        return self.remainders.log_evidences(alone, *self._taken(selected))
+
+    def best_remainder(self, alone: Grams, selected: Selected) -> Remainder:
+        """The best process and size; arguments as of `log_remainders`."""
+        table = self.log_remainders(alone, selected)
+        row, column = np.unravel_index(int(np.argmax(table)), table.shape)
+        return Remainder(
+            process=int(row),
+            size=float(REMAINDER_SIZES[column]),
+            log_evidence=float(np.logaddexp.reduce(table, axis=None)),
+        )
+
+    def _with_processes(self, columns: Index) -> Array:
+        """Products (k, P) of the columns of a form with all processes' columns."""
+        key = columns.tobytes()
+        if key not in self._cross:
+            form = self.whitened(columns)
+            self._cross[key] = form.with_others(self.remainders.whitened)
+        return self._cross[key]
+
+    def _taken(self, selected: Selected) -> tuple[Array, Array]:
+        """Directions that the selected effects could explain, one effect after the other.
+
+        Their products (k, P) with all processes' columns and (k,) with the residual.
+        """
+        columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
+        grams = self.grams_of(columns)
+        parts = [self._with_processes(c) for c, _ in selected]
+        cross = np.vstack([np.zeros((0, len(self.remainders.whitened.b))), *parts])
+        taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
+        start = 0
+        for own, size in selected:
+            rows = np.arange(start, start + len(own))
+            start += len(own)
+            root = grams.visible_root(rows, size)
+            over, residual = root.T @ cross[rows], root.T @ grams.b[rows]
+            cross = cross - (grams.gram[:, rows] @ root) @ over
+            grams = grams.project_out(rows, size)
+            taken.append(over)
+            projected.append(residual)
+        return np.vstack(taken), np.concatenate(projected)
 
     @functools.cached_property
     def grams(self) -> Grams:
         """Grams of all columns of all effects."""
-        columns = self._library.columns
-        if len(self._needed) == columns.shape[1]:
-            return self.effects.grams()
-        return WhitenedColumns(self._problem, self.metric, columns).grams()
+        columns = np.arange(self._library.columns.shape[1])
+        if len(self._needed) == len(columns):
+            return self._in_question
+        return self.whitened(columns).grams()
 
     @functools.cached_property
     def log_prior(self) -> Array:
         """Log prior (atoms, sizes) of each form of the effects in question."""
-        return self._log_prior(self.effects.diagonal)
+        diagonal = np.zeros(self._library.columns.shape[1])
+        diagonal[self._needed] = self._in_question.gram.diagonal()
+        return self._log_prior(diagonal)
 
     @functools.cached_property
     def log_prior_of_all(self) -> Array:
@@ -214,8 +275,9 @@ class FormProducts:
 
     def release(self) -> None:
         """Give the memory back; what is asked for again is computed again."""
-        for name in ("metric", "effects", "remainders", "grams"):
+        for name in ("metric", "_in_question", "remainders", "grams"):
             self.__dict__.pop(name, None)
+        self._cross.clear()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,24 +299,24 @@ class Remainders:
 
     def __init__(
         self,
-        effects: WhitenedColumns,
-        columns: WhitenedColumns,
+        whitened: WhitenedColumns,
         processes: Library,
         log_kinds: Array,
     ) -> None:
         """Lay out the processes, those with as many columns together.
 
+        whitened    their columns
         log_kinds   (processes,) log prior of the kind of each
         """
-        self._effects, self._whitened = effects, columns
+        self.whitened = whitened
         self._columns = [atom.columns for atom in processes.atoms]
         #: numbers (a,), columns (a, d) and Gram matrices (a, d, d)
         self._groups = [
-            (numbers, rows, columns.blocks(rows))
+            (numbers, rows, whitened.blocks(rows))
             for numbers, rows in evidence.group_by_count(self._columns)
         ]
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
-        energy = energies(columns.diagonal, self._columns)
+        energy = energies(whitened.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
         #: (processes, sizes) log prior of each
         self.log_prior = (log_weights + log_kinds)[:, None] + log_sizes
@@ -262,53 +324,23 @@ class Remainders:
     def __len__(self) -> int:
         return len(self._columns)
 
-    def log_evidences(self, alone: Grams, selected: Selected) -> Array:
+    def log_evidences(self, alone: Grams, taken: Array, projected: Array) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
 
         alone       grams of the selected columns, these in the model
-        selected    columns of each selected effect, with their size
+        taken       products (k, P) of directions that the selected effects could explain
+                    with all processes' columns
+        projected   (k,) with the residual
         """
         table = np.empty((len(self._columns), len(REMAINDER_SIZES)))
-        taken, projected = self._taken(selected)
         for numbers, rows, blocks in self._groups:
             over = taken[:, rows]
             gram = blocks - np.einsum("kad,kae->ade", over, over, optimize=True)
-            b = self._whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
-            least = evidence.ENERGY_TOLERANCE * self._whitened.whole[rows].max(axis=1)
+            b = self.whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
+            least = evidence.ENERGY_TOLERANCE * self.whitened.whole[rows].max(axis=1)
             gain, log_det = evidence.explained_energy(gram, b, REMAINDER_SIZES, least)
             table[numbers] = alone.log_ratio(gain, log_det)
         return np.asarray(table + self.log_prior)
-
-    def best(self, alone: Grams, selected: Selected) -> Remainder:
-        """The best process and size; arguments as of `log_evidences`."""
-        table = self.log_evidences(alone, selected)
-        row, column = np.unravel_index(int(np.argmax(table)), table.shape)
-        return Remainder(
-            process=int(row),
-            size=float(REMAINDER_SIZES[column]),
-            log_evidence=float(np.logaddexp.reduce(table, axis=None)),
-        )
-
-    def _taken(self, selected: Selected) -> tuple[Array, Array]:
-        """Directions that the selected effects could explain, one effect after the other.
-
-        Their products (k, P) with all processes' columns and (k,) with the residual.
-        """
-        columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
-        grams = self._effects.grams(columns)
-        cross = self._effects.with_others(columns, self._whitened)
-        taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
-        start = 0
-        for own, size in selected:
-            rows = np.arange(start, start + len(own))
-            start += len(own)
-            root = grams.visible_root(rows, size)
-            over, residual = root.T @ cross[rows], root.T @ grams.b[rows]
-            cross = cross - (grams.gram[:, rows] @ root) @ over
-            grams = grams.project_out(rows, size)
-            taken.append(over)
-            projected.append(residual)
-        return np.vstack(taken), np.concatenate(projected)
 
 
 def energies(diagonal: Array, choices: Sequence[Index]) -> Array:
@@ -434,7 +466,7 @@ class Search:
         best size.
         """
         if part == len(h.effects):
-            table = self._forms.remainders.log_evidences(*self._selected(h))
+            table = self._forms.log_remainders(*self._selected(h))
             numbers, sizes = np.arange(len(table)), REMAINDER_SIZES
         else:
             table = self._log_posterior(h.effects[part], *h.without(part))
@@ -525,7 +557,7 @@ class Search:
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        remainder = self._forms.remainders.best(*self._selected(h))
+        remainder = self._forms.best_remainder(*self._selected(h))
         return dataclasses.replace(
             h,
             unknown=True,
@@ -547,7 +579,7 @@ class Search:
             selected = [self.columns_of(k) for k in others]
             forms = [self.columns_of(k) for k in self._atoms_of[effect]]
             columns = np.unique(np.concatenate(forms))
-            grams = self._forms.effects.grams(np.concatenate([*selected, columns]))
+            grams = self._forms.grams_of(np.concatenate([*selected, columns]))
             grams, start = grams.select_in_order(selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
             prior = self._forms.log_prior[self._atoms_of[effect]]
@@ -559,7 +591,7 @@ class Search:
     def _selected(self, h: Hypothesis) -> tuple[Grams, list[tuple[Index, float]]]:
         """Grams of a set's columns alone, these in the model; the columns and sizes."""
         columns = [self.columns_of(k) for k in h.atoms]
-        grams = self._forms.effects.grams(np.concatenate([_NONE, *columns]))
+        grams = self._forms.grams_of(np.concatenate([_NONE, *columns]))
         selected = list(zip(columns, h.sizes, strict=True))
         return grams.select_in_order(columns, h.sizes)[0], selected
 

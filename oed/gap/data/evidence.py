@@ -15,7 +15,6 @@ each step of a search is of this form again.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -65,6 +64,15 @@ class Grams:
     energy: float
     size: int
     base: float
+
+    def take(self, columns: Index) -> Grams:
+        """Grams of some of the columns."""
+        return dataclasses.replace(
+            self,
+            gram=self.gram[np.ix_(columns, columns)],
+            b=self.b[columns],
+            whole=self.whole[columns],
+        )
 
     def select(self, columns: Index, size: float) -> Grams:
         """Grams with `columns` in the model, their coefficients N(0, size^2)."""
@@ -232,7 +240,7 @@ class WhitenedColumns:
         self.b = np.zeros(columns.shape[1])
         self.b[needed] = self._columns.T @ residual
 
-    @functools.cached_property
+    @property
     def diagonal(self) -> Array:
         """Energy (K,) of each column; 0 of those that are not needed."""
         diagonal = np.zeros(len(self._place))
@@ -250,9 +258,9 @@ class WhitenedColumns:
             whole=self.whole[columns],
         )
 
-    def with_others(self, columns: Index, others: WhitenedColumns) -> Array:
-        """Inner products (k, L) of some columns with all others."""
-        return self._columns[:, self._place[columns]].T @ others._columns
+    def with_others(self, others: WhitenedColumns) -> Array:
+        """Inner products (k, L) of the columns that are needed with all others."""
+        return self._columns.T @ others._columns
 
     def blocks(self, choices: Index) -> Array:
         """Gram matrices (a, d, d) of choices (a, d) of columns."""

@@ -97,7 +97,10 @@ def test_products_are_those_in_the_dense_metric(rng: np.random.Generator) -> Non
     gram = effects[:, needed].T @ metric @ effects[:, needed]
     np.testing.assert_allclose(products.grams(needed).gram, gram, rtol=1e-8)
     cross = effects[:, [2]].T @ metric @ processes
-    told = products.with_others(np.array([2]), others)
+    alone = evidence.WhitenedColumns(
+        problem, Metric(problem, law), effects, np.array([2])
+    )
+    told = alone.with_others(others)
     np.testing.assert_allclose(told, cross, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(
         others.b, processes.T @ metric @ problem.residual, atol=1e-9
