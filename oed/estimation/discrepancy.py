@@ -64,7 +64,9 @@ def sample_effects(
     log_weights = 0.5 * (gain - log_determinant)
     precision = sizes[:, None] ** -2.0 + energy
     number = rng.choice(len(sizes), size=count, p=special.softmax(log_weights))
-    normal = rng.standard_normal((count, len(score)))
+    # as the coefficients have them: axes of equal energy, as of all that no reading
+    # shows, are a matter of rounding
+    normal = rng.standard_normal((count, len(score))) @ axes
     drawn = along / precision[number] + normal / np.sqrt(precision[number])
     return EffectDraws(
         coefficients=drawn @ axes.T,

@@ -82,7 +82,7 @@ class Laws:
         kinds = (self.level, ones, self.seat, self.stated_level, self.stated_seat)
         return np.stack(kinds, axis=1)
 
-    def take(self, rows: Array | slice | list[int]) -> Laws:
+    def take(self, rows: Index | slice | list[int]) -> Laws:
         """The laws of these rows."""
         fields = dataclasses.fields(self)
         return Laws(*(getattr(self, field.name)[rows] for field in fields))

@@ -94,3 +94,23 @@ def test_the_same_generator_gives_the_same_draws() -> None:
         ).coefficients
 
     assert (drawn() == drawn()).all()
+
+
+def test_the_same_draws_whatever_the_rounding_of_the_readings() -> None:
+    """Of 12 coefficients 5 readings show 5 directions. Which axes the others have is a
+    matter of the last digits, and no draw may depend on it; all have their covariance.
+    """
+    rng, size = np.random.default_rng(2), np.array([0.7])
+    columns = rng.standard_normal((5, 12))
+    information, score = columns.T @ columns, columns.T @ np.ones(5)
+    rounding = rng.standard_normal((12, 12)) * 1e-14
+    drawn = [
+        discrepancy.sample_effects(
+            each, score, size, np.random.default_rng(3), COUNT
+        ).coefficients
+        for each in (information, information + rounding + rounding.T)
+    ]
+    assert np.abs(drawn[0] - drawn[1]).max() < 1e-9
+    covariance = np.linalg.inv(information + np.eye(12) / size**2)
+    error = np.cov(drawn[0], rowvar=False) - covariance
+    assert np.abs(error).max() < 6.0 * covariance.max() / np.sqrt(COUNT)
