@@ -71,7 +71,8 @@ class Errors:
         ordered = values[self.order]
         if self.unmix is not None:
             ordered = self.unmix @ ordered
-        return np.asarray(ordered / self.scale[:, None])
+        ordered /= self.scale[:, None]
+        return np.asarray(ordered)
 
     def unstandardise(self, scored: Array) -> Array:
         """P^-T Y (N, m) over scale, each row where its reading stands, for Y (k, m)."""

@@ -32,8 +32,9 @@ N_PEAKS = 4
 OVERSAMPLING = 1.5
 #: frequencies of a band, at most
 MAX_FREQUENCIES = 6000
-#: values that are computed at once: of many readings fewer frequencies
-VALUES_AT_ONCE = 1_000_000
+#: values that are computed at once: of many readings fewer frequencies. There are some
+#: twenty arrays of as many: more take memory and no less time
+VALUES_AT_ONCE = 250_000
 #: shortest period, in steps between readings, where these are irregular: they
 #: distinguish waves from their aliases
 IRREGULAR_PERIOD = 0.25
