@@ -297,9 +297,9 @@ class InverseKinematics:
             command, p, tool = point(float(share), rows)
             next_z, failed = self._newton(z[rows], command, p, tool)
             next_z = np.where(np.isfinite(next_z), next_z, 0.0)
-            kept = ~failed & ~_differ(self.modes(next_z, command, p, tool), mode)
-            z[rows[kept]], reached[rows[kept]] = next_z[kept], share
-            ended[rows[~kept]] = True
+            assembled = ~failed & ~_differ(self.modes(next_z, command, p, tool), mode)
+            z[rows[assembled]], reached[rows[assembled]] = next_z[assembled], share
+            ended[rows[~assembled]] = True
         return z, reached
 
     def _has_slopes(self, z: Array, command: Array, p: Array, tool: Array) -> Mask:
