@@ -211,3 +211,53 @@ def test_the_memory_of_long_runs_is_that_of_their_readings(
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 8e6
+
+
+@pytest.mark.parametrize("alike", [False, True], ids=["each its pair", "one pair"])
+def test_many_channels_take_no_more_memory_than_their_products(
+    alike: bool, rng: np.random.Generator
+) -> None:
+    """Nine channels of six runs, 120 laws: products of each channel under each would take
+    nine times the memory of the result, 3.5 MB. Against the dense covariance.
+    """
+    runs, channels, length, columns = 6, 9, 5, 60
+    chain = np.repeat(np.arange(runs * channels), length)
+    structure = ReadingStructure(
+        names=tuple(map(str, range(channels))),
+        group=chain % channels,
+        chain=chain,
+        run=np.repeat(np.arange(runs), channels),
+        position=np.tile(np.arange(length, dtype=float), runs * channels),
+        unit=np.ones(len(chain)),
+        decouple=None,
+        columns=rng.standard_normal((len(chain), 2)),
+        kinds=np.array([SharedError.LEVEL, SharedError.RENEWED]),
+        course=rng.standard_normal((len(chain), 2)),
+    )
+    reach, level, seat, course = rng.uniform(0.5, 2.0, (4, 120))
+    laws = Laws(
+        scale=rng.uniform(0.5, 2.0, (120, channels)),
+        correlated=np.full(120, 0.4),
+        reach=np.ones(120) if alike else reach,
+        level=level,
+        seat=seat,
+        course=course,
+    )
+    values = rng.standard_normal((len(chain), columns))
+    tracemalloc.start()
+    gram = laws.whitening(structure).gram(values)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8.0 * gram.nbytes
+    same_run = structure.run[chain][:, None] == structure.run[chain]
+    for k in (0, 119):
+        distance = np.abs(structure.position[:, None] - structure.position)
+        carried_along = np.exp(-distance / laws.reach[k])
+        dense = np.where(chain[:, None] == chain, 0.4 * carried_along, 0.0)
+        dense += 0.6 * np.eye(len(chain))
+        shared = structure.columns * [level[k], seat[k]]
+        dense += same_run * (shared @ shared.T)
+        dense += course[k] ** 2 * structure.course @ structure.course.T
+        scale = laws.scale[k, structure.group]
+        whole = np.linalg.solve(dense * np.outer(scale, scale), values)
+        assert_allclose(gram[k], values.T @ whole, rtol=1e-8, atol=1e-8)
