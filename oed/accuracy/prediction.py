@@ -301,7 +301,7 @@ def _machines(maps: ErrorMaps) -> int:
 def _draw(covariance: Array, rng: np.random.Generator, count: int) -> Array:
     """Draws (count, np) of N(0, covariance)."""
     noise = rng.standard_normal((count, len(covariance)))
-    if not covariance.any():  # as of an estimate after measuring; effects have thousands
+    if not covariance.any():  # as after measuring; effects have thousands of columns
         return np.zeros_like(noise)
     return noise @ covariance_root(covariance).T
 
