@@ -253,12 +253,53 @@ def exchange_blocks(blocks: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def exchange(
-    blocks: np.ndarray, size: int, starts: int, rng: np.random.Generator
+def variance(rows: np.ndarray, chosen: np.ndarray, weight: np.ndarray) -> float:
+    """tr(W M^-1) of a plan out of rows (C, n); infinite where it is singular."""
+    m = rows[chosen].T @ rows[chosen]
+    if np.linalg.cond(m) > 1.0 / SINGULAR:
+        return np.inf
+    return float(np.trace(weight @ np.linalg.inv(m)))
+
+
+def exchange_by_variance(
+    rows: np.ndarray, chosen: np.ndarray, weight: np.ndarray
 ) -> np.ndarray:
-    """The best plan of a greedy start and of `starts` random ones; blocks (C, k, n)."""
+    """Each row in turn replaced by the one with the least tr(W M^-1) until none helps."""
+    chosen, changed = chosen.copy(), True
+    ridge = 1e-10 * np.eye(rows.shape[1])
+    while changed:
+        changed = False
+        for place in range(len(chosen)):
+            others = rows[np.delete(chosen, place)]
+            inverse = np.linalg.inv(others.T @ others + ridge)
+            side = rows @ inverse
+            reduction = np.sum((side @ weight) * side, axis=1)
+            reduction /= 1.0 + np.sum(side * rows, axis=1)
+            before = reduction[chosen[place]]
+            reduction[np.delete(chosen, place)] = -np.inf
+            best = int(np.argmax(reduction))
+            if reduction[best] > before * (1.0 + GAIN):
+                chosen[place], changed = best, True
+    return chosen
+
+
+def exchange(
+    blocks: np.ndarray,
+    size: int,
+    starts: int,
+    rng: np.random.Generator,
+    weight: np.ndarray | None = None,
+) -> np.ndarray:
+    """The best plan of a greedy start and of `starts` random ones; blocks (C, k, n).
+
+    By log det, or, of single rows, by tr(W M^-1) with a `weight` W (n, n).
+    """
     plans = [select_greedily(blocks, size)]
     plans += [rng.permutation(len(blocks))[:size] for _ in range(starts)]
+    if weight is not None:
+        rows = blocks[:, 0]
+        plans = [exchange_by_variance(rows, plan, weight) for plan in plans]
+        return min(plans, key=lambda plan: variance(rows, plan, weight))
     if blocks.shape[1] == 1:
         plans = [exchange_rows(blocks[:, 0], plan) for plan in plans]
     else:

@@ -1,22 +1,29 @@
-"""D-optimal plans of many kinds of candidates beside a plain NumPy exchange.
+"""Plans of fresh instances beside a plain NumPy exchange of 60 starts, and a long run.
 
-    python benchmarks/search.py                   # all instances, NumPy exchange of 100 starts
-    python benchmarks/search.py --only normal     # instances whose name begins so
-    python benchmarks/search.py --starts 0        # without the NumPy exchange
-    python benchmarks/search.py --peers ENVS      # doetools too, on single rows
+    python benchmarks/search.py                     # 30 instances, seeds drawn at run time
+    python benchmarks/search.py --seed 7            # the instances of a printed seed
+    python benchmarks/search.py --only ties         # one kind
+    python benchmarks/search.py --kinds saturated --each 8
 
-The best known value of an instance is the largest of this run: this project's choice at
-its default, the same with `--rounds` rounds (300), and the others. Values are computed
-from the chosen rows by one formula for all (`peers.py`). Seconds are
-processor time on one thread; for this project the least of three runs, with the
-relaxation and its bound. `benchmarks/design.py --install-peers ENVS` makes doetools'
-environment.
+The best known value of an instance is the best of this run: this project's choice at its
+default, the same with ten times the rounds, and the NumPy exchange (`peers.py`: pairs for
+D, each candidate in turn for blocks and for A and I). Values are computed from the chosen
+rows by one formula for all; they are log det, or -log of the variance, so that a
+difference is a relative one. Seconds are processor time on one thread; for this project
+with the relaxation and its bound.
 
-Rows of `normal` are standard normal; `mixed` are normal rows times one random matrix;
-`ill` have columns from 1 to 1.3e-6; `copies` are 500 rows four times over; `heavy` follow
-Student's t with 2.5 degrees of freedom; `quadratic` is the full quadratic model on five
-levels of five factors; `poses` are the blocks of `hexapod.py`. The last three
-are candidates of studies (`study_candidates.py`).
+kinds
+  A, I        30 of 2000 normal rows with 21 columns; I over 50 random poses of 3 components
+  normal      the same by D
+  mixed       60 of 3000 normal rows times one random matrix, 42 columns
+  copies      30 of 500 normal rows with 21 columns, four times over
+  heavy       30 of 2000 rows of Student's t with 2.5 degrees of freedom, 21 columns
+  ties        27 of 1500 rows of -1, 0 and 1 with 25 columns
+  near        27 of 1500 normal rows with 25 columns
+  quadratic   28 to 33 of 4096: the full quadratic model on four levels of six factors
+  blocks      7 to 9 of 1000 blocks of six normal rows with 42 columns
+  poses       10 of 2000 poses of a hexapod (`hexapod.py`), six rows, 42 columns
+  studies     candidates of three studies (`study_candidates.py`)
 """
 
 from __future__ import annotations
@@ -28,162 +35,160 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 import argparse
 import itertools
 import sys
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 import hexapod
-import peer_runs
 import peers
 import study_candidates
 from oed import design
+from oed.design import CRITERIA
 from peers import processor_seconds
 
 #: values that differ by less are equally good
 EQUAL = 1e-6
-#: runs of the default, of which the fastest counts: other processes slow a run down
-REPEATS = 3
-DEFAULT_ROUNDS = 20
-COLUMNS = ("instance", "default", "s", "long run", "NumPy exchange", "s", "behind best")
-WITH_PEERS = (*COLUMNS[:-1], "doetools", "s", COLUMNS[-1])
+DEFAULT_ROUNDS, LONG_FACTOR = 20, 10
+#: all kinds, and the groups of `--kinds`
+KINDS = "A I normal mixed copies heavy ties near quadratic blocks poses studies"
+GROUPS = {
+    "all": tuple(KINDS.split()),
+    "variance": ("A", "I"),
+    "saturated": ("ties", "near", "quadratic"),
+    "blocks": ("blocks", "poses"),
+}
+COLUMNS = ("kind", "seed", "default", "s", "long run", "NumPy", "s", "behind best")
 
 
 class Instance(NamedTuple):
-    """Blocks (C, k, n) out of which `size` are chosen."""
+    """Blocks (C, k, n) out of which `size` are chosen, by D, A or I.
 
-    name: str
+    accuracy  (J, r, n) of I
+    """
+
+    kind: str
     blocks: np.ndarray
     size: int
+    criterion: str = "D"
+    accuracy: np.ndarray | None = None
+
+    @property
+    def weight(self) -> np.ndarray | None:
+        """W (n, n) of tr(W M^-1); None for D."""
+        if self.criterion == "A":
+            return np.eye(self.blocks.shape[2])
+        if self.accuracy is None:
+            return None
+        products = np.einsum("jrn,jrm->nm", self.accuracy, self.accuracy)
+        return products / len(self.accuracy)
+
+    def value(self, chosen: np.ndarray) -> float:
+        """log det, or -log tr(W M^-1)."""
+        if self.weight is None:
+            return peers.log_det(self.blocks, chosen)
+        return -float(np.log(peers.variance(self.blocks[:, 0], chosen, self.weight)))
 
 
-def instances() -> Iterator[Instance]:
-    """All instances."""
-    for seed in range(100, 112):
-        yield Instance(f"normal {seed}", _normal(seed, 2000, 21), 30)
-    for seed in range(200, 203):
-        yield Instance(f"few columns {seed}", _normal(seed, 5000, 10), 20)
-    for seed in range(300, 303):
-        rng = np.random.default_rng(seed)
+def draw(kind: str, seed: int) -> Instance:
+    """An instance of a kind of drawn candidates."""
+    rng = np.random.default_rng(seed)
+    if kind in ("A", "I", "normal"):
+        rows = rng.standard_normal((2000, 1, 21))
+        accuracy = rng.standard_normal((50, 3, 21)) if kind == "I" else None
+        return Instance(kind, rows, 30, "D" if kind == "normal" else kind, accuracy)
+    if kind == "mixed":
         rows = rng.standard_normal((3000, 42)) @ rng.standard_normal((42, 42))
-        yield Instance(f"mixed {seed}", rows[:, None], 60)
-    for seed in range(400, 403):
-        rows = _normal(seed, 2000, 21) * np.logspace(0.0, -5.9, 21)
-        yield Instance(f"ill {seed}", rows, 30)
-    for seed in range(500, 503):
-        rows = np.repeat(_normal(seed, 500, 21), 4, axis=0)
-        yield Instance(f"copies {seed}", rows, 30)
-    for seed in range(600, 603):
-        rng = np.random.default_rng(seed)
-        yield Instance(f"heavy {seed}", rng.standard_t(2.5, (2000, 1, 21)), 30)
-    yield Instance("quadratic", _quadratic(), 30)
-    for number in range(3):
-        yield Instance(f"poses {number}", hexapod.blocks(number), hexapod.SIZE)
-    for name, blocks, size in study_candidates.of_studies():
-        yield Instance(name, blocks, size)
-
-
-def _normal(seed: int, count: int, columns: int) -> np.ndarray:
-    return np.random.default_rng(seed).standard_normal((count, 1, columns))
+        return Instance(kind, rows[:, None], 60)
+    if kind == "copies":
+        return Instance(
+            kind, np.repeat(rng.standard_normal((500, 1, 21)), 4, axis=0), 30
+        )
+    if kind == "heavy":
+        return Instance(kind, rng.standard_t(2.5, (2000, 1, 21)), 30)
+    if kind == "ties":
+        return Instance(kind, rng.integers(-1, 2, (1500, 1, 25)).astype(float), 27)
+    if kind == "near":
+        return Instance(kind, rng.standard_normal((1500, 1, 25)), 27)
+    if kind == "quadratic":
+        return Instance(kind, _quadratic(), int(rng.integers(28, 34)))
+    if kind == "blocks":
+        blocks = rng.standard_normal((1000, 6, 42))
+        return Instance(kind, blocks, int(rng.integers(7, 10)))
+    return Instance(kind, hexapod.blocks(seed), hexapod.SIZE)
 
 
 def _quadratic() -> np.ndarray:
-    levels = np.linspace(-1.0, 1.0, 5)
-    x = np.array(list(itertools.product(levels, repeat=5)))
-    pairs = itertools.combinations_with_replacement(range(5), 2)
+    x = np.array(list(itertools.product(np.linspace(-1.0, 1.0, 4), repeat=6)))
+    pairs = itertools.combinations_with_replacement(range(6), 2)
     products = [x[:, i] * x[:, j] for i, j in pairs]
     return np.column_stack([np.ones(len(x)), x, *products])[:, None]
 
 
+def instances(
+    kinds: tuple[str, ...], each: int, seed: int
+) -> Iterator[tuple[int, Instance]]:
+    """So many instances of each kind with their seeds; the studies once."""
+    for kind in kinds:
+        if kind == "studies":
+            for name, blocks, size in study_candidates.of_studies():
+                yield 0, Instance(name, blocks, size)
+            continue
+        number = GROUPS["all"].index(kind)
+        for drawn in np.random.SeedSequence([seed, number]).generate_state(each):
+            yield int(drawn), draw(kind, int(drawn))
+
+
 def choose(instance: Instance, rounds: int) -> tuple[float, float]:
     """Value and seconds of this project's choice."""
+    columns = instance.blocks.shape[2]
+    criterion = CRITERIA.build(instance.criterion, columns, instance.accuracy)
     start = processor_seconds()
     rng = np.random.default_rng(1)
-    choice = design.choose(instance.blocks, instance.size, rng, rounds=rounds)
+    choice = design.choose(
+        instance.blocks, instance.size, rng, criterion, rounds=rounds
+    )
     seconds = processor_seconds() - start
-    return peers.log_det(instance.blocks, choice.indices), seconds
+    return instance.value(choice.indices), seconds
 
 
 def choose_by_numpy(instance: Instance, starts: int) -> tuple[float, float]:
     """Value and seconds of the NumPy exchange."""
     start = processor_seconds()
     rng = np.random.default_rng(1)
-    chosen = peers.exchange(instance.blocks, instance.size, starts, rng)
+    chosen = peers.exchange(
+        instance.blocks, instance.size, starts, rng, instance.weight
+    )
     seconds = processor_seconds() - start
-    return peers.log_det(instance.blocks, chosen), seconds
+    return instance.value(chosen), seconds
 
 
 class Comparison(NamedTuple):
-    """Values of one instance, and seconds; those of what did not run are infinite."""
+    """Values of one instance, and seconds."""
 
-    name: str
     value: float
     seconds: float
     long_value: float
     numpy_value: float
     numpy_seconds: float
-    doetools_value: float
-    doetools_seconds: float
 
     @property
     def behind(self) -> float:
         """How far the default is behind the best value."""
-        others = (self.long_value, self.numpy_value, self.doetools_value)
-        return max(self.value, *others) - self.value
+        return max(self.value, self.long_value, self.numpy_value) - self.value
 
-    def row(self, with_peers: bool) -> str:
+    def row(self, kind: str, seed: int) -> str:
         """Its row of the table."""
-        entries = [
-            self.name,
-            f"{self.value:.4f}",
-            f"{self.seconds:.3f}",
-            f"{self.long_value:.4f}",
-            _entry(self.numpy_value, ".4f"),
-            _entry(self.numpy_seconds, ".2f"),
-        ]
-        if with_peers:
-            entries.append(_entry(self.doetools_value, ".4f"))
-            entries.append(_entry(self.doetools_seconds, ".2f"))
-        return _line([*entries, f"{self.behind:.4f}"])
+        values = f"{self.value:.4f} | {self.seconds:.2f} | {self.long_value:.4f}"
+        by_numpy = f"{self.numpy_value:.4f} | {self.numpy_seconds:.2f}"
+        return f"| {kind} | {seed} | {values} | {by_numpy} | {self.behind:.4f} |"
 
 
-def _line(entries: Sequence[str]) -> str:
-    return f"| {' | '.join(entries)} |"
-
-
-def _entry(number: float, digits: str) -> str:
-    return format(number, digits) if np.isfinite(number) else "-"
-
-
-def choose_by_doetools(instance: Instance, folder: Path | None) -> tuple[float, float]:
-    """Value and seconds of doetools' exchange of single rows."""
-    nothing = -np.inf, np.inf
-    if folder is None or instance.blocks.shape[1] > 1:
-        return nothing
-    rows = instance.blocks[:, 0]
-    answer = peer_runs.run_on_rows(folder, "doetools", rows, instance.size)
-    if answer is None:
-        return nothing
-    indices, seconds = answer
-    return peers.log_det(instance.blocks, indices), seconds
-
-
-def compare(
-    instance: Instance, rounds: int, starts: int, peers: Path | None
-) -> Comparison:
+def compare(instance: Instance, starts: int) -> Comparison:
     """All methods on one instance."""
-    runs = [choose(instance, DEFAULT_ROUNDS) for _ in range(REPEATS)]
-    long_value, _ = choose(instance, rounds)
-    by_numpy = -np.inf, np.inf
-    if starts:
-        by_numpy = choose_by_numpy(instance, starts)
-    by_doetools = choose_by_doetools(instance, peers)
-    seconds = min(seconds for _, seconds in runs)
-    value = runs[0][0]
-    return Comparison(
-        instance.name, value, seconds, long_value, *by_numpy, *by_doetools
-    )
+    value, seconds = choose(instance, DEFAULT_ROUNDS)
+    long_value, _ = choose(instance, LONG_FACTOR * DEFAULT_ROUNDS)
+    return Comparison(value, seconds, long_value, *choose_by_numpy(instance, starts))
 
 
 def main() -> None:
@@ -191,33 +196,38 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", default="", help="beginning of the names")
-    parser.add_argument("--rounds", type=int, default=300, help="of the long run")
-    parser.add_argument("--starts", type=int, default=100, help="of the NumPy exchange")
-    parser.add_argument("--peers", type=Path, help="folder of the environments")
+    add = parser.add_argument
+    add("--kinds", default="all", choices=GROUPS, help="group of kinds")
+    add("--only", choices=GROUPS["all"], help="one kind")
+    add("--each", type=int, default=3, help="instances of each kind")
+    add("--starts", type=int, default=60, help="of the NumPy exchange")
+    add("--seed", type=int, help="of the instances; drawn where it is left out")
     arguments = parser.parse_args()
-    with_peers = arguments.peers is not None
-    columns = WITH_PEERS if with_peers else COLUMNS
-    print(_line(columns))
-    print(_line(["---", *["--:"] * (len(columns) - 1)]))
-    selected = [i for i in instances() if i.name.startswith(arguments.only)]
+    seed = arguments.seed
+    if seed is None:
+        seed = int(np.random.SeedSequence().generate_state(1)[0])
+    kinds = (arguments.only,) if arguments.only else GROUPS[arguments.kinds]
+    print(f"seed {seed}")
+    print(f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}")
     comparisons = []
-    for instance in selected:
-        comparison = compare(
-            instance, arguments.rounds, arguments.starts, arguments.peers
-        )
+    for drawn, instance in instances(kinds, arguments.each, seed):
+        comparison = compare(instance, arguments.starts)
         comparisons.append(comparison)
-        print(comparison.row(with_peers))
+        print(comparison.row(instance.kind, drawn))
         sys.stdout.flush()
-    best = sum(c.behind < EQUAL for c in comparisons)
-    print(f"best known at the default: {best} of {len(comparisons)}")
-    others = {"the NumPy exchange": [c.numpy_value for c in comparisons]}
-    if with_peers:
-        others["doetools"] = [c.doetools_value for c in comparisons]
-    for name, values in others.items():
-        pairs = zip(comparisons, values, strict=True)
-        behind = max(0.0, *(value - c.value for c, value in pairs))
-        print(f"behind {name} by at most {behind:.4f}")
+    _summarise(comparisons)
+
+
+def _summarise(comparisons: list[Comparison]) -> None:
+    behind = np.array([c.behind for c in comparisons])
+    behind_numpy = np.array([c.numpy_value - c.value for c in comparisons])
+    ratios = np.array([c.seconds / c.numpy_seconds for c in comparisons])
+    count = len(comparisons)
+    print(f"best known at the default: {(behind < EQUAL).sum()} of {count}")
+    print(f"within 0.02 of the best known: {(behind < 0.02).sum()} of {count}")
+    print(f"behind the best known by at most {behind.max():.4f}")
+    print(f"behind the NumPy exchange: {(behind_numpy > EQUAL).sum()} of {count}")
+    print(f"time over the NumPy exchange's: median {np.median(ratios):.2f}")
 
 
 if __name__ == "__main__":

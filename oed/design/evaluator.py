@@ -8,17 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design import (
-    block_exchange,
-    block_tabu,
-    eigenvalue_tabu,
-    row_exchange,
-    tabu,
-)
+from oed.design import tabu
 from oed.design.blocks import information
-from oed.design.forms import Criterion, Variance
-from oed.design.forms.protocol import is_positive_definite
-from oed.design.row_exchange import RowExchange
+from oed.design.forms import Criterion
+
+#: ridge that keeps singular plans finite, as a share of the mean eigenvalue
+SMALL_RIDGE = 1e-12
+#: rows of the candidates that a search by pairs runs over: as many as a step has time for
+PAIR_ROWS = 4000
 
 
 class PlanEvaluator(Protocol):
@@ -55,25 +52,26 @@ class PlanEvaluator(Protocol):
         """
         ...
 
-    def add_all(self, size: int, level: int, ridge: float) -> Index | None:
-        """The greedy plan by a closed formula; None where there is none."""
-        return None
+    @property
+    def pair_pool(self) -> int:
+        """Candidates that a search by pairs runs over; 0 where there are no pairs."""
+        return 0
 
-    def exchange_all(self, chosen: Index, level: int, sweeps: int) -> Index | None:
-        """The plan after all exchanges by a closed formula; None where there is none.
+    def exchange_pairs(self, chosen: Index, level: int, sweeps: int) -> Index:
+        """The plan after exchanges of pairs, as many as so many sweeps have.
 
-        A formula that goes through the places in turn makes at most so many sweeps.
+        Itself where there are no pairs.
         """
-        return None
+        return chosen
 
-    def search_plans(
+    def search_pairs(
         self, starts: Index, steps: int, rng: np.random.Generator
-    ) -> Index | None:
+    ) -> Index:
         """The best plan that starts (plans, size) lead to in some steps of a search.
 
-        None where the evaluator has no search of its own.
+        The first one where there are no pairs.
         """
-        return None
+        return np.asarray(starts[0])
 
     def subset(self, pool: Index) -> PlanEvaluator:
         """The evaluator over a part of the candidates."""
@@ -101,7 +99,7 @@ class CriterionEvaluator:
     def _matrix(self, chosen: Index, ridge: float | None) -> Array:
         # summed anew each time: taking a block out of a sum would lose digits
         m = self.base + information(self.blocks[chosen])
-        size = float(np.trace(m)) / len(m) * 1e-12 if ridge is None else ridge
+        size = SMALL_RIDGE * float(np.trace(m)) / len(m) if ridge is None else ridge
         return m + size * np.eye(len(m))
 
     def value(self, chosen: Index) -> float:
@@ -120,67 +118,30 @@ class CriterionEvaluator:
         criterion = self.criterion.continuation()[level]
         return criterion.values_after_adding(self._matrix(chosen, ridge), self.blocks)
 
-    def add_all(self, size: int, level: int, ridge: float) -> Index | None:
-        """Rank-one updates, for a mean variance of single rows with a prior."""
-        if not self._rows_by_variance:
-            return None
-        return self._row_exchange(ridge).select_greedily(size)
+    @property
+    def pair_pool(self) -> int:
+        """As many as have `PAIR_ROWS`."""
+        return PAIR_ROWS // int(self.blocks.shape[1])
 
-    def exchange_all(self, chosen: Index, level: int, sweeps: int) -> Index | None:
-        """Exchange of pairs for D, of each row in turn for a mean variance."""
-        if self._rows_by_variance:
-            return self._row_exchange(0.0).exchange(chosen, sweeps)
-        if not self._by_determinant:
-            return None
-        base = self._matrix(chosen, None) - information(self.blocks[chosen])
-        if self.blocks.shape[1] == 1:
-            return row_exchange.exchange_rows(self.blocks[:, 0], chosen, base)
-        return block_exchange.exchange_blocks(self.blocks, chosen, base)
+    def exchange_pairs(self, chosen: Index, level: int, sweeps: int) -> Index:
+        """Exchange of pairs by formulas of low rank."""
+        criterion = self.criterion.continuation()[level]
+        exchanges = sweeps * len(chosen)
+        base = self._base_with_ridge(chosen)
+        return tabu.exchange_pairs(self.blocks, chosen, base, criterion, exchanges)
 
-    def search_plans(
+    def search_pairs(
         self, starts: Index, steps: int, rng: np.random.Generator
-    ) -> Index | None:
-        """Tabu search, for D and for E of single rows."""
-        size, count = starts.shape[1], self.count
-        _, k, directions = self.blocks.shape
-        if not directions <= k * size < k * count:
-            return None
-        if k > 1 and self._by_determinant:
-            if size * count * k**2 > block_tabu.MAX_PRODUCTS:
-                return None
-            base = self._matrix(starts[0], None) - information(self.blocks[starts[0]])
-            return block_tabu.search_plans(self.blocks, starts, base, steps, rng)
-        if size * count > tabu.MAX_PLACE_CANDIDATES:
-            return None
-        rows = self.blocks.reshape(-1, directions)
-        if self._by_determinant:
-            return tabu.search_plans(rows, starts, self.base, steps, rng)
-        if self._rows_by_least_eigenvalue:
-            return eigenvalue_tabu.search_plans(rows, starts, self.base, steps, rng)
-        return None
+    ) -> Index:
+        """Tabu search."""
+        base = self._base_with_ridge(starts[0])
+        return tabu.search_plans(self.blocks, starts, base, self.criterion, steps, rng)
 
-    @property
-    def _by_determinant(self) -> bool:
-        """Whether candidates are judged by D of all directions."""
-        return self.criterion.fast_search == "volume"
-
-    @property
-    def _rows_by_least_eigenvalue(self) -> bool:
-        """Whether single rows are judged by the least eigenvalue alone."""
-        least = self.criterion.fast_search == "least eigenvalue"
-        return least and self.blocks.shape[1] == 1
-
-    @property
-    def _rows_by_variance(self) -> bool:
-        """Whether single rows are judged by a mean variance that a prior determines."""
-        mean = self.criterion.fast_search == "mean variance"
-        single = mean and self.blocks.shape[1] == 1
-        return single and is_positive_definite(self.base)
-
-    def _row_exchange(self, ridge: float) -> RowExchange:
-        assert isinstance(self.criterion, Variance)
-        base = self.base + ridge * np.eye(len(self.base))
-        return RowExchange(self.blocks[:, 0], self.criterion.factor, base)
+    def _base_with_ridge(self, chosen: Index) -> Array:
+        """Prior information (n, n) that keeps singular plans finite."""
+        size = float(np.trace(self.base + information(self.blocks[chosen])))
+        n = len(self.base)
+        return self.base + SMALL_RIDGE * size / n * np.eye(n)
 
     def subset(self, pool: Index) -> CriterionEvaluator:
         """The evaluator over a part of the candidates."""

@@ -1,12 +1,12 @@
 """Chooses candidates by exchange, for any criterion and rules, with a certificate.
 
 The relaxation (`oed.design.bounds`) comes first. It gives the bound, and its gradient and
-weights guide the search (`oed.design.search`). An exchange removes one candidate and
-adds the best one, by the criterion's exact value after adding. For D of single rows all
-pairs are known at once (`oed.design.row_exchange`). Criteria that are not smooth are reached
-along their continuation: E by exchanges that lower tr M^-p while p grows. Their exchanges end
-in local optima, and bounds by relaxation leave a share open: where there are few plans, all of
-them are looked at, which costs less, and proves the best one.
+weights guide the search (`oed.design.search`). Where plans have a given number of readings
+and no further rule, all pairs of a chosen and another candidate are exchanged at once, for
+every criterion (`oed.design.tabu`). Criteria that are not smooth are reached along smooth
+ones: E by exchanges that lower tr M^-p while p grows. Exchanges end in local optima, and
+bounds by relaxation leave a share open: where there are few plans, all of them are looked
+at, which costs less, and proves the best one.
 """
 
 from __future__ import annotations
@@ -195,8 +195,6 @@ def choose(
     guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
     starts = _greedy_plans(evaluator, rules, guide.weights)
-    if blocks.shape[1] > 1:
-        rounds *= goal.block_rounds
     best = search(evaluator, rules, guide.weights, guide.gradient, starts, rng, rounds)
     value = evaluator.value(best)
     if not rules.satisfied(best):

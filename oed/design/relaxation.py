@@ -246,6 +246,8 @@ MAX_MULTIPLICATIVE_STEPS = 300
 MULTIPLICATIVE_GAP = 1e-2
 #: candidates beyond which the start is sought in a sample of them
 SAMPLE_SIZE = 20000
+#: seed of the candidates that join the first active set whatever their weight
+SAMPLE_SEED = 20260101
 
 
 @dataclasses.dataclass(frozen=True)
@@ -476,15 +478,19 @@ def _begin(
     by_directions = START_PER_DIRECTION * objective.directions
     by_size = int(np.ceil(2 * size / caps.mean()))
     places = max(START_SIZE, by_directions, by_size)
-    best = np.argsort(-weights, kind="stable")[:places]
-    while caps[sample[best]].sum() < size:
+    # of many equal candidates, the first may all lie in a subspace: others join them
+    order = np.argsort(-weights, kind="stable")
+    mixed = np.random.default_rng(SAMPLE_SEED).permutation(len(sample))
+    while places < len(sample):
+        best = np.union1d(order[:places], mixed[: places // 2])
+        active = sample[best]
+        if caps[active].sum() >= size:
+            scaled = scale_to_size(weights[best], size, caps[active])
+            if np.isfinite(objective.value(active, scaled)):
+                return active, scaled, bound
         places *= 2
-        if places >= 2 * len(sample):
-            equal = np.full(count, size / count)
-            return np.arange(count), scale_to_size(equal, size, caps), bound
-        best = np.argsort(-weights, kind="stable")[:places]
-    active = sample[best]
-    return active, scale_to_size(weights[best], size, caps[active]), bound
+    equal = np.full(count, size / count)
+    return np.arange(count), scale_to_size(equal, size, caps), bound
 
 
 def _update_active_set(

@@ -1,7 +1,7 @@
-"""Iterated local search over plans: exchange sweeps, then restarts from a changed plan.
+"""Search over plans: tabu search, or exchange sweeps and restarts from a changed plan.
 
-D, and E of single rows, have faster searches of their own in place of restarts
-(`oed.design.tabu`, `oed.design.block_tabu`, `oed.design.eigenvalue_tabu`).
+Plans of a given number of readings are searched by exchanges of pairs (`oed.design.tabu`);
+under further rules each candidate in turn is replaced.
 
 The search runs over a pool of candidates that an optimal plan may want, by the gradient
 and weights of a relaxation. One more improvement over all candidates ends it. The
@@ -36,8 +36,10 @@ MIN_GAIN = 1e-10
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
 #: other for ever
 MAX_SWEEPS = 50
-#: steps of the evaluator's own search that stand for one round
-STEPS_PER_ROUND = 12
+#: steps of the tabu search that stand for one round
+STEPS_PER_ROUND = 100
+#: steps for each place of each plan, at the least
+STEPS_PER_PLACE = 5
 #: number of readings that one restart replaces, at the most: more would be a new plan
 MAX_REPLACED = 6
 #: probability that a restart replaces a whole set-up instead
@@ -61,7 +63,8 @@ def search(
 
     weights, gradient (C,) are those of a relaxation; `starts` are plans to begin with.
     """
-    promising = _promising(weights, gradient, rules)
+    least_size = POOL_SIZE if rules.sole_size is None else evaluator.pair_pool
+    promising = _promising(weights, gradient, rules, max(POOL_SIZE, least_size))
     pool = np.union1d(promising, np.concatenate(starts))
     pool_exchange = _Exchange(evaluator.subset(pool), rules.subset(pool))
     pool_starts = [np.searchsorted(pool, start) for start in starts]
@@ -86,11 +89,6 @@ def select_greedily(
     """
     chosen = np.zeros(0, dtype=np.intp)
     level %= evaluator.levels
-    size = rules.sole_size
-    if size is not None:
-        added = evaluator.add_all(size, level, ridge)
-        if added is not None:
-            return added
     count, allocation = evaluator.count, rules.allocation(chosen, weights)
     while (allowed := rules.completions(chosen, count, allocation)).any():
         values = evaluator.values_after_adding(chosen, level, ridge)
@@ -113,13 +111,13 @@ def improve(
     return _Exchange(evaluator, rules).sweep_until_stable(chosen, level, sweeps)
 
 
-def _promising(weights: Array, gradient: Array, rules: Rules) -> Index:
-    """Candidates that an optimal plan may want."""
+def _promising(weights: Array, gradient: Array, rules: Rules, least_size: int) -> Index:
+    """Candidates that an optimal plan may want, at least so many."""
     gradient_per_cost = gradient
     if rules.time is not None:
         gradient_per_cost = gradient / np.maximum(rules.time.cost, 1e-300)
     size = rules.size or int((weights > CHOSEN_WEIGHT).sum())
-    places = max(POOL_SIZE, POOL_PER_READING * size)
+    places = max(least_size, POOL_PER_READING * size)
     steepest = _steepest(gradient_per_cost, places)
     heaviest = np.argsort(-weights, kind="stable")[:places]
     heaviest = heaviest[weights[heaviest] > POSSIBLE_WEIGHT]
@@ -160,6 +158,11 @@ class _Exchange:
     evaluator: PlanEvaluator
     rules: Rules
 
+    @property
+    def by_pairs(self) -> bool:
+        """Whether all pairs are exchanged at once, instead of one candidate in turn."""
+        return self.rules.sole_size is not None and self.evaluator.pair_pool > 0
+
     def improve_by_levels(self, chosen: Index) -> Index:
         """Exchanges until none helps, level by level."""
         for level in range(self.evaluator.levels):
@@ -170,10 +173,8 @@ class _Exchange:
         self, chosen: Index, level: int, sweeps: int = MAX_SWEEPS
     ) -> Index:
         """Exchanges until none helps, at one level."""
-        if self.rules.sole_size is not None:
-            exchanged = self.evaluator.exchange_all(chosen, level, sweeps)
-            if exchanged is not None:
-                return exchanged
+        if self.by_pairs:
+            return self.evaluator.exchange_pairs(chosen, level, sweeps)
         for _ in range(sweeps):
             chosen, changed = self._sweep(chosen, level)
             if not changed:
@@ -238,9 +239,8 @@ class _Restarts:
         Given and drawn plans come first, then changes of the best plan so far.
         """
         weights = weights + 1e-4 * weights.sum() / len(weights)
-        searched = self._search_plans(weights, rounds, starts)
-        if searched is not None:
-            return searched
+        if rounds and self.exchange.by_pairs:
+            return self._search_pairs(weights, rounds, starts)
         best, best_value = np.zeros(0, dtype=np.intp), -np.inf
         drawn = max(1, min(5, rounds // 4))
         for k in range(-len(starts), rounds):
@@ -256,19 +256,17 @@ class _Restarts:
                 best, best_value = chosen, value
         return best
 
-    def _search_plans(
+    def _search_pairs(
         self, weights: Array, rounds: int, starts: Sequence[Index]
-    ) -> Index | None:
-        """The best plan by the evaluator's own search; None where it has none."""
-        evaluator = self.exchange.evaluator
-        if self.rules.sole_size is None or rounds < 1:
-            return None
-        drawn = [self._draw(weights) for _ in range(len(starts), tabu.TABU_PLANS)]
-        plans = np.array([*starts, *drawn])
-        steps = STEPS_PER_ROUND * rounds
-        best = evaluator.search_plans(plans, steps, self.rng)
-        if best is None:
-            return None
+    ) -> Index:
+        """The best plan of a tabu search from given and drawn plans."""
+        evaluator, steps = self.exchange.evaluator, STEPS_PER_ROUND * rounds
+        plans = max(
+            len(starts),
+            min(tabu.MAX_PLANS, steps // (STEPS_PER_PLACE * len(starts[0]))),
+        )
+        drawn = [self._draw(weights) for _ in range(len(starts), plans)]
+        best = evaluator.search_pairs(np.array([*starts, *drawn]), steps, self.rng)
         return self.exchange.sweep_until_stable(best, evaluator.levels - 1)
 
     def _draw(self, weights: Array) -> Index:

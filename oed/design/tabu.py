@@ -1,258 +1,231 @@
-"""Tabu search for D-optimal plans of single rows, many plans at once.
+"""Exchange and tabu search of pairs for plans, by any criterion.
 
-In every plan, one step replaces the chosen row i by the row j that raises det M most, or
-lowers it least. With d_ij = x_i^T M^-1 x_j, the factor of det M is
+An exchange takes a candidate out of the plan and another one in. Formulas of low rank rank all
+pairs at once (`oed.design.pairs`); the information of each plan is summed anew, and plans are
+compared by it: an exchange counts where the criterion itself rises.
 
-    (1 - d_ii)(1 + d_jj) + d_ij^2        (Fedorov 1972).
-
-The row that leaves, and the place that is filled, rest for a few steps, so that the
-search climbs out of a local optimum and does not return to it (Glover 1989, ORSA J.
-Comput. 1, 190-206). All plans take their step in the same array operations. M^-1 and
-the d_ij of the chosen rows follow by rank-two updates, in single precision on whitened
-rows. They are computed anew from time to time, and plans are compared in double
-precision at the end. Twice, the half of the plans that has come less far is given up
+In the tabu search each plan takes its best exchange even where it lowers the criterion. The
+candidate that leaves, and the place that is filled, rest for a few steps, so that the search
+climbs out of a local optimum and does not return to it (Glover 1989, ORSA J. Comput. 1,
+190-206). Stage by stage, the half of the plans that has come less far is given up
 (successive halving; Jamieson and Talwalkar 2016, AISTATS).
+
+Which candidates may come is asked of the plan itself, every few steps: near saturation the
+optimal weights do not tell which rows complete one another.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+
 import numpy as np
-from numpy.typing import NDArray
 
 from oed.base import Array, Index
+from oed.design.blocks import information
 from oed.design.copies import find_copies
+from oed.design.forms import Criterion
+from oed.design.forms.variance import variance_reduction
+from oed.design.pairs import Pairs
+from oed.linear_algebra import symmetric_inverse
 
-#: plans that are searched together
-TABU_PLANS = 30
-#: places times candidates beyond which one plan's products are too many
-MAX_PLACE_CANDIDATES = 250_000
-#: most steps for which a row, or a place, rests, in turn for the plans: short rests
-#: climb fast, long ones leave wide basins
-TENURES = (2, 3, 3, 4, 8)
-#: steps after which all products are computed anew
-REFRESH_STEPS = 60
-#: shares of the steps after which the better half of the plans goes on alone: a plan in
-#: a good basin shows early
-HALVING_SHARES = (1 / 6, 1 / 3)
-#: plans that go on at the least: those with short rests alone may go in circles
-MIN_PLANS = 8
-#: prior information added in whitened units: random plans can be singular
-WHITE_RIDGE = 1e-6
-#: gain in log det below which a step counts as none, in single precision
-MIN_GAIN = 1e-5
-#: factor of det M below which, or above whose inverse, updates are not sound: a plan is
-#: or was nearly singular, and all is computed anew
-UNSOUND_FACTOR = 1e-3
-#: least share of a row that is its own
-MIN_OWN_SHARE = 1e-6
-#: added to the factor of det M where a row or a place rests: more than any factor
-RESTING_PENALTY = -1e6
-#: added where no copy of a row is free: less than a row and a place that rest
-NO_COPY_PENALTY = -4e6
+#: plans that are searched at first
+MAX_PLANS = 16
+#: rows of the candidates that a plan exchanges with, at the least
+NEAR_ROWS = 200
+#: candidates that a plan exchanges with, for each of its places
+NEAR_PER_PLACE = 8
+#: steps after which these are sought anew: a few rows change which others complete a plan
+STEPS_NEAR = 5
+#: most steps for which a candidate, or a place, rests, in turn for the plans: short rests
+#: climb fast, long ones leave the wide basins of candidates with symmetries
+MAX_RESTS = (2, 3, 4, 6, 10, 15)
+#: gain in log phi below which a plan counts as no better
+MIN_GAIN = 1e-10
+#: numbers in the products of all pairs that are in memory at once
+NUMBERS_AT_ONCE = 2_000_000
 
-Single = NDArray[np.float32]
+
+def exchange_pairs(
+    blocks: Array, chosen: Index, base: Array, criterion: Criterion, exchanges: int
+) -> Index:
+    """The best pair of blocks (C, k, n) exchanged until none raises the criterion.
+
+    base (n, n) is positive definite prior information, a small ridge at the least. At
+    most so many exchanges are made.
+    """
+    chosen = chosen.copy()
+    m = base + information(blocks[chosen])
+    value = criterion.value(m)
+    for _ in range(exchanges):
+        place, block = _best_pair(blocks, chosen, m, criterion)
+        changed = chosen.copy()
+        changed[place] = block
+        m = base + information(blocks[changed])
+        after = criterion.value(m)
+        if not after > value + MIN_GAIN:
+            break
+        chosen, value = changed, after
+    return chosen
+
+
+def _best_pair(
+    blocks: Array, chosen: Index, m: Array, criterion: Criterion
+) -> tuple[int, int]:
+    """Place and block whose exchange raises the criterion most, by the formulas.
+
+    Part by part, so that the products of all pairs are not in memory at once.
+    """
+    best = 0, int(chosen[0]), -np.inf
+    step = max(1, NUMBERS_AT_ONCE // (len(chosen) * blocks.shape[1] ** 2))
+    for begin in range(0, len(blocks), step):
+        part = np.arange(begin, min(begin + step, len(blocks)))
+        part = part[~np.isin(part, chosen)]
+        if not part.size:
+            continue
+        values = criterion.exchange_values(Pairs(m, blocks[chosen], blocks[part]))
+        place, number = divmod(int(values.argmax()), len(part))
+        if values[place, number] > best[2]:
+            best = place, int(part[number]), float(values[place, number])
+    return best[0], best[1]
 
 
 def search_plans(
-    rows: Array, starts: Index, base: Array, steps: int, rng: np.random.Generator
+    blocks: Array,
+    starts: Index,
+    base: Array,
+    criterion: Criterion,
+    steps: int,
+    rng: np.random.Generator,
 ) -> Index:
     """The best plan (size,) that the plans `starts` (plans, size) pass in their steps.
 
-    rows   (C, n)
-    base   (n, n) prior information, positive semidefinite
-
-    Rows and prior together determine all n directions, and a plan has n rows or more:
-    where the prior alone determines a direction, single precision does not resolve it.
+    blocks  (C, k, n)
+    base    (n, n) positive definite prior information, a small ridge at the least
+    steps   of all plans together
     """
-    white, white_base = _whiten(rows, base)
-    copies = find_copies(rows)
-    different = white[copies.first]
-    plans = copies.label[starts]
-    search = _TabuSearch(different, white_base, copies.number, plans, rng)
-    best_plans = search.run(steps)
-    values = _log_determinants(different, white_base, best_plans)
-    return copies.different(best_plans[int(values.argmax())])
+    copies = find_copies(blocks)
+    problem = _Problem(blocks[copies.first], base, criterion, copies.number)
+    rests = itertools.cycle(MAX_RESTS)
+    trails = [_Trail.at(copies.label[s], problem, next(rests)) for s in starts]
+    guides = criterion.guides
+    stages = int(np.log2(len(trails))) + 1
+    for stage in range(stages):
+        guide = guides[stage * len(guides) // stages]
+        for trail in trails:
+            for _ in range(steps // (stages * len(trails))):
+                trail.step(problem, guide, rng)
+            trail.note(problem)
+        trails = _better_half(trails)
+    return copies.different(trails[0].best)
 
 
-def better_half(best: Index, values: Array, least: int) -> Index:
-    """Numbers, ascending, of the half that passed the better plans, at least so many.
+def _better_half(trails: list[_Trail]) -> list[_Trail]:
+    """The half with the better plans; of those that passed the same plan, one."""
+    best_first = sorted(trails, key=lambda trail: -trail.best_value)
+    different = {tuple(np.sort(t.best).tolist()): t for t in reversed(best_first)}
+    ordered = sorted(different.values(), key=lambda trail: -trail.best_value)
+    return ordered[: max(1, len(trails) // 2)]
 
-    best    (B, size) plan that each passed;  values (B,) of them
 
-    Of those that passed the same plan, one goes before all that come after it.
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Problem:
+    """Different candidates (C, k, n), copies (C,) of each, and what plans are judged by."""
+
+    blocks: Array
+    base: Array
+    criterion: Criterion
+    copies: Index
+
+    def information(self, plan: Index) -> Array:
+        """M (n, n)."""
+        return self.base + information(self.blocks[plan])
+
+    def near(self, m: Array, guide: Criterion, free: Index, size: int) -> Index:
+        """The free candidates that raise the guide's supporting line most beside a plan."""
+        k = self.blocks.shape[1]
+        most = max(NEAR_ROWS // k, NEAR_PER_PLACE * size)
+        candidates = np.flatnonzero(free > 0)
+        if len(candidates) <= most:
+            return candidates
+        gains = variance_reduction(
+            self.blocks, symmetric_inverse(m), guide.gradient_matrix(m)
+        )
+        order = np.argpartition(-gains[candidates], most)
+        return candidates[order[:most]]
+
+
+@dataclasses.dataclass(eq=False)
+class _Trail:
+    """A plan on its way.
+
+    plan               (size,)
+    best, best_value   the best plan so far, and its log phi
+    free               (C,) copies of each candidate that are not in the plan
+    rests_until        (C,) steps
+    place_rests_until  (size,)
+    near               candidates that it exchanges with
+    max_rest           steps for which what changed rests, at the most
+    taken              steps taken
     """
-    passed = np.sort(best, axis=1)
-    _, first = np.unique(passed, axis=0, return_index=True)
-    again = np.ones(len(passed), dtype=bool)
-    again[first] = False
-    order = np.lexsort((-values, again))
-    return np.sort(order[: max(least, len(order) // 2)])
 
+    plan: Index
+    best: Index
+    free: Index
+    rests_until: Index
+    place_rests_until: Index
+    near: Index
+    max_rest: int
+    best_value: float = -np.inf
+    taken: int = 0
 
-def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
-    """Rows and prior in coordinates where all rows and the prior have information C."""
-    eigenvalues, vectors = np.linalg.eigh(base)
-    prior_rows = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
-    triangle = np.linalg.qr(np.vstack([rows, prior_rows]), mode="r")
-    inverse = np.linalg.inv(triangle) * np.sqrt(len(rows))
-    white_prior = prior_rows @ inverse
-    return rows @ inverse, white_prior.T @ white_prior
+    @classmethod
+    def at(cls, start: Index, problem: _Problem, max_rest: int) -> _Trail:
+        """A plan at its start."""
+        free = problem.copies.copy()
+        np.subtract.at(free, start, 1)
+        rests = np.zeros(len(free), dtype=np.intp), np.zeros(len(start), dtype=np.intp)
+        # half of the places, and of the candidates, may always change
+        most = min(len(start), int(free.sum())) // 2
+        max_rest = max(1, min(max_rest, most))
+        return cls(start.copy(), start.copy(), free, *rests, start[:0], max_rest)
 
+    def note(self, problem: _Problem) -> Array:
+        """The plan's information; the plan is kept where it is the best so far."""
+        m = problem.information(self.plan)
+        value = problem.criterion.value(m)
+        if value > self.best_value + MIN_GAIN:
+            self.best, self.best_value = self.plan.copy(), value
+        return m
 
-def _information(white: Array, base: Array, plans: Index) -> Array:
-    """M (plans, n, n)."""
-    chosen = white[plans]
-    return base + np.swapaxes(chosen, 1, 2) @ chosen
-
-
-def _log_determinants(white: Array, base: Array, plans: Index) -> Array:
-    sign, values = np.linalg.slogdet(_information(white, base, plans))
-    return np.where(sign > 0, values, -np.inf)
-
-
-class _TabuSearch:
-    """The plans, their products with all candidates, and what rests.
-
-    Candidates are different rows, of which there may be several copies.
-
-    plans     (B, size)
-    free      (B, C) copies that are not in the plan
-    inverse   (B, n, n) M^-1
-    products  (B, size, C) d_ij of chosen rows with all rows
-    leverage  (B, C) d_jj
-    """
-
-    def __init__(
-        self,
-        white: Array,
-        base: Array,
-        number: Index,
-        starts: Index,
-        rng: np.random.Generator,
+    def step(
+        self, problem: _Problem, guide: Criterion, rng: np.random.Generator
     ) -> None:
-        self.white, self.rng = white, rng
-        self.base = base + WHITE_RIDGE * np.eye(len(base))
-        self.rows = white.astype(np.float32)
-        self.columns = np.ascontiguousarray(self.rows.T)
-        self.has_copies = bool(number.max() > 1)
-        self.plans = starts.copy()
-        self.batch = np.arange(len(starts))
-        self.tenures = np.resize(TENURES, len(starts))
-        count, size = len(white), starts.shape[1]
-        self.free = np.tile(number, (len(starts), 1))
-        np.subtract.at(self.free, (self.batch[:, None], starts), 1)
-        self.row_rests_until = np.zeros((len(starts), count), dtype=np.intp)
-        self.place_rests_until = np.zeros(starts.shape, dtype=np.intp)
-        self.place_terms = np.ones((len(starts), size, 3), dtype=np.float32)
-        self.row_terms = np.ones((len(starts), 3, count), dtype=np.float32)
-        self._refresh()
-        self.best, self.best_values = self.plans.copy(), self.values
+        """Takes the plan's best exchange."""
+        m = self.note(problem)
+        if self.taken % STEPS_NEAR == 0:
+            self.near = problem.near(m, guide, self.free, len(self.plan))
+        places = np.flatnonzero(self.place_rests_until <= self.taken)
+        may_come = (self.rests_until[self.near] <= self.taken) & (
+            self.free[self.near] > 0
+        )
+        others = self.near[may_come]
+        self.taken += 1
+        if not places.size or not others.size:
+            return
+        leaving = self.plan[places]
+        blocks = problem.blocks
+        values = guide.exchange_values(Pairs(m, blocks[leaving], blocks[others]))
+        # a copy in place of its row changes nothing, and would use up the step
+        values[leaving[:, None] == others] = -np.inf
+        first, second = divmod(int(values.argmax()), len(others))
+        self._exchange(int(places[first]), int(others[second]), rng)
 
-    def _refresh(self) -> None:
-        """Computes inverse, products and values anew, in double precision."""
-        m = _information(self.white, self.base, self.plans)
-        inverse = np.linalg.inv(m)
-        products = (self.white[self.plans] @ inverse) @ self.white.T
-        by_row = self.white @ inverse
-        leverage = np.einsum("bcn,cn->bc", by_row, self.white)
-        self.inverse: Single = inverse.astype(np.float32)
-        self.products: Single = products.astype(np.float32)
-        self.leverage: Single = leverage.astype(np.float32)
-        self.factors = np.empty_like(self.products)
-        self.values: Array = np.linalg.slogdet(m)[1]
-
-    def run(self, steps: int) -> Index:
-        """The best plan (B, size) that each plan passed."""
-        halving = {round(share * steps) for share in HALVING_SHARES}
-        for step in range(steps):
-            if step in halving:
-                self._halve()
-            position, row, factor = self._best_exchange(step)
-            self._exchange(position, row, step)
-            self.values = self.values + np.log(np.maximum(factor, UNSOUND_FACTOR))
-            sound = (
-                factor.min() > UNSOUND_FACTOR and factor.max() < 1.0 / UNSOUND_FACTOR
-            )
-            if step % REFRESH_STEPS == REFRESH_STEPS - 1 or not sound:
-                self._refresh()
-            better = np.flatnonzero(self.values > self.best_values + MIN_GAIN)
-            self.best_values[better] = self.values[better]
-            self.best[better] = self.plans[better]
-        return self.best
-
-    def _halve(self) -> None:
-        """Goes on with the half that passed the better plans."""
-        better = better_half(self.best, self.best_values, MIN_PLANS)
-        self.batch = np.arange(len(better))
-        self.plans, self.values = self.plans[better], self.values[better]
-        self.best, self.best_values = self.best[better], self.best_values[better]
-        self.tenures = np.resize(TENURES, len(better))
-        self.free = self.free[better]
-        self.inverse, self.products = self.inverse[better], self.products[better]
-        self.leverage, self.factors = self.leverage[better], self.factors[better]
-        self.row_rests_until = self.row_rests_until[better]
-        self.place_rests_until = self.place_rests_until[better]
-        self.place_terms = self.place_terms[better]
-        self.row_terms = self.row_terms[better]
-
-    def _best_exchange(self, step: int) -> tuple[Index, Index, Single]:
-        """Place, row and factor of the best allowed exchange of each plan (B,).
-
-        One product of three terms gives (1 - d_ii)(1 + d_jj) with both prohibitions.
-        """
-        resting = self.row_rests_until > step
-        chosen_leverage = self.leverage[self.batch[:, None], self.plans]
-        self.place_terms[:, :, 0] = 1.0 - chosen_leverage
-        self.row_terms[:, 0] = 1.0 + self.leverage
-        self.row_terms[:, 1] = np.where(resting, RESTING_PENALTY, 0.0)
-        self.row_terms[:, 1][self.free < 1] = NO_COPY_PENALTY
-        place_rests = self.place_rests_until > step
-        self.place_terms[:, :, 2] = np.where(place_rests, RESTING_PENALTY, 0.0)
-        np.multiply(self.products, self.products, out=self.factors)
-        self.factors += np.matmul(self.place_terms, self.row_terms)
-        if self.has_copies:
-            # a copy in place of its row changes nothing, and would use up the step
-            places = np.arange(self.plans.shape[1])
-            self.factors[self.batch[:, None], places, self.plans] = NO_COPY_PENALTY
-        flat = self.factors.reshape(len(self.plans), -1)
-        best = flat.argmax(axis=1)
-        position, row = np.divmod(best, self.products.shape[2])
-        return position, row, flat[self.batch, best]
-
-    def _exchange(self, position: Index, row: Index, step: int) -> None:
-        """Replaces one row in each plan; what changed rests."""
-        removed = self.plans[self.batch, position]
-        self.plans[self.batch, position] = row
-        self._update_products(position, row, removed)
-        self.free[self.batch, removed] += 1
-        self.free[self.batch, row] -= 1
-        share = self.rng.random((2, len(row)))
-        rests_until = step + 2 + (share * self.tenures).astype(np.intp)
-        self.row_rests_until[self.batch, removed] = rests_until[0]
-        self.place_rests_until[self.batch, position] = rests_until[1]
-
-    def _update_products(self, position: Index, row: Index, removed: Index) -> None:
-        """Sherman and Morrison for the row that comes, then for the one that leaves."""
-        batch = self.batch
-        side_in = np.matmul(self.inverse, self.rows[row][:, :, None])[:, :, 0]
-        with_in = side_in @ self.columns
-        before = self.products[batch, position]
-        scale_in = 1.0 / (1.0 + self.leverage[batch, row])
-        share = before[batch, row] * scale_in
-        side_before = np.matmul(self.inverse, self.rows[removed][:, :, None])
-        side_out = side_before[:, :, 0] - share[:, None] * side_in
-        with_out = before - share[:, None] * with_in
-        remaining = 1.0 - with_out[batch, removed]
-        scale_out = 1.0 / np.maximum(remaining, np.float32(MIN_OWN_SHARE))
-        scales = np.stack([-scale_in, scale_out], axis=1)
-        sides = np.stack([side_in, side_out], axis=1)
-        scaled_sides = sides * scales[:, :, None]
-        self.inverse += np.matmul(np.swapaxes(scaled_sides, 1, 2), sides)
-        with_both = np.stack([with_in, with_out], axis=1)
-        self.products[batch, position] = with_in
-        # (B, size, 2)
-        chosen = with_both[batch[:, None], :, self.plans]
-        np.matmul(chosen * scales[:, None, :], with_both, out=self.factors)
-        self.products += self.factors
-        self.leverage += scale_out[:, None] * with_out**2
-        self.leverage -= scale_in[:, None] * with_in**2
+    def _exchange(self, place: int, block: int, rng: np.random.Generator) -> None:
+        """Replaces one candidate; what changed rests."""
+        removed = self.plan[place]
+        until = self.taken + 1 + (self.max_rest * rng.random(2)).astype(np.intp)
+        self.rests_until[removed], self.place_rests_until[place] = until
+        self.plan[place] = block
+        self.free[removed] += 1
+        self.free[block] -= 1

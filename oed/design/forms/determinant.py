@@ -20,12 +20,12 @@ from scipy import linalg
 from oed.base import Array, Index
 from oed.design.forms.protocol import (
     Criterion,
-    FastSearch,
     Support,
     inner_products,
     pairwise_traces,
     quadratic_forms,
 )
+from oed.design.pairs import Pairs
 from oed.linear_algebra import symmetric_inverse
 
 #: share of its size by which a direction may leave a basis that it belongs to: far above
@@ -46,8 +46,6 @@ class Determinant(Criterion):
     name: str = "D"
     log_volume: float = 0.0
     starts_from_own_plan = False
-    #: exchanges of D end in more local optima where candidates have several rows
-    block_rounds = 2
 
     @property
     def size(self) -> int:
@@ -63,11 +61,6 @@ class Determinant(Criterion):
     def any_coordinates(self) -> bool:
         """D is the same plan in any coordinates."""
         return self.interest is None
-
-    @property
-    def fast_search(self) -> FastSearch:
-        """Pairs for D."""
-        return "volume" if self.interest is None else "none"
 
     def value(self, m: Array) -> float:
         """log det(P) / -s."""
@@ -120,6 +113,15 @@ class Determinant(Criterion):
             root = self.support(m).root * np.sqrt(self.size)
             gain = gain - _log_det_gain(blocks, inverted - root @ root.T)
         return self.value(m) + gain / self.size
+
+    def exchange_values(self, pairs: Pairs) -> Array:
+        """The factor of det M, over that of the part that the nuisances take."""
+        inverse = symmetric_inverse(pairs.m)
+        factors = pairs.factors(inverse)
+        if self.interest is None:
+            return factors
+        root = self.support(pairs.m).root * np.sqrt(self.size)
+        return factors / pairs.factors(inverse - root @ root.T)
 
     def conventional_value(self, value: float, readings: int) -> float:
         """log det."""

@@ -18,7 +18,11 @@ and -log det(I - t B) = sum_p tr(B^p) t^p / p, coefficient by coefficient,
 
     tr B^p = tr A^p - p c_p,      log(1 + s(t)) = sum_p c_p t^p,      c_p = a_(p-1) - sum_(k<p) (k/p) c_k a_(p-k-1).
 
-In the eigenbasis of M the a_k of all candidates are one matrix product.
+In the eigenbasis of M the a_k of all candidates are one matrix product. After an exchange of
+row i for row j, with the resolvent r_ij(t) = sum_k t^k x_i^T M^-(k+1) x_j,
+
+    det(M' - t 1) / det(M - t 1) = (1 - r_ii(t)) (1 + r_jj(t)) + r_ij(t)^2 = q(t),
+    tr M'^-p = tr M^-p - p [t^p] log q(t).
 
 The extreme eigenvalues give log phi = a log l_min - b log l_max. With b = 0 it is
 concave, because l_min(M') <= z^T M' z for any unit z. With b > 0 it is not;
@@ -38,12 +42,12 @@ import numpy as np
 from oed.base import Array
 from oed.design.forms.protocol import (
     Criterion,
-    FastSearch,
     Support,
     is_positive_definite,
     weight_gradient,
 )
 from oed.design.forms.variance import variance_reduction
+from oed.design.pairs import Pairs
 
 #: decimal digits of 16 that the power series may lose; beyond, the eigenvalues of a
 #: shortlist are computed
@@ -56,11 +60,19 @@ POWERS = (1.0, 2.0, 4.0, 8.0, 16.0)
 #: power that stands for the least eigenvalue where poses are polished: higher ones bend
 #: so sharply that IPOPT's quasi-Newton matrix does not follow
 POLISHED_POWER = 8.0
+#: powers that guide a search for the least eigenvalue: each costs a product of all pairs
+GUIDING_POWERS = (1.0, 2.0, 4.0)
+#: power of the means whose gradient stands for those of the extreme eigenvalues
+GRADIENT_POWER = 4.0
 #: number of candidates whose eigenvalues are computed
 SHORTLIST_SIZE = 24
 #: eigenvalues of the ranks are raised to at least this share of the largest: below,
 #: squares of their reciprocals would be rounding alone
 RANK_FLOOR = 1e-9
+#: factor of det M below which an exchange counts as singular
+SINGULAR_FACTOR = 1e-9
+#: stands for the trace after such an exchange: more than any other
+SINGULAR_TRACE = 1e200
 #: an eigenvalue below this share of the largest is rounding
 SINGULAR_TOLERANCE = 1e-15
 
@@ -141,6 +153,12 @@ class PowerMean(Criterion):
             return np.asarray(values)
         return evaluate_shortlist(self.eigenvalue_log_phi, m, blocks, values)
 
+    def exchange_values(self, pairs: Pairs) -> Array:
+        """By the power series for single rows and whole powers, else by a shortlist."""
+        if not float(self.p).is_integer() or pairs.blocks.shape[1] > 1:
+            return super().exchange_values(pairs)
+        return -traces_after_exchange(pairs, int(self.p))
+
     def conventional_value(self, value: float, readings: int) -> float:
         """phi."""
         return float(np.exp(value))
@@ -196,6 +214,54 @@ def trace_after_adding(
         earlier = np.einsum("kc,kc->c", mc[: m - 1], a[: m - 1][::-1])
         mc[m - 1] = m * a[m - 1] - earlier
     return np.asarray(np.sum(relative**p) - mc[p - 1])
+
+
+def traces_after_exchange(pairs: Pairs, p: int) -> Array:
+    """l^p tr M'^-p (N, C) of all exchanges of single rows, with the least eigenvalue l of M.
+
+    `SINGULAR_TRACE` where an exchange leaves a direction undetermined.
+    """
+    eigenvalues, vectors = np.linalg.eigh(pairs.m)
+    eigenvalues = np.maximum(eigenvalues, RANK_FLOOR * eigenvalues[-1])
+    to_white = vectors / np.sqrt(eigenvalues)
+    chosen, others = pairs.chosen[:, 0] @ to_white, pairs.blocks[:, 0] @ to_white
+    relative = eigenvalues[0] / eigenvalues
+    q = _determinant_series(chosen, others, relative, p)
+    regular = q[0] > SINGULAR_FACTOR
+    factor = np.where(regular, q[0], 1.0)
+    sums: list[Array] = []  # of powers of what det M' adds to tr M^-p
+    scaled = [term / factor for term in q[1:]]
+    for order, term in enumerate(scaled, start=1):
+        power_sum = order * term
+        for k, earlier in enumerate(sums, start=1):
+            power_sum -= earlier * scaled[order - k - 1]
+        sums.append(power_sum)
+    traces = np.sum(relative**p) - sums[-1]
+    return np.where(regular & (traces > 0.0), traces, SINGULAR_TRACE)
+
+
+def _determinant_series(
+    chosen: Array, others: Array, relative: Array, p: int
+) -> list[Array]:
+    """Coefficients (N, C) of q up to t^p, for t in units of the least eigenvalue.
+
+    chosen (N, n) and others (C, n) are rows whitened by M; relative (n,) has the least
+    eigenvalue over each one.
+    """
+    scales = relative[:, None] ** np.arange(p + 1)
+    cross = [(chosen * scales[:, k]) @ others.T for k in range(p + 1)]
+    leaving, coming = -(chosen**2) @ scales, others**2 @ scales
+    leaving[:, 0] += 1.0
+    coming[:, 0] += 1.0
+    series = []
+    for order in range(p + 1):
+        term = leaving[:, : order + 1] @ coming[:, order::-1].T
+        for k in range((order + 1) // 2):
+            term += 2.0 * cross[k] * cross[order - k]
+        if order % 2 == 0:
+            term += cross[order // 2] ** 2
+        series.append(term)
+    return series
 
 
 # -- shortlists ----------------------------------------------------------------------
@@ -262,11 +328,6 @@ class ExtremeEigenvalues(Criterion):
         """Whether only the least eigenvalue counts."""
         return self.largest == 0.0
 
-    @property
-    def fast_search(self) -> FastSearch:
-        """Tabu search by the least eigenvalue."""
-        return "least eigenvalue" if self.concave else "none"
-
     def value(self, m: Array) -> float:
         """a log l_min - b log l_max."""
         eigenvalues = np.asarray(np.linalg.eigvalsh(m), dtype=float)
@@ -319,6 +380,21 @@ class ExtremeEigenvalues(Criterion):
             return (*(PowerMean(p) for p in POWERS), self)
         smoothed = [dataclasses.replace(self, p=p) for p in POWERS[1:]]
         return (PowerMean(1.0), *smoothed, self)
+
+    @property
+    def guides(self) -> tuple[Criterion, ...]:
+        """Power means of low powers: an exchange raises one least eigenvalue of several."""
+        return tuple(PowerMean(p) for p in GUIDING_POWERS) if self.concave else (self,)
+
+    def gradient_matrix(self, m: Array) -> Array:
+        """That of power means of both ends."""
+        eigenvalues, vectors = np.linalg.eigh(m)
+        eigenvalues = np.maximum(eigenvalues, RANK_FLOOR * eigenvalues[-1])
+        power = min(self.p, GRADIENT_POWER)
+        low = (eigenvalues / eigenvalues[0]) ** -power
+        high = (eigenvalues / eigenvalues[-1]) ** power
+        shares = self.least * low / low.sum() - self.largest * high / high.sum()
+        return np.asarray((vectors * (shares / eigenvalues)) @ vectors.T)
 
     @property
     def polished(self) -> Criterion | None:

@@ -18,17 +18,19 @@ carry all design methods:
 from __future__ import annotations
 
 import abc
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from oed.base import Array, Index
 from oed.design.blocks import project_on_estimable
-
-FastSearch = Literal["none", "volume", "mean variance", "least eigenvalue"]
+from oed.design.pairs import Pairs
+from oed.linear_algebra import symmetric_inverse
 
 #: number of candidates whose products are in memory at once: 500 MB of 1000 columns
 CANDIDATES_AT_ONCE = 65536
+#: number of exchanges whose values are computed one by one
+SHORTLIST_PAIRS = 8
 
 
 class Support(NamedTuple):
@@ -72,19 +74,9 @@ class Criterion(abc.ABC):
         return False
 
     @property
-    def fast_search(self) -> FastSearch:
-        """The search by closed formulas that serves the criterion."""
-        return "none"
-
-    @property
     def starts_from_own_plan(self) -> bool:
         """Whether a greedy plan by the criterion begins a search, beside one by D."""
         return True
-
-    @property
-    def block_rounds(self) -> int:
-        """Rounds of search for each that is asked for, for candidates of several rows."""
-        return 1
 
     @property
     def log_size(self) -> int:
@@ -123,6 +115,25 @@ class Criterion(abc.ABC):
         """log phi(M + X_i^T X_i) (C,); -inf for candidates outside a shortlist."""
         return np.array([self.value(m + block.T @ block) for block in blocks])
 
+    def gradient_matrix(self, m: Array) -> Array:
+        """S (n, n) with d log phi = tr(S dM) at M, or near it where phi is smoothed."""
+        root = self.support(m).root
+        return np.asarray(root @ root.T)
+
+    def exchange_values(self, pairs: Pairs) -> Array:
+        """An increasing function (N, C) of log phi after each exchange; -inf off a shortlist.
+
+        The shortlist holds the exchanges by which the mean variance with the criterion's
+        gradient falls most.
+        """
+        weighted = self.gradient_matrix(pairs.m)
+        falls = pairs.reductions(symmetric_inverse(pairs.m), weighted).ravel()
+        size = min(SHORTLIST_PAIRS, len(falls))
+        values = np.full(len(falls), -np.inf)
+        for pair in np.argpartition(-falls, size - 1)[:size]:
+            values[pair] = self.value(pairs.information_after(int(pair)))
+        return values.reshape(len(pairs.chosen), len(pairs.blocks))
+
     # -- other criteria that follow from it --------------------------------------------
 
     @abc.abstractmethod
@@ -144,6 +155,11 @@ class Criterion(abc.ABC):
         """The criterion over the directions (n, r) that rows (N, n) determine, and these."""
         basis = project_on_estimable(rows[:, None], None)[1]
         return self.restrict(basis), basis
+
+    @property
+    def guides(self) -> tuple[Criterion, ...]:
+        """Criteria that lead a search to this one, the smoothest first."""
+        return self.continuation()
 
     @property
     def relaxed(self) -> Criterion:

@@ -28,13 +28,14 @@ import numpy as np
 from oed.base import Array, Index
 from oed.design.forms.protocol import (
     Criterion,
-    FastSearch,
     Support,
     inner_products,
     is_positive_definite,
     pairwise_traces,
+    quadratic_forms,
     weight_gradient,
 )
+from oed.design.pairs import Pairs
 from oed.linear_algebra import symmetric_inverse
 
 #: exponents that lead from the mean variance to the largest, whose error is then
@@ -53,11 +54,6 @@ class Variance(Criterion):
 
     factor: Array
     name: str = "I"
-
-    @property
-    def fast_search(self) -> FastSearch:
-        """Rank-one updates."""
-        return "mean variance"
 
     def value(self, m: Array) -> float:
         """-log tr(W M^-1)."""
@@ -94,6 +90,12 @@ class Variance(Criterion):
         t = float(np.sum(projected * self.factor.T))
         reduction = variance_reduction(blocks, inverted, projected @ projected.T)
         return -np.log(np.maximum(t - reduction, 1e-300))
+
+    def exchange_values(self, pairs: Pairs) -> Array:
+        """By how much each exchange lowers the mean variance."""
+        inverse = symmetric_inverse(pairs.m)
+        side = inverse @ self.factor.T
+        return pairs.reductions(inverse, side @ side.T)
 
     def conventional_value(self, value: float, readings: int) -> float:
         """-tr(W M^-1)."""
@@ -139,10 +141,12 @@ def variance_reduction(blocks: Array, inverted: Array, weighted: Array) -> Array
 
     With P = M^-1 and T = M^-1 W M^-1: how much each block lowers tr(W M^-1).
     """
+    if blocks.shape[1] == 1:
+        rows = blocks[:, 0]
+        leverage = quadratic_forms(rows, inverted)
+        return quadratic_forms(rows, weighted) / (1.0 + leverage)
     numerator = inner_products(blocks, weighted)
     leverage = inner_products(blocks, inverted)
-    if blocks.shape[1] == 1:
-        return numerator[:, 0, 0] / (1.0 + leverage[:, 0, 0])
     identity = np.eye(blocks.shape[1])
     solved = np.linalg.solve(leverage + identity, numerator)
     return np.asarray(np.trace(solved, axis1=1, axis2=2))

@@ -1,4 +1,4 @@
-"""Stages of a plan: exchange of readings, profiled unknowns, and what rounding may do."""
+"""Stages of a plan: profiled unknowns, and what rounding may do."""
 
 import dataclasses
 
@@ -7,58 +7,9 @@ import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
 from oed.design.forms.protocol import pairwise_traces
-from oed.design.row_exchange import MIN_OWN_SHARE, RowExchange
 from oed.linear_algebra import symmetric_root
 from oed.planning import Goal, Option
 from oed.planning.prediction import profile
-
-
-def variance(problem: RowExchange, chosen: list[int]) -> float:
-    """The variance of a design, from the inverse of its information."""
-    rows = problem.rows[chosen]
-    covariance = np.linalg.inv(problem.base + rows.T @ rows)
-    return float(np.trace(problem.factor @ covariance @ problem.factor.T))
-
-
-def row_problem(rng: np.random.Generator, size: int = 14) -> RowExchange:
-    """Candidates of which some determine a direction alone, far beyond the prior."""
-    rows = rng.standard_normal((size, 4)) * 10.0 ** rng.uniform(0.0, 3.0, (size, 1))
-    base = np.diag(rng.uniform(1.0, 5.0, 4))
-    return RowExchange(rows, rng.standard_normal((3, 4)), base)
-
-
-def test_greedy_choice_adds_the_best_row_of_all(rng: np.random.Generator) -> None:
-    for _ in range(10):
-        problem = row_problem(rng)
-        chosen = list(problem.select_greedily(5))
-        for count in range(5):
-            taken = chosen[:count]
-            rest = [i for i in range(len(problem.rows)) if i not in taken]
-            best = min(variance(problem, [*taken, i]) for i in rest)
-            value = variance(problem, chosen[: count + 1])
-            assert value == pytest.approx(best, rel=1e-7)
-
-
-def test_no_exchange_of_one_row_improves_the_design(rng: np.random.Generator) -> None:
-    exact = 0
-    for _ in range(10):
-        problem = row_problem(rng)
-        start = rng.choice(len(problem.rows), size=4, replace=False)
-        chosen = list(problem.exchange(start, 50))
-        value = variance(problem, chosen)
-        assert value <= variance(problem, list(start)) * (1 + 1e-12)
-        assert len(set(chosen)) == 4
-        for place in range(4):
-            others = chosen[:place] + chosen[place + 1 :]
-            rest = [i for i in range(len(problem.rows)) if i not in chosen]
-            values = [variance(problem, [*others, i]) for i in rest]
-            assert min(values) >= value * (1 - 1e-8)
-        rows = problem.rows[chosen]
-        inverse = np.linalg.inv(problem.base + rows.T @ rows)
-        share = 1.0 - np.einsum("in,nm,im->i", rows, inverse, rows)
-        exact += int((share < MIN_OWN_SHARE).sum())
-    # rows that are taken out by an inverse of their own are among them
-    assert exact > 0
 
 
 def test_profiled_unknowns_leave_the_rows_of_the_joint_inverse(
