@@ -82,6 +82,8 @@ def _plans(count: int, size: int, part: int) -> Iterator[Index]:
 
 #: a plan whose log phi is within this of the bound is proven optimal
 PROVEN_TOLERANCE = 1e-7
+#: log phi by which a bound must stay below what no information exceeds: less is no news
+TRIVIAL_MARGIN = 1e-2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -361,7 +363,14 @@ def _guiding_criterion(
 def _bound_of(
     blocks: Array, criterion: Criterion, rules: Rules, base: Array
 ) -> Relaxation | None:
-    """The bound of a criterion that is not smooth; None where none is known."""
+    """The bound of a criterion that is not smooth.
+
+    None where none is known, or where it only says what holds for all candidates:
+    weights of many candidates reach a condition number of 1.
+    """
     if criterion.concave:
         return bound(blocks, criterion, rules, base)
-    return condition_bound(blocks, criterion, rules, base)
+    upper = condition_bound(blocks, criterion, rules, base)
+    if upper is None or upper.bound > criterion.ceiling - TRIVIAL_MARGIN:
+        return None
+    return upper

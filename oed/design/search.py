@@ -36,10 +36,12 @@ MIN_GAIN = 1e-10
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
 #: other for ever
 MAX_SWEEPS = 50
-#: steps of the tabu search that stand for one round
-STEPS_PER_ROUND = 100
-#: steps for each place of each plan, at the least
-STEPS_PER_PLACE = 5
+#: steps of the tabu search that stand for one round, a place of the plan
+STEPS_PER_PLACE = 4
+#: the same for all places, at the most: tables of all pairs grow with the places
+MAX_STEPS_PER_ROUND = 120
+#: steps that a plan needs for each of its places until it is near a local optimum
+STEPS_OF_DESCENT = 5
 #: number of readings that one restart replaces, at the most: more would be a new plan
 MAX_REPLACED = 6
 #: probability that a restart replaces a whole set-up instead
@@ -260,11 +262,9 @@ class _Restarts:
         self, weights: Array, rounds: int, starts: Sequence[Index]
     ) -> Index:
         """The best plan of a tabu search from given and drawn plans."""
-        evaluator, steps = self.exchange.evaluator, STEPS_PER_ROUND * rounds
-        plans = max(
-            len(starts),
-            min(tabu.MAX_PLANS, steps // (STEPS_PER_PLACE * len(starts[0]))),
-        )
+        evaluator, places = self.exchange.evaluator, len(starts[0])
+        steps = rounds * min(STEPS_PER_PLACE * places, MAX_STEPS_PER_ROUND)
+        plans = min(tabu.MAX_PLANS, steps // (STEPS_OF_DESCENT * places))
         drawn = [self._draw(weights) for _ in range(len(starts), plans)]
         best = evaluator.search_pairs(np.array([*starts, *drawn]), steps, self.rng)
         return self.exchange.sweep_until_stable(best, evaluator.levels - 1)

@@ -34,7 +34,7 @@ MAX_PLANS = 16
 #: rows of the candidates that a plan exchanges with, at the least
 NEAR_ROWS = 200
 #: candidates that a plan exchanges with, for each of its places
-NEAR_PER_PLACE = 8
+NEAR_PER_PLACE = 4
 #: steps after which these are sought anew: a few rows change which others complete a plan
 STEPS_NEAR = 5
 #: most steps for which a candidate, or a place, rests, in turn for the plans: short rests

@@ -382,6 +382,11 @@ class ExtremeEigenvalues(Criterion):
         return (PowerMean(1.0), *smoothed, self)
 
     @property
+    def ceiling(self) -> float:
+        """0 for the condition number, which is at least 1."""
+        return 0.0 if self.least == self.largest else np.inf
+
+    @property
     def guides(self) -> tuple[Criterion, ...]:
         """Power means of low powers: an exchange raises one least eigenvalue of several."""
         return tuple(PowerMean(p) for p in GUIDING_POWERS) if self.concave else (self,)

@@ -79,6 +79,11 @@ class Criterion(abc.ABC):
         return True
 
     @property
+    def ceiling(self) -> float:
+        """log phi that no information exceeds, whatever the candidates."""
+        return np.inf
+
+    @property
     def log_size(self) -> int:
         """Factor of log phi in the logarithm that users know: directions, for log det."""
         return 1

@@ -228,3 +228,15 @@ def test_the_value_is_the_criterions() -> None:
     information = rows[choice.indices].T @ rows[choice.indices]
     log_det = np.linalg.slogdet(information)[1]
     assert choice.value == pytest.approx(log_det, abs=1e-10)
+
+
+def test_a_condition_number_has_a_bound_only_where_it_says_something() -> None:
+    """Weights of many normal rows reach 1, which bounds nothing; here they do not."""
+    rng = np.random.default_rng(2)
+    many = exchange.choose(rng.standard_normal((60, 3)), 8, rng, "kappa")
+    assert many.bound is None
+    assert many.efficiency is None
+    stretched = rng.standard_normal((60, 3)) * [1.0, 1.0, 0.01]
+    choice = exchange.choose(stretched, 8, rng, "kappa")
+    assert choice.bound is not None
+    assert 1.1 < choice.bound <= choice.value

@@ -1,0 +1,209 @@
+"""Proven optima of small and middle designs, and how far this project's plans are from them.
+
+    python benchmarks/exact_designs.py [--seed N]
+
+Twelve small instances (3 columns) by A, I and G are closed by a mixed-integer linear program
+with HiGHS (Harman and Rosa 2025): with the covariance S = M^-1 as variables,
+
+    sum_i w_i x_i x_i^T S = 1,    z_i = w_i S  by McCormick's inequalities,
+
+within bounds of S that every plan as good as the known one keeps. Eight middle ones (5 and
+6 columns) by A and I are closed by branch and bound on the relaxation (Ahipasaoglu 2021),
+`oed.design.branch`, whose bounds rest on dual points. The gap is the relative excess of the
+plan's variance. Seeds are drawn at run time, and printed.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
+
+import argparse
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, sparse
+
+from oed.design import CRITERIA, Criterion, branch, choose
+from peers import processor_seconds
+
+#: candidates, columns and readings of the small and of the middle instances
+SMALL, MIDDLE = (14, 3, 5), ((40, 5, 9), (40, 6, 10))
+#: seconds for a program of HiGHS, and nodes of a tree
+TIME_LIMIT, MAX_NODES = 120.0, 4000
+#: relative difference of variances that counts as none
+EQUAL = 1e-6
+
+
+class Instance(NamedTuple):
+    """Rows (C, n) of which `size` are chosen; `accuracy` (J, r, n) of I and G."""
+
+    criterion: str
+    rows: np.ndarray
+    size: int
+    accuracy: np.ndarray
+
+    @property
+    def weights(self) -> np.ndarray:
+        """W_j (J, n, n): the criterion is the largest tr(W_j S)."""
+        n = self.rows.shape[1]
+        products = np.swapaxes(self.accuracy, 1, 2) @ self.accuracy
+        if self.criterion == "G":
+            return products
+        mean = np.eye(n) if self.criterion == "A" else products.mean(axis=0)
+        return mean[None]
+
+    def variance(self, chosen: np.ndarray) -> float:
+        """The largest tr(W_j S) of a plan."""
+        rows = self.rows[chosen]
+        covariance = np.linalg.inv(rows.T @ rows)
+        return float(np.einsum("jab,ab->j", self.weights, covariance).max())
+
+
+def draw(criterion: str, shape: tuple[int, int, int], seed: int) -> Instance:
+    """Normal rows, and four normal poses of two components."""
+    rng = np.random.default_rng(seed)
+    count, n, size = shape
+    rows = rng.standard_normal((count, n))
+    return Instance(criterion, rows, size, rng.standard_normal((4, 2, n)))
+
+
+def covariance_bounds(instance: Instance, known: float) -> np.ndarray:
+    """|S_ab| (n, n), at the most, of every plan with at most the variance `known`.
+
+    tr S <= tr(W S) / lambda_min(W) for the mean W of the W_j.
+    """
+    mean = instance.weights.mean(axis=0)
+    most = known / np.linalg.eigvalsh(mean)[0]
+    squares = np.sort(instance.rows**2, axis=0)[-instance.size :].sum(axis=0)
+    least = 1.0 / squares  # of each variance: S_aa >= 1 / M_aa
+    largest = np.minimum(most, most - least.sum() + least)
+    # |S_ab|^2 <= S_aa S_bb, and S_aa + S_bb is at most the trace
+    bounds = np.minimum(np.sqrt(np.outer(largest, largest)), most / 2.0)
+    np.fill_diagonal(bounds, largest)
+    return bounds
+
+
+def mixed_integer_optimum(instance: Instance, known: float) -> float:
+    """The least variance by HiGHS; NaN where its time ends first.
+
+    Variables: w (C,), t, S (n (n + 1) / 2), z (C, n (n + 1) / 2).
+    """
+    rows, weights = instance.rows, instance.weights
+    count, n = rows.shape
+    first, second = np.triu_indices(n)
+    entries = len(first)
+    place = np.zeros((n, n), dtype=int)
+    place[first, second] = place[second, first] = np.arange(entries)
+    s0, z0 = count + 1, count + 1 + entries
+    total = z0 + count * entries
+    bounds = covariance_bounds(instance, known)
+    upper = bounds[first, second]
+    lower = np.where(first == second, 0.0, -upper)
+    matrix, low, high = [], [], []
+
+    def add(terms: dict[int, float], least: float, most: float) -> None:
+        line = np.zeros(total)
+        for column, value in terms.items():
+            line[column] += value
+        matrix.append(sparse.csr_array(line[None]))
+        low.append(least)
+        high.append(most)
+
+    for a in range(n):
+        for b in range(n):
+            line = np.zeros(total)
+            for i in range(count):
+                for c in range(n):
+                    line[z0 + i * entries + place[c, b]] += rows[i, a] * rows[i, c]
+            matrix.append(sparse.csr_array(line[None]))
+            low.append(float(a == b))
+            high.append(float(a == b))
+    for weight in weights:
+        multiplicity = np.where(first == second, 1.0, 2.0) * weight[first, second]
+        add(
+            {count: 1.0} | {s0 + e: -multiplicity[e] for e in range(entries)}, 0, np.inf
+        )
+    for i in range(count):
+        for e in range(entries):
+            z, s, up, down = z0 + i * entries + e, s0 + e, upper[e], lower[e]
+            add({z: 1.0, i: -up}, -np.inf, 0.0)
+            add({z: 1.0, i: -down}, 0.0, np.inf)
+            add({z: 1.0, s: -1.0, i: -down}, -np.inf, -down)
+            add({z: 1.0, s: -1.0, i: -up}, -up, np.inf)
+    add({i: 1.0 for i in range(count)}, instance.size, instance.size)
+    integrality = np.zeros(total)
+    integrality[:count] = 1
+    ends = np.full(total, np.inf)
+    ends[:count] = 1.0
+    begins = np.where(integrality > 0, 0.0, -np.inf)
+    begins[s0:z0], ends[s0:z0] = lower, upper
+    cost = np.zeros(total)
+    cost[count] = 1.0
+    solution = optimize.milp(
+        cost,
+        constraints=optimize.LinearConstraint(sparse.vstack(matrix), low, high),
+        integrality=integrality,
+        bounds=optimize.Bounds(begins, ends),
+        options={"time_limit": TIME_LIMIT, "mip_rel_gap": EQUAL / 10},
+    )
+    if solution.status != 0:
+        return np.nan
+    return instance.variance(np.flatnonzero(solution.x[:count] > 0.5))
+
+
+def branched_optimum(instance: Instance) -> float:
+    """The least variance by branch and bound; NaN where its nodes end first."""
+    criterion = _criterion(instance)
+    rng = np.random.default_rng(2)
+    result = branch.solve(instance.rows, instance.size, rng, criterion, nodes=MAX_NODES)
+    if result.bound - result.value > EQUAL:
+        return np.nan
+    return instance.variance(result.indices)
+
+
+def _criterion(instance: Instance) -> Criterion:
+    columns = instance.rows.shape[1]
+    accuracy = None if instance.criterion == "A" else instance.accuracy
+    return CRITERIA.build(instance.criterion, columns, accuracy)
+
+
+def main() -> None:
+    """Print one row an instance, and the largest gap."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, help="drawn where it is left out")
+    seed = parser.parse_args().seed
+    if seed is None:
+        seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seeds = np.random.SeedSequence(seed).generate_state(20)
+    shapes = [("MILP", c, SMALL) for c in "AIG" for _ in range(4)]
+    shapes += [("tree", c, shape) for c in "AI" for shape in MIDDLE for _ in range(2)]
+    print(f"seed {seed}")
+    print(
+        "| by | criterion | candidates | columns | readings | plan | optimum | gap | s |"
+    )
+    print("|" + " --- |" * 9)
+    gaps = []
+    for (method, criterion, shape), drawn in zip(shapes, seeds, strict=True):
+        instance = draw(criterion, shape, int(drawn))
+        rng = np.random.default_rng(1)
+        chosen = choose(instance.rows, instance.size, rng, _criterion(instance)).indices
+        plan = instance.variance(chosen)
+        start = processor_seconds()
+        optimum = (
+            mixed_integer_optimum(instance, plan * (1.0 + EQUAL))
+            if method == "MILP"
+            else branched_optimum(instance)
+        )
+        gap, seconds = plan / optimum - 1.0, processor_seconds() - start
+        gaps.append(gap)
+        size = " | ".join(map(str, shape))
+        values = f"{plan:.5f} | {optimum:.5f} | {gap:.1e} | {seconds:.1f}"
+        print(f"| {method} | {criterion} | {size} | {values} |", flush=True)
+    closed = np.array([g for g in gaps if np.isfinite(g)])
+    print(f"closed: {len(closed)} of {len(gaps)}; largest gap {closed.max():.1e}")
+
+
+if __name__ == "__main__":
+    main()
