@@ -199,8 +199,8 @@ def run_problem_a(rows: np.ndarray, limit: float) -> list[Row]:
     return [
         relax(rows),
         *(solve(rows, SIZE, RELAXED_D, name, limit) for name in SOLVERS),
-        choose_rows(rows, "D", 10),
-        choose_rows(rows, "D", 100),
+        choose_rows(rows, "D", 5),
+        choose_rows(rows, "D", 20),
         choose_greedily(rows),
         relax_e(rows),
         choose_rows(rows, "E", 3),
