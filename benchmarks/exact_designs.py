@@ -20,6 +20,7 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
 import argparse
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -111,15 +112,10 @@ def mixed_integer_optimum(instance: Instance, known: float) -> float:
         low.append(least)
         high.append(most)
 
-    for a in range(n):
-        for b in range(n):
-            line = np.zeros(total)
-            for i in range(count):
-                for c in range(n):
-                    line[z0 + i * entries + place[c, b]] += rows[i, a] * rows[i, c]
-            matrix.append(sparse.csr_array(line[None]))
-            low.append(float(a == b))
-            high.append(float(a == b))
+    for line, right in _identity(rows, place, z0, total):
+        matrix.append(sparse.csr_array(line[None]))
+        low.append(right)
+        high.append(right)
     for weight in weights:
         multiplicity = np.where(first == second, 1.0, 2.0) * weight[first, second]
         add(
@@ -151,6 +147,19 @@ def mixed_integer_optimum(instance: Instance, known: float) -> float:
     if solution.status != 0:
         return np.nan
     return instance.variance(np.flatnonzero(solution.x[:count] > 0.5))
+
+
+def _identity(
+    rows: np.ndarray, place: np.ndarray, z0: int, total: int
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Coefficients (total,) and right side of each entry of sum_i x_i x_i^T z_i = 1."""
+    count, n = rows.shape
+    entries = n * (n + 1) // 2
+    for a, b in np.ndindex(n, n):
+        line = np.zeros(total)
+        for i in range(count):
+            np.add.at(line, z0 + i * entries + place[:, b], rows[i, a] * rows[i])
+        yield line, float(a == b)
 
 
 def branched_optimum(instance: Instance) -> float:

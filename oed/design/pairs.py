@@ -138,8 +138,8 @@ class _Leaving(NamedTuple):
     def sums(self, blocks: Array, inverse: Array) -> Array:
         """1 + L_ij (N, C, k, k)."""
         g = self.crossed(blocks, self.rows)
-        own = blocks @ inverse @ np.swapaxes(blocks, 1, 2) + np.eye(blocks.shape[1])
-        return np.swapaxes(g, 2, 3) @ g + own
+        coming = blocks @ inverse @ np.swapaxes(blocks, 1, 2) + np.eye(blocks.shape[1])
+        return np.swapaxes(g, 2, 3) @ g + coming
 
     def weighted_sums(
         self, chosen: Array, blocks: Array, weighted: Array
@@ -150,8 +150,8 @@ class _Leaving(NamedTuple):
         g = self.crossed(blocks, self.rows)
         h = self.crossed(blocks, sides.reshape(-1, weighted.shape[0]))
         mixed = np.swapaxes(g, 2, 3) @ (h + 0.5 * v[:, None] @ g)
-        own = blocks @ weighted @ np.swapaxes(blocks, 1, 2)
-        total = own + mixed + np.swapaxes(mixed, 2, 3)
+        coming = blocks @ weighted @ np.swapaxes(blocks, 1, 2)
+        total = coming + mixed + np.swapaxes(mixed, 2, 3)
         return total, np.trace(v, axis1=1, axis2=2)
 
 

@@ -105,7 +105,7 @@ def search_plans(
     steps   of all plans together
     """
     copies = find_copies(blocks)
-    problem = _Problem(blocks[copies.first], base, criterion, copies.number)
+    problem = _TabuProblem(blocks[copies.first], base, criterion, copies.number)
     rests = itertools.cycle(MAX_RESTS)
     trails = [_Trail.at(copies.label[s], problem, next(rests)) for s in starts]
     guides = criterion.guides
@@ -129,7 +129,7 @@ def _better_half(trails: list[_Trail]) -> list[_Trail]:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Problem:
+class _TabuProblem:
     """Different candidates (C, k, n), copies (C,) of each, and what plans are judged by."""
 
     blocks: Array
@@ -180,7 +180,7 @@ class _Trail:
     taken: int = 0
 
     @classmethod
-    def at(cls, start: Index, problem: _Problem, max_rest: int) -> _Trail:
+    def at(cls, start: Index, problem: _TabuProblem, max_rest: int) -> _Trail:
         """A plan at its start."""
         free = problem.copies.copy()
         np.subtract.at(free, start, 1)
@@ -190,7 +190,7 @@ class _Trail:
         max_rest = max(1, min(max_rest, most))
         return cls(start.copy(), start.copy(), free, *rests, start[:0], max_rest)
 
-    def note(self, problem: _Problem) -> Array:
+    def note(self, problem: _TabuProblem) -> Array:
         """The plan's information; the plan is kept where it is the best so far."""
         m = problem.information(self.plan)
         value = problem.criterion.value(m)
@@ -199,7 +199,7 @@ class _Trail:
         return m
 
     def step(
-        self, problem: _Problem, guide: Criterion, rng: np.random.Generator
+        self, problem: _TabuProblem, guide: Criterion, rng: np.random.Generator
     ) -> None:
         """Takes the plan's best exchange."""
         m = self.note(problem)
