@@ -1,7 +1,5 @@
 """Equal candidates: the weights that they share, the bound, and the choice among them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

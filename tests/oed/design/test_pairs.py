@@ -1,7 +1,5 @@
 """Formulas for all pairs of an exchange, against a fresh factorisation of each plan."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tabu search and exchange of pairs: all subsets, singular starts, exchanges of many starts."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
