@@ -12,6 +12,7 @@ here, and judge nothing on their own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Final
 
@@ -60,15 +61,15 @@ def accuracy_verdicts(
     wanted: Mapping[str, float] | None = None,
     *,
     geometry_sent: bool = False,
-    larger: Mapping[str, float] | None = None,
+    added: Mapping[str, float] | None = None,
 ) -> dict[str, WantedVerdict]:
     """The verdict on each wanted accuracy of a result, by component.
 
     wanted         {component: rms error in its unit}, of components that are predicted;
                    those of [prediction] by default
     geometry_sent  whether a controller is judged that corrects the geometry alone
-    larger         {component: rms error in its unit} with what a file adds to the predicted
-                   one, by its tables and digits
+    added          {component: rms error in its unit} that a file adds by its tables and
+                   digits: independent of the others, so that mean squares add up
     """
     section = result.judged_prediction
     mixture = None if result.gap is None else result.gap.mixture
@@ -77,13 +78,12 @@ def accuracy_verdicts(
     if section is None:
         return {}
     scope, effects = _scope(result, section), _usual_effects(section)
-    raised = {**effects, **(larger or {})}
+    added = added or {}
     objection, verdicts = _objection(result), {}
     for name, limit in (section.wanted if wanted is None else wanted).items():
         spread = section.components[name].judged
-        factor = 1.0
-        if name in raised and spread.rms > 0.0:
-            factor = max(raised[name] / spread.rms, 1.0)
+        rms = math.hypot(max(effects.get(name, 0.0), spread.rms), added.get(name, 0.0))
+        factor = rms / spread.rms if spread.rms > 0.0 else 1.0
         is_bare = section.mode == "plan" and name not in effects
         holds = GEOMETRY_ALONE if is_bare else scope
         probability = spread.probability_within(limit / factor)
@@ -94,7 +94,7 @@ def accuracy_verdicts(
         verdicts[name] = WantedVerdict(
             judgement=judgement,
             probability=probability,
-            rms=spread.rms * factor,
+            rms=rms,
             wanted=limit,
             unit=spread.unit,
             scope=holds,

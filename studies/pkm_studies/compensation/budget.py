@@ -10,6 +10,7 @@ up. Without additional axes the known errors of what no joint corrects join them
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
@@ -27,6 +28,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
+from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.earlier_result import mixture_of
 from pkm_studies.results import advice_on, error_quantities
@@ -53,9 +55,13 @@ class FileLine:
 
 @dataclasses.dataclass(frozen=True)
 class FileBudget:
-    """A budget with the lines of a file, and what it amounts to, in a sentence."""
+    """A budget with the lines of a file, and what it amounts to, in a sentence.
+
+    added   rms errors that the file adds to the predicted ones, by component
+    """
 
     section: BudgetSection
+    added: Values
     sentence: str
 
 
@@ -78,8 +84,11 @@ def complete_budget(
     if controller.interpolated:
         lines += _interpolation(content, prediction, shown)
     lines += _effect_lines(content, shown)
+    added = _mean_square_sum(lines)
     if corrected is not None and not controller.tables:
         lines.append(_left_out(prediction, _geometry_alone(result, corrected), shown))
+        if mixture_of(result) is None:  # else the effects are in its predicted errors
+            added = _mean_square_sum(lines)
     section = add_lines(budget, lines)
     driven = driven_units(content)
     section = msgspec.structs.replace(
@@ -87,13 +96,44 @@ def complete_budget(
         advice=advice_on(section.lines, section.predicted, driven),
         no_axes=_rms_without_axes(content, prediction, budget, section),
     )
-    exact = error_quantities(budget.predicted, driven)
-    alone = corrected is None and mixture_of(result) is not None
+    sent_alone = not (controller.tables and content.tables)
+    sentence = _accuracy_sentence(result, section, added, driven, sent_alone)
+    axes = _axes_sentence(controller, content, section)
+    return FileBudget(section, added, sentence + axes)
+
+
+def _mean_square_sum(lines: Sequence[FileLine]) -> dict[str, float]:
+    """Rms errors of several independent sources, by component."""
+    return {
+        name: math.hypot(*(line.rms[name] for line in lines)) for name in lines[0].rms
+    }
+
+
+def _accuracy_sentence(
+    result: StudyResult,
+    section: BudgetSection,
+    added: Values,
+    driven: Mapping[str, str],
+    sent_alone: bool,
+) -> str:
+    """The error with the file, as a verdict judges it, and with exact compensation.
+
+    Where that counts effects which the budget does not hold, geometry alone beside it.
+    """
+    limits = dict.fromkeys(driven, math.inf)
+    with_file = accuracy_verdicts(result, limits, geometry_sent=sent_alone, added=added)
+    exact = accuracy_verdicts(result, limits)
+    scopes = ", ".join(dict.fromkeys(v.scope for v in with_file.values()))
+    rms = error_quantities({n: v.rms for n, v in with_file.items()}, driven)
+    least = error_quantities({n: v.rms for n, v in exact.items()}, driven)
     sentence = (
-        f"with this file the predicted rms{' of a machine without effects' * alone} is"
-        f" {error_quantities(section.predicted, driven)}; exact compensation leaves {exact}"
+        f"with this file the predicted rms is {rms}, {scopes};"
+        f" exact compensation leaves {least}"
     )
-    return FileBudget(section, sentence + _axes_sentence(controller, content, section))
+    if scopes == GEOMETRY_ALONE or result.corrected is not None:
+        return sentence
+    alone = error_quantities(section.predicted, driven)
+    return f"{sentence}; geometry alone with this file: {alone}"
 
 
 def _geometry_alone(result: StudyResult, corrected: CorrectedSection) -> Values:

@@ -313,7 +313,7 @@ def export_result(
         *verdict_sentences(
             result,
             corrects_effects=controller.tables and bool(content.tables),
-            with_file={} if whole is None else whole.section.predicted,
+            added={} if whole is None else whole.added,
         ),
     )
     if whole is not None:
@@ -325,14 +325,14 @@ def export_result(
 
 
 def verdict_sentences(
-    result: StudyResult, *, corrects_effects: bool, with_file: Mapping[str, float]
+    result: StudyResult, *, corrects_effects: bool, added: Mapping[str, float]
 ) -> list[str]:
     """The verdict on what the study wants, of the machine with this compensation.
 
-    with_file  {component: rms error in its unit} with the file's tables and digits
+    added  {component: rms error in its unit} of the file's tables and digits
     """
     verdicts = accuracy_verdicts(
-        result, geometry_sent=not corrects_effects, larger=with_file
+        result, geometry_sent=not corrects_effects, added=added
     )
     parts = [
         verdict.sentence(name, v, format_number(v.rms), format_number(v.wanted))

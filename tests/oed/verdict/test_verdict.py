@@ -8,7 +8,7 @@ import report_fixture
 from report_fixture import result_of
 
 from oed.result import SpreadRecord
-from oed.verdict import accuracy_verdicts, judge, overall
+from oed.verdict import WITH_USUAL_EFFECTS, accuracy_verdicts, judge, overall
 
 NORMAL = NormalDist(10.0, 2.0)
 SPREAD = SpreadRecord(
@@ -71,6 +71,21 @@ def test_geometry_alone_never_passes() -> None:
     assert verdict_of("corrected", corrected=None, gap=None) == "pass"
     assert verdict_of("identified", corrected=None, gap=None) == "cannot tell"
     assert verdict_of("plan", corrected=None, gap=None) == "cannot tell"
+
+
+def test_a_file_adds_to_the_usual_effects() -> None:
+    """Mean squares add up: 30 um with usual effects and 40 um of a file's digits are 50."""
+    raw = report_fixture.sample()
+    names = list(raw["prediction"]["components"])
+    usual = {"effects": ["e"], "unmodelled": dict.fromkeys(names, 0.0), "fitted": {}}
+    usual["unmodelled"]["z"] = 3e4
+    budget = {"predicted": {}, "lines": [], "usual": usual}
+    raw["prediction"] |= {"mode": "plan", "wanted": {}, "budget": budget}
+    raw |= {"corrected": None, "gap": None}
+    result = result_of(raw)
+    [verdict] = accuracy_verdicts(result, {"z": math.inf}, added={"z": 4e4}).values()
+    assert verdict.rms == pytest.approx(5e4)
+    assert verdict.scope == WITH_USUAL_EFFECTS
 
 
 def test_an_older_result_is_judged_by_its_interval() -> None:

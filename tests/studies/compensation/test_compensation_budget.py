@@ -22,7 +22,10 @@ from oed.result import (
     ComponentAccuracy,
     PredictionSection,
     SpreadRecord,
+    UsualEffects,
 )
+from oed.verdict import SCOPE_WORDS, WITH_USUAL_EFFECTS
+from pkm_reports import first_lines
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 
@@ -165,7 +168,39 @@ def test_a_budget_without_effects_is_not_that_over_all_answers(
     assert main(["compensate", str(folder), "--to", "json", *few]) == 0
     printed = capsys.readouterr().out
     assert "Predicted rms over all answers: " in printed
-    assert "With this file the predicted rms of a machine without effects is" in printed
+    [sentence] = [line for line in printed.splitlines() if "With this file" in line]
+    counted, alone = sentence.split("; geometry alone with this file: ")
+    assert "rms is z 66 um" in counted
+    assert SCOPE_WORDS["mixture"] in counted
+    assert alone.startswith("z 10 um")
+
+
+def test_usual_effects_count_as_on_the_first_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """30 um with usual effects where geometry alone leaves 10: one figure for both."""
+    folder, few = tmp_path / "out", ("--commands", "120")
+    exported(folder, np.array([10.0, 5.0, 5.0]), "json", options=few)
+    result = load_result(folder)
+    section = result.prediction
+    assert section is not None
+    assert section.budget is not None
+    errors = dict.fromkeys(NAMES, 30.0)
+    budget = msgspec.structs.replace(
+        section.budget, usual=UsualEffects(["home_reference"], errors, errors)
+    )
+    section = msgspec.structs.replace(section, mode="plan", budget=budget)
+    sample.save(folder, msgspec.structs.replace(result, prediction=section))
+    capsys.readouterr()
+    assert main(["compensate", str(folder), "--to", "json", *few]) == 0
+    printed = capsys.readouterr().out
+    [sentence] = [line for line in printed.splitlines() if "With this file" in line]
+    assert f"rms is z 30 um, psi 30 arcsec, theta 30 arcsec, {WITH_USUAL_EFFECTS}" in (
+        sentence
+    )
+    assert "geometry alone with this file: z 10 um" in sentence
+    first = " ".join(first_lines(load_result(folder)).sentences)
+    assert "predicted to be z 30 um" in first
 
 
 def read_table(folder: Path) -> tuple[list[np.ndarray], np.ndarray]:
