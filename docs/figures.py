@@ -13,10 +13,8 @@ from matplotlib.figure import Figure
 
 from oed.result import StudyResult
 from pkm_reports import style
-from pkm_reports.sections import accuracy, kappa
-from pkm_reports.sections.figures import machine
-from pkm_reports.sections.gap import chapter
-from pkm_studies.results.stored_result import load_result
+from pkm_reports.sections import accuracy, gap, identifiability, machine_figures
+from pkm_studies.results import load_result
 
 DPI = 110
 
@@ -24,12 +22,12 @@ DPI = 110
 def pictures(result: StudyResult) -> dict[str, Figure]:
     """Figures of a result by the name of their file; of a diagnosis, its circles alone."""
     if result.gap is not None:
-        return {"a3_gap": chapter.draw_circles(result.gap.traces)}
+        return {"a3_gap": gap.draw_circles(result.gap.traces)}
     drawn: dict[str, Figure] = {}
     if result.drawing is not None:
-        drawn["a3_plan"] = machine.draw_machine(result.drawing)
+        drawn["a3_plan"] = machine_figures.draw_machine(result.drawing)
     if result.kappa_maps:
-        drawn["a3_kappa"] = kappa.draw_kappa(result.kappa_maps)
+        drawn["a3_kappa"] = identifiability.draw_kappa(result.kappa_maps)
     if result.prediction is not None:
         drawn["a3_accuracy"] = accuracy.draw_components(result.prediction)
     return drawn

@@ -12,7 +12,7 @@ from oed.model import Parameter as Parameter
 from oed.model import PassiveJoint as PassiveJoint
 from oed.model import PointGroup as PointGroup
 from oed.result import StudyResult as StudyResult
-from pkm_studies.base.errors import InputError as InputError
+from pkm_studies.base import InputError as InputError
 from pkm_studies.notebook.notebook import build_study as build_study
 from pkm_studies.notebook.notebook import choose_design as choose_design
 from pkm_studies.notebook.notebook import diagnose as diagnose

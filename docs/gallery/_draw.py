@@ -22,7 +22,7 @@ from oed import units
 from oed.base import Array
 from oed.mechanism import Kinematics
 from pkm_reports import style
-from pkm_reports.sections.figures import scene
+from pkm_reports.sections import machine_figures
 
 HEIGHT, DPI = 3.3, 100  # inches, pixels an inch
 LARGEST = 60_000  # bytes of a picture
@@ -105,11 +105,11 @@ class Picture:
 
     def _fit(self) -> None:
         """One scale on all axes, filling the left half; a legend below its labels."""
-        box = scene.box_around(np.vstack(self._clouds))
+        box = machine_figures.box_around(np.vstack(self._clouds))
         marks, _ = self.scene.get_legend_handles_labels()
         if marks:
             place: Any = {"loc": "lower left", "borderaxespad": 0.3}
             self.figure.legend(handles=marks, ncols=2, **place)
         bottom = 0.10 if marks else 0.02
-        scene.set_axes(self.scene, box)
-        scene.fit_to(self.figure, self.scene, box, (0.02, bottom, 0.50, 0.92))
+        machine_figures.set_axes(self.scene, box)
+        machine_figures.fit_to(self.figure, self.scene, box, (0.02, bottom, 0.50, 0.92))

@@ -153,6 +153,14 @@ class ReadingsColumn:
         return cls(name, stem, units.si_unit(unit), units.factor(unit))
 
     @classmethod
+    def stem_of(cls, name: str) -> str:
+        """Stem of a column's name; the name itself where it has no known unit."""
+        try:
+            return cls.parse(name).stem
+        except units.UnitError:
+            return name
+
+    @classmethod
     def of(cls, stem: str, si: str) -> ReadingsColumn:
         """The column in which a quantity is written: `z_mm`, `psi_deg`, `direction`."""
         if stem in UNITLESS:

@@ -549,17 +549,16 @@ def propagate(
     rng: np.random.Generator,
     *,
     reference: Reference = "home",
-    compensated: bool = True,
     start: Array | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> PlanRealisation:
     """Propagate virtual machines through the stages.
 
-    command      (n, n_dof) workspace commands at which errors are evaluated, SI
-    compensated  whether the controller receives what each stage identifies; else it
-                 stays nominal, and so do the readings that it expects
-    start        (n, n) covariance of the machine before, in units of the tolerances;
-                 by default the tolerances. Machines are drawn about the nominal one
+    The controller receives what each stage identifies.
+
+    command  (n, n_dof) workspace commands at which errors are evaluated, SI
+    start    (n, n) covariance of the machine before, in units of the tolerances; by
+             default the tolerances. Machines are drawn about the nominal one
 
     Raises ValueError where there is no stage or no machine, IdentificationError where a
     fit does not converge.
@@ -571,7 +570,7 @@ def propagate(
         )
     measurement = stages[0].option.measurement
     workspace = WorkspaceErrors.of(measurement, command, reference)
-    propagation = _Propagation(prepare_stages(stages), workspace, compensated, start)
+    propagation = _Propagation(prepare_stages(stages), workspace, start)
     realised: list[list[MachineErrors]] = []
     while len(realised) < machines:
         count = min(MACHINES_AT_ONCE, machines - len(realised))
@@ -605,7 +604,6 @@ def _summary(
 class _Propagation:
     stages: tuple[VirtualStage, ...]
     workspace: WorkspaceErrors
-    compensated: bool
     start: Array | None
 
     def carry_out(
@@ -613,8 +611,7 @@ class _Propagation:
     ) -> list[list[MachineErrors]]:
         """Errors of some virtual machines after each stage, machine by machine."""
         truth, normals = self._draw_machines(machines, rng)
-        held_parameters = np.tile(self.workspace.kinematics.held, (machines, 1))
-        parameters = held_parameters.shape[1]
+        parameters = len(self.workspace.kinematics.held)
         first = self.stages[0].measurement.nominal[:parameters]
         theta = np.tile(first, (machines, 1))
         readings: list[VirtualReadings] = []
@@ -625,16 +622,13 @@ class _Propagation:
             believed = np.tile(measurement.nominal, (machines, 1))
             believed[:, : theta.shape[1]] = theta
             known_truth = truth[:, : believed.shape[1]]
-            expected = np.tile(measurement.nominal, (machines, 1))
-            controller = None
-            if self.compensated:
-                expected, controller = believed, believed[:, :parameters]
-            readings.append(stage.read(known_truth, expected, controller, of_stage))
+            controller = believed[:, :parameters]
+            readings.append(stage.read(known_truth, believed, controller, of_stage))
             theta, covariance = self._identify(readings, believed)
             identified = theta[:, :parameters]
             errors.append(
                 self.workspace.evaluate(
-                    identified if self.compensated else held_parameters,
+                    identified,
                     identified,
                     truth[:, :parameters],
                     covariance[:, :parameters, :parameters],

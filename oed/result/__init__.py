@@ -28,11 +28,6 @@ if TYPE_CHECKING:
         RunCurve,
     )
     from oed.result.gap import (
-        DATA_SHEET,
-        DOUBT_PROBABILITY,
-        GO_AHEAD,
-        MAX_CLASS_NAMES,
-        SURE_PROBABILITY,
         UNKNOWN,
         AnswerRecord,
         ChosenRun,

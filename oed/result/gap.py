@@ -16,16 +16,6 @@ from oed.result.record import Point, Probability, Record, Size
 
 #: an effect of an answer whose form no known effect has
 UNKNOWN = "unknown"
-#: probability from which an answer, or an effect, is sure
-SURE_PROBABILITY = 0.8
-#: probability of effects that show from which one is not excluded
-DOUBT_PROBABILITY = 0.05
-#: members of a class, at most, that are named each
-MAX_CLASS_NAMES = 4
-#: what the scatter of readings is compared with, where they were not taken again
-DATA_SHEET = "data sheet"
-#: what to do where no effect is reported
-GO_AHEAD = "Nothing beyond the geometry and the noise is seen: compensate the geometry."
 
 
 class CompensationName:
@@ -429,6 +419,18 @@ class GapSection(Record, frozen=True):
     mixture   parameters and accuracy over all answers; null where no answer can be used
     """
 
+    #: probability from which an answer, or an effect, is sure
+    SURE_PROBABILITY: ClassVar[float] = 0.8
+    #: probability of effects that show from which one is not excluded
+    DOUBT_PROBABILITY: ClassVar[float] = 0.05
+    #: members of a class, at most, that are named each
+    MAX_CLASS_NAMES: ClassVar[int] = 4
+    #: what the scatter of readings is compared with, where they were not taken again
+    DATA_SHEET: ClassVar[str] = "data sheet"
+    #: what to do where no effect is reported
+    GO_AHEAD: ClassVar[str] = (
+        "Nothing beyond the geometry and the noise is seen: compensate the geometry."
+    )
     #: probability of an effect from which it more likely acts than not
     EVEN_PROBABILITY: ClassVar[float] = 0.5
     #: cost of a missed gap over that of one further test in vain: no gap is reported where

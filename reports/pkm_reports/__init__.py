@@ -8,16 +8,19 @@ A report needs only the result, so it can be written again at any time, with the
 bytes of HTML.
 """
 
-from pkm_reports.comparison import write_comparison
-from pkm_reports.page import write_adjustment_page, write_certificate_page, write_sheet
-from pkm_reports.report import write_report
-from pkm_reports.terminal import first_lines
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "first_lines",
-    "write_adjustment_page",
-    "write_certificate_page",
-    "write_comparison",
-    "write_report",
-    "write_sheet",
-]
+from oed.base import door
+
+if TYPE_CHECKING:
+    from pkm_reports.comparison import write_comparison
+    from pkm_reports.page import (
+        write_adjustment_page,
+        write_certificate_page,
+        write_sheet,
+    )
+    from pkm_reports.report import write_report
+    from pkm_reports.terminal import first_lines
+else:
+    # imported when first used: a terminal's lines need no page and no figures
+    __getattr__ = door(__name__)

@@ -8,25 +8,15 @@ import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, Final
-
-import matplotlib.style
-from matplotlib import font_manager, ft2font
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import (
-    FixedLocator,
-    Formatter,
-    LogLocator,
-    MaxNLocator,
-    NullFormatter,
-    NullLocator,
-)
+from typing import TYPE_CHECKING, Any, Final
 
 from oed.text import shorten
-from pkm_reports import text
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print
 WIDTH: Final = 6.7
@@ -124,34 +114,25 @@ class Image:
 @contextmanager
 def applied() -> Iterator[None]:
     """Draw in this style, whatever the user's own matplotlib settings are."""
+    import matplotlib.style
+
     with matplotlib.style.context(RC, after_reset=True):
         yield
 
 
-class _ReportFigure(Figure):
-    """A figure whose layout is computed without a first drawing that nobody sees."""
-
-    def draw(self, renderer: Any) -> None:
-        """Draw, or compute the layout alone where the file is drawn right after."""
-        engine = self.get_layout_engine()
-        precedes = self.canvas.is_saving() and bool(self.axes)
-        if precedes and isinstance(engine, ConstrainedLayoutEngine):
-            # after a save matplotlib gives its default layout to a figure that had none
-            if any(axes.get_subplotspec() is not None for axes in self.axes):
-                engine.execute(self)
-        else:
-            super().draw(renderer)
-
-
 def figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure, in inches, without pyplot: no window system, no global state."""
-    return _ReportFigure(figsize=(width, height))
+    from pkm_reports.report_figure import ReportFigure
+
+    return ReportFigure(figsize=(width, height))
 
 
 def placed_figure(height: float, width: float = WIDTH) -> Figure:
     """As `figure`, for axes that are placed by hand: no layout moves them."""
+    from pkm_reports.report_figure import ReportFigure
+
     layout: Any = "none"  # which matplotlib's types forget
-    return _ReportFigure(figsize=(width, height), layout=layout)
+    return ReportFigure(figsize=(width, height), layout=layout)
 
 
 def empty(message: str) -> Figure:
@@ -182,6 +163,8 @@ def _saved(drawn: Figure, kind: str, metadata: Mapping[str, None]) -> bytes:
 
 @cache
 def _glyphs() -> frozenset[int]:
+    from matplotlib import font_manager, ft2font
+
     path = font_manager.findfont("DejaVu Sans")
     return frozenset(ft2font.FT2Font(path).get_charmap())
 
@@ -206,19 +189,15 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 # -- axes ------------------------------------------------------------------------------
 
 
-class PlainLog(Formatter):
-    """Labels of a log axis: 0.01, 1, 100, and 10⁻⁶ where that is too long."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        """Label of one tick."""
-        return text.trimmed(x, 3) if x > 0 else ""
-
-
 def log_axis(axes: Axes, which: str) -> None:
     """Give the x or y axis a log scale with plain labels.
 
     A range of under two decades is labelled at 1, 2, 5; a short one evenly.
     """
+    from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+
+    from pkm_reports.report_figure import PlainLog
+
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     low, high = sorted(getattr(axes, f"get_{which}lim")())
@@ -230,7 +209,28 @@ def log_axis(axes: Axes, which: str) -> None:
     if narrow:
         axis.set_minor_locator(NullLocator())
     if high < SHORT * low:
-        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        few_ticks(axis, 5, steps=[1, 2, 5, 10])
+
+
+def few_ticks(axis: Axis, most: int, **options: Any) -> None:
+    """At most so many ticks, at round numbers."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(most, **options))
+
+
+def ticks_every(axis: Axis, step: float) -> None:
+    """Ticks at the multiples of a step."""
+    from matplotlib.ticker import MultipleLocator
+
+    axis.set_major_locator(MultipleLocator(step))
+
+
+def ticks_at(axis: Axis, values: Sequence[float]) -> None:
+    """Ticks at given values alone."""
+    from matplotlib.ticker import FixedLocator
+
+    axis.set_major_locator(FixedLocator(list(values)))
 
 
 def fixed_ticks(
@@ -238,9 +238,9 @@ def fixed_ticks(
 ) -> None:
     """Put ticks at given places with given labels."""
     axis = getattr(axes, f"{which}axis")
-    axis.set_major_locator(FixedLocator(list(places)))
+    ticks_at(axis, places)
     axis.set_ticklabels([label(phrase) for phrase in labels])
-    axis.set_minor_locator(NullLocator())
+    axis.minorticks_off()
 
 
 def hide(panels: Iterable[Axes]) -> None:

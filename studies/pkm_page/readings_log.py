@@ -70,7 +70,7 @@ class FileContent:
     def replace_rows(self, rows: Sequence[Mapping[str, str]]) -> FileContent:
         """With rows at the end; a column that the header lacks is added to it."""
         header = self.header
-        stems = {_stem(name): name for name in header}
+        stems = {ReadingsColumn.stem_of(name): name for name in header}
         placed = [_cells_in_columns(row, stems) for row in rows]
         new = [
             n for n in dict.fromkeys(n for r in placed for n in r) if n not in header
@@ -158,21 +158,13 @@ class ReadingsLog:
         return parse(data)
 
 
-def _stem(name: str) -> str:
-    """Stem of a column's name; the name itself where it has no known unit."""
-    try:
-        return ReadingsColumn.parse(name).stem
-    except ValueError:
-        return name
-
-
 def _cells_in_columns(
     row: Mapping[str, str], stems: Mapping[str, str]
 ) -> dict[str, str]:
     """Cells by the names that a file has for their stems, in its units."""
     placed = {}
     for name, cell in row.items():
-        column = stems.get(_stem(name), name)
+        column = stems.get(ReadingsColumn.stem_of(name), name)
         if column != name and cell:
             factor = (
                 ReadingsColumn.parse(name).factor / ReadingsColumn.parse(column).factor

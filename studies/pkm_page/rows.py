@@ -138,7 +138,11 @@ def reading_cells(
         return {}
     stems = {c.name for c in entry_columns(measurement, setup)}
     filled = {name: cell for name, cell in cells.items() if cell.strip()}
-    return {name: cell for name, cell in filled.items() if _stem(name) in stems}
+    return {
+        name: cell
+        for name, cell in filled.items()
+        if ReadingsColumn.stem_of(name) in stems
+    }
 
 
 def mark_undone(
@@ -232,13 +236,6 @@ def _is_number(cell: str) -> bool:
     return re.fullmatch(r"\d+([.,]\d+)?", cell.strip()) is not None
 
 
-def _stem(name: str) -> str:
-    try:
-        return ReadingsColumn.parse(name).stem
-    except ValueError:
-        return name
-
-
 def _labels(content: FileContent, k: int) -> tuple[str, str]:
     cells = content.cells(k)
     return cells.get("setup", "").strip(), cells.get("run", "").strip()
@@ -255,7 +252,7 @@ def _next_order(content: FileContent, row: Mapping[str, str]) -> int:
 def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
     """A run of the file that begins at a reference's pose."""
     pose = {
-        _stem(name): float(cell) * ReadingsColumn.parse(name).factor
+        ReadingsColumn.stem_of(name): float(cell) * ReadingsColumn.parse(name).factor
         for name, cell in reference.items()
         if cell and name not in ("setup", "run", "order")
     }
@@ -275,9 +272,11 @@ def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
 def _is_at(cells: Mapping[str, str], pose: Mapping[str, float]) -> bool:
     values = {}
     for name, cell in cells.items():
-        if _stem(name) in pose and cell.strip():
+        if ReadingsColumn.stem_of(name) in pose and cell.strip():
             number = float(cell.replace(",", "."))
-            values[_stem(name)] = number * ReadingsColumn.parse(name).factor
+            values[ReadingsColumn.stem_of(name)] = (
+                number * ReadingsColumn.parse(name).factor
+            )
     return values.keys() == pose.keys() and all(
         abs(values[stem] - value) < 1e-9 for stem, value in pose.items()
     )

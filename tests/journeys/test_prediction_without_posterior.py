@@ -15,7 +15,7 @@ from oracles import a3_geometry as a3
 import oed
 from oed.linear_algebra import covariance_root
 from pkm_studies.commands import main
-from pkm_studies.stages.steps import prediction
+from pkm_studies.stages.predict import prediction
 
 
 @pytest.fixture(scope="module")

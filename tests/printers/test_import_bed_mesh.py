@@ -10,7 +10,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 from pkm_printers.bed_mesh import copied_margin
 from pkm_reports import text
 from pkm_reports.blocks import Notice
-from pkm_reports.sections.answer import accuracy
+from pkm_reports.sections import answer
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 from pkm_studies.results import load_result
@@ -94,7 +94,7 @@ def test_a_mesh_confirms_a_correction_or_contradicts_it(tmp_path: Path) -> None:
     assert section.rms_before < 60.0 < section.rms
     assert "probed before the last calibration was saved" in section.words
     assert f"{section.words}." in result.headline
-    assert Notice(text.sentence(section.words)) in accuracy.blocks(result)
+    assert Notice(text.sentence(section.words)) in answer.accuracy_blocks(result)
 
 
 def test_heights_of_a_mesh_as_readings_estimate_the_noise(tmp_path: Path) -> None:

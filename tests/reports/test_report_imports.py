@@ -27,3 +27,24 @@ def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:
     )
     assert "report.html" in done.stdout
     assert done.stdout.splitlines()[-2:] == ["0", "[]"]
+
+
+def test_the_lines_of_a_terminal_load_no_figures(tmp_path: Path) -> None:
+    """A run without a report draws nothing: neither Matplotlib nor templates are loaded."""
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(report_fixture.sample()), encoding="utf-8")
+    code = (
+        "import sys; from pathlib import Path; from pkm_reports import first_lines;"
+        " from pkm_studies.results import load_result;"
+        " lines = first_lines(load_result(Path('.')));"
+        " print(len(lines.sentences) > 0, lines.table is not None,"
+        " sorted({'matplotlib', 'jinja2', 'typst'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+    )
+    assert done.stdout.splitlines() == ["True True []"]

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pkm_studies.catalogue import listing
-from pkm_studies.study import schemas
+from pkm_studies.study import SCHEMAS
 
 ROOT = Path(__file__).resolve().parents[2]
 #: share by which a round number of lines may differ from the median of the files
@@ -56,7 +56,7 @@ def test_lengths_of_files_are_stated_as_they_are(
 
 
 def test_each_field_of_a_study_has_its_meaning_in_the_schema() -> None:
-    tables: dict[str, Any] = schemas.study()["$defs"]
+    tables: dict[str, Any] = SCHEMAS["study"]()["$defs"]
     fields = [
         (table, name, field.get("description"))
         for table, definition in tables.items()

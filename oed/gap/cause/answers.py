@@ -22,11 +22,6 @@ from oed.gap.cause.search import PRIOR, UNSEEN_SHARE, Hypothesis, Search
 from oed.gap.data.diagnosis import AGAIN, ExcessScatter, Verdict
 from oed.gap.data.problem import LACKING, covariate
 from oed.result import (
-    DATA_SHEET,
-    DOUBT_PROBABILITY,
-    GO_AHEAD,
-    MAX_CLASS_NAMES,
-    SURE_PROBABILITY,
     UNKNOWN,
     AnswerRecord,
     GapSection,
@@ -110,7 +105,7 @@ def is_sure(answers: Sequence[AnswerRecord]) -> bool:
     first, *others = answers
     unseen = 0.0 if first.effects else sum(answer.unseen for answer in answers)
     is_alone = not any(answer.visible > 0.0 for answer in others)
-    return is_alone or first.probability + unseen >= SURE_PROBABILITY
+    return is_alone or first.probability + unseen >= GapSection.SURE_PROBABILITY
 
 
 def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
@@ -135,14 +130,14 @@ def _answer_advice(
             sentences.append(_class_advice(members, by_name))
         elif by_name[effect].remedy:
             remedy = f"{effect}: {by_name[effect].remedy}."
-            if probability_of(effect, answers) >= SURE_PROBABILITY:
+            if probability_of(effect, answers) >= GapSection.SURE_PROBABILITY:
                 sentences.append(remedy)
             else:
                 unsure.append(f"If it is {remedy}")
     if answer.effects == (UNKNOWN,):
         acts = (
             "acts"
-            if probability_of(UNKNOWN, answers) >= SURE_PROBABILITY
+            if probability_of(UNKNOWN, answers) >= GapSection.SURE_PROBABILITY
             else "may act"
         )
         sentences.append(
@@ -160,7 +155,7 @@ def _answer_advice(
 
 def _scatter_advice(scatter: ExcessScatter) -> str:
     """The reading that decides what readings beyond their instrument are."""
-    if scatter.against == DATA_SHEET:
+    if scatter.against == GapSection.DATA_SHEET:
         return (
             "Do not compensate yet: read some poses several times without moving. What"
             " scatters there is noise, and the instrument is worse than stated. What"
@@ -191,10 +186,10 @@ def _no_effect_advice(
             " the session alone is an effect."
         ]
     visible = sum(answer.visible for answer in answers if answer.effects)
-    if visible <= DOUBT_PROBABILITY:
-        return [GO_AHEAD]
+    if visible <= GapSection.DOUBT_PROBABILITY:
+        return [GapSection.GO_AHEAD]
     return [
-        GO_AHEAD,
+        GapSection.GO_AHEAD,
         f"An effect is not excluded (probability {100.0 * visible:.0f} %): one run taken"
         " again, and once in the other direction, would show it. What recurs at its poses"
         " beyond the noise is an effect; what does not is noise, or changes with time.",
@@ -203,7 +198,7 @@ def _no_effect_advice(
 
 def _class_advice(members: Sequence[str], by_name: Mapping[str, Effect]) -> str:
     """What would distinguish the members of a class, those of a large one unnamed."""
-    if len(members) > MAX_CLASS_NAMES:
+    if len(members) > GapSection.MAX_CLASS_NAMES:
         tests = list(dict.fromkeys(_tests(members, by_name)))
         return (
             f"These readings cannot tell {len(members)} effects apart. What would:"
@@ -237,7 +232,9 @@ def _between(
             f"Noise alone has a probability of {chance}: read again before acting on"
             f" the gap.{more}"
         ]
-    many = {names[0] for names in second.classes if len(names) > MAX_CLASS_NAMES}
+    many = {
+        names[0] for names in second.classes if len(names) > GapSection.MAX_CLASS_NAMES
+    }
     others = [e for e in second.effects if e not in first.effects and e not in many]
     sentences = []
     for effect in others:

@@ -33,7 +33,7 @@ from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 from oed.noise_law import KNOWN_TO
-from oed.result import DATA_SHEET
+from oed.result import GapSection
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely
 ROUGH_SHARE = 0.5
@@ -142,7 +142,7 @@ def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
     chi2 = freedom * (factor / KNOWN_TO) ** 2
     if freedom <= 0.0 or not chi2_is_large(chi2, freedom):
         return None
-    return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
+    return ExcessScatter(factor, GapSection.DATA_SHEET, shape(problem, law))
 
 
 def unstated_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
@@ -167,7 +167,7 @@ def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
     parts = energies(problem, problem.stated_law, again)
     if not parts.pure_freedom:
         factor = float(np.sqrt(parts.rest / max(parts.rest_freedom, 1)))
-        return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
+        return ExcessScatter(factor, GapSection.DATA_SHEET, shape(problem, law))
     against = ON_THE_SPOT if again.on_the_spot else AGAIN
     return ExcessScatter(parts.factor, against, shape(problem, law))
 

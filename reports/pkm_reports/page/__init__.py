@@ -17,9 +17,14 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_reports.page.certificate import write_certificate_page
-    from pkm_reports.page.document import Content, Document, build_document
-    from pkm_reports.page.html import render_html, script_digest
-    from pkm_reports.page.pdf import render_pdf
+    from pkm_reports.page.document import (
+        Content,
+        Document,
+        build_document,
+        render_html,
+        render_pdf,
+        script_digest,
+    )
     from pkm_reports.page.sheet import write_adjustment_page, write_sheet
 else:
     __getattr__ = door(__name__)

@@ -20,7 +20,7 @@ from pkm_reports.blocks import (
     text_columns,
     wide_column,
 )
-from pkm_reports.page import document, pdf
+from pkm_reports.page import document
 from pkm_reports.page.document import Content
 
 #: parameters up to which their covariance fits on a page
@@ -46,7 +46,7 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
         chapters=[Section("parameters", "Parameters", _parameters(c))],
         appendix=[],
     )
-    page = pdf.render_pdf(document.Document(content))
+    page = document.render_pdf(document.Document(content))
     return write_own(folder / "certificate.pdf", page)
 
 

@@ -5,11 +5,21 @@ Both writers start from it. The templates read the fields by their names.
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import hashlib
 import itertools
+import re
 import string
-from collections.abc import Iterator, Sequence
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache, cached_property
+from importlib import resources
+from typing import Any, Final
+
+import jinja2
+import markupsafe
+import msgspec
+import typst
 
 from oed.result import StudyResult
 from pkm_reports import sections, style, text
@@ -25,40 +35,8 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
 )
-from pkm_reports.view import PageView, build_view
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class TextBlock:
-    """A paragraph, a notice, or text as typed."""
-
-    kind: str
-    text: str
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class ItemsBlock:
-    """A list."""
-
-    kind: str
-    items: Sequence[str]
-    numbered: bool
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Fact:
-    """A term and what is said of it."""
-
-    term: str
-    words: str
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class FactsBlock:
-    """A list of facts."""
-
-    kind: str
-    rows: Sequence[Fact]
+from pkm_reports.style import Image
+from pkm_reports.view import PageView, build_view, encoded_view
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -97,7 +75,7 @@ class PictureBlock:
     height: float
 
 
-DocumentBlock = TextBlock | ItemsBlock | FactsBlock | TableBlock | PictureBlock
+DocumentBlock = Paragraph | Notice | Items | Facts | Code | TableBlock | PictureBlock
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -258,17 +236,14 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
             return _picture(block, next(numbering.figures), image)
         case Items():
             items = [text.cleaned(item) for item in block.items]
-            return ItemsBlock(block.kind, items, block.numbered)
+            return dataclasses.replace(block, items=items)
         case Facts():
-            rows = [
-                Fact(text.cleaned(term), text.cleaned(phrase))
-                for term, phrase in block.rows
-            ]
-            return FactsBlock(block.kind, rows)
+            rows = [(text.cleaned(term), text.cleaned(s)) for term, s in block.rows]
+            return dataclasses.replace(block, rows=rows)
         case Code():
-            return TextBlock(block.kind, text.cleaned(block.text).rstrip("\n"))
+            return Code(text.cleaned(block.text).rstrip("\n"))
         case Paragraph() | Notice():
-            return TextBlock(block.kind, text.cleaned(block.text))
+            return dataclasses.replace(block, text=text.cleaned(block.text))
 
 
 def drawn_image(picture: Picture) -> style.Image:
@@ -300,3 +275,103 @@ def _picture(picture: Picture, number: int, image: style.Image) -> PictureBlock:
         width=float(image.width),
         height=float(image.height),
     )
+
+
+# The report as one HTML file that loads nothing: no font, no second file.
+
+
+#: a command or key within a sentence
+CODE: Final = re.compile("`([^`\n]+)`")
+#: parts of the script, in order
+SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
+
+
+def render_html(document: Document) -> bytes:
+    """The page as UTF-8 bytes; the template engine escapes every text."""
+    view = "" if document.view is None else encoded_view(document.view)
+    page = _template().render(
+        doc=document.page,
+        # Without a first page there is nothing to read before the chapters.
+        opened=not document.page.answer,
+        images=document.images,
+        view=view,
+        script=_script(),
+        digest=script_digest(),
+    )
+    return page.encode("utf-8")
+
+
+@cache
+def _template() -> jinja2.Template:
+    loader = jinja2.PackageLoader("pkm_reports")
+    environment = jinja2.Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["words"] = marked_words
+    return environment.get_template("report.html.j2")
+
+
+def marked_words(text: str) -> markupsafe.Markup:
+    """A text escaped, with what stands between backticks as code."""
+    escaped = str(markupsafe.escape(text))
+    return markupsafe.Markup(CODE.sub(r"<code>\1</code>", escaped))
+
+
+@cache
+def _script() -> str:
+    folder = resources.files("pkm_reports").joinpath("templates")
+    parts = [folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS]
+    return "\n".join(["'use strict';", *parts])
+
+
+@cache
+def script_digest() -> str:
+    """SHA-256 of the script element's text, as a content policy states it."""
+    digest = hashlib.sha256(f"\n{_script()}\n".encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode('ascii')}"
+
+
+# The report as a PDF of A4 pages, set by typst.
+
+
+POINTS_PER_INCH = 72.0
+
+
+def render_pdf(document: Document, *, full: bool = False) -> bytes:
+    """The bytes of the PDF, of a short print or in full; the same document gives the same.
+
+    Text reaches typst as JSON, hence as strings that it never reads as markup.
+    """
+    page = document.page if full else document.printed
+    images = {f"{name}.svg": _svg(image) for name, image in document.images.items()}
+    encoded = msgspec.json.encode(page)
+    return compile_typst("report.typ", {"report.json": encoded, **images})
+
+
+def compile_typst(template: str, files: Mapping[str, bytes]) -> bytes:
+    """The PDF of a template of this package with the files that it reads.
+
+    The time stamp is fixed, so that the same input gives the same bytes.
+    """
+    folder = resources.files("pkm_reports").joinpath("templates")
+    main = folder.joinpath(template).read_bytes()
+    # The stubs of typst do not know that several files can be given as bytes.
+    compiler: Any = typst.compile
+    pages = compiler({"main.typ": main, **files}, format="pdf", timestamp=0)
+    if not isinstance(pages, bytes):
+        raise TypeError("typst returned no single file")
+    return pages
+
+
+def _svg(image: Image) -> bytes:
+    """The image as SVG: typst reads only text from memory, so pixels are wrapped."""
+    if image.kind == "svg":
+        return image.data
+    width, height = POINTS_PER_INCH * image.width, POINTS_PER_INCH * image.height
+    size = f'width="{width:.1f}" height="{height:.1f}"'
+    opening = f'<svg xmlns="http://www.w3.org/2000/svg" {size}>'
+    return f'{opening}<image {size} href="{image.uri}"/></svg>'.encode()

@@ -15,7 +15,7 @@ from oed.safe_files import write_own
 from oed.text import shorten
 from pkm_reports import missing, text
 from pkm_reports.blocks import Section
-from pkm_reports.page import document, pdf
+from pkm_reports.page import document
 from pkm_reports.page.document import Content, footer
 from pkm_reports.sections import adjustment_blocks
 
@@ -41,7 +41,7 @@ def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
         chapters=[],
         appendix=[],
     )
-    page = pdf.render_pdf(document.Document(content))
+    page = document.render_pdf(document.Document(content))
     return write_own(folder / "adjustment.pdf", page)
 
 
@@ -118,7 +118,7 @@ def write_sheet(
             " handed over"
         )
     encoded = msgspec.json.encode(build(result, poses))
-    page = pdf.compile_typst("sheet.typ", {"sheet.json": encoded})
+    page = document.compile_typst("sheet.typ", {"sheet.json": encoded})
     folder.mkdir(parents=True, exist_ok=True)
     return write_own(folder / "measurement_sheet.pdf", page)
 

@@ -23,31 +23,32 @@ from pkm_reports.blocks import Chapter, Section
 from pkm_reports.sections import (
     acceptance,
     accuracy,
-    adjustment,
     corrected,
+    design,
     forecast,
-    held_out,
+    gap,
+    gap_before,
     identifiability,
     identification,
-    kappa,
     plan,
     posterior,
     record,
+    stages,
 )
-from pkm_reports.sections.design import chapter as design
-from pkm_reports.sections.gap import before as gap_before
-from pkm_reports.sections.gap import chapter as gap
-from pkm_reports.sections.gap import mixture, runs
-from pkm_reports.sections.stages import chapter as stages
 
 if TYPE_CHECKING:
-    from pkm_reports.sections.adjustment import adjustment_blocks
-    from pkm_reports.sections.answer import answer_parts
-    from pkm_reports.sections.answer.accuracy import wanted_accuracy
-    from pkm_reports.sections.answer.measure import is_plan, used_setups
-    from pkm_reports.sections.figures.closure import draw_closure
-    from pkm_reports.sections.figures.machine import draw_overview
-    from pkm_reports.sections.gap.explanations import explanation_row
+    from pkm_reports.sections.answer import (
+        answer_parts,
+        is_plan,
+        used_setups,
+        wanted_accuracy,
+    )
+    from pkm_reports.sections.corrected import adjustment_blocks
+    from pkm_reports.sections.gap import explanation_row
+    from pkm_reports.sections.machine_figures import (
+        draw_closure,
+        draw_overview,
+    )
 else:
     __getattr__ = door(__name__)
 
@@ -57,16 +58,16 @@ CHAPTERS: Final = (
     stages.CHAPTER,
     design.CHAPTER,
     identifiability.CHAPTER,
-    kappa.CHAPTER,
+    identifiability.KAPPA_CHAPTER,
     identification.CHAPTER,
     posterior.CHAPTER,
     accuracy.CHAPTER,
-    held_out.CHAPTER,
+    acceptance.HELD_OUT_CHAPTER,
     gap.CHAPTER,
-    runs.CHAPTER,
+    gap_before.VISIT_CHAPTER,
     corrected.CHAPTER,
-    mixture.CHAPTER,
-    adjustment.CHAPTER,
+    gap.MIXTURE_CHAPTER,
+    corrected.ADJUSTMENT_CHAPTER,
     forecast.CHAPTER,
     acceptance.CHAPTER,
     gap_before.CHAPTER,

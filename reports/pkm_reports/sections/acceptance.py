@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from oed.result import (
     AcceptanceSection,
+    HeldOutSection,
     PromiseRecord,
     RunCurve,
     StudyResult,
     VerificationSection,
 )
-from pkm_reports import text
+from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
     Block,
     Chapter,
@@ -22,8 +25,13 @@ from pkm_reports.blocks import (
     TableColumn,
     headed_list,
     number_columns,
+    wide_column,
 )
-from pkm_reports.sections.figures import run_curves
+from pkm_reports.sections import identification
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -56,9 +64,11 @@ def _runs(curves: Sequence[RunCurve]) -> list[Block]:
     """Readings along circles and lines of the compensated machine."""
     if not curves:
         return []
-    caption = run_curves.caption(curves)
+    caption = identification.curves_caption(curves)
     picture = Picture(
-        "runs_after", lambda: run_curves.draw(curves, after=True), caption
+        "runs_after",
+        lambda: identification.draw_run_curves(curves, after=True),
+        caption,
     )
     return [picture]
 
@@ -209,3 +219,112 @@ def _positioning(verification: VerificationSection) -> Table:
 
 
 CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks, printed)
+
+
+# Chapter: readings held out of the fit, and how well the fit predicts them.
+
+
+# Residuals of held-out readings, with their predictive intervals.
+
+
+def draw_residuals(sets: Sequence[HeldOutSection]) -> Figure:
+    """Measured minus predicted, each with its 95 % interval as a bar around zero."""
+    shown = [entry for entry in sets if entry.residuals]
+    if not shown:
+        return style.empty("No held-out residuals are stored in this result.")
+    figure = style.figure(0.5 + 1.75 * len(shown))
+    panels = figure.subplots(len(shown), 1, squeeze=False)[:, 0]
+    for axes, entry in zip(panels, shown, strict=True):
+        _residual_panel(axes, entry)
+    style.legend_below(figure, style.legend_entries(figure.axes[:1]), 3)
+    return figure
+
+
+def _residual_panel(axes: Axes, entry: HeldOutSection) -> None:
+    residuals = missing.array(entry.residuals)
+    half = np.resize(missing.array(entry.half_widths or [None]), len(residuals))
+    number = np.arange(1, len(residuals) + 1)
+    inside = ~(np.abs(residuals) > half)
+    bars: Any = {"color": style.LIGHT, "lw": min(7.0, 200.0 / len(number))}
+    axes.vlines(number, -half, half, label="95 % predictive interval", **bars)
+    axes.plot(
+        number[inside],
+        residuals[inside],
+        "o",
+        color=style.BLUE,
+        label="inside",
+    )
+    cross: Any = {"color": style.RED, "ms": 5, "label": "outside"}
+    axes.plot(number[~inside], residuals[~inside], "X", **cross)
+    axes.axhline(0.0, color=style.INK, lw=0.7)
+    style.few_ticks(axes.xaxis, 12, integer=True)
+    axes.set_title(style.label(f"{entry.name}: {entry.channel}", 70))
+    unit = text.unit_symbol(entry.unit)
+    axes.set(xlabel="reading", ylabel=f"residual [{unit}]")
+
+
+LEAST_COVERAGE: Final = 0.85
+CAPTION: Final = (
+    "Prediction of held-out readings. A new set-up has unknowns of its own (an offset, a"
+    " scale). The first rms adjusts them to its readings; the second leaves them at"
+    " their nominal values."
+)
+
+
+def held_out_blocks(result: StudyResult) -> list[Block]:
+    """Residuals with predictive intervals, and a table of rms and coverage."""
+    sets = result.held_out
+    if not sets:
+        return []
+    picture = Picture("held_out", lambda: draw_residuals(sets), _residual_caption(sets))
+    return [picture, _coverage_table(sets)]
+
+
+def _residual_caption(sets: Sequence[HeldOutSection]) -> str:
+    inside = [
+        f"{text.percent(entry.coverage)} of {entry.n} in {_set_name(entry)}"
+        for entry in sets
+    ]
+    caption = (
+        "Measured minus predicted, for readings that the fit did not use. Inside their"
+        f" 95 % interval: {text.listing(inside)}."
+    )
+    narrow = [_set_name(entry) for entry in sets if not _is_covered(entry)]
+    if narrow:
+        return (
+            f"{caption} That is too few in {text.listing(narrow)}: the stated"
+            " uncertainty is too small there."
+        )
+    return f"{caption} That agrees with the stated uncertainty."
+
+
+def _set_name(entry: HeldOutSection) -> str:
+    return f"{entry.name} ({entry.channel})"
+
+
+def _is_covered(entry: HeldOutSection) -> bool:
+    return entry.coverage >= LEAST_COVERAGE
+
+
+def _coverage_table(sets: Sequence[HeldOutSection]) -> Table:
+    columns = [
+        wide_column("Readings"),
+        TableColumn("Channel"),
+        *number_columns("Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"),
+    ]
+    rows = [
+        [
+            entry.name,
+            entry.channel,
+            str(entry.n),
+            text.quantity(entry.rms, entry.unit),
+            text.quantity(entry.rms_raw, entry.unit),
+            text.percent(entry.coverage),
+        ]
+        for entry in sets
+    ]
+    marks = ["good" if _is_covered(entry) else "bad" for entry in sets]
+    return Table(columns, rows, CAPTION, marks)
+
+
+HELD_OUT_CHAPTER: Final = Chapter("held-out", "Held-out prediction", held_out_blocks)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from oed.base import Array, Mask
 from oed.result import (
+    BudgetLine,
+    BudgetSection,
     ComponentAccuracy,
     MapPoint,
     PredictionSection,
     SpreadRecord,
     StudyResult,
+    ToolAccuracy,
+    UnmodelledLine,
 )
 from pkm_reports import missing, style, text
 from pkm_reports.blocks import (
@@ -30,9 +30,14 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     number_columns,
+    wide_column,
 )
-from pkm_reports.sections import accuracy_ranges
-from pkm_reports.sections import budget as budget_lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
 
 # Which commands of a pose are the axes of a map, and which one makes its panels.
 
@@ -149,6 +154,8 @@ def _component_row(
     prediction: PredictionSection,
 ) -> None:
     """The panels of one component and their colour bar."""
+    from matplotlib.colors import LogNorm
+
     values = component_errors(prediction, name)
     norm = _norm(values)
     for axes, level in zip(row, layout.levels, strict=True):
@@ -172,7 +179,7 @@ def _component_row(
     if isinstance(norm, LogNorm):
         style.log_axis(bar.ax, along)
     else:
-        getattr(bar.ax, f"{along}axis").set_major_locator(MaxNLocator(5))
+        style.few_ticks(getattr(bar.ax, f"{along}axis"), 5)
 
 
 def _error_label(prediction: PredictionSection, name: str) -> str:
@@ -189,6 +196,8 @@ def _level_title(layout: MapLayout, level: float) -> str:
 
 def _norm(values: Array) -> Normalize:
     """Linear colours, or logarithmic ones where a few poses would outshine the others."""
+    from matplotlib.colors import LogNorm, Normalize
+
     low = float(np.nanmin(values, initial=np.inf))
     high = float(np.nanmax(values, initial=-np.inf))
     if not np.isfinite(low):
@@ -249,8 +258,8 @@ def _set_polar_axes(axes: Any, up: Array) -> None:
     axes.grid(False)
     outer = _edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]
     axes.set_rlim(0.0, float(outer))
-    axes.yaxis.set_major_locator(NullLocator())
-    axes.xaxis.set_major_locator(FixedLocator(QUARTERS))
+    style.ticks_at(axes.yaxis, [])
+    style.ticks_at(axes.xaxis, QUARTERS)
     axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
     axes.tick_params(axis="x", pad=-2)
     axes.spines["polar"].set_visible(False)
@@ -261,8 +270,8 @@ def _set_cartesian_axes(axes: Axes, layout: MapLayout) -> None:
     if text.split_unit(layout.across)[1] == text.split_unit(layout.up)[1]:
         axes.set_aspect("equal", adjustable="box")
     axes.set(xlabel=text.heading(layout.across), ylabel=text.heading(layout.up))
-    axes.xaxis.set_major_locator(MaxNLocator(4))
-    axes.yaxis.set_major_locator(MaxNLocator(4))
+    style.few_ticks(axes.xaxis, 4)
+    style.few_ticks(axes.yaxis, 4)
 
 
 def _line_over_command(
@@ -474,7 +483,7 @@ def blocks(result: StudyResult) -> list[Block]:
             "accuracy", lambda: draw_components(prediction), _bars_caption(components)
         ),
         _table(components),
-        *accuracy_ranges.blocks(prediction),
+        *range_blocks(prediction),
     ]
     if prediction.realised:
         chapter.append(_realised(prediction, prediction.realised))
@@ -482,7 +491,7 @@ def blocks(result: StudyResult) -> list[Block]:
         caption = _budget_caption(components)
         chapter.append(Picture("budget", lambda: draw_budget(components), caption))
     if prediction.budget is not None:
-        chapter += budget_lines.blocks(prediction.budget, components)
+        chapter += budget_blocks(prediction.budget, components)
     if prediction.map:
         caption = _map_caption(prediction)
         chapter.append(
@@ -618,7 +627,7 @@ def _row(name: str, component: ComponentAccuracy, states: Sequence[State]) -> li
 
 
 def _sizes(spread: SpreadRecord) -> list[str]:
-    return accuracy_ranges.figures(spread)
+    return spread_figures(spread)
 
 
 # -- virtual machine, budget, map ------------------------------------------------------
@@ -694,3 +703,231 @@ def _error_at(point: MapPoint, name: str, unit: str) -> str:
 
 
 CHAPTER: Final = Chapter("accuracy", "Residual accuracy", blocks, printed)
+
+
+# Blocks on how far single machines differ, on other references and other tools.
+
+
+FIGURE_NAMES: Final = {
+    "absolute": "absolute",
+    "home": "zeroed at home",
+    "best_fit": "best rigid fit",
+}
+
+
+def range_blocks(prediction: PredictionSection) -> list[Block]:
+    """Intervals over machines, each reference, each tool; what is stored of them."""
+    content: list[Block] = []
+    after = {name: c.after for name, c in prediction.components.items()}
+    if any(spread.rms_interval for spread in after.values()):
+        content.append(_intervals(after))
+    if prediction.references:
+        content.append(_references(prediction.references))
+    if prediction.tools:
+        content.append(_tools(prediction.tools))
+    return content
+
+
+def _intervals(after: Mapping[str, SpreadRecord]) -> Table:
+    columns = [TableColumn("Component"), *number_columns("rms", "p95", "max")]
+    rows = []
+    for name, spread in after.items():
+        cells = [_span(spread, figure) for figure in ("rms", "p95", "max")]
+        rows.append([f"{name} [{text.unit_symbol(spread.unit)}]", *cells])
+    caption = (
+        "What a single machine can expect of the geometry alone: 95 % of the machines have"
+        " these figures over their workspace between these ends."
+    )
+    return Table(columns, rows, caption)
+
+
+def _span(spread: SpreadRecord, figure: str) -> str:
+    """Both ends of the interval of a figure, empty without one."""
+    ends = getattr(spread, f"{figure}_interval")
+    if ends is None:
+        return ""
+    errors = spread.monte_carlo.get(f"{figure}_interval", [math.nan, math.nan])
+    low, high = (text.drawn(v, e) for v, e in zip(ends, errors, strict=True))
+    return f"{low} to {high}"
+
+
+def _references(references: Mapping[str, Mapping[str, SpreadRecord]]) -> Table:
+    columns = [TableColumn("Component")]
+    for name in references:
+        columns += number_columns(
+            f"{text.meaning(name, FIGURE_NAMES)}: rms", "p95", "max"
+        )
+    components = next(iter(references.values()))
+    rows = []
+    for name, spread in components.items():
+        cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
+        for spreads in references.values():
+            cells += spread_figures(spreads[name])
+        rows.append(cells)
+    caption = "Errors after compensation against each reference."
+    return Table(columns, rows, caption)
+
+
+def spread_figures(spread: SpreadRecord) -> list[str]:
+    """Rms, 95th percentile and largest error, with the digits that the draws allow."""
+    cells = []
+    for name in ("rms", "p95", "max"):
+        error = next(iter(spread.monte_carlo.get(name, [])), math.nan)
+        cells.append(text.drawn(getattr(spread, name), error))
+    return cells
+
+
+def _tools(tools: Sequence[ToolAccuracy]) -> Table:
+    columns = [TableColumn("Component")]
+    for tool in tools:
+        length = text.quantity(tool.length, tool.unit)
+        columns += number_columns(f"{length}: rms", "p95", "max")
+    rows = []
+    for name, spread in tools[0].components.items():
+        cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
+        for tool in tools:
+            cells += spread_figures(tool.components[name])
+        rows.append(cells)
+    caption = "Errors after compensation at tools longer than the reference one."
+    return Table(columns, rows, caption)
+
+
+# Blocks on the uncertainty budget: its lines, what to improve, effects outside it.
+
+
+#: decimals of a share that count
+NEGLIGIBLE: Final = 5
+Component_ = Mapping[str, ComponentAccuracy]
+#: what each kind of line is
+LINE_KINDS: Final = {
+    "instrument": "the stated noise of single readings",
+    "run": "errors that the readings of a run share",
+    "course": "errors that all runs share in the course of the session",
+    "noise law": "noise beyond the stated one, and what is not known of it",
+    "set-up": "what the unknowns of the set-ups cost: where a cup or a tracker stands",
+    "effects": "what is not known of the effects in the model",
+    "prior": "what the readings leave to the tolerances",
+    "unmodelled": "what is not known of effects beside the geometry",
+    "linearisation": "what a linear calculation leaves out",
+    "interpolation": "what lies between the nodes of a grid",
+    "rounding": "printed digits",
+}
+
+
+def budget_blocks(section: BudgetSection, components: Component_) -> list[Block]:
+    """The lines, the accuracy without each, advice, and effects that are not modelled."""
+    shown = [n for n, c in components.items() if c.compensatable] or list(components)
+    units = {name: components[name].after.unit for name in shown}
+    content: list[Block] = [_lines(section, units), _improvements(section, units)]
+    if section.no_axes:
+        content.append(_axes(section, components))
+    if section.advice:
+        content.append(Paragraph(" ".join(section.advice)))
+    if section.unmodelled:
+        after = {name: components[name].after.rms for name in shown}
+        content.append(_unmodelled(section.unmodelled, after, units))
+        hidden = [u for u in section.unmodelled if u.not_testable]
+        if hidden:
+            content.append(Paragraph(_hidden(hidden)))
+    return content
+
+
+def _axes(section: BudgetSection, components: Component_) -> Table:
+    """What no drive corrects, without and with additional axes."""
+    rows = [
+        [
+            f"{name} [{text.unit_symbol(components[name].after.unit)}]",
+            text.number(without),
+            text.number(section.predicted[name]),
+        ]
+        for name, without in section.no_axes.items()
+    ]
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Without additional axes", "With additional axes"),
+    ]
+    caption = (
+        "Rms error of what no drive of this machine corrects, and what stays where"
+        " additional axes take the known error back."
+    )
+    return Table(columns, rows, caption)
+
+
+def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:
+    columns = [TableColumn("Source"), wide_column("What it is")]
+    for name, unit in units.items():
+        columns += number_columns(f"{name} [{text.unit_symbol(unit)}]", "share")
+    rows = []
+    for line in section.lines:
+        row = [line.source, LINE_KINDS.get(line.kind, line.kind)]
+        for name in units:
+            share = round(line.share[name], NEGLIGIBLE)
+            row += [text.number(line.size[name]), text.percent(share)]
+        rows.append(row)
+    total = ["all", "predicted rms error"]
+    for name in units:
+        total += [text.number(section.predicted[name]), "100 %"]
+    caption = (
+        "Uncertainty budget: what each source adds when those above it are gone, and its"
+        " share of the predicted variance. The shares add up to 100 %; a negative one means"
+        " that other lines count part of it as well."
+    )
+    return Table(columns, [*rows, total], caption)
+
+
+def _improvements(section: BudgetSection, units: Mapping[str, str]) -> Table:
+    columns = [TableColumn("Source")]
+    for name, unit in units.items():
+        columns += number_columns(
+            f"{name} halved [{text.unit_symbol(unit)}]", "without"
+        )
+    rows = [
+        _improvement_row(line, list(units))
+        for line in section.lines
+        if line.without is not None
+    ]
+    caption = (
+        "Rms error that would remain with half of one source's standard deviation, and"
+        " without that source."
+    )
+    return Table(columns, rows, caption)
+
+
+def _improvement_row(line: BudgetLine, names: Sequence[str]) -> list[str]:
+    row = [line.source]
+    for name in names:
+        for values in (line.halved, line.without):
+            row.append("" if values is None else text.number(values[name]))
+    return row
+
+
+def _unmodelled(
+    lines: Sequence[UnmodelledLine],
+    after: Mapping[str, float],
+    units: Mapping[str, str],
+) -> Table:
+    columns = [TableColumn("Effect"), TableColumn("Expected size")]
+    for name, unit in units.items():
+        columns += number_columns(f"{name} [{text.unit_symbol(unit)}]")
+    columns.append(wide_column("What to do"))
+    rows = [["none: geometry alone", "", *(text.number(v) for v in after.values()), ""]]
+    for line in lines:
+        values = [text.number(line.with_it[name]) for name in after]
+        rows.append([line.effect, line.expected, *values, line.remedy])
+    caption = (
+        "What usually goes unmodelled: rms error of the compensated machine if one"
+        " effect has its expected size and the calibration does not know of it. What an"
+        " effect adds grows in proportion to its size, and 30 times the expected size is"
+        " usual."
+    )
+    return Table(columns, rows, caption)
+
+
+def _hidden(lines: Sequence[UnmodelledLine]) -> str:
+    reasons: dict[str, list[str]] = {}
+    for line in lines:
+        reasons.setdefault(line.not_testable or "", []).append(line.effect)
+    parts = [
+        f"{text.listing(effects)} ({reason})" for reason, effects in reasons.items()
+    ]
+    return f"These readings cannot find {text.listing(parts)}."

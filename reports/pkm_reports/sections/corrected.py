@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from oed.result import CorrectedSection, EffectEstimate, PredictionSection, StudyResult
+from oed.result import (
+    AdjustmentLine,
+    AdjustmentSection,
+    CorrectedSection,
+    EffectEstimate,
+    PredictionSection,
+    StudyResult,
+)
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -16,9 +23,10 @@ from pkm_reports.blocks import (
     TableColumn,
     headed_list,
     number_columns,
+    wide_column,
 )
-from pkm_reports.sections import budget
-from pkm_reports.sections.accuracy_ranges import figures
+from pkm_reports.sections import accuracy
+from pkm_reports.sections.accuracy import spread_figures
 
 #: coefficients in standard deviations from which on they are listed
 CLEAR: Final = 2.0
@@ -38,7 +46,7 @@ def blocks(result: StudyResult) -> list[Block]:
         section = corrected.prediction
         chapter.append(_accuracy(corrected, section))
         if section.budget is not None:
-            chapter += budget.blocks(section.budget, section.components)
+            chapter += accuracy.budget_blocks(section.budget, section.components)
     return chapter
 
 
@@ -120,7 +128,7 @@ def _accuracy(corrected: CorrectedSection, prediction: PredictionSection) -> Tab
         alone = corrected.parameters_only[name]
         cells = [text.number(c.before.rms), text.number(alone.rms)]
         unit = text.unit_symbol(c.after.unit)
-        rows.append([f"{name} [{unit}]", *cells, *figures(c.after)])
+        rows.append([f"{name} [{unit}]", *cells, *spread_figures(c.after)])
     caption = (
         "Predicted errors over the workspace in the states of these readings: rms"
         " uncompensated, with the parameters alone compensated, and with the effects"
@@ -130,3 +138,120 @@ def _accuracy(corrected: CorrectedSection, prediction: PredictionSection) -> Tab
 
 
 CHAPTER: Final = Chapter("corrected", "Corrected model", blocks)
+
+
+# Chapter: what to adjust at the machine, and the page for the fitter.
+
+
+#: columns of the fitter's page to write in
+TO_FILL_IN: Final = ("Done", "Measured")
+NOTHING: Final = (
+    "No adjustment is worth its work: software corrects what the adjustments would."
+)
+
+
+def adjustment_chapter_blocks(result: StudyResult) -> list[Block]:
+    """The lines, and the accuracy after each."""
+    section = result.adjustment
+    if section is None:
+        return []
+    if not section.lines:
+        return [
+            Paragraph(f"{NOTHING} Total: {section.about}."),
+            _adjusted_accuracy(section),
+        ]
+    return [
+        Paragraph(_adjustment_introduction(section)),
+        _lines(section),
+        _adjusted_accuracy(section),
+        *headed_list("The figures rest on:", section.conditions),
+    ]
+
+
+def adjustment_blocks(section: AdjustmentSection) -> list[Block]:
+    """What the fitter's page has, with room to write."""
+    return [
+        Paragraph(_adjustment_introduction(section)),
+        _lines(section, TO_FILL_IN),
+        _adjusted_accuracy(section),
+    ]
+
+
+def _adjustment_introduction(section: AdjustmentSection) -> str:
+    ends = [section.accuracy[k].total for k in (0, -1)]
+    first, last = (text.quantity(total, section.total_unit) for total in ends)
+    return (
+        f"{text.count(len(section.lines), 'adjustment')} bring the total error after"
+        f" compensation by software from {first} to {last}."
+        f" Total: {section.about}. Without any one of the lines it is more than 5 %"
+        " larger. Give the controller the parameters after the adjustment (oed compensate"
+        " --adjusted), then measure again."
+    )
+
+
+def _lines(section: AdjustmentSection, further: tuple[str, ...] = ()) -> Table:
+    columns = [
+        TableColumn("No."),
+        TableColumn("Adjustment"),
+        *number_columns("Amount", "Steps"),
+        wide_column("Moves"),
+        *number_columns("Without it"),
+        *(TableColumn(title) for title in further),
+    ]
+    rows = [
+        [str(k), *_line(line, section.total_unit), *[""] * len(further)]
+        for k, line in enumerate(section.lines, start=1)
+    ]
+    caption = (
+        "Adjustments in working order. “Without it”: total error of the list without this"
+        " line, with the others chosen anew."
+    )
+    return Table(columns, rows, caption)
+
+
+def _line(line: AdjustmentLine, total_unit: str) -> list[str]:
+    return [
+        line.by,
+        signed(line),
+        "" if line.steps is None else f"{line.steps:+d}".replace("-", "−"),
+        f"{line.about} ({line.parameter})",
+        text.quantity(line.without, total_unit),
+    ]
+
+
+def signed(line: AdjustmentLine) -> str:
+    """The amount with its sign and unit: `+0.34 mm`."""
+    sign = "+" if line.amount > 0.0 else ""
+    return sign + text.append_unit(text.trimmed(line.amount, 6), line.unit)
+
+
+def _adjusted_accuracy(section: AdjustmentSection) -> Table:
+    units = section.unit.items()
+    titles = [f"{name} [{text.unit_symbol(unit)}]" for name, unit in units]
+    columns = [
+        TableColumn("After"),
+        TableColumn("Controller"),
+        *number_columns("Total", *titles),
+    ]
+    rows = []
+    for k, record in enumerate(section.accuracy):
+        after = f"line {k}" if k else "nothing"
+        plain = [text.number(v) for v in record.plain.values()]
+        corrected = [text.number(v) for v in record.corrected.values()]
+        rows.append([after, "as it is", "", *plain])
+        total = text.quantity(record.total, section.total_unit)
+        rows.append(["", "compensated", total, *corrected])
+    caption = (
+        f"Predicted rms errors over {section.poses} poses, reference"
+        f" {section.reference}, after each line: with the nominal numbers in the"
+        " controller, and once software compensates all that is known."
+    )
+    return Table(columns, rows, caption)
+
+
+ADJUSTMENT_CHAPTER: Final = Chapter(
+    "adjustment",
+    "Adjustments at the machine",
+    adjustment_chapter_blocks,
+    adjustment_chapter_blocks,
+)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from oed.base import Array
 from oed.fit_limits import ALARM_PROBABILITY, MIN_DOF, chi2_is_large
@@ -19,6 +16,7 @@ from oed.result import (
     GoodnessSection,
     NoiseRecord,
     ParameterEstimate,
+    RunCurve,
     StudyResult,
 )
 from pkm_reports import missing, style, text
@@ -35,9 +33,12 @@ from pkm_reports.blocks import (
     wide_column,
 )
 from pkm_reports.missing import or_nan
-from pkm_reports.sections.answer.measure import is_plan
-from pkm_reports.sections.answer.warnings import fits_with_effects
-from pkm_reports.sections.figures import run_curves
+from pkm_reports.sections.answer import fits_with_effects, is_plan
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 # Part of the chapter on the fit: chi-square, and the noise law as estimated.
 
@@ -220,7 +221,7 @@ def _panel(
     axes.axhline(0.0, color=style.INK, lw=0.7)
     rms = np.sqrt(np.nanmean(values**2))
     axes.set_title(f"{title}: rms {text.number(rms)}")
-    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    style.few_ticks(axes.xaxis, 6, integer=True)
     largest = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
     axes.set_ylim(-1.15 * largest, 1.15 * largest)
 
@@ -419,8 +420,8 @@ def _runs(estimate: EstimateSection) -> list[Block]:
     curves = estimate.runs
     if not curves:
         return []
-    caption = run_curves.caption(curves)
-    return [Picture("run_curves", lambda: run_curves.draw(curves), caption)]
+    caption = curves_caption(curves)
+    return [Picture("run_curves", lambda: draw_run_curves(curves), caption)]
 
 
 # -- parameters ------------------------------------------------------------------------
@@ -533,3 +534,137 @@ def _iterations(iterations: Sequence[Mapping[str, float]]) -> list[Block]:
 
 
 CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)
+
+
+# Readings along circles and lines: measured, predicted with interval, compensated.
+
+
+#: runs that are drawn
+MAX_CURVES: Final = 4
+#: readings of a run up to which marks are of full size
+FEW: Final = 60
+AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}
+INTERVAL: Final = "95 % interval"
+
+
+def draw_run_curves(curves: Sequence[RunCurve], *, after: bool = False) -> Figure:
+    """A row for each run: from nominal, from the prediction, after compensation.
+
+    after  whether the readings were taken after compensation
+    """
+    shown = choose_curves(curves)
+    if not shown:
+        return style.empty("No readings along runs are stored in this result.")
+    columns = 3 if any(curve.compensated for curve in shown) else 2
+    figure = style.figure(0.6 + 1.6 * len(shown))
+    grid = figure.subplots(len(shown), columns, squeeze=False)
+    moment = "after" if after else "before"
+    titles = [
+        f"{moment.capitalize()} compensation",
+        "Measured − predicted",
+        "After compensation",
+    ]
+    for axes, title in zip(grid[0], titles, strict=False):
+        axes.set_title(title)
+    for row, curve in zip(grid, shown, strict=True):
+        _curve_row(row, curve)
+    style.legend_below(figure, style.legend_entries(grid[:, :2].ravel()), 3)
+    return figure
+
+
+def choose_curves(curves: Sequence[RunCurve]) -> list[RunCurve]:
+    """Up to MOST runs with the largest departures, in the order of the data."""
+    sizes = [_largest(missing.array(curve.measured)) for curve in curves]
+    ranked = sorted(range(len(curves)), key=lambda k: -sizes[k])
+    return [curves[k] for k in sorted(ranked[:MAX_CURVES])]
+
+
+def _largest(values: Array) -> float:
+    return float(np.nanmax(np.abs(values), initial=0.0))
+
+
+def _curve_row(row: Sequence[Axes], curve: RunCurve) -> None:
+    along = missing.array(curve.at)
+    measured, predicted = missing.array(curve.measured), missing.array(curve.predicted)
+    half = missing.array(curve.half_widths)
+    _draw_predicted(row[0], along, predicted, half)
+    _draw_measured(row[0], along, measured)
+    _draw_band(row[1], along, np.zeros(len(along)), half)
+    _draw_measured(row[1], along, measured - predicted)
+    if curve.compensated:
+        remaining = missing.array(curve.compensated)
+        half_after = missing.array(curve.compensated_half_widths)
+        _draw_predicted(row[2], along, remaining, half_after)
+    elif len(row) > 2:
+        style.hide(row[2:])
+    for axes in row:
+        axes.axhline(0.0, color=style.INK, lw=0.6)
+        style.few_ticks(axes.yaxis, 4)
+        axes.set_xlabel(AXIS_LABELS[curve.kind])
+        if curve.kind == "circle":
+            axes.set_xlim(0.0, 360.0)
+            style.ticks_every(axes.xaxis, 90.0)
+    name = style.label(f"{curve.setup}, {curve.run}", 24)
+    row[0].set_ylabel(f"{name}\n{curve.channel} [{text.unit_symbol(curve.unit)}]")
+
+
+def _draw_measured(axes: Axes, along: Array, values: Array) -> None:
+    look: Any = {"ls": "", "marker": "o", "color": style.BLUE}
+    axes.plot(
+        along, values, ms=2.6 if len(along) <= FEW else 1.4, label="measured", **look
+    )
+
+
+def _draw_predicted(axes: Axes, along: Array, values: Array, half: Array) -> None:
+    _draw_band(axes, along, values, half)
+    axes.plot(along, values, color=style.ORANGE, lw=1.1, label="predicted")
+
+
+def _draw_band(axes: Axes, along: Array, values: Array, half: Array) -> None:
+    look: Any = {"color": style.LIGHT, "lw": 0.0, "label": INTERVAL}
+    axes.fill_between(along, values - half, values + half, **look)
+
+
+# -- in words --------------------------------------------------------------------------
+
+
+def curves_caption(curves: Sequence[RunCurve]) -> str:
+    """What the figure shows, and the largest difference from the prediction."""
+    inside, count = curve_coverage(curves)
+    difference, unit = largest_difference(curves)
+    sentences = [
+        "Readings along circles and lines, as departures from those of the nominal"
+        " machine.",
+        f"{inside} of {count} lie inside their 95 % interval (parameters and noise); the"
+        f" largest difference from the prediction is {text.quantity(difference, unit)}.",
+    ]
+    if any(curve.compensated for curve in curves):
+        sentences.append(
+            "After compensation the instrument still reads what no drive corrects and the"
+            " errors of its set-up; a place that the machine teaches is taught anew."
+        )
+    more = len(curves) - MAX_CURVES
+    if more > 0:
+        sentences.append(f"{more} more are in result.json.")
+    return " ".join(sentences)
+
+
+def curve_coverage(curves: Sequence[RunCurve]) -> tuple[int, int]:
+    """Number of readings inside their interval, and of all."""
+    inside = count = 0
+    for curve in curves:
+        error = np.abs(_difference(curve))
+        inside += int((error <= missing.array(curve.half_widths)).sum())
+        count += len(error)
+    return inside, count
+
+
+def largest_difference(curves: Sequence[RunCurve]) -> tuple[float, str]:
+    """Largest measured less predicted reading, of those in the unit of the first."""
+    unit = curves[0].unit
+    sizes = [_largest(_difference(c)) for c in curves if c.unit == unit]
+    return max(sizes, default=math.nan), unit
+
+
+def _difference(curve: RunCurve) -> Array:
+    return missing.array(curve.measured) - missing.array(curve.predicted)

@@ -6,12 +6,9 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from oed import units
 from oed.base import Array, Index
@@ -40,9 +37,14 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.sections.figures import machine
-from pkm_reports.sections.stages.chapter import has_schedule
+from pkm_reports.sections.machine_figures import draw_machine
+from pkm_reports.sections.stages import has_schedule
 from pkm_reports.view import points_mm
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 # The path through the poses in working order, a panel for each set-up.
 
@@ -217,19 +219,12 @@ def _panel(
             axes.plot(*np.array([start + back, end]).T, **look)
     for k, which in enumerate("xy"):
         getattr(axes, f"set_{which}lim")(*plane.limits[:, k])
-        ticks = _ticks(plane.names[k], plane.turn[k])
-        getattr(axes, f"{which}axis").set_major_locator(ticks)
-
-
-def _ticks(name: str, turn: float) -> MultipleLocator | MaxNLocator:
-    """Quarters of a turn, or a few round numbers."""
-    if math.isfinite(turn):
-        return MultipleLocator(turn / 4.0)
-    return MaxNLocator(
-        6,
-        steps=[1, 2, 5, 10],
-        integer=name == "reading",
-    )
+        axis = getattr(axes, f"{which}axis")
+        if math.isfinite(plane.turn[k]):
+            style.ticks_every(axis, plane.turn[k] / 4.0)
+        else:
+            whole = plane.names[k] == "reading"
+            style.few_ticks(axis, 6, steps=[1, 2, 5, 10], integer=whole)
 
 
 def _numbers_by_place(
@@ -412,9 +407,7 @@ def blocks(result: StudyResult) -> list[Block]:
     chapter: list[Block] = [Paragraph(_introduction(result.machine))]
     if drawing is not None:
         caption = _drawing_caption(drawing)
-        chapter.append(
-            Picture("machine", lambda: machine.draw_machine(drawing), caption)
-        )
+        chapter.append(Picture("machine", lambda: draw_machine(drawing), caption))
     chapter += parameter_blocks(result.machine)
     chapter += setup_blocks(result.setups)
     if plan is not None and not has_schedule(plan):

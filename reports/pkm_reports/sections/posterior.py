@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from oed.base import Array
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, StudyResult
@@ -27,6 +24,11 @@ from pkm_reports.blocks import (
     wide_column,
 )
 from pkm_reports.missing import or_nan
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 # Posterior of the worst-determined directions: each alone, and all pairs.
 
@@ -107,7 +109,7 @@ def _cell(
     else:
         _pair(axes, draws[:, j], draws[:, i], limits[j], limits[i])
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
+        style.few_ticks(axis, 3, steps=[1, 2, 5, 10])
     axes.tick_params(labelsize=6.5)
     axes.tick_params(labelbottom=i == len(limits) - 1)
     axes.tick_params(labelleft=j == 0 and i > 0)

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
         covariances,
         promised_accuracy,
     )
-    from pkm_studies.acceptance.run_check import check_folder, check_sentences
     from pkm_studies.acceptance.verification import (
         ACCEPTANCE_FILE,
+        check_folder,
+        check_sentences,
         judge_folder,
         plan_folder,
         plan_sentences,

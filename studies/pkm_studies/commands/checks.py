@@ -17,13 +17,10 @@ from pkm_studies import catalogue, shipped, sources
 from pkm_studies.base import InputError, Location, SourceAbsentError, Stream
 from pkm_studies.resolve import (
     ResolvedStudy,
-    check_effect_names,
     check_home,
     doubtful_lengths,
-    has_own_numbers,
     resolve,
     unreachable,
-    with_readings,
 )
 from pkm_studies.stages import check_dataset, check_inputs
 from pkm_studies.study import Study, load
@@ -105,9 +102,9 @@ def _check_study(
     try:
         # without readings first: others can be checked even where these are absent
         without_readings = resolve(study, readings=())
-        check_effect_names(study, without_readings.gap_or_default)
+        without_readings.check_effect_names()
         resolved.append(without_readings)
-        complete = with_readings(without_readings)
+        complete = without_readings.with_stated_readings()
         remarks = check_inputs(complete)
         content = _content(study, complete)
         if complete.dataset is not None:
@@ -162,7 +159,7 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     }
     parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
     sentences = [f"sound: {', '.join(parts)}", *resolved.warnings]
-    if has_own_numbers(study.machine):
+    if resolved.has_own_numbers:
         sentences += _doubts(resolved.measurement.kinematics)
     return "; ".join(sentences)
 

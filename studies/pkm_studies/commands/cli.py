@@ -173,7 +173,7 @@ KERNEL_ERRORS = {
 }
 
 #: what is refused because the fit is bad, as a claim that fails
-BAD_FIT = {"pkm_studies.results.stored_result": "BadFitError"}
+BAD_FIT = {"pkm_studies.results": "BadFitError"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,7 +10,8 @@ import typer
 from oed import safe_files
 from pkm_studies import console
 from pkm_studies.base import InputError
-from pkm_studies.commands.options import (
+from pkm_studies.commands import display
+from pkm_studies.commands.display import (
     AllowCode,
     OptionalStudy,
     OutFolder,
@@ -41,7 +42,6 @@ def run(
     allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
-    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import stages  # only now: errors of input come at once
@@ -101,7 +101,6 @@ def identify(
     allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings: of a study, or of a machine by name."""
-    from pkm_studies.commands import display
 
     if (study is None) == (machine is None) or (numbers and machine is None):
         raise InputError(
@@ -161,7 +160,6 @@ def diagnose(
     allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
-    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import stages
@@ -192,7 +190,6 @@ def plan(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
-    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out, "-plan")
     from pkm_studies import stages

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pkm_studies.compensation.identified import (
         adjusted_result,
         identified_parameters,
+        result_study,
     )
-    from pkm_studies.compensation.stored_study import result_study
     from pkm_studies.compensation.table_grid import (
         TableAccuracy,
         command_grid,

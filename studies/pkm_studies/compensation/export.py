@@ -31,8 +31,7 @@ from pkm_studies.catalogue import (
 )
 from pkm_studies.compensation import identified, table_grid
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
-from pkm_studies.compensation.identified import adjusted_result
-from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.compensation.identified import adjusted_result, result_study
 from pkm_studies.quantities import column
 from pkm_studies.resolve import (
     regular_at,

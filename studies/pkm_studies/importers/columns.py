@@ -175,9 +175,9 @@ def mapped_columns(
             raise field.key(name).error("the file has no such column", remedy, source)
     taken = {*column_sources.names(columns).values()}
     taken |= {*orientations.source_columns(mapping.orientation)}
-    stems = {_stem(name) for name in columns}
+    stems = {ReadingsColumn.stem_of(name) for name in columns}
     for name in table.header:
-        is_free = name not in taken and _stem(name) not in stems
+        is_free = name not in taken and ReadingsColumn.stem_of(name) not in stems
         if is_free and _is_known(name, unit_of):
             columns[name] = name
     channels = {channel.name: channel.unit for channel in tool.channels}
@@ -200,7 +200,7 @@ def read_channels(
     tool: Instrument, columns: Mapping[str, str | ColumnSource]
 ) -> list[str]:
     """Channels that the file has, in the instrument's order."""
-    stems = {_stem(name) for name in columns}
+    stems = {ReadingsColumn.stem_of(name) for name in columns}
     if tool.from_inner is not None:
         # which channels follow shows where absent numbers make none
         raw = {
@@ -247,7 +247,9 @@ def rows(
         field = location.key("orientation")
         angles = orientations.angle_columns(mapping.orientation, tool, table, field)
         for name in angles:
-            if _stem(name) in {_stem(other) for other in cells}:
+            if ReadingsColumn.stem_of(name) in {
+                ReadingsColumn.stem_of(other) for other in cells
+            }:
                 problem = f"{name} has a column of its own as well"
                 raise field.error(problem, "remove one of the two")
         cells |= angles
@@ -282,7 +284,7 @@ def drop_partial_joints(
     A row with some of its joints alone has no pose.
     """
     stems = {joint.name for joint in machine.joints}
-    columns = [name for name in rows[0] if _stem(name) in stems]
+    columns = [name for name in rows[0] if ReadingsColumn.stem_of(name) in stems]
     filled = [sum(bool(row[name]) for name in columns) for row in rows]
     partial = [k for k, count in enumerate(filled) if 0 < count < len(columns)]
     complete = [row for k, row in enumerate(rows) if k not in set(partial)]
@@ -379,10 +381,3 @@ def _is_known(name: str, unit_of: Mapping[str, str]) -> bool:
     if temperature_body(column.stem):
         return column.unit == "K"
     return unit_of.get(column.stem) == column.unit
-
-
-def _stem(name: str) -> str:
-    try:
-        return ReadingsColumn.parse(name).stem
-    except UnitError:
-        return name

@@ -11,7 +11,7 @@ from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
-from pkm_studies.resolve import comments_of_study, resolve, with_readings
+from pkm_studies.resolve import comments_of_study, resolve
 from pkm_studies.study import SUFFIX, load, parse
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent
@@ -70,7 +70,7 @@ def import_files(
     # the study last: whoever finds it finds what it names
     files.write_all(dict(reversed([*zip(targets, contents, strict=True)])))
     try:
-        with_readings(resolve(load(targets[0], consent), readings=()))
+        resolve(load(targets[0], consent), readings=()).with_stated_readings()
     except (InputError, AssemblyError) as error:
         for path in targets:
             path.unlink()

@@ -2,12 +2,10 @@
 
 resolve                      the objects of a study
 ResolvedStudy                a study as the kernel's objects
-with_readings                a resolved study with the readings of its files
 measurement_factory          makes the machine with some of the study's set-ups
 described_machine            the machine of a table [machine]
 study_machine                the model with the study's numbers
 study_kinematics             its kinematics
-has_own_numbers              whether a study states its own machine
 check_home                   an error where a machine does not close at home
 doubtful_lengths             a sentence on a parameter that is very long
 unreachable                  a sentence on poses that joints do not reach
@@ -22,38 +20,26 @@ check_states                 an error for a state in use that no reading was rec
 GapRequest                   what [gap] means to the kernel
 gap_request                  what [gap] means, or its defaults
 ActingEffect                 an effect of the virtual machine
-unknown_coefficient          the error for a coefficient that an effect does not have
-effect_with_sizes            an effect with the sizes that a study expects of it
 GapDesignRequest             what [gap.design] means to the kernel
-add_planned_readings         that request with the readings of a plan retained
 NO_EFFECTS                   the value of `effects` that allows none
 ALL_EFFECTS                  the value of `effects` that allows the whole catalogue
 named_effects                the effects of a table's `effects`
-check_effect_names           an error for a name there that is no effect
 effects_of_planned           what effects do to planned readings and the workspace
 pose_error_slopes            pose errors per unit of each column of candidates
 planned_courses              planned readings in courses that a session may take
 MAX_EFFECT_UNKNOWNS          most combinations of effects that are unknowns
-DRAWN_COURSES                courses of a session that are drawn
 SESSION_SECONDS              how long a session lasts where nothing says it
 planned_covariates           conditions of planned readings
 FEED_MM_PER_MIN              one mm/min, in m/s
 PASS_SUFFIX                  how a run's name ends in that of its pass
 Circles                      circles of readings, for a map of the condition number
-grid_commands                commands of a grid
-mid_range                    commands with one coordinate in mid-range
-solve_held                   commands whose held coordinate gives a wanted reading
-check_tool_workspace         an error for commands of a tool beyond the workspace
+reference_command            the pose that a plan repeats to see heat
 ToolPoints                   tool points of commands, and commands of tool points
 workspace_commands           commands over the workspace
 regular_commands             those at which every pose component has an error
 regular_at                   of some commands, those at which every component has one
 commands_between             further commands between some
 workspace_axes               axes of the box that holds the workspace
-noise_is_a_guess             whether readings correct the stated noise
-MIN_FREEDOM_OF_SCALE         degrees of freedom from which on they do
-readings_dataset             the readings of a study's files, or of others
-counted_digests              digests of readings, and of those behind the prior
 conventions_listing          the catalogue of a kind, with frames and columns
 readings_comments            lines that open a file of readings: frames and columns
 comments_of                  such lines of a machine with its set-ups
@@ -65,7 +51,6 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_studies.resolve.command_ranges import check_tool_workspace
     from pkm_studies.resolve.conventions import (
         comments_of,
         comments_of_study,
@@ -73,50 +58,34 @@ if TYPE_CHECKING:
         readings_comments,
     )
     from pkm_studies.resolve.design import CommandRanges, DesignRequest
-    from pkm_studies.resolve.effect_sizes import effect_with_sizes
     from pkm_studies.resolve.gap import (
-        ActingEffect,
-        GapRequest,
-        gap_request,
-        unknown_coefficient,
-    )
-    from pkm_studies.resolve.gap_design import (
+        ALL_EFFECTS,
         FEED_MM_PER_MIN,
+        MAX_EFFECT_UNKNOWNS,
+        NO_EFFECTS,
         PASS_SUFFIX,
+        SESSION_SECONDS,
+        ActingEffect,
         GapDesignRequest,
-        add_planned_readings,
+        GapRequest,
+        effects_of_planned,
+        gap_request,
+        named_effects,
+        planned_courses,
         planned_covariates,
+        pose_error_slopes,
     )
-    from pkm_studies.resolve.grids import (
-        Circles,
-        grid_commands,
-        mid_range,
-        solve_held,
-    )
+    from pkm_studies.resolve.grids import Circles, ToolPoints, reference_command
     from pkm_studies.resolve.machine import (
         check_home,
         described_machine,
         doubtful_lengths,
-        has_own_numbers,
         replace_nominal,
         study_kinematics,
         study_machine,
         unreachable,
     )
-    from pkm_studies.resolve.noise import MIN_FREEDOM_OF_SCALE, noise_is_a_guess
     from pkm_studies.resolve.plan import PlanRequest, request_of_table
-    from pkm_studies.resolve.planned_effects import (
-        ALL_EFFECTS,
-        DRAWN_COURSES,
-        MAX_EFFECT_UNKNOWNS,
-        NO_EFFECTS,
-        SESSION_SECONDS,
-        check_effect_names,
-        effects_of_planned,
-        named_effects,
-        planned_courses,
-        pose_error_slopes,
-    )
     from pkm_studies.resolve.prediction import (
         PredictionRequest,
         check_states,
@@ -128,13 +97,11 @@ if TYPE_CHECKING:
     )
     from pkm_studies.resolve.resolved import (
         ResolvedStudy,
-        counted_digests,
         measurement_factory,
-        readings_dataset,
         resolve,
-        with_readings,
     )
-    from pkm_studies.resolve.tolerances import replace_mean_and_covariance
-    from pkm_studies.resolve.tool_points import ToolPoints
+    from pkm_studies.resolve.tolerances import (
+        replace_mean_and_covariance,
+    )
 else:
     __getattr__ = door(__name__)

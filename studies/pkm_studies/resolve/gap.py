@@ -3,18 +3,224 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import itertools
+import operator
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
+from oed import dataset, units
+from oed.base import Array
+from oed.design import Candidates, Rules
 from oed.effect_model import Effect
+from oed.effects import (
+    Course,
+    PlannedEffects,
+    SessionStates,
+    draw_courses,
+    expected_columns,
+    over_courses,
+    planned_effects,
+)
+from oed.gap import GapProblem, Run, assemble
+from oed.instrument import Setup
+from oed.measurement import Measurement, Series
 from oed.model import Machine
 from oed.text import suggest
 from pkm_studies import catalogue
 from pkm_studies.base import InputError, Location
-from pkm_studies.resolve.effect_sizes import check_sizes, effect_with_sizes
+from pkm_studies.resolve.grids import ReferencePlan
+from pkm_studies.resolve.machine import known_name
+from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
-from pkm_studies.tables import ActingTable, ConditionsTable, GapTable
+from pkm_studies.tables import (
+    PLAN,
+    ActingTable,
+    ConditionsTable,
+    DriveTable,
+    GapDesignTable,
+    GapTable,
+    RunCondition,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Effects as a study states them: expected sizes ([effects], `leg_thermal_C = 1`), gears.
+
+
+#: how a quotient is written in the name of a field: `ppm_per_C`
+PER = "_per_"
+
+
+def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
+    """Raise InputError for a field of [effects] that names no effect or wrong unit.
+
+    `effects` are those of the study; all of the catalogue are known as well.
+    """
+    by_name = {e.name: e for e in effects}
+    location = study.location.key("effects")
+    for entry in catalogue.listing("effects"):
+        if entry.name not in by_name:
+            by_name[entry.name] = catalogue.effect(entry.name, study.origin, location)
+    for field in study.effects:
+        name = _effect_of(field, by_name)
+        field_location = location.key(field)
+        if name is None:
+            remedy = suggest(field, [f"{n}_{_names(e)[0]}" for n, e in by_name.items()])
+            raise field_location.error("this begins with the name of no effect", remedy)
+        unit = field.removeprefix(f"{name}_")
+        if unit not in _factors(by_name[name]):
+            names = ", ".join(f"{name}_{u}" for u in _names(by_name[name]))
+            raise field_location.error(
+                f"{name} is not measured in {unit}", f"write {names}"
+            )
+
+
+def effect_with_sizes(effect: Effect, study: Study) -> Effect:
+    """The effect with the sizes that the study expects of it, and the study's drive."""
+    drive = study.machine.drive
+    if effect.of_drive and isinstance(drive, DriveTable):
+        values = _drive_values(drive)
+        if values:
+            constants = {**effect.constants, effect.of_drive: values}
+            effect = dataclasses.replace(effect, constants=constants)
+    factors = _factors(effect)
+    for field, value in study.effects.items():
+        unit = field.removeprefix(f"{effect.name}_")
+        if unit != field and unit in factors:
+            si, factor = factors[unit]
+            effect = effect.with_expected_size(si, value * factor)
+    return effect
+
+
+def _drive_values(drive: DriveTable) -> tuple[float, ...]:
+    """Turns of each wheel a turn of the joint, or the lead of the screw, m."""
+    if drive.kind == "screw":
+        return () if drive.lead_mm is None else (drive.lead_mm * units.MM,)
+    stages = drive.stages if drive.ratio is None else [drive.ratio]
+    return tuple(itertools.accumulate([1.0, *stages], operator.mul)) if stages else ()
+
+
+def _effect_of(field: str, allowed: Iterable[str]) -> str | None:
+    """The longest name of an effect that begins a field."""
+    matching = [name for name in allowed if field.startswith(f"{name}_")]
+    return max(matching, key=len, default=None)
+
+
+def _names(effect: Effect) -> list[str]:
+    """Units in which reports state coefficients of an effect, as ends of fields."""
+    return [_spelt(units.coefficient_unit(si)[0]) for si in effect.coefficient_units()]
+
+
+def _factors(effect: Effect) -> Mapping[str, tuple[str, float]]:
+    """{end of a field: (SI unit, factor to SI)} of an effect's coefficients."""
+    table: dict[str, tuple[str, float]] = {}
+    for si in effect.coefficient_units():
+        name, factor = units.coefficient_unit(si)
+        table[_spelt(name)] = (si, factor)
+        for unit, (kind, to_si) in units.UNITS.items():
+            if kind == si:
+                table[unit] = (si, to_si)
+    return table
+
+
+def _spelt(unit: str) -> str:
+    return unit.replace("/K", f"{PER}C").replace("/", PER)
+
+
+# Effects beside the geometry that a design or plan of a study allows for.
+
+
+#: values of `effects` that allow none, and all
+NO_EFFECTS, ALL_EFFECTS = "none", "catalogue"
+#: combinations of effects that are unknowns of candidates, at most
+MAX_EFFECT_UNKNOWNS = 60
+#: courses of a session that are drawn
+DRAWN_COURSES = 8
+#: time that a session lasts where nothing says it, s
+SESSION_SECONDS = 7200.0
+
+
+def named_effects(
+    request: GapRequest, names: str | Sequence[str], location: Location
+) -> list[Effect]:
+    """The effects named, or with a word all. Raises InputError for other names."""
+    if isinstance(names, str):
+        return list(request.effects)
+    by_name = {effect.name: effect for effect in request.effects}
+    for k, name in enumerate(names):
+        if name not in by_name:
+            remedy = f"name some of {', '.join(by_name)}"
+            raise location.item(k).error("no such effect is tried", remedy, name)
+    return [by_name[name] for name in dict.fromkeys(names)]
+
+
+def effects_of_planned(
+    measurement: Measurement,
+    series: Sequence[Series],
+    effects: Sequence[Effect],
+    request: GapRequest,
+    prediction: PredictionRequest,
+    rng: np.random.Generator,
+    most: int,
+    seconds: float = SESSION_SECONDS,
+) -> PlannedEffects | None:
+    """What effects do to planned readings and workspace; None where nothing changes.
+
+    `most` of their combinations are unknowns, the others scatter.
+
+    The order of the readings is not known before they are chosen: what depends on sense
+    of travel, time or temperatures counts as if it were not recorded.
+    """
+    problem, courses = planned_courses(measurement, series, request, rng, seconds)
+    columns = expected_columns(problem, effects)
+    if columns is None:
+        return None
+    session = SessionStates.of(problem)
+    where, table = prediction.command, prediction.table
+    over = over_courses(problem, courses, columns, session, where, table.reference, rng)
+    return planned_effects(over, columns, session, problem.sigma, most)
+
+
+def planned_courses(
+    measurement: Measurement,
+    series: Sequence[Series],
+    request: GapRequest,
+    rng: np.random.Generator,
+    seconds: float,
+    bodies: Sequence[str] = (),
+    last: int = 0,
+) -> tuple[GapProblem, list[Course]]:
+    """Planned readings in courses that a session may take; the first is the problem's.
+
+    Temperatures of `bodies` are recorded; `last` readings repeat the first ones.
+    """
+    parted = [s.separate_poses() for s in series]
+    empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
+    rows = dataset.from_series(parted, empty, measurement, None).covariates
+    courses = draw_courses(rows, seconds, DRAWN_COURSES, rng, bodies, last)
+    problem = assemble(
+        measurement, parted, courses[0].covariates, gravity=request.gravity
+    )
+    return courses[0].of(problem), courses
+
+
+def pose_error_slopes(pool: Candidates, raw: Array, effects: PlannedEffects) -> Array:
+    """Pose errors (n, k, columns) per unit of each column of candidates with effects.
+
+    raw  (n, k, p) per unit of each parameter of the machine, SI
+    """
+    measurement = pool.measurement
+    poses, components, parameters = raw.shape
+    by_parameter = np.zeros((poses, components, len(measurement.names)))
+    by_parameter[:, :, :parameters] = raw
+    scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
+    return pool.spread(np.concatenate([scaled, effects.tool], axis=2))
+
 
 ALL = "all"
 
@@ -36,6 +242,14 @@ class ActingEffect:
     draw: bool
     coefficients: Mapping[str, float] | None
     location: Location
+
+    def unknown_coefficient(self, name: str, allowed: Sequence[str]) -> InputError:
+        """The error for a coefficient that the effect does not have on this machine."""
+        return (
+            self.location.key("coefficients")
+            .key(name)
+            .error("the effect has no such coefficient here", suggest(name, allowed))
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,11 +377,394 @@ def _usual_constants(effect: Effect) -> dict[str, float]:
     return usual
 
 
-def unknown_coefficient(
-    location: Location, name: str, allowed: Sequence[str]
-) -> InputError:
-    """The error for a coefficient that an effect does not have on this machine."""
-    field = location.key("coefficients").key(name)
-    return field.error(
-        "the effect has no such coefficient here", suggest(name, allowed)
+# What [gap.design] requests: effects to separate, candidate runs, rules of choice.
+
+
+# Covariates of planned readings under [gap.conditions]: time, direction, feed, load.
+
+#: how `Series.passes` ends the name of a run's pass
+PASS_SUFFIX = re.compile(r", (forward|backward) (\d+)$")
+#: seconds in a minute
+MINUTE = units.factor("min")
+#: m/s in a mm/min
+FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")
+COLUMNS = ["time", "direction", "feed", "payload", "repeat"]
+
+
+def planned_covariates(
+    measurement: Measurement, series: Sequence[Series], table: ConditionsTable
+) -> pd.DataFrame:
+    """Covariates of planned readings, SI, one row a reading; unknown columns left out.
+
+    Runs follow one another in the order given; each takes the next of several feeds
+    and payloads.
+    """
+    import pandas as pd
+
+    frames: list[pd.DataFrame] = []
+    clock, number, mounted = table.start_min * MINUTE, 0, ""
+    for s in series:
+        setup = measurement.setups[s.setup]
+        if s.setup != mounted:
+            clock += _mounting_time(setup, table)
+            mounted = s.setup
+        step = _pose_time(setup, table)
+        protocol = setup.protocol
+        both_ways = protocol.both_directions and protocol.average
+        frame = pd.DataFrame(np.full((len(s), len(COLUMNS)), np.nan), columns=COLUMNS)
+        for run in dict.fromkeys(s.run):
+            rows = np.flatnonzero(s.run == run)
+            backward, repeat = _pass_of(str(run))
+            way = -1.0 if backward else 1.0
+            frame.loc[rows, "time"] = clock + step * np.arange(1, len(rows) + 1)
+            frame.loc[rows, "direction"] = np.nan if both_ways else way
+            frame.loc[rows, "feed"] = (
+                _value_of_run(table.feed_mm_min, number) * FEED_MM_PER_MIN
+            )
+            frame.loc[rows, "payload"] = _value_of_run(table.payload, number)
+            frame.loc[rows, "repeat"] = repeat
+            clock += step * len(rows) + table.pause_s
+            number += 1
+        frames.append(frame)
+    covariates = pd.concat(frames, ignore_index=True).dropna(axis=1, how="all")
+    for body, warming in table.temperature.items():
+        share = -np.expm1(-covariates["time"] / (warming.after_min * MINUTE))
+        covariates[f"temp_{body}"] = warming.rise * share
+    return covariates
+
+
+def _mounting_time(setup: Setup, table: ConditionsTable) -> float:
+    if table.setup_min is None:
+        return setup.instrument.cost.setup
+    return table.setup_min * MINUTE
+
+
+def _pose_time(setup: Setup, table: ConditionsTable) -> float:
+    """Time at one pose, s: all its passes, where their mean is the reading."""
+    protocol = setup.protocol
+    passes = len(protocol.pass_names) if protocol.average else 1
+    return reading_time(setup, table) * passes
+
+
+def reading_time(setup: Setup, table: ConditionsTable) -> float:
+    """Time of one reading, s."""
+    if table.reading_s is None:
+        return setup.instrument.cost.reading
+    return table.reading_s
+
+
+def _pass_of(run: str) -> tuple[bool, float]:
+    """Whether a run is a pass backward, and which repeat it is."""
+    match = PASS_SUFFIX.search(run)
+    if match is None:
+        return False, 1.0
+    return match.group(1) == "backward", float(match.group(2))
+
+
+def _value_of_run(stated: float | list[float] | None, number: int) -> float:
+    """The value for run `number`: one for all, or those of a list in turn, or NaN."""
+    if stated is None:
+        return np.nan
+    return stated[number % len(stated)] if isinstance(stated, list) else stated
+
+
+# Candidate runs of [gap.design]: each run of the named plans under each condition.
+
+
+def candidate_runs(
+    table: GapDesignTable,
+    plans: Mapping[str, ReferencePlan],
+    measurement: Measurement,
+    timing: ConditionsTable,
+    location: Location,
+) -> tuple[tuple[Run, ...], int]:
+    """Runs of the retained plan, then candidate runs; the number of retained ones.
+
+    Raises InputError for plans that do not exist.
+    """
+    _check_plans(table, plans, location)
+
+    def runs_of_plan(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
+        """Runs of a reference plan under each condition."""
+        prefix = name if len(plans) > 1 else ""
+        runs: list[Run] = []
+        for series in plans[name].series:
+            runs += runs_of(series, prefix, conditions, measurement, timing, location)
+        return runs
+
+    retained: list[Run] = []
+    if table.keep is not None:
+        retained = runs_of_plan(table.keep, table.conditions[:1])
+    free: list[Run] = []
+    for name in table.candidates or plans:
+        if name != table.keep:
+            free += runs_of_plan(name, table.conditions)
+    return (*retained, *free), len(retained)
+
+
+def _check_plans(
+    table: GapDesignTable, plans: Mapping[str, ReferencePlan], location: Location
+) -> None:
+    if not plans:
+        raise location.error(
+            "there are no runs to choose from",
+            "add [[design.reference]] plans with `runs_by`",
+        )
+    for i, name in enumerate(table.candidates):
+        known_name(name, plans, location.key("candidates").item(i), "plan")
+    if table.keep is not None:
+        known_name(table.keep, plans, location.key("keep"), "plan")
+    if table.keep is not None and table.keep in table.candidates:
+        raise location.key("keep").error(
+            "a plan is kept or a candidate, not both", "remove it from one", table.keep
+        )
+
+
+def runs_of(
+    series: Series,
+    plan: str,
+    conditions: Sequence[RunCondition],
+    measurement: Measurement,
+    timing: ConditionsTable,
+    location: Location,
+) -> list[Run]:
+    """Each run of a series under each condition; `plan` starts their names.
+
+    Of the passes of a run, only the first one forward is a candidate.
+    """
+    seconds = reading_time(measurement.setups[series.setup], timing)
+    runs = []
+    for label in dict.fromkeys(str(r) for r in series.run):
+        repeat = PASS_SUFFIX.search(label)
+        if repeat is not None and repeat.groups() != ("forward", "1"):
+            continue
+        rows = np.flatnonzero(series.run == label)
+        command = _commands(series, rows)
+        if np.isnan(command).any():
+            raise location.key("candidates").error(
+                "runs of recorded joints cannot be planned anew", "give commands"
+            )
+        for condition in conditions:
+            parts = [plan, PASS_SUFFIX.sub("", label), *_condition_words(condition)]
+            run = Run(
+                name=", ".join(part for part in parts if part),
+                setup=series.setup,
+                command=command,
+                condition=_condition_si(condition),
+                seconds=seconds * len(rows),
+            )
+            runs.append(run)
+    return runs
+
+
+def _commands(series: Series, rows: np.ndarray) -> Array:
+    """Commands of a run; where readings are relative, its first pose is the reference."""
+    poses = series.index[rows, 0]
+    if series.index.shape[1] == 2 and series.index[rows[0], 1] < poses.min():
+        poses = np.concatenate([series.index[rows[:1], 1], poses])
+    return np.asarray(series.command[poses])
+
+
+def _condition_words(condition: RunCondition) -> list[str]:
+    """The condition as parts of a run's name."""
+    phrases = []
+    if condition.payload is not None:
+        phrases.append(f"{condition.payload:g} N")
+    if condition.feed_mm_min is not None:
+        phrases.append(f"{condition.feed_mm_min:g} mm/min")
+    if condition.start_min is not None:
+        phrases.append(f"at {condition.start_min:g} min")
+    return [*phrases, "+1" if condition.direction == 1 else "-1"]
+
+
+def _condition_si(condition: RunCondition) -> dict[str, float]:
+    covariates = {"direction": float(condition.direction)}
+    if condition.payload is not None:
+        covariates["payload"] = condition.payload
+    if condition.feed_mm_min is not None:
+        covariates["feed"] = condition.feed_mm_min * FEED_MM_PER_MIN
+    if condition.start_min is not None:
+        covariates["time"] = condition.start_min * MINUTE
+    return covariates
+
+
+@dataclasses.dataclass(frozen=True)
+class GapDesignRequest:
+    """What [gap.design] means to the kernel.
+
+    wanted    effects to separate from each other and from the rivals
+    rivals    effects that are only rivals
+    runs      candidate runs, each under one condition; the retained ones first
+    retained  positions in `runs` of those that are part of the plan in any case
+    rules     number, budget, set-ups and times; None while it waits for the plan of
+              [plan], whose readings it retains
+    table     [gap.design] as written
+    timing    [gap.conditions] as written
+    """
+
+    wanted: tuple[Effect, ...]
+    rivals: tuple[Effect, ...]
+    runs: tuple[Run, ...]
+    retained: tuple[int, ...]
+    rules: Rules | None
+    location: Location
+    table: GapDesignTable
+    timing: ConditionsTable
+
+    @property
+    def follows_plan(self) -> bool:
+        """Whether it retains the readings of [plan], which are not known yet."""
+        return self.rules is None
+
+    def with_plan(
+        self,
+        series: Sequence[Series],
+        remaining: float,
+        measurement: Measurement,
+    ) -> GapDesignRequest:
+        """The request with the readings of [plan] retained.
+
+        remaining    time that the plan does not use, s: the budget where the table gives
+                     neither a budget nor a number of runs
+
+        Raises InputError where no time remains.
+        """
+        table, timing, location = self.table, self.timing, self.location
+        if table.runs is None and table.budget_min is None:
+            if remaining < 1.0:
+                problem = "[plan] uses all its time: none remains for runs that separate effects"
+                remedy = "give budget_min, which is taken from the plan's time, or runs"
+                raise location.error(problem, remedy)
+            table = msgspec.structs.replace(table, budget_min=remaining / MINUTE)
+        retained: list[Run] = []
+        for s in series:
+            retained += runs_of(
+                s, PLAN, table.conditions[:1], measurement, timing, location
+            )
+        runs = (*retained, *self.runs)
+        rules = _rules(table, runs, len(retained), measurement, timing, location)
+        return dataclasses.replace(
+            self, runs=runs, retained=tuple(range(len(retained))), rules=rules
+        )
+
+
+def gap_design_request(
+    study: Study, references: Sequence[ReferencePlan], measurement: Measurement
+) -> GapDesignRequest | None:
+    """What [gap.design] requests; None without it. `measurement` has all set-ups.
+
+    Raises InputError for unknown effects and plans, and for rules that allow nothing.
+    """
+    if study.gap is None or study.gap.design is None:
+        return None
+    table, location = study.gap.design, study.location.key("gap").key("design")
+    timing, plans = study.gap.conditions, {plan.name: plan for plan in references}
+    wanted = _effects(study, table.find, measurement, location.key("find"))
+    rivals = _effects(study, table.rivals, measurement, location.key("rivals"))
+    if len({e.name for e in (*wanted, *rivals)}) < 2:
+        raise location.key("find").error(
+            "there is nothing to tell apart", "name two effects, or rivals", table.find
+        )
+    follows_plan = (
+        table.keep == PLAN
+        and PLAN not in plans
+        and study.plan is not None
+        and bool(study.plan.measurement)
     )
+    keep = None if follows_plan else table.keep
+    runs, count = candidate_runs(
+        msgspec.structs.replace(table, keep=keep), plans, measurement, timing, location
+    )
+    rules = None
+    if not follows_plan:
+        rules = _rules(table, runs, count, measurement, timing, location)
+    return GapDesignRequest(
+        wanted=wanted,
+        rivals=rivals,
+        runs=runs,
+        retained=tuple(range(count)),
+        rules=rules,
+        location=location,
+        table=table,
+        timing=timing,
+    )
+
+
+def _effects(
+    study: Study, names: Sequence[str], measurement: Measurement, location: Location
+) -> tuple[Effect, ...]:
+    machine = measurement.machine
+    effects: list[Effect] = []
+    for i, name in enumerate(names):
+        effect: Effect = catalogue.effect(name, study.origin, location.item(i))
+        reason = effect.unfit(machine)
+        if reason is not None:
+            raise location.item(i).error(
+                f"it cannot occur on {machine.name}: {reason}", "take another", name
+            )
+        effects.append(effect)
+    return tuple(effects)
+
+
+# -- rules -----------------------------------------------------------------------------
+
+
+def _rules(
+    table: GapDesignTable,
+    runs: Sequence[Run],
+    retained: int,
+    measurement: Measurement,
+    timing: ConditionsTable,
+    location: Location,
+) -> Rules:
+    """Rules for the runs added to the first `retained`, whose set-ups are mounted."""
+    _check_number(table, len(runs) - retained, location)
+    timed = [run for run in runs if "time" in run.condition]
+    if timed and len(timed) < len(runs):
+        raise location.key("conditions").error(
+            "some runs have a time and some have none", "give start_min to all or none"
+        )
+    cost = np.array([run.seconds for run in runs])
+    budget = None if table.budget_min is None else table.budget_min * MINUTE
+    if timed:
+        # runs at stated times must not overlap, whatever their set-up: mounting has to
+        # fit into the gaps between them
+        return Rules.build(
+            size=table.runs,
+            seconds=cost,
+            budget=budget,
+            position=np.array([[run.condition["time"]] for run in runs]),
+            least_distance=float(cost.max()),
+        )
+    setups = list(dict.fromkeys(run.setup for run in runs))
+    owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
+    return Rules.build(
+        size=table.runs,
+        seconds=cost,
+        budget=budget,
+        setup=owner,
+        mounting=_mounting_times(setups, measurement, timing),
+        mounted=tuple(sorted({int(k) for k in owner[:retained]})),
+    )
+
+
+def _check_number(table: GapDesignTable, candidates: int, location: Location) -> None:
+    if table.runs is None and table.budget_min is None:
+        raise location.error(
+            "it does not say how many runs to choose", "give runs = 4, or budget_min"
+        )
+    if table.runs is not None and table.runs > candidates:
+        raise location.key("runs").error(
+            f"there are only {candidates} candidate runs",
+            "choose fewer, or give more conditions",
+            table.runs,
+        )
+
+
+def _mounting_times(
+    setups: Sequence[str], measurement: Measurement, timing: ConditionsTable
+) -> np.ndarray:
+    """Time to mount each set-up, s."""
+    if timing.setup_min is not None:
+        return np.array([timing.setup_min * MINUTE for _ in setups])
+    return np.array([measurement.setups[s].instrument.cost.setup for s in setups])

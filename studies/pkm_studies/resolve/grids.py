@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from oed import units
 from oed.base import Array, Index
@@ -22,23 +23,215 @@ from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Coordinate, Machine
 from pkm_studies import csv_table, quantities
 from pkm_studies.base import Location
-from pkm_studies.quantities import format_value
-from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
-from pkm_studies.resolve.lookup import known_name
-from pkm_studies.resolve.reach import (
+from pkm_studies.quantities import format_as, format_value
+from pkm_studies.resolve.machine import (
     REACH_REMEDY,
     check_joint_range,
+    known_name,
     reach_problem,
 )
-from pkm_studies.resolve.tool_points import ToolPoints, ranges
 from pkm_studies.tables import (
     CIRCLE_PLANES,
     Axis,
     CircleTable,
     CubeTable,
     GridTable,
+    OrderTable,
     Span,
 )
+
+# Ranges of commands: their units, and what is outside the workspace.
+
+
+def command_units(machine: Machine) -> dict[str, str]:
+    """SI units of the command coordinates, by name."""
+    return {c.name: c.unit for c in machine.command}
+
+
+def check_workspace(
+    machine: Machine,
+    command: Array,
+    keys: Mapping[str, str],
+    location: Location,
+) -> None:
+    """Raises InputError for the first command outside the machine's workspace."""
+    for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
+        unit, key = command_units(machine)[name], keys.get(name, name)
+        stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
+        raise location.key(key).error(
+            f"{stated} is outside the workspace of {machine.name}",
+            f"{name} goes from {low} to {high}",
+        )
+
+
+def check_tool_workspace(
+    kinematics: Kinematics,
+    command: Array,
+    keys: Mapping[str, str],
+    location: Location,
+    tool: Sequence[float],
+) -> None:
+    """The same of a tool's commands.
+
+    The workspace moves with the tool as it points at home. Where a command is outside
+    it, it counts whether the reference tool is outside as well.
+    """
+    machine = kinematics.machine
+    outside = {row for row, *_ in machine.out_of_range(command, tuple(tool))}
+    if outside:
+        rows = command[sorted(outside)]
+        at_reference = kinematics.at_reference_tool(rows, np.array(tool))
+        check_workspace(machine, at_reference, keys, location)
+
+
+# Commands that put the tool on given points of the base frame.
+
+
+#: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)
+SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8
+#: largest step, over a coordinate's range
+LARGEST_STEP = 0.2
+#: digits of a command, m or rad: less is rounding of the solution
+PICOMETRE = 12
+AXES = "xyz"
+
+
+class ToolPoints:
+    """Tool points of commands, and commands of tool points, of one set-up's tool."""
+
+    def __init__(self, kinematics: Kinematics, tool: Sequence[float]) -> None:
+        self._kinematics = kinematics
+        self._machine = kinematics.machine
+        self._tool = np.array(tool)
+        self._workspace = kinematics.machine.workspace(self._tool.tolist())
+        self._samples: dict[tuple[float, ...], tuple[Array, Array]] = {}
+
+    def points(self, command: Array) -> Array:
+        """Tool points (n, 3) at commands (n, n_dof), m; NaN where out of reach."""
+        return self.frames(command)[1]
+
+    def frames(self, command: Array) -> tuple[Array, Array]:
+        """The platform's rotations (n, 3, 3) as well; NaN where out of reach."""
+        rotations = np.full((len(command), 3, 3), np.nan)
+        points = np.full((len(command), 3), np.nan)
+        reached = np.arange(len(command))
+        while reached.size:
+            try:
+                x, _ = self._kinematics.inverse(command[reached], None, self._tool)
+            except AssemblyError as error:
+                reached = np.delete(reached, error.indices)
+                continue
+            rotations[reached], points[reached], _ = self._kinematics.frames(
+                x, self._tool
+            )
+            break
+        return rotations, points
+
+    def commands(
+        self, points: Array, fixed: Mapping[str, float], location: Location
+    ) -> Array:
+        """Commands (n, n_dof) at points (n, 3), m, with some coordinates given, SI.
+
+        Raises InputError where a point cannot be reached.
+        """
+        free = self._free(fixed, location)
+        command = self._starts(points, fixed, free)
+        for _ in range(STEPS):
+            miss = self.points(command) - points
+            if np.nanmax(np.abs(miss), initial=0.0) < MISS:
+                break
+            slope = self._slope(command, free)
+            step = -np.einsum("nij,nj->ni", np.linalg.pinv(slope), miss)
+            command[:, free] += self._shortened(np.nan_to_num(step), free)
+        missed = np.linalg.norm(self.points(command) - points, axis=1)
+        self._check(missed, points, location)
+        return command.round(PICOMETRE)
+
+    def _free(self, fixed: Mapping[str, float], location: Location) -> list[int]:
+        """Columns of the coordinates to solve for, three at most."""
+        names = [c.name for c in self._machine.command]
+        free = [k for k, name in enumerate(names) if name not in fixed]
+        if len(free) > len(AXES):
+            free = [k for k in free if names[k] in AXES]
+        if free and len(free) <= len(AXES):
+            return free
+        angles = [
+            quantities.column(c.name, c.unit)
+            for c in self._machine.command
+            if c.name not in fixed and c.name not in AXES
+        ]
+        raise location.error(
+            "the points do not fix the pose", f"give values for some of {angles}"
+        )
+
+    def _starts(
+        self, points: Array, fixed: Mapping[str, float], free: list[int]
+    ) -> Array:
+        """Commands (n, n_dof) whose tool points are near the points."""
+        home = self._machine.home_command.copy()
+        for k, coordinate in enumerate(self._machine.command):
+            home[k] = fixed.get(coordinate.name, home[k])
+        key = (*home, *free)
+        if key not in self._samples:
+            self._samples[key] = self._sampled(home, free)
+        samples, tips = self._samples[key]
+        if not len(samples):
+            return np.tile(home, (len(points), 1))
+        _, nearest = KDTree(tips).query(points)
+        return np.asarray(samples[nearest])
+
+    def _sampled(self, home: Array, free: list[int]) -> tuple[Array, Array]:
+        """Commands (n, n_dof) over the workspace that are reached, and tool points."""
+        samples = np.tile(home, (SAMPLES, 1))
+        lower, upper = ranges(self._machine, self._tool.tolist())
+        from scipy.stats import qmc  # takes a second to import
+
+        shares = qmc.Halton(len(free), scramble=False).random(SAMPLES)
+        samples[:, free] = lower[free] + shares * (upper - lower)[free]
+        tips = self.points(samples)
+        reached = np.isfinite(tips).all(axis=1)
+        return samples[reached], tips[reached]
+
+    def _slope(self, command: Array, free: list[int]) -> Array:
+        """d tool point / d free coordinates (n, 3, k), by central differences."""
+        columns = []
+        for k in free:
+            step = np.zeros(command.shape[1])
+            step[k] = SLOPE_STEP
+            change = self.points(command + step) - self.points(command - step)
+            columns.append(change / (2.0 * SLOPE_STEP))
+        return np.nan_to_num(np.stack(columns, axis=-1))
+
+    def _shortened(self, step: Array, free: list[int]) -> Array:
+        """Steps (n, k), none longer than a share of the coordinates' ranges."""
+        lower, upper = ranges(self._machine, self._tool.tolist())
+        share = np.abs(step) / (LARGEST_STEP * (upper - lower)[free])
+        return np.asarray(step / np.maximum(1.0, share.max(axis=1))[:, None])
+
+    def _check(self, missed: Array, points: Array, location: Location) -> None:
+        lost = np.flatnonzero(~(missed < 100.0 * MISS))
+        if lost.size:
+            pose_text = ", ".join(
+                quantities.format_value(v, "m") for v in points[lost[0]]
+            )
+            raise location.error(
+                f"the tool of {self._machine.name} cannot be put on {lost.size} of"
+                f" {len(points)} points, the first at {pose_text}",
+                "move the points into the workspace, in coordinates of the base frame",
+            )
+
+
+def ranges(machine: Machine, tool: Sequence[float]) -> tuple[Array, Array]:
+    """Lower and upper ends (n_dof,) of the command; about home where there is no end."""
+    reach = {"m": machine.lever, "rad": np.pi}
+    lower, upper = [], []
+    for coordinate in machine.workspace((tool[0], tool[1], tool[2])):
+        home, half = machine.home[coordinate.name], reach.get(coordinate.unit, 1.0)
+        low, high = coordinate.lower, coordinate.upper
+        lower.append(low if np.isfinite(low) else home - half)
+        upper.append(high if np.isfinite(high) else home + half)
+    return np.array(lower), np.array(upper)
+
 
 # Commands from poses as a user has them: lists, files, circles, lines, cubes, samples.
 
@@ -569,3 +762,39 @@ def _pairs(
     keys = dict.fromkeys(command_units(machine), "pairs_mm")
     check_tool_workspace(kinematics, points, keys, location, setup.tool)
     return points, [f"pair {i // 2 + 1}" for i in range(len(points))]
+
+
+# The pose that a plan repeats to see heat: [design.order] reference.
+
+
+def reference_command(
+    measurement: Measurement,
+    name: str,
+    table: OrderTable,
+    every_min: float,
+    location: Location,
+) -> Array | None:
+    """The reference's command (n_dof,) in a set-up; None for the route's first pose.
+
+    Raises InputError where the set-up has a reference of its own, or the pose is none.
+    """
+    setup = measurement.setups[name]
+    if setup.instrument.reference == "run":
+        raise location.key("reference_every_min").error(
+            f"the first pose of each run is the reference of {name}",
+            "remove it",
+            every_min,
+        )
+    if not table.reference:
+        return None
+    field, machine = location.key("reference"), measurement.machine
+    command, hold, keys = grid_commands(table.reference, machine, field)
+    if len(command) != 1:
+        raise field.error(
+            "the reference is one pose", "give one value for each coordinate"
+        )
+    if hold is not None:
+        command = mid_range(command, hold, machine, setup)
+    check_tool_workspace(measurement.kinematics, command, keys, field, setup.tool)
+    command, _ = solve_held(measurement, name, command, hold, field, strict=True)
+    return np.asarray(command[0])

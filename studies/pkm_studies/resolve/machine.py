@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import itertools
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -13,12 +14,114 @@ from oed import units
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Adjustment, Coordinate, Dimension, Machine
+from oed.text import suggest
 from pkm_studies import catalogue, quantities, user_code
 from pkm_studies.base import Location
-from pkm_studies.resolve import lookup, reach
+from pkm_studies.quantities import format_value
 from pkm_studies.study import Study
 from pkm_studies.tables import AdjustTable, DriveTable, MachineTable
 from pkm_studies.user_code import Origin
+
+# Looks up names that a study uses; an unknown one raises with the nearest known.
+
+
+def known_name(
+    name: str, allowed: Iterable[str], location: Location, kind: str = "set-up"
+) -> str:
+    """The name, if it is one of `allowed`. Raises InputError."""
+    names = list(allowed)
+    if name not in names:
+        listed_as = "set-ups" if kind == "set-up" else "allowed"
+        raise location.error(f"no such {kind}", suggest(name, names, listed_as), name)
+    return name
+
+
+def matching_names(
+    patterns: Sequence[str], allowed: Iterable[str], location: Location
+) -> list[str]:
+    """Known names that match any of the patterns.
+
+    Raises InputError for a pattern that matches nothing.
+    """
+    names = list(allowed)
+    for i, pattern in enumerate(patterns):
+        if not fnmatch.filter(names, pattern):
+            remedy = suggest(pattern.strip("*"), names)
+            raise location.item(i).error("no parameter has this name", remedy, pattern)
+    return [n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns)]
+
+
+def names_of_one_unit(
+    patterns: Sequence[str], units: Mapping[str, str], location: Location
+) -> tuple[list[str], str]:
+    """Known names that match any of the patterns, and their unit.
+
+    units  of the known names
+
+    Raises InputError for no name, and for names of several units.
+    """
+    matched = matching_names(patterns, units, location)
+    if not matched:
+        raise location.error(
+            "the list is empty", 'name parameters or patterns: ["dq*"]'
+        )
+    example = {units[name]: name for name in matched}  # one for each unit
+    if len(example) > 1:
+        kinds = " and ".join(f"{name} ({unit})" for unit, name in example.items())
+        raise location.error(
+            f"parameters of different kinds: {kinds}", "make one table for each kind"
+        )
+    return matched, next(iter(example))
+
+
+# Commands that a machine cannot reach, in words.
+
+
+#: remedy for poses out of reach
+REACH_REMEDY = (
+    "keep to poses the machine can reach; check tool and units, and well inside the"
+    " workspace the model's guess"
+)
+
+
+def check_joint_range(
+    machine: Machine,
+    command: Array,
+    q: Array,
+    location: Location,
+    remedy: str = "keep to poses within",
+) -> None:
+    """Raises InputError where joints (n, nq) at commands (n, n_dof) leave their range."""
+    outside = machine.joints_out_of_range(q)
+    if not outside:
+        return
+    first = [entry for entry in outside if entry[1] == outside[0][1]]
+    row, name, value, lower, upper = max(
+        first, key=lambda entry: max(entry[3] - entry[2], entry[2] - entry[4])
+    )
+    unit = next(joint.unit for joint in machine.joints if joint.name == name)
+    needed, low, high = (format_value(v, unit) for v in (value, lower, upper))
+    pose = pose_words(machine, command[row])
+    raise location.error(
+        f"the pose {pose} needs {name} = {needed}, outside the joint's range",
+        f"{name} goes from {low} to {high}: {remedy}",
+    )
+
+
+def pose_words(machine: Machine, command: Array) -> str:
+    """A command (n_dof,), SI, in the units in which a person writes it."""
+    values = zip(machine.command, command, strict=True)
+    return ", ".join(f"{c.name} = {format_value(v, c.unit)}" for c, v in values)
+
+
+def reach_problem(error: AssemblyError, machine: Machine) -> str:
+    """How many commands cannot be reached, the first one, and why."""
+    if error.first is None:
+        return str(error)
+    poses = "1 pose" if len(error.indices) == 1 else f"{len(error.indices)} poses"
+    first = pose_words(machine, error.first)
+    return f"{poses} cannot be reached, the first at {first}: {error.reason}"
+
 
 # What moves the parameters of a machine, as [[machine.adjust]] states it.
 
@@ -56,7 +159,7 @@ def _adjustment(
     """
     units = {p.name: p.unit for p in machine.parameters}
     field = location.key("parameters")
-    names, unit = lookup.names_of_one_unit(table.parameters, units, field)
+    names, unit = names_of_one_unit(table.parameters, units, field)
     unit_of = dict.fromkeys(AMOUNTS, unit)
     amounts = quantities.read_values(table.amounts, unit_of, location)
     for key, value in table.amounts.items():
@@ -87,7 +190,7 @@ VERY_LONG = 100.0
 MOST_TRIED = 729
 #: how parameters say that they are the zero of a joint's scale: `zero of leg 1`
 ZERO = "zero of "
-REACH_REMEDY = (
+ASSEMBLY_REMEDY = (
     "check the numbers and their units; give [machine] home and workspace, where they"
     " are not the model's; look at it: oed check STUDY --picture home.png"
 )
@@ -162,12 +265,6 @@ def _check_drive(table: DriveTable, machine: Machine, location: Location) -> Non
         raise location.key("stages").error("ratio is given as well", remedy)
 
 
-def has_own_numbers(table: MachineTable) -> bool:
-    """Whether the study states another machine than one of the catalogue."""
-    numbers = table.geometry or table.nominal or table.workspace or table.travel
-    return bool(numbers) or user_code.is_file(table.model)
-
-
 def doubtful_lengths(machine: Machine) -> str | None:
     """A sentence on a parameter that is very long beside the machine; None without."""
     moved = [c for c in (*machine.command, *machine.joints) if c.unit == "m"]
@@ -210,7 +307,7 @@ def unreachable(kinematics: Kinematics) -> str | None:
         return None
     return (
         f"{rows.size} of {len(command)} poses at the ends and middles of the workspace"
-        f" {why}, the first at {reach.pose_words(machine, command[rows[0]])}"
+        f" {why}, the first at {pose_words(machine, command[rows[0]])}"
     )
 
 
@@ -360,5 +457,5 @@ def check_home(kinematics: Kinematics, location: Location) -> None:
         _, q = kinematics.inverse(home)
     except AssemblyError as error:
         problem = f"the home pose fails: {error}"
-        raise location.error(problem, REACH_REMEDY) from error
-    reach.check_joint_range(machine, home, q, location, REACH_REMEDY)
+        raise location.error(problem, ASSEMBLY_REMEDY) from error
+    check_joint_range(machine, home, q, location, ASSEMBLY_REMEDY)

@@ -20,13 +20,14 @@ from oed.measurement import Measurement, Series
 from oed.planning import Option, build_option
 from pkm_studies import quantities
 from pkm_studies.base import Location
-from pkm_studies.resolve import grids, lookup
-from pkm_studies.resolve.gap import gap_request
-from pkm_studies.resolve.planned_effects import (
+from pkm_studies.resolve import grids
+from pkm_studies.resolve.gap import (
     NO_EFFECTS,
     effects_of_planned,
+    gap_request,
     named_effects,
 )
+from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 from pkm_studies.tables import PLAN, GridTable, MeasuredTable, PlanTable
@@ -233,7 +234,7 @@ def _check_setups(
             'write setup = "NAME", or setups = ["A", "B"]',
         )
     for name in table.mounted:
-        lookup.known_name(name, setups, field)
+        known_name(name, setups, field)
         if name in owners:
             problem = (
                 f"{owners[name]} mounts it as well; a set-up that is mounted again"
@@ -251,7 +252,7 @@ def _check_sequences(table: PlanTable, location: Location) -> None:
     for i, sequence in enumerate(table.compare):
         entry = location.key("compare").item(i)
         for j, name in enumerate(sequence):
-            lookup.known_name(name, names, entry.item(j), "measurement")
+            known_name(name, names, entry.item(j), "measurement")
         if len(set(sequence)) < len(sequence):
             raise entry.error(
                 "a measurement is named twice", "name each once", sequence

@@ -17,7 +17,8 @@ from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
-from pkm_studies.resolve import command_ranges, grids, reach
+from pkm_studies.resolve import grids
+from pkm_studies.resolve.machine import REACH_REMEDY, reach_problem
 from pkm_studies.study import Study
 from pkm_studies.tables import PredictionTable
 
@@ -57,7 +58,7 @@ def prediction_request(study: Study, machine: Machine) -> PredictionRequest | No
             "give values with a unit",
             "hold",
         )
-    command_ranges.check_workspace(machine, command, keys, location)
+    grids.check_workspace(machine, command, keys, location)
     return PredictionRequest(study.prediction, command, _states(study))
 
 
@@ -72,8 +73,8 @@ def check_reach(
         try:
             kinematics.inverse(machine.with_tool(request.command, tool), tool=tool)
         except AssemblyError as error:
-            problem = reach.reach_problem(error, machine)
-            raise field.error(problem, reach.REACH_REMEDY) from error
+            problem = reach_problem(error, machine)
+            raise field.error(problem, REACH_REMEDY) from error
 
 
 def check_states(study: Study, covariates: pd.DataFrame) -> None:

@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -20,13 +20,14 @@ from oed import units
 from oed.base import Array
 from oed.compensate import InterpolationTable
 from oed.dataset import is_counted, reading_digests, shared
+from oed.effect_model import Effect
 from oed.instrument import Instrument, Protocol, Setup, mount
 from oed.measurement import Measurement, Series
 from oed.mechanism import NO_TOOL, AssemblyError, Controller, Kinematics
 from oed.model import Machine
 from oed.result import StudyResult
 from oed.text import suggest
-from pkm_studies import catalogue, csv_table, files, quantities
+from pkm_studies import catalogue, csv_table, files, quantities, user_code
 from pkm_studies.base import InputError, Location
 from pkm_studies.earlier_result import (
     SAME,
@@ -35,14 +36,33 @@ from pkm_studies.earlier_result import (
     result_folder,
 )
 from pkm_studies.quantities import check_not_negative, column, display_unit
-from pkm_studies.resolve import candidates, command_ranges, lookup, reach, tolerances
-from pkm_studies.resolve.design import DesignRequest, design_request
-from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
-from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
+from pkm_studies.resolve import grids
+from pkm_studies.resolve.design import (
+    DesignRequest,
+    candidates,
+    circles,
+    design_request,
+    references,
+)
+from pkm_studies.resolve.gap import (
+    ALL_EFFECTS,
+    GapDesignRequest,
+    GapRequest,
+    effect_with_sizes,
+    gap_design_request,
+    gap_request,
+    named_effects,
+    stated_request,
+)
 from pkm_studies.resolve.grids import Circles, ReferencePlan
-from pkm_studies.resolve.machine import study_kinematics
+from pkm_studies.resolve.machine import (
+    check_joint_range,
+    known_name,
+    matching_names,
+    reach_problem,
+    study_kinematics,
+)
 from pkm_studies.resolve.plan import PlanRequest, plan_request
-from pkm_studies.resolve.planned_effects import ALL_EFFECTS, named_effects
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
     check_reach,
@@ -50,6 +70,7 @@ from pkm_studies.resolve.prediction import (
     prediction_request,
     wanted_accuracy,
 )
+from pkm_studies.resolve.tolerances import replace_tolerances
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
 from pkm_studies.tables import SetupTable
@@ -91,7 +112,7 @@ def reading_roles(
     fit, predict = study.readings.fit, study.readings.predict
     for field, names in (("fit", fit or []), ("predict", predict)):
         for i, name in enumerate(names):
-            lookup.known_name(name, setups, location.key(field).item(i))
+            known_name(name, setups, location.key(field).item(i))
     both = set(fit or ()) & set(predict)
     if both:
         raise location.key("predict").error(
@@ -117,9 +138,7 @@ def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
     truth = quantities.read_values(common, unit_of, location)
     for name, table in special.items():
         field_location = location.key(name)
-        setup = measurement.setups[
-            lookup.known_name(name, measurement.setups, field_location)
-        ]
+        setup = measurement.setups[known_name(name, measurement.setups, field_location)]
         unit_of = {n.name: n.unit for n in setup.nuisances}
         values = quantities.read_values(table, unit_of, field_location)
         truth |= {f"{name}.{key}": value for key, value in values.items()}
@@ -130,26 +149,10 @@ def check_stages(study: Study, measurement: Measurement) -> None:
     """Raises InputError for an identification stage that frees no parameter."""
     location = study.location.key("identify").key("stages")
     for i, stage in enumerate(study.identify.stages):
-        if not lookup.matching_names(stage, measurement.names, location.item(i)):
+        if not matching_names(stage, measurement.names, location.item(i)):
             raise location.item(i).error(
                 "the list is empty", 'name parameters or patterns: ["*"] frees all'
             )
-
-
-def readings_dataset(
-    study: Study, measurement: Measurement, readings: Sequence[Path] | None
-) -> Dataset | None:
-    """The readings: files given to the command, files of the study, or its source."""
-    table = study.readings
-    if readings is None and table is not None and not table.simulate:
-        from pkm_studies import sources
-
-        return sources.readings(table, study, measurement)
-    if readings:
-        from pkm_studies import sources
-
-        return sources.read_files(readings, measurement)
-    return None
 
 
 # Readings that a study's prior rests on, and whether new ones are among them.
@@ -195,14 +198,6 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
                 " on: take those out that were taken once; a coarse scale repeats values"
             )
     return sentences
-
-
-def counted_digests(study: Study, new: Collection[str]) -> list[str]:
-    """Digests of new readings and of those behind the prior, sorted."""
-    digests_counted = set(new)
-    for _, _, result in prior_results(study):
-        digests_counted.update(result.readings)
-    return sorted(digests_counted)
 
 
 # The machine with the study's nominal numbers, and its set-ups as mounted.
@@ -330,9 +325,7 @@ def _teach(
         return None
     if not needs_teaching:
         raise location.error(f"{table.instrument} is not taught", "remove teach")
-    values = quantities.read_values(
-        table.teach, command_ranges.command_units(machine), location
-    )
+    values = quantities.read_values(table.teach, grids.command_units(machine), location)
     for c, key in zip(machine.command, keys, strict=True):
         if c.name not in values:
             raise location.key(key).error(
@@ -351,9 +344,9 @@ def _check_teach_pose(kinematics: Kinematics, setup: Setup, location: Location) 
     try:
         series = Measurement(machine, [setup], kinematics).series(setup.name, command)
     except AssemblyError as error:
-        problem = reach.reach_problem(error, machine)
+        problem = reach_problem(error, machine)
         raise location.error(problem, "give a pose the machine can reach") from error
-    reach.check_joint_range(machine, series.command, series.q, location)
+    check_joint_range(machine, series.command, series.q, location)
 
 
 # What the controller holds already: [machine] controller, from a result or a file.
@@ -567,6 +560,9 @@ class ResolvedStudy:
     warnings                sentences about candidates that were dropped, and readings
     """
 
+    #: degrees of freedom from which on the scale of a noise is known to a third
+    MIN_FREEDOM_OF_SCALE: ClassVar[int] = 4
+
     study: Study
     machine: Machine
     setups: Mapping[str, Setup]
@@ -615,6 +611,63 @@ class ResolvedStudy:
             warnings = (*warnings, *doubtful_sessions(self.study, new))
         return dataclasses.replace(self, dataset=dataset, warnings=warnings)
 
+    def read_dataset(self, readings: Sequence[Path] | None) -> Dataset | None:
+        """The recorded readings of files, or of those that the study names; None: none."""
+        from pkm_studies import sources  # loads what reads files
+
+        table, everything = self.study.readings, self.measurement_with(self.setups)
+        if readings:
+            return sources.read_files(readings, everything)
+        if readings is not None or table is None or table.simulate:
+            return None
+        return sources.readings(table, self.study, everything)
+
+    def with_stated_readings(self) -> Self:
+        """The study with the readings that its file names."""
+        return self.with_dataset(self.read_dataset(None))
+
+    def counted_digests(self, new: Collection[str]) -> list[str]:
+        """Digests of new readings and of those behind the prior, sorted."""
+        digests = set(new)
+        for _, _, result in prior_results(self.study):
+            digests.update(result.readings)
+        return sorted(digests)
+
+    def noise_is_a_guess(self, measurement: Measurement, count: int) -> bool:
+        """Whether the stated noise of so many values is one that they correct.
+
+        So it is where the study says so, and where the noise is an assumption, and enough
+        values remain beyond the parameters.
+        """
+        freedom = count - int(measurement.free.sum())
+        noise = self.study.noise
+        is_tested = freedom >= self.MIN_FREEDOM_OF_SCALE
+        return noise.estimate is True or (noise.assumed and is_tested)
+
+    def effect_of_catalogue(self, name: str, location: Location) -> Effect:
+        """An effect with the sizes that the study expects of it. Raises InputError."""
+        effect = catalogue.effect(name, self.study.origin, location)
+        return effect_with_sizes(effect, self.study)
+
+    def check_effect_names(self) -> None:
+        """Raise InputError for a name in `effects` of a table that is no effect."""
+        tables = {
+            "design": self.study.design,
+            "plan": self.study.plan,
+            "identify": self.study.identify,
+        }
+        for key, table in tables.items():
+            if table is not None and table.effects is not None:
+                location = self.study.location.key(key).key("effects")
+                named_effects(self.gap_or_default, table.effects, location)
+
+    @property
+    def has_own_numbers(self) -> bool:
+        """Whether the study states another machine than one of the catalogue."""
+        table = self.study.machine
+        numbers = table.geometry or table.nominal or table.workspace or table.travel
+        return bool(numbers) or user_code.is_file(table.model)
+
     def fitted(self, dataset: Dataset) -> Dataset:
         """The readings that are fitted."""
         fitted, held_out = self.fitted_setups, self.held_out_setups
@@ -629,15 +682,15 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     """
     nominal = hold_parameters(study, study_kinematics(study))
     mounted = mounted_setups(study, nominal)
-    machine, mounted = tolerances.replace_tolerances(study, nominal.machine, mounted)
+    machine, mounted = replace_tolerances(study, nominal.machine, mounted)
     kinematics = nominal.with_priors_of(machine)
     measurement_with = measurement_factory(kinematics, mounted)
     everything = measurement_with(mounted)
-    pool, refusals, warnings = candidates.candidates(study, everything)
-    references = candidates.references(study, everything)
-    design = design_request(study, everything, references, pool)
-    circles = [
-        candidates.circles(study, table, i, measurement_with, references)
+    pool, refusals, warnings = candidates(study, everything)
+    plans = references(study, everything)
+    design = design_request(study, everything, plans, pool)
+    kappa_circles = [
+        circles(study, table, i, measurement_with, plans)
         for i, table in enumerate(study.kappa)
     ]
     fitted, held_out = reading_roles(study, mounted)
@@ -646,7 +699,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     prediction = prediction_request(study, machine)
     if prediction is not None:
         check_reach(study, prediction, kinematics)
-    used = used_setups(study, pool, design, references, mounted)
+    used = used_setups(study, pool, design, plans, mounted)
     resolved = ResolvedStudy(
         study=study,
         machine=machine,
@@ -657,8 +710,8 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         refusals=refusals,
         design=design,
         plan=plan_request(study, measurement_with, mounted, prediction),
-        reference_plans=references,
-        kappa_circles=tuple(circles),
+        reference_plans=plans,
+        kappa_circles=tuple(kappa_circles),
         true_parameters=true_parameters(study, everything),
         dataset=None,
         fitted_setups=fitted,
@@ -667,10 +720,10 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         prediction=prediction,
         wanted_accuracy=wanted_accuracy(study, machine),
         gap=stated_request(study, machine),
-        gap_design=gap_design_request(study, references, everything),
+        gap_design=gap_design_request(study, plans, everything),
         warnings=warnings,
     )
-    return resolved.with_dataset(readings_dataset(study, everything, readings))
+    return resolved.with_dataset(resolved.read_dataset(readings))
 
 
 def _check_free(study: Study, everything: Measurement) -> None:
@@ -685,13 +738,6 @@ def _check_free(study: Study, everything: Measurement) -> None:
                 study.machine.fixed,
             )
         )
-
-
-def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
-    """A study that was resolved without readings, with those that its file names."""
-    everything = resolved.measurement_with(resolved.setups)
-    dataset = readings_dataset(resolved.study, everything, None)
-    return resolved.with_dataset(dataset)
 
 
 def measurement_factory(

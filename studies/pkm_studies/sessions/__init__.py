@@ -22,11 +22,19 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.sessions.adjustment import adjust_folder, adjustment_sentences
-    from pkm_studies.sessions.comparison import compare, write_comparison
-    from pkm_studies.sessions.history import machine_history
-    from pkm_studies.sessions.next_reading import Adviser, FittedReadings, reading_of
-    from pkm_studies.sessions.next_sentences import Advice, advice_sentences
-    from pkm_studies.sessions.next_visit import visit_lines
-    from pkm_studies.sessions.skipped_poses import SKIPPED, is_skipped, skipped_in_rows
+    from pkm_studies.sessions.history import compare, machine_history, write_comparison
+    from pkm_studies.sessions.next_reading import (
+        Advice,
+        Adviser,
+        FittedReadings,
+        advice_sentences,
+        reading_of,
+    )
+    from pkm_studies.sessions.next_visit import (
+        SKIPPED,
+        is_skipped,
+        skipped_in_rows,
+        visit_lines,
+    )
 else:
     __getattr__ = door(__name__)

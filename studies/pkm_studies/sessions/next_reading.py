@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,26 +11,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed import trust
+from oed import trust, units
 from oed.accuracy import error_maps
 from oed.base import Array
 from oed.design import Candidates
 from oed.effects import PlannedEffects
 from oed.estimation import Estimate, IdentificationError, identify
-from oed.measurement import Measurement, Series
+from oed.identifiability import prior_information
+from oed.measurement import Measurement, Series, reading_structure
+from oed.noise import Laws, Noise
 from oed.poses import Belief
-from pkm_studies import quantities
+from oed.result import Judgement
+from oed.text import format_number, format_probability
+from oed.verdict import SURE_PROBABILITY, judge, overall
+from pkm_studies import describe, quantities
 from pkm_studies.base import InputError, Silent, Stream
 from pkm_studies.quantities import component_values
-from pkm_studies.resolve import readings_dataset
-from pkm_studies.sessions.next_effects import (
-    Outlook,
-    effects_at,
-    noise_with_effects,
-    outlook_with_effects,
+from pkm_studies.resolve import (
+    MAX_EFFECT_UNKNOWNS,
+    NO_EFFECTS,
+    effects_of_planned,
+    named_effects,
+    pose_error_slopes,
 )
-from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, advice_sentences
-from pkm_studies.sessions.skipped_poses import SkippedPose, allowed, skipped_in_file
+from pkm_studies.sessions.next_visit import SkippedPose, allowed, skipped_in_file
 from pkm_studies.stages import (
     Measured,
     RunState,
@@ -40,6 +45,144 @@ from pkm_studies.stages import (
     start,
 )
 from pkm_studies.study import Study
+
+# Effects beside the geometry in the advice at the machine, at their expected sizes.
+
+
+#: machines that are drawn for an interval or a probability
+MACHINES = 4000
+#: share of a wanted accuracy that no reading reaches
+OUT_OF_REACH = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Outlook:
+    """What is known, and the candidates for the next reading.
+
+    pool     of the candidates, after the `taken` readings
+    before   what was known before any reading;  now  what is known
+    others   (K,) mean square over the workspace that no reading can reduce, SI
+    holds_effects  whether effects beside the geometry are in all this
+    """
+
+    pool: Candidates
+    taken: int
+    before: Belief
+    now: Belief
+    others: Array
+    holds_effects: bool = False
+
+    @property
+    def blocks(self) -> Array:
+        """Blocks (C, k, n) of the candidates."""
+        return self.pool.blocks[self.taken :]
+
+    def accuracy(self, belief: Belief) -> Array:
+        """Rms (K,) of a belief."""
+        return np.asarray(np.sqrt(belief.variances + self.others))
+
+    @functools.cached_property
+    def drawn_rms(self) -> Array:
+        """Rms errors (machines, K) that this machine may have, SI.
+
+        The mean square over the workspace is a sum of squares of normal errors.
+        """
+        rng = np.random.default_rng(0)
+        values, vectors = np.linalg.eigh(self.now.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        squares = rng.standard_normal((MACHINES, len(values))) ** 2
+        columns = []
+        for weight, other in zip(self.now.weights, self.others, strict=True):
+            spread = np.linalg.eigvalsh(root.T @ weight @ root)
+            columns.append(squares @ np.maximum(spread, 0.0) + other)
+        return np.asarray(np.sqrt(np.column_stack(columns)))
+
+    def within(self, wanted: Array) -> tuple[Array, Array]:
+        """Probabilities (K,) that wanted rms errors (K,) are met; NaN where none is.
+
+        The second result is the expected rms errors (K,) with which they pass: a pass
+        needs a high quantile of the error within what is wanted.
+        """
+        drawn = self.drawn_rms
+        share = np.where(np.isfinite(wanted), (drawn <= wanted).mean(axis=0), np.nan)
+        upper = np.maximum(
+            np.quantile(drawn, SURE_PROBABILITY, axis=0), np.finfo(float).tiny
+        )
+        return share, wanted * self.accuracy(self.now) / upper
+
+    def limits(self, wanted: Array) -> Array:
+        """Wanted rms (K,) of what readings can reduce; NaN where none is wanted.
+
+        Where more than wanted is left by what they cannot, nothing reaches the limit.
+        """
+        least = (OUT_OF_REACH * wanted) ** 2
+        return np.asarray(np.sqrt(np.maximum(wanted**2 - self.others, least)))
+
+
+def effects_at(
+    state: RunState, measurement: Measurement, taken: Sequence[Series]
+) -> PlannedEffects | None:
+    """What the effects of [identify] do to readings taken and candidates; None without."""
+    names, resolved = state.study.identify.fitted_effects, state.resolved
+    if names == NO_EFFECTS or resolved.prediction is None:
+        return None
+    request = resolved.gap_or_default
+    location = state.study.location.key("identify").key("effects")
+    return effects_of_planned(
+        measurement,
+        [*taken, *resolved.candidates],
+        named_effects(request, names, location),
+        request,
+        resolved.prediction,
+        Stream.PLANNED_COURSES.rng(state.study.seed),
+        MAX_EFFECT_UNKNOWNS,
+    )
+
+
+def noise_with_effects(
+    measurement: Measurement, taken: Sequence[Series], effects: PlannedEffects
+) -> Noise:
+    """Stated noise of the readings taken, with the effects' covariance beside it."""
+    structure = reading_structure(measurement, taken, measurement.nominal)
+    changes = effects.readings.take(slice(0, len(structure)))
+    columns = np.hstack([changes.columns, np.diag(changes.scatter)])
+    wider = dataclasses.replace(structure, effects=structure.standardise(columns))
+    return Laws.stated(wider).noise(wider)
+
+
+def outlook_with_effects(
+    state: RunState,
+    measurement: Measurement,
+    taken: Sequence[Series],
+    theta: Array,
+    raw: Array,
+    effects: PlannedEffects,
+) -> Outlook:
+    """The outlook after the readings taken, linear about theta (n,).
+
+    raw  (n, K, p) pose errors over the workspace per unit of each parameter, SI
+    """
+    pool = Candidates.build(
+        measurement,
+        [*taken, *state.resolved.candidates],
+        theta,
+        "tolerance",
+        nuisances=effects.readings,
+    )
+    pool = pool.add_prior(prior_information(measurement))
+    count = sum(map(len, taken))
+    total, information_so_far = (
+        pool.prior_information,
+        pool.information(np.arange(count)),
+    )
+    factors = pose_error_slopes(pool, raw, effects)
+    by_component = factors.swapaxes(0, 1) / np.sqrt(len(raw))
+    before, now = (
+        np.asarray(np.linalg.inv(i), dtype=float) for i in (total, information_so_far)
+    )
+    beliefs = Belief.build(before, by_component), Belief.build(now, by_component)
+    return Outlook(pool, count, *beliefs, effects.others, holds_effects=True)
+
 
 #: how a file is refused whose cells for readings are all empty
 NO_READING = "no reading was taken"
@@ -210,10 +353,9 @@ class Adviser:
 
     def _state_with_readings(self, path: Path) -> Measured | None:
         """The state with the readings of a file; None where it has only poses."""
-        study, resolved = self.base.study, self.base.resolved
-        everything = resolved.measurement_with(resolved.setups)
+        resolved = self.base.resolved
         try:
-            data = readings_dataset(study, everything, [path])
+            data = resolved.read_dataset([path])
         except InputError as error:
             if error.problem != NO_READING:
                 raise
@@ -395,3 +537,179 @@ def reading_of(pool: Candidates, index: int) -> tuple[Series, int]:
             return series, first
         first -= len(series)
     raise IndexError(f"candidate {index} of {len(pool)}")
+
+
+# The advice at the machine, and its sentences: what is known, what to read, when to stop.
+
+
+#: readings that are thought ahead, to say how many reach what is wanted
+MOST_AHEAD = 100
+#: share of the error below which a further reading is not worth its time
+LEAST_GAIN = 0.01
+EVERY = "every wanted accuracy"
+GEOMETRY_SO_FAR = (
+    "Geometry alone so far: every wanted accuracy would be reached if no effect acted"
+    " beside it. Evaluate the readings to learn whether one does (`oed identify`)."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Advice:
+    """What a user at the machine needs to know after a reading.
+
+    readings   number taken
+    known      rms (K,) of each component over the workspace, SI, its unknown part
+    after      the same after the next reading
+    limits     wanted rms (K,), SI; NaN where none is
+    within     probability (K,) that the rms error of this machine is within what is
+               wanted; NaN where nothing is
+    follows_plan  whether the limits are what the study's plan would reach
+    more       readings that reach what is wanted, one after another; None where
+               `MOST_AHEAD` do not, or nothing is wanted
+    planned    readings of the study's plan, if it states a number
+    candidate  number of the next reading among the candidates, which is in a row of a
+               series; `expected` is what it should read, SI
+    findings   what a check of the readings says
+    outlook    all candidates, and what is known, from which the next one is chosen
+    objections  why nothing should rest on the readings so far
+    skipped    numbers of the candidates that are not advised
+    """
+
+    names: tuple[str, ...]
+    readings: int
+    known: Array
+    after: Array
+    limits: Array
+    within: Array
+    follows_plan: bool
+    candidate: int
+    series: Series
+    row: int
+    expected: Array
+    more: int | None
+    planned: int | None
+    outlook: Outlook
+    findings: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()
+    skipped: tuple[int, ...] = ()
+
+    def judgement(self, component: int) -> Judgement:
+        """The verdict on one component's wanted accuracy."""
+        can_pass = self.outlook.holds_effects and not self.objections
+        return judge(float(self.within[component]), can_pass=can_pass)
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether every wanted accuracy passes, or what the plan would reach is reached."""
+        wanted = np.flatnonzero(np.isfinite(self.limits))
+        if self.follows_plan:
+            return not self.objections and bool((self.known <= self.limits).all())
+        return overall(self.judgement(int(k)) for k in wanted) == "pass"
+
+    @property
+    def is_reached_by_geometry(self) -> bool:
+        """Whether all would pass if nothing beside the geometry acted."""
+        stated = self.within[np.isfinite(self.limits)]
+        passes = bool(stated.size and (stated >= SURE_PROBABILITY).all())
+        return passes and not self.outlook.holds_effects and not self.follows_plan
+
+    @property
+    def gain(self) -> float:
+        """Share by which the next reading lowers the errors, on average."""
+        positive = self.known > 0.0
+        ratios = self.after[positive] / self.known[positive]
+        return float(1.0 - np.exp(np.mean(np.log(ratios)))) if ratios.size else 0.0
+
+    def stop_sentences(self) -> list[str]:
+        """Whether to stop now, and how far it is."""
+        if self.objections:
+            return [
+                f"Look for the cause before you go on: {'; '.join(self.objections)}."
+            ]
+        if self.is_reached:
+            reached = "what the plan would reach" if self.follows_plan else EVERY
+            return [f"Stop: {reached} is reached."]
+        if self.is_reached_by_geometry:
+            return [GEOMETRY_SO_FAR]
+        if np.isfinite(self.limits).any():
+            if self.more is None:
+                return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
+            if self.more == 1:
+                return ["About 1 more reading reaches what is wanted."]
+            return [f"About {self.more} more readings reach what is wanted."]
+        if self.planned is not None and self.readings >= self.planned:
+            return [f"Stop: the {self.planned} readings of the plan are taken."]
+        if self.readings and self.gain < LEAST_GAIN:
+            return [
+                f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."
+            ]
+        if self.planned is None:
+            return []
+        return [f"The plan has {self.planned} readings."]
+
+
+def advice_sentences(adviser: Adviser, advice: Advice) -> list[str]:
+    """The advice in lines: what is known, the next reading, when to stop."""
+    machine = adviser.base.resolved.machine
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    lines = [
+        f"{advice.readings} readings taken. Rms error over the workspace, unknown part:"
+    ]
+    for k, name in enumerate(advice.names):
+        unit = fine[name]
+        now, then = (units.number(v[k], unit) for v in (advice.known, advice.after))
+        sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
+        line = f"  {name:<6} {sizes} after the next reading"
+        if np.isfinite(advice.limits[k]):
+            wanted = format_number(units.number(advice.limits[k], unit))
+            line += f"   wanted {wanted}{_stated(advice, k)}"
+        lines.append(line)
+    skipped = skips(advice)
+    return [
+        *advice.findings,
+        *lines,
+        *advice.stop_sentences(),
+        *skipped,
+        *_next(adviser, advice),
+    ]
+
+
+def _stated(advice: Advice, component: int) -> str:
+    """The verdict on a component; what a plan would reach has none."""
+    if advice.follows_plan:
+        return ""
+    within = format_probability(float(advice.within[component]))
+    return f": {advice.judgement(component)} (within it with {within})"
+
+
+def skips(advice: Advice) -> list[str]:
+    """How many readings are not advised, as their poses are skipped."""
+    count = len(advice.skipped)
+    if not count:
+        return []
+    phrase = "1 reading is" if count == 1 else f"{count} readings are"
+    return [f"{phrase} not advised: the file's remarks skip the pose."]
+
+
+def _next(adviser: Adviser, advice: Advice) -> list[str]:
+    """Set-up, command, joints and the value that the reading should have."""
+    machine = adviser.base.resolved.machine
+    series, row = advice.series, advice.row
+    command = describe.displayed_command(machine, series.reading_commands()[row])
+    joints = describe.displayed_joints(machine, series.q[series.index[row, 0]])
+    setup = adviser.base.resolved.setups[series.setup]
+    expected = [
+        f"{channel.name} {quantities.format_value(float(value), channel.unit)}"
+        for channel, value in zip(
+            setup.instrument.channels, advice.expected, strict=True
+        )
+    ]
+    return [
+        f"Next: {series.setup}, {_values(command)}; joints {_values(joints)}.",
+        f"It should read {', '.join(expected)} and lowers the errors by"
+        f" {100.0 * advice.gain:.2g} % on average.",
+    ]
+
+
+def _values(numbers: dict[str, float]) -> str:
+    return ", ".join(f"{key} = {value:.7g}" for key, value in numbers.items())

@@ -41,11 +41,15 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.stages.design.select import select_design
-    from pkm_studies.stages.fit.estimate import estimate_section
+    from pkm_studies.stages.fit.estimate import (
+        estimate_section,
+        explain_error,
+        sample_posterior,
+    )
     from pkm_studies.stages.fit.goodness import check_dataset
     from pkm_studies.stages.fit.run_curves import compensated_series, measured_curves
-    from pkm_studies.stages.forecast.words import forecast_sentences
-    from pkm_studies.stages.input_checks import check_inputs
+    from pkm_studies.stages.forecast import forecast_sentences
+    from pkm_studies.stages.gap.diagnosis import diagnose_always
     from pkm_studies.stages.order import (
         checked,
         designed,
@@ -58,7 +62,6 @@ if TYPE_CHECKING:
         simulated,
         virtual_fit,
     )
-    from pkm_studies.stages.outcome import report_outcome
     from pkm_studies.stages.pipeline import (
         diagnose_study,
         forecast_study,
@@ -66,6 +69,8 @@ if TYPE_CHECKING:
         run_study,
         simulate_study,
     )
+    from pkm_studies.stages.predict.prediction import predict_accuracy
+    from pkm_studies.stages.readings import check_inputs
     from pkm_studies.stages.run_state import (
         Fitted,
         Measured,
@@ -74,8 +79,6 @@ if TYPE_CHECKING:
         start,
         written,
     )
-    from pkm_studies.stages.steps.fit import explain_error, sample_posterior
-    from pkm_studies.stages.steps.gap import diagnose_always
-    from pkm_studies.stages.steps.prediction import predict_accuracy
+    from pkm_studies.stages.summary import report_outcome
 else:
     __getattr__ = door(__name__)

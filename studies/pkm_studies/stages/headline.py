@@ -25,9 +25,9 @@ from oed.result import (
 from oed.text import format_number, guaranteed_percent, join_words
 from oed.verdict import accuracy_verdicts
 from pkm_studies.results import unmodelled_sentence
-from pkm_studies.stages.forecast import words as forecast_words
+from pkm_studies.stages import forecast
 from pkm_studies.stages.gap.sentences import noise_words, plain_name
-from pkm_studies.stages.plan.phrases import percent, plan_sentences
+from pkm_studies.stages.plan.plan import percent, plan_sentences
 
 # A design in sentences: what its readings reach, and on a machine with effects.
 
@@ -143,7 +143,7 @@ def sentences(
         *([] if result.corrected is not None else _accuracy(result.judged_prediction)),
         *_wanted(result),
         *_unmodelled(result.prediction),
-        *forecast_words.figures(result.forecast),
+        *forecast.figures(result.forecast),
         *_rank(result.identifiability),
         *effects_sentences(chosen),
         *gain_sentences(chosen),

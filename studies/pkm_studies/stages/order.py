@@ -18,21 +18,11 @@ from oed.result import StudyResult
 from oed.verdict import accuracy_verdicts
 from pkm_studies import describe
 from pkm_studies.base import Progress, Silent
-from pkm_studies.resolve import counted_digests
 from pkm_studies.results import load_result
 from pkm_studies.stages import headline
-from pkm_studies.stages.plan.earlier import read_earlier_session
-from pkm_studies.stages.run_state import (
-    Fitted,
-    Measured,
-    Readings,
-    RunState,
-    Scheduled,
-    promote,
-    start,
-)
-from pkm_studies.stages.steps.correct import correct_for_effects
-from pkm_studies.stages.steps.design import (
+from pkm_studies.stages.correct.corrected import correct_for_effects
+from pkm_studies.stages.correct.mixture import mix_answers
+from pkm_studies.stages.design.section import (
     analyse_identifiability,
     draw_machine,
     plan_measurements,
@@ -41,21 +31,30 @@ from pkm_studies.stages.steps.design import (
     report_single_stage,
     select_design,
 )
-from pkm_studies.stages.steps.fit import (
+from pkm_studies.stages.fit.estimate import (
     check_readings,
     fit_parameters,
     sample_posterior,
 )
-from pkm_studies.stages.steps.forecast import forecast_errors
-from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_gap
-from pkm_studies.stages.steps.mixture import mix_answers
-from pkm_studies.stages.steps.prediction import predict_accuracy, predict_held_out
-from pkm_studies.stages.steps.readings import (
+from pkm_studies.stages.forecast import forecast_errors
+from pkm_studies.stages.gap.diagnosis import diagnose_always, diagnose_gap, preview_gap
+from pkm_studies.stages.plan.task import read_earlier_session
+from pkm_studies.stages.predict.prediction import predict_accuracy, predict_held_out
+from pkm_studies.stages.readings import (
     plan_readings,
     simulate_readings,
     take_readings,
     take_recorded,
     take_simulated,
+)
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Measured,
+    Readings,
+    RunState,
+    Scheduled,
+    promote,
+    start,
 )
 from pkm_studies.study import Study
 
@@ -240,7 +239,7 @@ def assemble_result(state: RunState) -> StudyResult:
         state.result,
         seed=state.seed,
         machine=info,
-        readings=counted_digests(state.study, readings),
+        readings=state.resolved.counted_digests(readings),
         setups=[describe.setup_info(machine, setup, series) for setup in setups],
         versions=describe.package_versions(),
         verdicts=accuracy_verdicts(state.result),

@@ -33,7 +33,6 @@ from oed.recording import (
 )
 from oed.result import RecordedChoice, RecordingSection
 from pkm_studies.resolve import (
-    DRAWN_COURSES,
     GapRequest,
     PredictionRequest,
     planned_courses,
@@ -196,7 +195,6 @@ def _courses(
         series,
         plan.request,
         rng,
-        DRAWN_COURSES,
         plan.seconds,
         bodies,
         last,

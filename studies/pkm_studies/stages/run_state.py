@@ -22,9 +22,7 @@ from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies import describe
 from pkm_studies.base import Progress, Stream
 from pkm_studies.resolve import (
-    MIN_FREEDOM_OF_SCALE,
     ResolvedStudy,
-    noise_is_a_guess,
     resolve,
 )
 from pkm_studies.study import Study
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
     from oed.identifiability import Assessment
     from oed.posterior import Checkpoint, Posterior
     from pkm_studies.stages.design.select import ChosenDesign
-    from pkm_studies.stages.plan.section import PlanOutcome
+    from pkm_studies.stages.plan.plan import PlanOutcome
 
 
 class HeldOut(NamedTuple):
@@ -170,7 +168,7 @@ class Measured(Scheduled):
     def noise_is_a_guess(self) -> bool:
         """Whether the stated noise is one that the readings correct."""
         count = len(self.readings.y)
-        return noise_is_a_guess(self.study, self.measurement, count)
+        return self.resolved.noise_is_a_guess(self.measurement, count)
 
     @property
     def goodness(self) -> GoodnessSection:
@@ -198,7 +196,9 @@ class Measured(Scheduled):
             determined = self.identifiability.identifiability.rank
         freedom = len(self.readings.y) - determined
         assumed = self.study.noise.assumed
-        return freedom >= (MIN_FREEDOM_OF_SCALE if assumed else LEAST_FREEDOM)
+        return freedom >= (
+            self.resolved.MIN_FREEDOM_OF_SCALE if assumed else LEAST_FREEDOM
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Summarises a result for the terminal: the first page in a few lines, or every sentence."""
+"""What a terminal prints of a result, and the exit code."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 from oed import safe_files
 from pkm_studies import console, result_folder
-from pkm_studies.stages import headline, outcome
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.stages import headline
 
 if TYPE_CHECKING:
-    from oed.result import StudyResult
+    from oed.result import Claim, StudyResult
     from pkm_reports.blocks import Table
 
 #: sentences of a result that has no first lines
@@ -39,7 +40,7 @@ def lines(
     files = _files(result, folder)
     if verbose:
         warnings = _warnings(result, folder)
-        claims = [f"Claim {outcome.verdict(claim)}" for claim in result.claims]
+        claims = [f"Claim {verdict(claim)}" for claim in result.claims]
         rest = [line for line in result.headline if line not in shown]
         return [*shown, *rest, *warnings, *files, *claims]
     contradictions = [
@@ -118,10 +119,53 @@ def _claims(result: StudyResult) -> list[str]:
     met = len(result.claims) - len(failing)
     return [
         f"Claims: {met} of {len(result.claims)} met.",
-        *[f"Claim {outcome.verdict(claim)}" for claim in failing],
+        *[f"Claim {verdict(claim)}" for claim in failing],
     ]
 
 
 def _sentence(text: str) -> str:
     """A capital first letter, and a full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+# What the command prints of a result, and the exit code.
+
+
+def report_outcome(
+    result: StudyResult,
+    folder: Path,
+    quiet: bool,
+    *,
+    verbose: bool = False,
+    above: Sequence[str] = (),
+) -> int:
+    """Print headline, files and claims, below the lines `above`; the exit code.
+
+    It is 0 where nothing speaks against the result and what is wanted passes.
+    """
+    if not quiet:
+        print(*lines(result, folder, verbose, above), sep="\n")
+    from oed import trust
+    from oed.verdict import all_pass
+
+    failing = [claim for claim in result.claims if not claim.met]
+    for claim in failing:
+        console.print_error(f"claim {verdict(claim)}")
+    objections = trust.objections(result)
+    for objection in objections:
+        console.print_error(
+            f"{objection}: do not rely on its parameters, nor on what they predict"
+        )
+    passes = all_pass(v.judgement for v in result.verdicts.values())
+    return DONE if passes and not failing and not objections else FAILED
+
+
+def verdict(claim: Claim) -> str:
+    """What was claimed, and what was measured."""
+    if claim.met and isinstance(claim.measured, str):
+        return f"{claim.claim}: met: {claim.wanted}"
+    measured = claim.measured
+    if isinstance(measured, float):
+        measured = f"{measured:.6g}"
+    met = "met" if claim.met else "not met"
+    return f"{claim.claim}: {met}: {claim.wanted}, measured {measured}"

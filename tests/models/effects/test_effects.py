@@ -25,7 +25,7 @@ from oed.gap import exact_readings, signature, untestable
 from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.base import InputError
-from pkm_studies.resolve import machine as resolve_machine
+from pkm_studies.resolve import machine
 from pkm_studies.user_code import Origin
 
 #: effects that only cables have, and those that they cannot have
@@ -121,7 +121,7 @@ def test_the_drive_of_a_study_is_the_machine_s(tmp_path: Path) -> None:
         'drive = "belt"\n[[setup]]\nname = "probe"\ninstrument = "height_probe"\n'
     )
     path.write_text(text, encoding="utf-8")
-    assert resolve_machine.study_machine(studies.load(path)).drive == "belt"
+    assert machine.study_machine(studies.load(path)).drive == "belt"
     path.write_text(text.replace("belt", "steam"), encoding="utf-8")
     with pytest.raises(InputError) as error:
         studies.load(path)

@@ -34,7 +34,7 @@ from oed.corrected import (
 )
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement
-from pkm_studies.stages.corrected.section import effect_tables
+from pkm_studies.stages.correct.corrected import effect_tables
 
 
 @dataclasses.dataclass

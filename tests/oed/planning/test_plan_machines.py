@@ -304,7 +304,7 @@ def test_a_bar_alone_loses_what_is_predicted() -> None:
 
 
 def test_compensation_brings_the_bar_s_readings_back() -> None:
-    """Without it the second bar loses as much as if nothing had been identified."""
+    """Few of the second bar's readings are lost, where its own travel is short."""
     machine = a3(2e-3, 0.3e-3, 5e-3)
     rough = tracker(machine, "rough", 50e-6, 600.0)
     one_bar = bars(machine, 0.2e-3, (0.0,), (0.3,))[0]
@@ -312,18 +312,13 @@ def test_compensation_brings_the_bar_s_readings_back() -> None:
     prior = np.eye(24 - len(machine.frame))
     first = stage_after(rough, np.arange(16), prior, rng)
     second = stage_after(one_bar, np.arange(0, 48, 2), first.posterior, rng)
-    losses = []
-    for compensated in (True, False):
-        realisation = propagate(
-            [first, second],
-            WORKSPACE[::12],
-            12,
-            np.random.default_rng(6),
-            compensated=compensated,
-        )
-        losses.append(realisation.stages[1].realised_loss)
-    assert losses[0] < 0.02
-    assert losses[1] > 0.5
+    stages, rng = [first, second], np.random.default_rng(6)
+    realisation = propagate(stages, WORKSPACE[::12], 12, rng)
+    assert realisation.stages[1].realised_loss < 0.02
+    # a bar alone, on the machine before any stage
+    bar = stage_after(one_bar, np.arange(0, 48, 2), prior, rng)
+    alone = propagate([bar], WORKSPACE[::12], 12, rng)
+    assert alone.stages[0].realised_loss > 0.5
 
 
 def test_machines_are_drawn_from_an_earlier_posterior() -> None:

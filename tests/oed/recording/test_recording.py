@@ -13,7 +13,7 @@ from oed.effect_model import Column, Effect
 from oed.effects import CourseColumns, SessionStates, expected_columns, over_courses
 from oed.recording import PlannedReadings, equal_times, relative, remaining_error
 from pkm_reports.blocks import Table
-from pkm_reports.sections.recording import blocks
+from pkm_reports.sections.stages import recording_blocks
 from pkm_studies.resolve import GapRequest, planned_courses
 from pkm_studies.stages import select_design
 from pkm_studies.stages.headline import recording_sentences
@@ -101,7 +101,7 @@ def test_a_side_that_is_not_recorded_is_scatter() -> None:
     series = [measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))]
     request = GapRequest((), (0.0, 0.0, -1.0), (), ConditionsTable())
     rng = np.random.default_rng(3)
-    problem, courses = planned_courses(measurement, series, request, rng, 8, 3600.0)
+    problem, courses = planned_courses(measurement, series, request, rng, 3600.0)
     effect = Effect(
         name="play",
         source="ISO 230-2",
@@ -169,6 +169,6 @@ def test_the_table_of_a_design(tmp_path: Path) -> None:
         assert both.accuracy[key] < value
     (sentence,) = recording_sentences(whole)
     assert section.choices[0].words in sentence
-    table = blocks(section)[1]
+    table = recording_blocks(section)[1]
     assert isinstance(table, Table)
     assert len(table.rows) == len(choices) + 2

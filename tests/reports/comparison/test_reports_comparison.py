@@ -11,10 +11,11 @@ from report_fixture import result_of, text_of
 from report_fixture_fit import spread
 
 from oed.result import StudyResult
+from pkm_reports import comparison as side_by_side
 from pkm_reports import text, write_comparison
-from pkm_reports.comparison import content, glance, tables
+from pkm_reports.comparison import content
 from pkm_studies.commands import main
-from pkm_studies.sessions import comparison
+from pkm_studies.sessions import history
 
 
 def two_of_one_head(mode: str) -> dict[str, StudyResult]:
@@ -42,7 +43,7 @@ def _plain(lines: list[Any]) -> str:
 
 def test_differences_come_first_and_name_the_better() -> None:
     results = two_of_one_head("plan")
-    words = _plain(glance.sentences(results))
+    words = _plain(side_by_side.sentences(results))
     assert "one takes the least time" in words
     assert (
         "The error of z is smallest in two: 15 µm rms, 2 times as good as in one"
@@ -54,7 +55,7 @@ def test_differences_come_first_and_name_the_better() -> None:
 
 
 def test_equal_results_have_no_differences(results: dict[str, StudyResult]) -> None:
-    (paragraph,) = glance.sentences({"a": results["one"], "b": results["one"]})
+    (paragraph,) = side_by_side.sentences({"a": results["one"], "b": results["one"]})
     assert "agree" in paragraph.text
 
 
@@ -66,7 +67,7 @@ def test_accuracies_stand_beside_what_is_wanted(
     assert design.how_many is not None
     goal = replace(design.how_many, wanted={"z_um": 25.0})
     results["one"] = replace(results["one"], design=replace(design, how_many=goal))
-    table = tables.accuracy_blocks(results)[0]
+    table = side_by_side.accuracy_blocks(results)[0]
     row = next(r for r in table.rows if r[0].startswith("z"))
     assert row[1:] == ["30", "15", "25", "two"]
 
@@ -74,12 +75,12 @@ def test_accuracies_stand_beside_what_is_wanted(
 def test_parameters_are_compared_for_one_machine_alone(
     results: dict[str, StudyResult],
 ) -> None:
-    (table,) = tables.parameter_blocks(results)
+    (table,) = side_by_side.parameter_blocks(results)
     assert len(table.rows) == len(results["one"].estimate.parameters)
     machine = replace(results["two"].machine, name="another")
     results["two"] = replace(results["two"], machine=machine)
-    assert tables.parameter_blocks(results) == []
-    assert "machines differ" in _plain(glance.sentences(results))
+    assert side_by_side.parameter_blocks(results) == []
+    assert "machines differ" in _plain(side_by_side.sentences(results))
 
 
 def test_both_files_are_written_the_same_each_time(
@@ -129,6 +130,6 @@ def test_the_command_puts_folders_side_by_side(
 
 def test_folders_get_names_that_tell_them_apart() -> None:
     folders = [Path("a/x/out"), Path("b/x/out"), Path("c")]
-    assert comparison.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
-    assert comparison.short_names([folders[0], folders[2]]) == ["out", "c"]
-    assert len(set(comparison.short_names([folders[0]] * 2))) == 2
+    assert history.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
+    assert history.short_names([folders[0], folders[2]]) == ["out", "c"]
+    assert len(set(history.short_names([folders[0]] * 2))) == 2

@@ -19,7 +19,7 @@ from report_fixture import result_of, shown_text, text_of
 from oed import safe_files
 from oed.result import StudyResult
 from pkm_reports import sections, style, write_report
-from pkm_reports.blocks import Picture
+from pkm_reports.blocks import Paragraph, Picture
 from pkm_reports.page import build_document, document, render_html, render_pdf
 from pkm_studies import result_folder
 from pkm_studies.results import load_result
@@ -346,6 +346,6 @@ def test_the_print_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     assert pages[0] <= 4
     assert pages[1] > 2 * pages[0]
     (more,) = [s for s in report.printed.sections if s.anchor == "more"]
-    (words,) = [b.text for b in more.blocks if isinstance(b, document.TextBlock)]
+    (words,) = [b.text for b in more.blocks if isinstance(b, Paragraph)]
     shown = [s.title for s in report.printed.sections]
     assert all(s.title in words or s.title in shown for s in report.page.sections)

@@ -10,8 +10,7 @@ from report_fixture import result_of
 from oed.result import SpreadRecord, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
-from pkm_reports.sections import answer_parts
-from pkm_reports.sections.answer import accuracy, causes, unknown, warnings
+from pkm_reports.sections import answer, answer_parts
 
 
 def _words(result: StudyResult) -> dict[str, str]:
@@ -62,7 +61,7 @@ def test_the_wanted_accuracy_stands_beside_the_predicted(
 ) -> None:
     raw = report_fixture.sample()
     raw["design"]["how_many"]["wanted"] = {"z_um": limit}
-    (table, *_) = accuracy.blocks(result_of(raw))
+    (table, *_) = answer.accuracy_blocks(result_of(raw))
     assert isinstance(table, Table)
     assert [c.title for c in table.columns][-2:] == ["Within", "Verdict"]
     assert table.rows[0][0] == "z [µm]"
@@ -113,7 +112,7 @@ def test_what_is_lost_stands_with_what_brings_it_back() -> None:
 def test_where_nothing_is_lost_the_page_says_so() -> None:
     raw = report_fixture.sample()
     raw["identifiability"] |= {"rank": 24, "lost": [], "words": []}
-    (paragraph,) = unknown.blocks(result_of(raw))
+    (paragraph,) = answer.unknown_blocks(result_of(raw))
     assert "all of the 24" in paragraph.text.replace(text.NO_BREAK, " ")
 
 
@@ -131,7 +130,7 @@ def test_the_most_harmful_warning_stands_first() -> None:
     }
     raw = report_fixture.sample() | {"goodness": goodness}
     raw["estimate"]["warnings"] = ["a parameter lies far out"]
-    ranked = list(warnings.ranked(result_of(raw)))
+    ranked = list(answer.ranked_warnings(result_of(raw)))
     assert ranked[0] == "the readings do not fit the model"
     assert ranked[1].startswith("The study misses a claim")
     assert ranked[2] == "a parameter lies far out"
@@ -164,12 +163,12 @@ def test_causes_are_ranked_by_size_with_their_unit_and_probability() -> None:
     certain = {"leg_thermal": 0.98, "backlash": 1.0 - 1e-9}
     raw = report_fixture.bare() | {"gap": gap}
     result = result_of(raw)
-    (table,) = [b for b in causes.blocks(result) if isinstance(b, Table)]
+    (table,) = [b for b in answer.cause_blocks(result) if isinstance(b, Table)]
     assert [row[0] for row in table.rows] == ["backlash", "leg thermal", "friction"]
     assert table.rows[0][2].replace(text.NO_BREAK, " ") == "5 µm"
     assert table.rows[0][1].replace(text.NO_BREAK, " ") == "99 %"
     result = result_of(report_fixture.bare() | {"gap": gap | {"marginal": certain}})
-    (table,) = [b for b in causes.blocks(result) if isinstance(b, Table)]
+    (table,) = [b for b in answer.cause_blocks(result) if isinstance(b, Table)]
     assert table.rows[0][1].replace(text.NO_BREAK, " ") == "> 99 %"
     words = _words(result)["causes"]
     assert "length 6 µm before, 0.500 µm after" in words

@@ -16,13 +16,12 @@ from oed.gap import assemble
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
 from pkm_reports.page import build_document, render_html, render_pdf
-from pkm_reports.sections.figures.gap import effects as gap_effects
-from pkm_reports.sections.figures.gap import trace as gap_trace
-from pkm_reports.sections.gap import chapter, explanations
+from pkm_reports.sections import gap as chapter
+from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
-from pkm_studies.stages.steps.gap import gap_section
-from pkm_studies.stages.steps.readings import planned_series, simulate_readings
+from pkm_studies.stages.gap.diagnosis import gap_section
+from pkm_studies.stages.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
 pytestmark = pytest.mark.pictures
@@ -155,7 +154,7 @@ def test_a_coefficient_without_an_expected_size_has_none(gap: GapSection) -> Non
 def test_one_of_many_is_not_named_before_the_others() -> None:
     few, many = ["friction", "backlash"], ["step", *(f"effect_{k}" for k in range(6))]
     answer = AnswerRecord(["friction", "step", "unknown"], 0.4, [few, many])
-    explanation, percent, others = explanations.explanation_row(answer)
+    explanation, percent, others = chapter.explanation_row(answer)
     assert explanation == "friction, one of 7 and an effect of unknown form"
     assert percent == text.percent(0.4)
     assert others.startswith("backlash, step, effect 0")
@@ -165,9 +164,9 @@ def test_the_set_is_shown_where_it_has_more_than_one(gap: GapSection) -> None:
     likely = AnswerRecord(["friction"], 0.97, [["friction"]])
     other = AnswerRecord(["step"], 0.03, [["step"]])
     bare = replace(gap, answers=[likely, other], sizes=[])
-    assert len(explanations.blocks(replace(bare, set95=[likely]))) == 1
-    assert len(explanations.blocks(replace(bare, set95=[likely, other]))) == 2
-    assert not explanations.blocks(replace(bare, answers=[]))
+    assert len(chapter.explanation_blocks(replace(bare, set95=[likely]))) == 1
+    assert len(chapter.explanation_blocks(replace(bare, set95=[likely, other]))) == 2
+    assert not chapter.explanation_blocks(replace(bare, answers=[]))
 
 
 # -- figures ---------------------------------------------------------------------------
@@ -175,11 +174,11 @@ def test_the_set_is_shown_where_it_has_more_than_one(gap: GapSection) -> None:
 
 def test_figures_without_data_say_so(gap: GapSection) -> None:
     with style.applied():
-        for figure in (gap_trace.draw([]), chapter.draw_map([], "um")):
+        for figure in (gap_figures.draw_traces([]), chapter.draw_map([], "um")):
             assert not figure.axes
             assert re.search(r"No .* are stored", figure.texts[0].get_text())
         assert "No run" in chapter.draw_circles([]).texts[0].get_text()
-        empty = gap_effects.draw(replace(gap, marginal={}))
+        empty = gap_figures.draw_effects(replace(gap, marginal={}))
         assert "No effect" in empty.texts[0].get_text()
 
 
@@ -191,8 +190,8 @@ def test_figures_keep_all_words_inside(gap: GapSection) -> None:
 
 def _figures(gap: GapSection) -> list[Figure]:
     return [
-        gap_effects.draw(gap),
-        gap_trace.draw(gap.traces),
+        gap_figures.draw_effects(gap),
+        gap_figures.draw_traces(gap.traces),
         chapter.draw_circles(gap.traces),
         chapter.draw_map(gap.spots, gap.spots_unit),
     ]
@@ -201,10 +200,10 @@ def _figures(gap: GapSection) -> list[Figure]:
 def test_the_likeliest_cause_is_at_the_top_and_coloured(gap: GapSection) -> None:
     marginal = {f"effect_{k:02d}": 0.01 * k for k in range(14)} | {"backlash": 0.98}
     with style.applied():
-        bars, sizes = gap_effects.draw(replace(gap, marginal=marginal)).axes
+        bars, sizes = gap_figures.draw_effects(replace(gap, marginal=marginal)).axes
     labels = [label.get_text() for label in bars.get_yticklabels()]
     assert labels[:2] == ["backlash", "effect 13"]
-    assert len(labels) == gap_effects.MOST
+    assert len(labels) == gap_figures.MAX_EFFECTS
     first, second = bars.patches[:2]
     assert first.get_width() == pytest.approx(98.0)
     assert first.get_facecolor() != second.get_facecolor()
@@ -220,14 +219,16 @@ def _scaled(trace: Trace, k: int) -> Trace:
 
 def test_only_the_runs_with_the_largest_residuals_are_drawn(gap: GapSection) -> None:
     many = [_scaled(gap.traces[0], k) for k in range(20)]
-    shown = [trace.run for trace in gap_trace.choose(many)]
-    assert len(shown) == gap_trace.MOST
+    shown = [trace.run for trace in gap_figures.choose_traces(many)]
+    assert len(shown) == gap_figures.MAX_TRACES
     largest = ["r4", "r9", "r14", "r19"]
     assert [run for run in shown if run in largest] == largest
     assert "r0" not in shown
     with style.applied():
-        panels = [axes for axes in gap_trace.draw(many).axes if axes.get_visible()]
-    assert len(panels) == gap_trace.MOST
+        panels = [
+            axes for axes in gap_figures.draw_traces(many).axes if axes.get_visible()
+        ]
+    assert len(panels) == gap_figures.MAX_TRACES
 
 
 def test_both_ways_of_a_circle_share_a_panel(gap: GapSection) -> None:
@@ -266,7 +267,7 @@ def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:
         (0.13, "an effect of unknown form, too small for these readings to show"),
     ):
         answer = AnswerRecord(("unknown",), 0.13, (), unseen)
-        assert explanations.explanation_row(answer)[0] == words
+        assert chapter.explanation_row(answer)[0] == words
 
 
 def test_no_gap_closes_by_more_than_all_of_it(gap: GapSection) -> None:

@@ -19,7 +19,7 @@ from oed.result import PlannedReading, PlanSection, StudyResult
 from pkm_reports import sections, style, write_sheet
 from pkm_reports.blocks import Paragraph, Picture
 from pkm_reports.page import build_document, render_html, render_pdf, sheet
-from pkm_reports.sections.stages import chapter, figures
+from pkm_reports.sections import stages
 
 pytestmark = pytest.mark.pictures
 
@@ -71,8 +71,8 @@ def test_the_chapter_is_there_only_where_stages_are_planned() -> None:
     others = sections.chapters(result_of(report_fixture.sample()))
     assert [section.anchor for section in planned] == ["plan", "stages"]
     assert "stages" not in [section.anchor for section in others]
-    assert not chapter.has_schedule(None)
-    assert not chapter.has_schedule(PlanSection([], 0.0, []))
+    assert not stages.has_schedule(None)
+    assert not stages.has_schedule(PlanSection([], 0.0, []))
 
 
 def test_stages_and_verdict_are_reported() -> None:
@@ -145,7 +145,7 @@ def test_a_reached_goal_is_reported() -> None:
 )
 def test_a_loss_is_never_rounded_down(loss: float, written: str) -> None:
     plan = report_fixture_plan.plan(wanted=False) | {"loss": loss}
-    blocks = chapter.blocks(_small(plan))
+    blocks = stages.blocks(_small(plan))
     texts = [block.text for block in blocks if isinstance(block, Paragraph)]
     assert any(f"at most {written}" in words for words in texts)
 
@@ -183,7 +183,7 @@ def test_parts_of_a_stage_may_be_null() -> None:
 
 def _check(result: StudyResult, *, draw: bool) -> None:
     """Texts hold no number that is none; `draw`: all figures can be drawn and set."""
-    blocks = chapter.blocks(result)
+    blocks = stages.blocks(result)
     texts = [
         block.caption if isinstance(block, Picture) else repr(block) for block in blocks
     ]
@@ -220,14 +220,14 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
 def test_lines_and_diamonds_are_the_numbers() -> None:
     plan = _plan()
     with style.applied():
-        panels = figures.draw_accuracies(plan).axes
+        panels = stages.draw_accuracies(plan).axes
     lines = [line for axes in panels for line in axes.lines]
     drawn = {str(line.get_label()): np.array(line.get_xydata()) for line in lines}
     accuracy = np.array([stage.accuracy["z_um"] for stage in plan.stages])
     z = [8300.0, *accuracy]
     np.testing.assert_allclose(drawn["z"], np.transpose([[0, 1, 2, 3], z]))
     lengths = panels[0].lines
-    diamonds = [line for line in lengths if line.get_label() == figures.REALISED]
+    diamonds = [line for line in lengths if line.get_label() == stages.REALISED]
     assert len(diamonds) == 3
     ratio = np.array([stage.realised["z"] for stage in plan.stages])
     of_z = np.array(diamonds[2].get_ydata())[1:]
@@ -239,7 +239,7 @@ def test_lines_and_diamonds_are_the_numbers() -> None:
 
 def test_bars_lie_where_the_stages_are() -> None:
     with style.applied():
-        axes = figures.draw_timeline(_plan()).axes[0]
+        axes = stages.draw_timeline(_plan()).axes[0]
     begins = [bar.get_x() for bar in axes.patches]
     ends = [bar.get_x() + bar.get_width() for bar in axes.patches]
     np.testing.assert_allclose(begins, [0.0, 24.5, 61.0])
@@ -250,7 +250,7 @@ def test_bars_lie_where_the_stages_are() -> None:
 def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted: bool) -> None:
     plan = msgspec.convert(report_fixture_plan.plan(wanted=wanted), PlanSection)
     with style.applied():
-        axes = figures.draw_front(plan).axes[0]
+        axes = stages.draw_front(plan).axes[0]
     (shade,) = axes.collections
     corners = shade.get_paths()[0].vertices
     assert corners[:, 1].max() == pytest.approx(plan.bound)
@@ -264,7 +264,7 @@ def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted: bool) -> Non
     assert high > plans[:, 1].max()
 
 
-FIGURES = [figures.draw_accuracies, figures.draw_timeline, figures.draw_front]
+FIGURES = [stages.draw_accuracies, stages.draw_timeline, stages.draw_front]
 
 
 @pytest.mark.parametrize("draw", FIGURES)

@@ -15,7 +15,7 @@ from pkm_studies.base import InputError, Location
 from pkm_studies.commands import main
 from pkm_studies.drafts import write_draft
 from pkm_studies.resolve import resolve
-from pkm_studies.study import schemas
+from pkm_studies.study import SCHEMAS
 from pkm_studies.user_code import Origin
 
 
@@ -241,7 +241,7 @@ def test_a_drafted_geometry_describes_the_machine_of_the_model(
 
 
 def test_the_schema_knows_tables_with_fields_of_free_name() -> None:
-    schema = schemas.study()
+    schema = SCHEMAS["study"]()
     table = schema["$defs"]["SetupTable"]
     assert table["additionalProperties"] == {"type": "number"}
     assert "settings" not in table["properties"]

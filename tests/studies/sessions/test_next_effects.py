@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pkm_studies.sessions import next_reading as advice
-from pkm_studies.sessions.next_effects import effects_at
+from pkm_studies.sessions import next_reading
+from pkm_studies.sessions.next_reading import effects_at
 from pkm_studies.study import load
 
 STUDY = """
@@ -37,10 +37,10 @@ z_mm = [400.0, 1100.0]
 """
 
 
-def adviser(folder: Path, effects: str, wanted: str = "") -> advice.Adviser:
+def adviser(folder: Path, effects: str, wanted: str = "") -> next_reading.Adviser:
     file = folder / "small.study.toml"
     file.write_text(STUDY.format(effects=effects), encoding="utf-8")
-    return advice.Adviser(load(file), wanted)
+    return next_reading.Adviser(load(file), wanted)
 
 
 def test_accuracy_is_that_of_a_dense_update(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_residuals_of_expected_effects_are_no_bad_fit(tmp_path: Path) -> None:
     chi2 = {}
     for effects, (one, measurement, taken) in files.items():
         y = measurement.readings(taken, measurement.nominal) + change
-        estimate = advice._fit(one.base, measurement, taken, y, expected[effects])
+        estimate = next_reading._fit(one.base, measurement, taken, y, expected[effects])
         chi2[effects] = estimate.chi2 / estimate.dof
     assert chi2['["encoder_scale"]'] < 1.0
     assert chi2['"none"'] > 4.0 * chi2['["encoder_scale"]']

@@ -13,7 +13,7 @@ from oed.design import Candidates
 from pkm_studies import shipped
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.sessions import next_reading as advice
+from pkm_studies.sessions import next_reading
 from pkm_studies.stages import select_design
 from pkm_studies.study import load
 
@@ -55,7 +55,7 @@ def readings(study: Path, tmp_path: Path) -> Callable[[int], Path]:
 def test_each_reading_makes_the_machine_better_known(
     study: Path, readings: Callable[[int], Path]
 ) -> None:
-    adviser = advice.Adviser(load(study))
+    adviser = next_reading.Adviser(load(study))
     few, more = (adviser.advise(readings(count)) for count in (4, 9))
     assert (few.readings, more.readings) == (4, 9)
     assert (more.known <= few.known).all()
@@ -112,7 +112,7 @@ def test_readings_that_do_not_fit_end_no_session(
 
 def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
     path = readings(5)
-    following = advice.Adviser(load(study)).watch(path)
+    following = next_reading.Adviser(load(study)).watch(path)
     assert next(following)[0].startswith("5 readings taken")
     path.write_text(readings(7).read_text(encoding="utf-8"), encoding="utf-8")
     assert next(following)[0].startswith("7 readings taken")
@@ -127,13 +127,15 @@ def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = advice.advice_sentences(*_advised(study, sheet))
+    lines = next_reading.advice_sentences(*_advised(study, sheet))
     assert lines[0].startswith("0 readings taken")
     assert any(line.startswith("Next: ") for line in lines)
 
 
-def _advised(study: Path, readings: Path) -> tuple[advice.Adviser, advice.Advice]:
-    adviser = advice.Adviser(load(study))
+def _advised(
+    study: Path, readings: Path
+) -> tuple[next_reading.Adviser, next_reading.Advice]:
+    adviser = next_reading.Adviser(load(study))
     return adviser, adviser.advise(readings)
 
 
@@ -141,7 +143,7 @@ def test_the_plan_s_accuracy_can_be_wanted(
     study: Path, readings: Callable[[int], Path]
 ) -> None:
     """Reached by the plan's own readings, and promised by no more than those."""
-    adviser = advice.Adviser(load(study), advice.AS_PLANNED)
+    adviser = next_reading.Adviser(load(study), next_reading.AS_PLANNED)
     measurement = adviser.base.measurement
     before = adviser.advise_after(measurement, (), np.zeros(0))
     assert len(adviser.plan) == 21
@@ -161,7 +163,7 @@ def test_the_plan_s_accuracy_can_be_wanted(
 
 def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
     """One reading fewer, planned for the same goal, misses it."""
-    adviser = advice.Adviser(load(study))
+    adviser = next_reading.Adviser(load(study))
     measurement = adviser.base.measurement
     chosen = adviser.base.resolved.candidates
     pool = Candidates.build(measurement, chosen, measurement.nominal, "tolerance")
@@ -182,9 +184,9 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     path = tmp_path / "bare.study.toml"
     path.write_text(sample.STUDY, encoding="utf-8")
     with pytest.raises(InputError, match="where accuracy counts"):
-        advice.Adviser(load(path))
+        next_reading.Adviser(load(path))
     with pytest.raises(InputError, match="no candidates"):
-        advice.Adviser(load(shipped.study_path(Path("planar_step_calibration"))))
+        next_reading.Adviser(load(shipped.study_path(Path("planar_step_calibration"))))
 
 
 def test_sessions_are_compared_with_the_fixed_plan(
@@ -208,7 +210,7 @@ def test_sessions_are_compared_with_the_fixed_plan(
 @pytest.mark.slow
 def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s() -> None:
     """27 readings reach, on the nominal head, what 30 D-optimal ones do, throughout."""
-    adviser = advice.Adviser(load(shipped.study_path(Path("a3_ball_bar"))))
+    adviser = next_reading.Adviser(load(shipped.study_path(Path("a3_ball_bar"))))
     resolved = adviser.base.resolved
     measurement = resolved.measurement
     chosen = select_design(resolved, np.random.default_rng(resolved.study.seed))

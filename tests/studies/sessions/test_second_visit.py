@@ -13,9 +13,9 @@ import pytest
 
 from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
 from pkm_reports.blocks import Paragraph, Table
-from pkm_reports.sections.gap import runs as chapter
+from pkm_reports.sections import gap_before
 from pkm_studies.sessions import next_visit
-from pkm_studies.stages.steps import gap as second_visit
+from pkm_studies.stages.gap import diagnosis
 from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
@@ -34,7 +34,7 @@ def visit(after: float) -> SecondVisitRecord:
 
 
 def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
-    sure, unsure = (second_visit.second_visit_sentences(visit(p)) for p in (0.93, 0.6))
+    sure, unsure = (diagnosis.second_visit_sentences(visit(p)) for p in (0.93, 0.6))
     assert "13 poses" in sure[0]
     assert "93 %" in sure[0]
     assert "now it is 50 %" in sure[0]
@@ -46,7 +46,7 @@ def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
 def test_the_advice_of_a_diagnosis_begins_with_the_visit() -> None:
     gap = GapSection("class", [], [], [], [], [], [], next=["Preload the nuts."])
     record = SecondVisitRecord([], [], 0.5, 0.9, [], [], ["Take the poses."])
-    steps = second_visit.add_visit(gap, record).next
+    steps = diagnosis.add_visit(gap, record).next
     assert steps == ["Take the poses.", "Preload the nuts."]
 
 
@@ -54,9 +54,9 @@ def test_the_report_has_the_visit_as_a_table() -> None:
     class Result:
         gap = GapSection("class", [], [], [], [], [], [])
 
-    assert chapter.blocks(cast("StudyResult", Result())) == []
-    Result.gap = second_visit.add_visit(Result.gap, worded(visit(0.9)))
-    paragraph, table = chapter.blocks(cast("StudyResult", Result()))
+    assert gap_before.visit_blocks(cast("StudyResult", Result())) == []
+    Result.gap = diagnosis.add_visit(Result.gap, worded(visit(0.9)))
+    paragraph, table = gap_before.visit_blocks(cast("StudyResult", Result()))
     assert isinstance(paragraph, Paragraph)
     assert isinstance(table, Table)
     assert table.rows == [
@@ -66,7 +66,7 @@ def test_the_report_has_the_visit_as_a_table() -> None:
 
 def worded(record: SecondVisitRecord) -> SecondVisitRecord:
     return msgspec.structs.replace(
-        record, words=second_visit.second_visit_sentences(record)
+        record, words=diagnosis.second_visit_sentences(record)
     )
 
 
@@ -116,7 +116,7 @@ def test_the_advised_command_can_be_typed_as_it_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It names the study as it was given, and quotes paths with blanks."""
-    gap = second_visit.add_visit(
+    gap = diagnosis.add_visit(
         GapSection("class", [], [], [], [], [], []), worded(visit(0.9))
     )
     result = SimpleNamespace(study="mine", gap=gap)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pkm_studies.stages.steps import mixture
+from pkm_studies.stages.correct import mixture
 
 
 @pytest.mark.parametrize(

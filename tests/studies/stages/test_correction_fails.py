@@ -6,7 +6,7 @@ from unittest import mock
 import pytest
 
 from oed.estimation import IdentificationError
-from pkm_studies.stages.steps import correct
+from pkm_studies.stages.correct import corrected
 
 
 @pytest.fixture
@@ -14,11 +14,11 @@ def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
     """A fit whose correction for a step fails; its warnings are returned."""
     error = IdentificationError("the fit did not converge")
     effects = [SimpleNamespace(name="step")]
-    monkeypatch.setattr(correct, "_effects", lambda *given: effects)
-    monkeypatch.setattr(correct, "readings_with_covariates", mock.MagicMock())
-    monkeypatch.setattr(correct, "_refuse_untestable", mock.MagicMock())
+    monkeypatch.setattr(corrected, "_effects", lambda *given: effects)
+    monkeypatch.setattr(corrected, "readings_with_covariates", mock.MagicMock())
+    monkeypatch.setattr(corrected, "_refuse_untestable", mock.MagicMock())
     monkeypatch.setattr(
-        correct, "estimate_with_effects", mock.MagicMock(side_effect=error)
+        corrected, "estimate_with_effects", mock.MagicMock(side_effect=error)
     )
     state = mock.MagicMock(with_effects=())
     state.add_warnings = lambda *warnings: warnings
@@ -26,7 +26,7 @@ def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
 
 
 def test_a_diagnosis_stands_where_its_correction_fails(state: mock.MagicMock) -> None:
-    (warning,) = correct.correct_for_effects(state)
+    (warning,) = corrected.correct_for_effects(state)
     assert warning.startswith("nothing is corrected for step")
     assert "did not converge" in warning
 
@@ -34,4 +34,4 @@ def test_a_diagnosis_stands_where_its_correction_fails(state: mock.MagicMock) ->
 def test_effects_that_were_named_are_refused(state: mock.MagicMock) -> None:
     state.with_effects = ("step",)
     with pytest.raises(IdentificationError):
-        correct.correct_for_effects(state)
+        corrected.correct_for_effects(state)

@@ -10,13 +10,13 @@ from oracles import a3_geometry
 from shipped_models import a3_head, delta, hexapod
 
 from oed.mechanism import Kinematics
-from pkm_reports.sections.figures import machine
+from pkm_reports.sections import machine_figures
 from pkm_studies import describe
 from pkm_studies import describe as drawing_labels
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
 from pkm_studies.stages.design.section import planned_readings
-from pkm_studies.stages.steps.readings import planned_series
+from pkm_studies.stages.readings import planned_series
 from pkm_studies.study import load
 
 
@@ -128,7 +128,7 @@ def test_each_tool_point_has_its_own_far_end_or_none(tmp_path: Path) -> None:
     assert drawn.bars[:2] == [[], []]
     for bar, tip in zip(drawn.bars[2:], drawn.tool_points[2:], strict=True):
         assert bar == [[0.0, 0.0, 1.286], tip]
-    shown = machine.scene_of(drawn)
+    shown = machine_figures.scene_of(drawn)
     for owner, tip, bar in zip(shown.setups, shown.tips, shown.bars, strict=True):
         assert len(bar) == (0 if owner == "camera" else 2)
         if owner == "cup":

@@ -13,8 +13,8 @@ from scipy.interpolate import RegularGridInterpolator
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
 from pkm_studies.results import load_result
-from pkm_studies.stages.forecast.task import forecast_task
-from pkm_studies.stages.plan.earlier import stored_knowledge
+from pkm_studies.stages.forecast import forecast_task
+from pkm_studies.stages.plan.task import stored_knowledge
 from pkm_studies.study import load
 
 STUDIES = Path(__file__).parents[3] / "studies"

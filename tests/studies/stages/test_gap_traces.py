@@ -10,8 +10,8 @@ import pytest
 from oed.gap import Diagnosis, assemble
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
-from pkm_studies.stages.gap import traces as gap_traces
-from pkm_studies.stages.steps.readings import planned_series, simulate_readings
+from pkm_studies.stages.fit import run_curves
+from pkm_studies.stages.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
 
@@ -31,7 +31,7 @@ def _diagnosed(tmp_path: Path) -> Diagnosis:
 
 def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
     diagnosis = _diagnosed(tmp_path)
-    traces = gap_traces.traces(diagnosis)
+    traces = run_curves.traces(diagnosis)
     assert [t.kind for t in traces] == ["circle"] * 4
     assert [t.base for t in traces] == ["z=1146mm"] * 2 + ["z=1206mm"] * 2
     assert [t.direction for t in traces] == [1, -1, 1, -1]
@@ -61,7 +61,7 @@ def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
     ],
 )
 def test_the_shape_of_a_run(points: list[list[float]], kind: str) -> None:
-    shape, at, radius = gap_traces.run_shape(np.array(points), np.zeros(len(points)))
+    shape, at, radius = run_curves.run_shape(np.array(points), np.zeros(len(points)))
     assert shape == kind
     assert (radius is None) == (kind != "circle")
     if kind == "circle":
@@ -72,7 +72,7 @@ def test_the_shape_of_a_run(points: list[list[float]], kind: str) -> None:
 
 def test_places_of_the_tool_gather_their_readings(tmp_path: Path) -> None:
     diagnosis = _diagnosed(tmp_path)
-    spots, unit = gap_traces.spots(diagnosis)
+    spots, unit = run_curves.spots(diagnosis)
     assert unit == "um"
     assert len(spots) == 48  # both ways at 24 poses of two circles
     total = sum(2.0 * s.before**2 for s in spots)

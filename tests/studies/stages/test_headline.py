@@ -10,7 +10,7 @@ import report_fixture
 from oed.result import StudyResult
 from pkm_reports import sections as answer
 from pkm_reports.blocks import Table
-from pkm_studies.stages import headline, outcome, summary
+from pkm_studies.stages import headline, summary
 
 
 def spread(rms: float, unit: str) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def test_the_headline_is_not_printed_twice(
             for name in StudyResult.__struct_fields__
         }
     )
-    assert outcome.report_outcome(shown, tmp_path, quiet=False) == 0
+    assert summary.report_outcome(shown, tmp_path, quiet=False) == 0
     out = capsys.readouterr().out
     assert "Compensation is predicted to" not in out
     assert out.count("97.2") == 0

@@ -11,11 +11,11 @@ from shipped_models import a3_head
 
 from oed import trust
 from oed.result import MixtureSection, StudyResult
-from pkm_reports.sections.gap import mixture as chapter
+from pkm_reports.sections import gap as chapter
 from pkm_studies.acceptance import promise
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.earlier_result import known_parameters
-from pkm_studies.stages.steps import mixture as sections
+from pkm_studies.stages.correct.mixture import mixture_sentences
 
 machine = a3_head.machine
 
@@ -95,7 +95,7 @@ def test_words_name_answers_disagreement_and_each_compensation(
     mixture = msgspec.structs.replace(
         mixture, parameters={**parameters, "da1z": agreed}
     )
-    answers, parameter, choices = sections.mixture_sentences(mixture)
+    answers, parameter, choices = mixture_sentences(mixture)
     assert "backlash (90 %), no gap (5 %)" in answers
     assert "5 % together, are left out" in answers
     assert "disagree most on da1y: 75 %" in parameter
@@ -111,15 +111,13 @@ def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
         for name, p in mixture.parameters.items()
     }
     agreed = msgspec.structs.replace(mixture, parameters=parameters)
-    assert (
-        sections.mixture_sentences(agreed)[1] == "The answers agree on all parameters."
-    )
+    assert mixture_sentences(agreed)[1] == "The answers agree on all parameters."
 
 
 def test_one_answer_agrees_with_no_other(result: StudyResult) -> None:
     mixture = mixture_of(result)
     alone = msgspec.structs.replace(mixture, answers=mixture.answers[:1], rest=0.0)
-    words = " ".join(sections.mixture_sentences(alone))
+    words = " ".join(mixture_sentences(alone))
     assert "agree" not in words
 
 
@@ -169,7 +167,7 @@ def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) 
 
 
 def test_the_chapter_is_there_with_a_mixture_only(result: StudyResult) -> None:
-    assert chapter.blocks(result)
+    assert chapter.mixture_blocks(result)
     assert result.gap is not None
     gap = msgspec.structs.replace(result.gap, mixture=None)
-    assert not chapter.blocks(msgspec.structs.replace(result, gap=gap))
+    assert not chapter.mixture_blocks(msgspec.structs.replace(result, gap=gap))

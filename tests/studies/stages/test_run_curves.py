@@ -17,7 +17,7 @@ from oed.result import RunCurve, breaches
 from oed.units import to_si
 from pkm_reports import style
 from pkm_reports.page import build_document
-from pkm_reports.sections.figures import run_curves as figure
+from pkm_reports.sections import identification
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 from pkm_studies.stages.fit import run_curves
@@ -118,15 +118,15 @@ def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
     report = build_document(result)
     assert "run_curves" in report.images
     with style.applied():
-        drawn = figure.draw(curves)
+        drawn = identification.draw_run_curves(curves)
         check_inside(drawn)
         assert len(drawn.axes) == 9
         after = [msgspec.structs.replace(c, compensated=[]) for c in curves]
-        assert len(figure.draw(after, after=True).axes) == 6
-    inside, count = figure.coverage(curves)
+        assert len(identification.draw_run_curves(after, after=True).axes) == 6
+    inside, count = identification.curve_coverage(curves)
     assert count == 3 * POINTS
     assert inside >= 0.87 * count
-    assert "95 % interval" in figure.caption(curves)
+    assert "95 % interval" in identification.curves_caption(curves)
 
 
 # -- `oed verify` with readings after compensation -------------------------------------

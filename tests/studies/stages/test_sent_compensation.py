@@ -15,9 +15,9 @@ from oed.accuracy import Spread, least_error
 from oed.effects import SessionStates
 from oed.result import CompensationName, MixtureSection
 from pkm_studies.earlier_result import controller_values, corrects_effects
-from pkm_studies.stages.corrected.section import drop_tables
+from pkm_studies.stages.correct import mixture
+from pkm_studies.stages.correct.corrected import drop_tables
 from pkm_studies.stages.predict import knowledge
-from pkm_studies.stages.steps import mixture as sections
 
 machine = a3_head.machine
 
@@ -63,9 +63,9 @@ def test_what_no_drive_corrects_does_not_decide() -> None:
 def section_of(case: Case, theta: np.ndarray, plain: np.ndarray) -> MixtureSection:
     given = readings()
     problem = given.problem(given.measurement.nominal)
-    use = sections.UseOfMachine(COMMAND, "absolute", SessionStates.of(problem), {})
-    best = sections.BestAnswer(theta, None, plain)
-    return sections.mixture_section(
+    use = mixture.UseOfMachine(COMMAND, "absolute", SessionStates.of(problem), {})
+    best = mixture.BestAnswer(theta, None, plain)
+    return mixture.mixture_section(
         given.measurement, given.series, case.mixture, best, use, [1, 2]
     )
 

@@ -12,7 +12,7 @@ import sample
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
-from pkm_studies.stages.fit.effects import (
+from pkm_studies.stages.fit.estimate import (
     displayed_states,
     extrapolated_states,
     recorded_states,

@@ -21,7 +21,7 @@ from oed.gap import detect
 from oed.gap.before import choose
 from oed.result import DetectabilityTable
 from pkm_reports import sections, style
-from pkm_reports.sections.gap import before
+from pkm_reports.sections import gap_before
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.resolve import resolve
@@ -250,10 +250,12 @@ def test_the_matrix_shows_every_pair_and_stays_within_its_frame(
     stored = ran[0]["gap_before"]["chosen"]["table"]
     table = msgspec.convert(stored, DetectabilityTable)
     with style.applied():
-        figure = before.draw_confusable(table)
+        figure = gap_before.draw_confusable(table)
         FigureCanvasAgg(figure).print_png(io.BytesIO())
         texts = [t.get_text() for t in figure.axes[0].texts]
-        assert texts == [before.short_label(v) for row in table.separation for v in row]
+        assert texts == [
+            gap_before.short_label(v) for row in table.separation for v in row
+        ]
         box = figure.bbox
         for label in (
             *figure.axes[0].get_xticklabels(),
@@ -264,4 +266,4 @@ def test_the_matrix_shows_every_pair_and_stays_within_its_frame(
             assert extent.x1 <= box.x1 + 1
             assert extent.y1 <= box.y1 + 1
         single = replace(table, names=["gravity"], separation=[[3.0]])
-        assert before.draw_confusable(single).axes == []
+        assert gap_before.draw_confusable(single).axes == []

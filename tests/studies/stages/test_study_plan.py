@@ -23,7 +23,7 @@ from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
-from pkm_studies.stages.plan.phrases import loss_bound_text, more_accurate
+from pkm_studies.stages.plan.plan import loss_bound_text, more_accurate
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import report_fixture_plan
 from oed.result import StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table
-from pkm_reports.sections.answer import accuracy, measure
+from pkm_reports.sections import answer
 from pkm_studies.commands import display
 from pkm_studies.stages import headline, summary
 
@@ -115,7 +115,7 @@ def table_of(blocks: list[Block], caption: str) -> Table:
 def test_held_out_channels_are_rows_and_contradictions_notices() -> None:
     sections = [held_out(name, "confirms") for name in "xyz"]
     sections.append(held_out("a", "contradicts"))
-    blocks = accuracy.blocks(sample(held_out=sections))
+    blocks = answer.accuracy_blocks(sample(held_out=sections))
     table = table_of(blocks, "Held-out readings of blind (9)")
     assert table.rows[0] == ["x [µm]", "4", "5", "70", text.percent(0.89)]
     assert len(table.rows) == 3
@@ -126,7 +126,7 @@ def test_the_readings_stand_in_their_order() -> None:
     result = sample()
     assert result.design is not None
     poses = result.design.poses
-    table = table_of(measure.blocks(result), "in their order")
+    table = table_of(answer.measure_blocks(result), "in their order")
     titles = [column.title for column in table.columns]
     z = titles.index("z [mm]")
     heights = [float(row[z]) for row in table.rows]

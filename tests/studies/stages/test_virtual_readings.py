@@ -15,8 +15,8 @@ from oed.measurement import Series
 from pkm_studies.base import Silent
 from pkm_studies.resolve import gap_request, planned_covariates
 from pkm_studies.stages import start
-from pkm_studies.stages.gap.virtual_readings import empty_readings
-from pkm_studies.stages.steps.readings import planned_series
+from pkm_studies.stages.gap.diagnosis import empty_readings
+from pkm_studies.stages.readings import planned_series
 from pkm_studies.study import load
 
 Run = Callable[..., tuple[int, str, str]]

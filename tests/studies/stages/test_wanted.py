@@ -12,7 +12,7 @@ from report_fixture import result_of
 from oed import verdict
 from oed.result import StudyResult, VerdictRecord, VerificationSection
 from pkm_reports.blocks import Table
-from pkm_reports.sections.answer import accuracy
+from pkm_reports.sections import answer
 from pkm_studies import result_folder
 from pkm_studies import sessions as advice
 from pkm_studies.commands import main
@@ -59,7 +59,7 @@ def test_verdicts_stand_beside_the_predicted(
     assert f"x {x.known.rms:.3g} of 1e+06 um, cannot tell" in sentence
     assert "arcsec, fail" in sentence
     assert "x has no drive and is judged by its unknown part." in sentence
-    (table, *_) = accuracy.blocks(result)
+    (table, *_) = answer.accuracy_blocks(result)
     assert isinstance(table, Table)
     verdicts = {row[0].split()[0]: row[-1] for row in table.rows}
     assert verdicts["z"] == "✓ pass, predicted"
@@ -111,7 +111,7 @@ def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
     raw = report_fixture.sample()
     raw["prediction"]["wanted"] = {"z": 3.0}
     raw["design"]["how_many"]["wanted"] = {"z_um": 9.0, "x_um": 8.0}
-    assert accuracy.wanted_accuracy(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
+    assert answer.wanted_accuracy(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
 from pkm_studies.catalogue import Compensation
-from pkm_studies.compensation.limbs import PlatformOnLimbs, platform_on_limbs
+from pkm_studies.compensation.table_grid import PlatformOnLimbs, platform_on_limbs
 
 #: why a machine has no such model
 NEEDS = (

@@ -12,7 +12,7 @@ from oed.model import Coordinate, Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.compensation.formats.body_names import text_of
-from pkm_studies.compensation.limbs import (
+from pkm_studies.compensation.table_grid import (
     CRANK,
     LEG,
     Limb,

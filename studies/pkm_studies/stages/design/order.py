@@ -12,19 +12,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed import units
-from oed.base import Array, Index
+from oed.base import Index
 from oed.measurement import Measurement, Series
 from oed.model import Machine
 from oed.poses import ChangeTimes, ReadingOrder, order_mounting, order_readings
 from oed.result import WorkingOrder
 from pkm_studies.base import Location
-from pkm_studies.resolve import (
-    ResolvedStudy,
-    check_tool_workspace,
-    grid_commands,
-    mid_range,
-    solve_held,
-)
+from pkm_studies.resolve import ResolvedStudy, reference_command
 from pkm_studies.tables import DesignTable, OrderTable
 
 
@@ -227,36 +221,3 @@ def _add_references(
     except ValueError as error:
         field_location = location.key("reference_every_min")
         raise field_location.error(str(error), "raise it") from error
-
-
-def reference_command(
-    measurement: Measurement,
-    name: str,
-    table: OrderTable,
-    every_min: float,
-    location: Location,
-) -> Array | None:
-    """The reference's command (n_dof,) in a set-up; None for the route's first pose.
-
-    Raises InputError where the set-up has a reference of its own, or the pose is none.
-    """
-    setup = measurement.setups[name]
-    if setup.instrument.reference == "run":
-        raise location.key("reference_every_min").error(
-            f"the first pose of each run is the reference of {name}",
-            "remove it",
-            every_min,
-        )
-    if not table.reference:
-        return None
-    field, machine = location.key("reference"), measurement.machine
-    command, hold, keys = grid_commands(table.reference, machine, field)
-    if len(command) != 1:
-        raise field.error(
-            "the reference is one pose", "give one value for each coordinate"
-        )
-    if hold is not None:
-        command = mid_range(command, hold, machine, setup)
-    check_tool_workspace(measurement.kinematics, command, keys, field, setup.tool)
-    command, _ = solve_held(measurement, name, command, hold, field, strict=True)
-    return np.asarray(command[0])

@@ -1,25 +1,270 @@
-"""Reports the identified parameters and the residuals: the section `estimate`."""
+"""The step that fits readings: noise law, effects, estimate and posterior, as the result has them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from oed import units
+from oed import checks, posterior, units
 from oed.base import Array
-from oed.estimation import Estimate
+from oed.checks import goodness_of_delivered
+from oed.corrected import EffectReadings
+from oed.dataset import ReadingsColumn, temperature_body
+from oed.effects import SessionStates
+from oed.estimation import (
+    Estimate,
+    IdentificationError,
+    add_warnings,
+    contradicted_parameters,
+    identify,
+    noise_numbers,
+    predict_runs,
+    tolerance_factor,
+)
+from oed.fit_limits import ALARM_PROBABILITY, noise_ratio
+from oed.gap import GapProblem
 from oed.identifiability import Identifiability
-from oed.measurement import Measurement, Series
+from oed.instrument import Setup
+from oed.linear_algebra import by_size
+from oed.measurement import Measurement, Series, mode_jumps
+from oed.model import Machine
+from oed.noise import reach_phrase
+from oed.posterior import MIXED_RHAT, Posterior
 from oed.result import (
     CombinationEstimate,
+    CorrectedSection,
     EstimateSection,
+    GoodnessSection,
     HeldParameter,
+    Marginal,
+    MixtureSection,
+    NoiseRecord,
     ParameterEstimate,
+    PosteriorSection,
+    PredictiveCheckRecord,
+    finite_or_none,
 )
-from oed.text import format_p_value, rounded
+from oed.text import format_p_value, format_probability, rounded
+from pkm_studies.base import Stream
 from pkm_studies.describe import displayed_command
+from pkm_studies.resolve import GapRequest, check_states
+from pkm_studies.stages.fit import run_curves
+from pkm_studies.stages.fit.goodness import (
+    add_delivered,
+    add_left_out,
+    check_dataset,
+    goodness_section,
+    surprises,
+)
+from pkm_studies.stages.gap.diagnosis import covariates_of
+from pkm_studies.stages.run_state import Fitted, Measured, MeasuredReadings, promote
+from pkm_studies.tables import PosteriorTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Reports the estimated noise law: `noise` of the section `goodness`.
+
+
+def with_noise(
+    section: GoodnessSection, estimate: Estimate, setups: Mapping[str, Setup]
+) -> GoodnessSection:
+    """The section with the noise law of an estimate, where it has one."""
+    posterior = estimate.noise_posterior
+    if posterior is None:
+        return section
+    numbers = noise_numbers(posterior, setups)
+    records = {f"{n.kind} {n.of}".rstrip(): n for n in numbers}
+    assumed = posterior.prior.statement.is_assumed
+    stated_as = "assumed" if assumed else "stated"
+    phrase = _words(numbers, stated_as, posterior.structure.longest)
+    return msgspec.structs.replace(section, noise=records, noise_words=phrase)
+
+
+def add_assumption(
+    section: GoodnessSection,
+    estimate: Estimate,
+    setups: Mapping[str, Setup],
+    count: int,
+) -> GoodnessSection:
+    """The section with a finding that the noise is assumed, where nothing tests it.
+
+    setups  of the readings
+    count   of the readings
+    """
+    if section.noise:
+        return section
+    amounts = []
+    for setup in setups.values():
+        for channel, sigma in zip(setup.instrument.channels, setup.sigma, strict=True):
+            unit = units.FINE[channel.unit]
+            amounts.append(f"{channel.name} {units.number(sigma, unit):.3g} {unit}")
+    freedom = max(estimate.dof, 0.0)
+    verdict = "which these readings cannot test"
+    ratio = noise_ratio(section.chi2, section.dof)
+    is_small = section.p_low is not None and section.p_low < ALARM_PROBABILITY
+    if is_small and ratio is not None:
+        verdict = f"and too large: the residuals are {rounded(ratio)} times it"
+    sentence = (
+        f"The noise of the readings ({', '.join(dict.fromkeys(amounts))}) is an"
+        f" assumption, {verdict} ({count} readings, {freedom:.1f} degrees of freedom). All"
+        " intervals scale with it: measure it by probing one place several times, and"
+        " give it in [noise]."
+    )
+    return msgspec.structs.replace(section, findings=[*section.findings, sentence])
+
+
+#: kinds that are standard deviations, and what they are
+_ERRORS = {
+    "reading": "single readings of {} scatter by",
+    "run": "the readings of one run of {} share an error of",
+    "seat": "what each run of {} seats anew moves by",
+    "course": "through the session the readings of {} share a course that ends off by",
+}
+
+
+def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list[str]:
+    """Departures from the stated noise, as one sentence; none where there is none.
+
+    stated_as  stated, or assumed
+    longest    number of readings of the longest run
+    """
+    reach = [n.value for n in numbers if n.kind == "reach"]
+    phrases = []
+    for number in numbers:
+        if not number.departs:
+            continue
+        size = f"{rounded(number.value)} ± {rounded(number.sd, 1)}"
+        of = f" of {number.of}" if number.of else ""
+        if number.kind == "carried":
+            phrases.append(
+                f"a share of {size} of the variance of single readings{of} is carried"
+                f" along a run, {reach_phrase(reach[0], longest)}"
+            )
+            continue
+        stated = (
+            f" ({stated_as}: {number.stated:.3g} {number.unit})"
+            if number.stated
+            else ""
+        )
+        start = _ERRORS[number.kind].format(number.of)
+        phrases.append(f"{start} {size} {number.unit}{stated}")
+    if not phrases:
+        return []
+    return [f"The noise departs from the {stated_as} one: {'; '.join(phrases)}."]
+
+
+# Readings with what effects are functions of, states in which they act, what is sent.
+
+
+# States in which a machine is used: as the study states them, else as recorded.
+
+#: beginnings of the names of a machine's own bodies; a bar is none
+OWN_BODIES = ("leg", "frame")
+#: covariates of which every recorded value is one of use
+VALUES = ("direction", "payload")
+
+
+def recorded_states(covariates: pd.DataFrame | None) -> dict[str, Array]:
+    """States of use that readings recorded, by covariate, SI.
+
+    Both directions and all payloads, where several were recorded, and each body of the
+    machine as cold and as warm as it was. Empty where nothing is recorded.
+    """
+    if covariates is None:
+        return {}
+    states = {}
+    for name in map(str, covariates.columns):
+        body = temperature_body(name)
+        warms = body is not None and body.startswith(OWN_BODIES)
+        if not warms and name not in VALUES:
+            continue
+        values = np.unique(covariates[name].dropna().to_numpy(dtype=float))
+        if len(values) > 1:
+            states[name] = values[[0, -1]] if warms else values
+    return states
+
+
+def extrapolated_states(
+    used: Mapping[str, Array], covariates: pd.DataFrame
+) -> list[str]:
+    """Sentences on values in use, SI, that lie outside what the readings recorded."""
+    sentences = []
+    for name, values in used.items():
+        if name not in covariates:
+            continue
+        ends = np.array([covariates[name].min(), covariates[name].max()])
+        if not ((values < ends[0]) | (values > ends[1])).any():
+            continue
+        ((column, shown),) = displayed_states({name: values}).items()
+        low, high = displayed_states({name: ends})[column]
+        sentences.append(
+            f"the prediction is for {column} {' and '.join(f'{v:g}' for v in shown)},"
+            f" beyond the readings ({low:g} to {high:g}): what effects do there is"
+            " extrapolated"
+        )
+    return sentences
+
+
+def displayed_states(states: Mapping[str, Array]) -> dict[str, list[float]]:
+    """States by column of the readings file, in its unit."""
+    shown = {}
+    for name, values in states.items():
+        column = ReadingsColumn.of_covariate(name)
+        if column is not None:
+            shown[column.name] = [float(value) / column.factor for value in values]
+    return shown
+
+
+Section = TypeVar("Section", CorrectedSection, MixtureSection)
+
+
+def readings_with_covariates(state: Measured, request: GapRequest) -> EffectReadings:
+    """The readings with what effects are functions of."""
+    readings, measurement = state.readings, state.measurement
+    covariates = covariates_of(
+        measurement, readings.series, readings.covariates, request
+    )
+    series = tuple(readings.series)
+    return EffectReadings(measurement, series, readings.y, covariates, request.gravity)
+
+
+def session_states(state: Fitted) -> SessionStates:
+    """States in which the readings were taken."""
+    return SessionStates.of(_problem(state))
+
+
+def states_in_use(state: Fitted) -> SessionStates:
+    """States in which the machine is used: those of [prediction], else those recorded.
+
+    Raises InputError for a covariate that no reading has.
+    """
+    problem, resolved = _problem(state), state.resolved
+    used = {} if resolved.prediction is None else resolved.prediction.states
+    if not used:
+        used = recorded_states(state.readings.covariates)
+    check_states(state.study, problem.covariates)
+    return SessionStates.of(problem, used)
+
+
+def _problem(state: Fitted) -> GapProblem:
+    request = state.resolved.gap_or_default
+    return readings_with_covariates(state, request).problem(state.estimate.theta)
+
+
+def add_controller(section: Section, machine: Machine, sent: Array) -> Section:
+    """The section with the parameters (np,) that the controller is given, SI."""
+    controller = {}
+    for parameter, value in zip(machine.parameters, sent, strict=True):
+        estimate = section.parameters.get(parameter.name)
+        if estimate is not None:
+            controller[parameter.name] = units.number(float(value), estimate.unit)
+    return msgspec.structs.replace(section, controller=controller)
 
 
 def estimate_section(
@@ -166,3 +411,331 @@ def combination_estimates(
             )
         )
     return records
+
+
+# Reports the sampled posterior: the section `posterior`.
+
+
+#: draws shown in the corner plot
+CORNER_DRAWS = 1500
+#: parameters that name a direction
+NAMED = 3
+
+
+def sampler_options(table: PosteriorTable) -> dict[str, Any]:
+    """Options of the sampler, as [posterior] states them."""
+    return {
+        "sampler": table.sampler,
+        "walkers": table.walkers,
+        "ess": float(table.ess),
+        "max_steps": table.steps,
+        "max_draws": table.draws,
+        "thin": table.thin,
+    }
+
+
+def posterior_section(
+    measurement: Measurement,
+    estimate: Estimate,
+    posterior: Posterior,
+    corner: int,
+) -> PosteriorSection:
+    """Marginals in display units, and draws along the `corner` widest directions."""
+    marginals = {}
+    for k, p in enumerate(measurement.parameters):
+        if estimate.prior_sd[k] == 0.0:
+            continue
+        unit = units.display(p.unit)
+        values = units.from_si(posterior.pooled[:, k], unit)
+        marginals[p.name] = marginal(values, posterior, k, unit)
+    directions, table = _widest(measurement, estimate, posterior, corner)
+    return PosteriorSection(
+        marginals=marginals,
+        sampler=posterior.sampler,
+        pareto_k=finite_or_none(posterior.pareto_k),
+        proposals=posterior.proposals,
+        acceptance=finite_or_none(posterior.acceptance),
+        draws=len(posterior.pooled),
+        walkers=posterior.walkers,
+        autocorrelation=finite_or_none(posterior.autocorrelation),
+        directions=directions,
+        corner=table,
+    )
+
+
+#: what a predictive check compares
+COMPARED = {
+    "rms": "the rms residual",
+    "largest": "the largest residual",
+    "neighbours": "the correlation of neighbours along a run",
+    "run_means": "the rms of the runs' mean residuals",
+}
+
+
+def add_checks(
+    section: PosteriorSection, checks: Mapping[str, PredictiveCheckRecord]
+) -> PosteriorSection:
+    """The section with its posterior predictive checks."""
+    return msgspec.structs.replace(section, checks=dict(checks))
+
+
+def contradictions(checks: Mapping[str, PredictiveCheckRecord]) -> list[str]:
+    """Checks that the readings fail, as sentences."""
+    return [
+        f"the readings contradict the posterior: {COMPARED[name]} is"
+        f" {check.observed:.2g}, predicted are {check.low:.2g} to {check.high:.2g} (in"
+        " units of the stated noise)"
+        for name, check in checks.items()
+        if check.alarming
+    ]
+
+
+def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:
+    """What a user must know of how the posterior was sampled."""
+    sentences = []
+    finite = posterior.ess[np.isfinite(posterior.ess)]
+    least = float(finite.min(initial=np.inf))
+    if not finite.size:
+        sentences.append(
+            "the posterior has too few steps to tell its effective sample size; raise"
+            " [posterior] steps"
+        )
+    if least < ess:
+        key = "draws" if posterior.sampler == PosteriorSection.IMPORTANCE else "steps"
+        sentences.append(
+            f"the posterior has an effective sample size of {least:.0f}, short of"
+            f" {ess}; raise [posterior] {key}"
+        )
+    unmixed = np.flatnonzero(np.nan_to_num(posterior.rhat) > MIXED_RHAT)
+    if unmixed.size:
+        worst = int(np.nanargmax(posterior.rhat))
+        also = f", {len(unmixed)} parameters in all" if len(unmixed) > 1 else ""
+        sentences.append(
+            f"independent ensembles disagree: R-hat is {posterior.rhat[worst]:.3f} for"
+            f" {posterior.names[worst]}{also}, wanted is {MIXED_RHAT} at most; raise"
+            " [posterior] steps"
+        )
+    return sentences
+
+
+def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal:
+    """Marginal of the k-th coordinate, from its pooled draws (m,) in `unit`."""
+    low, high = np.quantile(values, [0.025, 0.975])
+    return Marginal(
+        mean=float(values.mean()),
+        sd=float(values.std(ddof=1)),
+        q025=float(low),
+        q975=float(high),
+        rhat=finite_or_none(posterior.rhat[k]),
+        ess=float(posterior.ess[k]),
+        unit=unit,
+    )
+
+
+def _widest(
+    measurement: Measurement,
+    estimate: Estimate,
+    posterior: Posterior,
+    count: int,
+) -> tuple[list[str], list[list[float]]]:
+    """The directions with the widest posterior, and draws along them, thinned.
+
+    Draws are in prior standard deviations; a direction's name has the parameters that
+    it moves most.
+    """
+    z = posterior.z.reshape(-1, posterior.z.shape[2])
+    widest = np.argsort(-z.std(axis=0))[:count]
+    scale = np.where(estimate.prior_sd > 0, estimate.prior_sd, 1.0)
+    names = []
+    for k in widest:
+        weight = estimate.coordinates.basis[:, k] / scale
+        largest = by_size(weight)[:NAMED]
+        terms = [f"{weight[j]:+.2f} {measurement.names[j]}" for j in largest]
+        names.append(" ".join(terms))
+    thin = max(1, len(z) // CORNER_DRAWS)
+    draws = z[::thin][:CORNER_DRAWS, widest]
+    return names, [[float(v) for v in row] for row in draws]
+
+
+# Steps that fit the readings: least squares, then the posterior.
+
+
+# The step that checks recorded readings before anything is fitted to them.
+
+
+def check_readings(state: Measured) -> Measured:
+    """Check the recorded readings that are fitted, and set single outliers aside."""
+    readings, data = state.readings, state.resolved.dataset
+    if data is None:
+        return state
+    state.progress.stage("check of the readings")
+    fitted = data.take(dict.fromkeys(s.setup for s in readings.series))
+    checked = check_dataset(state.resolved, fitted, state.rng(Stream.CHECKS))
+    state = state.replace(checked=checked)
+    state = state.add_sections(goodness=goodness_section(checked))
+    state = state.add_warnings(*[f.sentence for f in checked.findings])
+    used, covariates = state.resolved.prediction, readings.covariates
+    if used is not None and covariates is not None:
+        state = state.add_warnings(*extrapolated_states(used.states, covariates))
+    if not checked.set_aside:
+        return state
+    return state.replace(readings=_drop_readings(readings, checked))
+
+
+def _drop_readings(
+    readings: MeasuredReadings, checked: checks.CheckedSession
+) -> MeasuredReadings:
+    """The readings that are not set aside, with their covariates."""
+    rest = checked.session.without(checked.set_aside)
+    covariates = readings.covariates
+    if covariates is not None:
+        used = np.setdiff1d(np.arange(len(covariates)), checked.set_aside)
+        covariates = covariates.iloc[used].reset_index(drop=True)
+    return dataclasses.replace(
+        readings, series=rest.series, y=rest.y, covariates=covariates
+    )
+
+
+def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
+    """Identify the parameters by least squares with tolerance priors.
+
+    `start` (n,), SI, is where the fit begins; nominal by default.
+    """
+    readings, measurement = state.readings, state.measurement
+    state.progress.stage("identification")
+    estimate = _identify(state, start)
+    larger = _enlarge_tolerances(state, estimate)
+    if larger is not state:
+        state = larger
+        measurement = state.measurement
+        estimate = _identify(state, start)
+    _refuse_mode_jump(state, estimate.theta)
+    fitted_as = goodness_of_delivered(
+        measurement, readings.series, readings.y, estimate, state.doubtful_values
+    )
+    estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
+    estimate = add_warnings(measurement, estimate)
+    state = add_delivered(state, fitted_as)
+    fixed = []
+    if readings.truth is None:
+        fixed = contradicted_parameters(
+            measurement, readings.series, readings.y, estimate
+        )
+    section = estimate_section(measurement, readings.series, estimate, readings.truth)
+    section = add_held(section, fixed)
+    if state.identifiability is not None:
+        verdict = state.identifiability.identifiability
+        combinations = combination_estimates(measurement, estimate, verdict)
+        section = msgspec.structs.replace(section, combinations=combinations)
+    curves = run_curves.fitted_curves(measurement, readings.series, estimate)
+    section = msgspec.structs.replace(section, runs=curves)
+    runs = predict_runs(measurement, readings.series, estimate)
+    goodness = add_left_out(_goodness(state, estimate), runs)
+    fitted = promote(Fitted, state, estimate=estimate)
+    fitted = fitted.add_sections(estimate=section, goodness=goodness)
+    return fitted.add_warnings(*section.warnings, *surprises(runs))
+
+
+def _identify(state: Measured, start: Array | None) -> Estimate:
+    """The fit; where it fails, the error opens with what the check of readings found."""
+    try:
+        return identify(
+            state.measurement,
+            state.readings.series,
+            state.readings.y,
+            stages=state.resolved.identification_stages,
+            estimate_noise=state.estimates_noise,
+            start=start,
+            max_iterations=state.study.identify.max_iterations,
+        )
+    except IdentificationError as error:
+        raise explain_error(state, error) from error
+
+
+def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
+    """The state with tolerances that the readings ask for, where stated ones are too small.
+
+    What an earlier session knows is no tolerance of a drawing, and stays; so do the
+    tolerances from which a virtual machine is drawn.
+    """
+    measurement = state.measurement
+    expected = any(p.expected is not None for p in measurement.parameters)
+    if expected or state.readings.truth is not None:
+        return state
+    judged = tolerance_factor(measurement, state.readings.series, estimate)
+    if not judged.is_sure:
+        return state
+    factor = judged.factor
+    warning = (
+        f"the parameters are some {factor:.2g} times as far from nominal as their"
+        " tolerances allow, all together (probability that these are right"
+        f" {format_probability(judged.probability)}): the fit takes all tolerances {factor:.2g} times"
+        " as large; correct [prior] or the nominal numbers"
+    )
+    larger = judged.widened(measurement)
+    return state.replace(measurement=larger).add_warnings(warning)
+
+
+def explain_error(state: Measured, error: IdentificationError) -> IdentificationError:
+    """The error, opened by what the check of the readings found."""
+    checked = state.checked
+    if checked is None or not checked.findings:
+        return error
+    return IdentificationError(f"{checked.findings[0].sentence} {error}")
+
+
+def _goodness(state: Measured, estimate: Estimate) -> GoodnessSection:
+    """The section with the estimated noise."""
+    section = with_noise(state.goodness, estimate, state.measurement.setups)
+    if not state.study.noise.assumed:
+        return section
+    used = {s.setup for s in state.readings.series}
+    setups = {name: state.measurement.setups[name] for name in sorted(used)}
+    count = sum(len(s) for s in state.readings.series)
+    return add_assumption(section, estimate, setups, count)
+
+
+def _refuse_mode_jump(state: Measured, theta: Array) -> None:
+    """Raises IdentificationError where the fit mirrors the machine."""
+    jumps, count = mode_jumps(state.measurement, state.readings.series, theta)
+    if jumps:
+        raise IdentificationError(
+            f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"
+            " mode; check the machine's numbers, the poses and the units of the"
+            " readings"
+        )
+
+
+def sample_posterior(state: Fitted) -> Fitted:
+    """Sample the posterior about the estimate."""
+    table = state.study.posterior
+    if not table.enabled:
+        return state.withhold_section("posterior", "[posterior] enabled is false")
+    state.progress.stage("posterior")
+    draws = posterior.sample(
+        state.measurement,
+        state.readings.series,
+        state.readings.y,
+        state.estimate,
+        state.rng(Stream.SAMPLER),
+        **sampler_options(table),
+        progress=state.progress.share,
+        checkpoint=state.checkpoint,
+        resumed=lambda steps: state.progress.stage(
+            f"posterior, resumed after {steps} steps"
+        ),
+    )
+    corner = state.study.report.corner
+    section = posterior_section(state.measurement, state.estimate, draws, corner)
+    checks = posterior.predictive_checks(
+        state.measurement,
+        state.readings.series,
+        state.readings.y,
+        state.estimate,
+        draws,
+        state.rng(Stream.PREDICTIVE),
+    )
+    section = add_checks(section, checks)
+    state = state.replace(posterior=draws).add_sections(posterior=section)
+    state = state.add_warnings(*contradictions(checks))
+    return state.add_warnings(*sampling_warnings(draws, table.ess))

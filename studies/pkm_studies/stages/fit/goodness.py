@@ -14,7 +14,7 @@ from oed.checks import CheckedSession, Explanation, FarReading, Goodness, misfit
 from oed.dataset import Dataset
 from oed.estimation import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
-from pkm_studies.resolve import ResolvedStudy, noise_is_a_guess
+from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages.run_state import Measured
 
 #: runs that a sentence names, at most
@@ -33,7 +33,7 @@ def check_dataset(
         data.columns,
     )
     measurement = resolved.measurement_with(resolved.setups)
-    guess = noise_is_a_guess(resolved.study, session.measurement, len(session.y))
+    guess = resolved.noise_is_a_guess(session.measurement, len(session.y))
     checked = checks.check_session(
         session,
         measurement,

@@ -1,14 +1,11 @@
-"""Lays out readings along circles and lines: measured, predicted, after compensation.
-
-A compensated machine goes to the joints that hold each command with the identified
-parameters. What its instrument then reads departs from the nominal readings by what no
-drive corrects and by the errors of the set-up (Tian et al. 2016, Eq. (25), Figs. 8, 9).
-"""
+"""Readings along runs: residuals of a diagnosis, and what is predicted and measured of curves."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -16,15 +13,204 @@ from oed import units
 from oed.base import Array, Index
 from oed.compensate import compensated_joints
 from oed.estimation import Estimate
-from oed.gap import phase_along_runs
+from oed.gap import Diagnosis, phase_along_runs
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
-from oed.result import RunCurve
-from pkm_studies.stages.gap.traces import MIN_POINTS, run_shape
+from oed.result import RunCurve, Spot, Trace
+from pkm_studies.resolve import FEED_MM_PER_MIN, PASS_SUFFIX
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Lays out the residuals of a diagnosis run by run, and over the workspace.
+
+
+#: largest spread of a circle's radii, as a share of their mean
+ROUND = 0.1
+#: largest height of a line, as a share of its length
+STRAIGHT = 0.05
+#: least number of points of a circle or a line
+MIN_POINTS = 5
+#: tool points nearer than this are one place, m
+SAME_PLACE = 1e-4
+#: decimals of residuals and of positions
+DIGITS, PLACE_DIGITS = 4, 3
+#: the unit of residuals given as multiples of the stated noise
+SIGMA = "sigma"
+
+T = TypeVar("T")
+
+
+def traces(diagnosis: Diagnosis) -> list[Trace]:
+    """Every channel of every run, in order; short runs of a set-up make one trace."""
+    tips = _tool_points(diagnosis)
+    parts = {
+        "before": diagnosis.before,
+        "after": diagnosis.after,
+        "explained": diagnosis.after_calibration(diagnosis.explained),
+        "unexplained": diagnosis.after_calibration(diagnosis.unexplained),
+    }
+    every_channel = diagnosis.problem.rows["channel"].to_numpy()
+    listing = []
+    for members in _drawn_runs(diagnosis):
+        channels = every_channel[members]
+        for channel in dict.fromkeys(channels):
+            rows = members[channels == channel]
+            listing.append(_trace(diagnosis, rows, str(channel), tips, parts))
+    return listing
+
+
+def _drawn_runs(diagnosis: Diagnosis) -> list[Index]:
+    """Readings of each run; runs too short to be drawn are joined by set-up."""
+    rows = diagnosis.problem.rows
+    channels = rows["channel"].to_numpy()
+    long: list[Index] = []
+    short: dict[str, list[Index]] = {}
+    for members in diagnosis.problem.members:
+        first = rows.iloc[members[0]]
+        if (channels[members] == first["channel"]).sum() < MIN_POINTS:
+            short.setdefault(str(first["setup"]), []).append(members)
+        else:
+            long.append(members)
+    return [*long, *(np.concatenate(members) for members in short.values())]
+
+
+def _trace(
+    diagnosis: Diagnosis,
+    members: Index,
+    channel: str,
+    tips: Array,
+    parts: Mapping[str, Array],
+) -> Trace:
+    rows = diagnosis.problem.rows.iloc[members]
+    setup, names = str(rows.iloc[0]["setup"]), list(dict.fromkeys(rows["run"]))
+    run = str(names[0]) if len(names) == 1 else f"{len(names)} runs"
+    kind, along, radius = run_shape(tips[members], rows["phase"].to_numpy(dtype=float))
+    if len(names) > 1:
+        kind, along, radius = "points", np.arange(1.0, len(members) + 1.0), None
+    order = np.argsort(along, kind="stable")
+    unit = units.FINE[_channel_unit(diagnosis, setup, channel)]
+
+    def displayed(part: Array) -> list[float]:
+        """The members' values in order along the run, in the fine unit."""
+        return _rounded(units.from_si(part[members][order], unit), DIGITS)
+
+    return Trace(
+        setup=setup,
+        run=run,
+        base=_run_of_pass(run),
+        channel=channel,
+        unit=unit,
+        kind=kind,
+        at=_rounded(along[order], PLACE_DIGITS),
+        before=displayed(parts["before"]),
+        explained=displayed(parts["explained"]),
+        unexplained=displayed(parts["unexplained"]),
+        after=displayed(parts["after"]),
+        direction=_constant(rows, "direction", int),
+        payload=_constant(rows, "payload", float),
+        feed_mm_min=_constant(
+            rows, "feed", lambda v: round(float(v) / FEED_MM_PER_MIN, 6)
+        ),
+        radius_mm=None if radius is None else round(_mm(radius), PLACE_DIGITS),
+    )
+
+
+def _rounded(values: Array, digits: int) -> list[float]:
+    return [round(float(value), digits) for value in values]
+
+
+def _mm(value: float) -> float:
+    return float(units.from_si(value, "mm"))
+
+
+def _run_of_pass(run: str) -> str:
+    """A run's name without its pass; the number of its series stays."""
+    number = re.search(r" \(\d+\)$", run)
+    tail = number.group() if number else ""
+    return PASS_SUFFIX.sub("", run.removesuffix(tail)) + tail
+
+
+def _constant(rows: pd.DataFrame, name: str, convert: Callable[[float], T]) -> T | None:
+    """A covariate that does not change in a run; None where it does or is unknown."""
+    if name not in rows.columns:
+        return None
+    values = rows[name].to_numpy(dtype=float)
+    if not np.isfinite(values).all() or np.ptp(values) != 0.0:
+        return None
+    return convert(values[0])
+
+
+def _channel_unit(diagnosis: Diagnosis, setup: str, channel: str) -> str:
+    channels = diagnosis.problem.measurement.setups[setup].instrument.channels
+    return next(c.unit for c in channels if c.name == channel)
+
+
+def _tool_points(diagnosis: Diagnosis) -> Array:
+    """Tool point (N, 3) of the pose of each reading, m."""
+    problem, points = diagnosis.problem, []
+    for state, s in zip(problem.states, problem.series, strict=True):
+        channels = len(problem.measurement.setups[s.setup].instrument.channels)
+        points.append(np.repeat(state.tool[s.index[:, 0]], channels, axis=0))
+    return np.vstack(points)
+
+
+def run_shape(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
+    """Kind of a run, positions along it (deg, mm or numbers), and a circle's radius."""
+    numbers = np.arange(1.0, len(tips) + 1.0)
+    offset = tips - tips.mean(axis=0)
+    _, extent, axes = np.linalg.svd(offset, full_matrices=False)
+    if len(tips) < MIN_POINTS or extent[0] < SAME_PLACE:
+        return "points", numbers, None
+    if extent[1] < STRAIGHT * extent[0]:
+        axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
+        along = offset @ axis
+        return "line", np.asarray(units.from_si(along - along.min(), "mm")), None
+    radii = _radii(offset @ axes[:2].T)
+    if radii.std() < ROUND * radii.mean() and extent[2] < ROUND * extent[0]:
+        return "circle", np.degrees(phase), float(radii.mean())
+    return "points", numbers, None
+
+
+def _radii(points: Array) -> Array:
+    """Distances (N,) of points (N, 2) from the centre of the circle fitted to them."""
+    system = np.column_stack([2.0 * points, np.ones(len(points))])
+    squares = np.sum(points**2, axis=1)
+    centre = np.linalg.lstsq(system, squares, rcond=None)[0][:2]
+    return np.asarray(np.linalg.norm(points - centre, axis=1))
+
+
+def spots(diagnosis: Diagnosis) -> tuple[list[Spot], str]:
+    """Rms residual at each place of the tool, before and after; the unit of both.
+
+    Channels of different units are given in multiples of the stated noise.
+    """
+    problem = diagnosis.problem
+    pairs = zip(problem.rows["setup"], problem.rows["channel"], strict=True)
+    kinds = {_channel_unit(diagnosis, str(s), str(c)) for s, c in set(pairs)}
+    unit, scale = SIGMA, problem.sigma
+    if len(kinds) == 1:
+        unit = units.FINE[kinds.pop()]
+        scale = np.full(len(problem), units.factor(unit))
+    tips = _tool_points(diagnosis)
+    cells = np.round(tips / SAME_PLACE)
+    owner = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    places = []
+    for k in dict.fromkeys(owner):
+        members = owner == k
+        position = units.from_si(tips[members].mean(axis=0), "mm")
+        before = _rms(diagnosis.before[members] / scale[members])
+        after = _rms(diagnosis.after[members] / scale[members])
+        places.append(Spot(_rounded(position, PLACE_DIGITS), before, after))
+    return places, unit
+
+
+def _rms(values: Array) -> float:
+    return round(float(np.sqrt(np.mean(values**2))), DIGITS)
+
 
 #: half width of a 95 % interval, in standard deviations
 HALF_WIDTH = 1.96
-DIGITS = 4
 #: kinds of runs that are drawn along their way
 DRAWN = ("circle", "line")
 
@@ -151,7 +337,7 @@ def run_curves(
                     channel=channel.name,
                     unit=unit,
                     kind=kind,
-                    at=[round(float(v), DIGITS) for v in along[order]],
+                    at=_rounded(along[order], DIGITS),
                     measured=_displayed(curves.measured, rows, unit),
                     predicted=_displayed(curves.predicted, rows, unit),
                     half_widths=_displayed(HALF_WIDTH * curves.sd, rows, unit),
@@ -179,4 +365,4 @@ def _half_widths(curves: ReadingCurves, rows: Index, unit: str) -> list[float]:
 def _displayed(values: Array | None, rows: Index, unit: str) -> list[float]:
     if values is None:
         return []
-    return [round(float(v), DIGITS) for v in units.from_si(values[rows], unit)]
+    return _rounded(units.from_si(values[rows], unit), DIGITS)

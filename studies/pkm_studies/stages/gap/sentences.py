@@ -14,10 +14,6 @@ from oed import units
 from oed.effect_model import IMPLAUSIBLE, Effect, State
 from oed.gap import untestable
 from oed.result import (
-    DATA_SHEET,
-    DOUBT_PROBABILITY,
-    MAX_CLASS_NAMES,
-    SURE_PROBABILITY,
     UNKNOWN,
     AnswerRecord,
     ClosureRecord,
@@ -45,7 +41,7 @@ def plain_name(effect: str) -> str:
 
 def scatter_sentences(gap: GapSection, factor: float) -> list[str]:
     """That readings scatter beyond the instrument, and how."""
-    if gap.scatter_against in ("", DATA_SHEET):
+    if gap.scatter_against in ("", GapSection.DATA_SHEET):
         first = (
             f"The readings scatter {rounded(factor)} times as much as stated, and no effect"
             " explains it: either the instrument is worse than stated, or something acts"
@@ -278,7 +274,7 @@ def _spoken(answer: AnswerRecord) -> str:
     for name in answer.effects:
         alike = classes.get(name, (name,))
         plain = join_words([plain_name(n) for n in alike], last="or")
-        many = len(alike) > MAX_CLASS_NAMES
+        many = len(alike) > GapSection.MAX_CLASS_NAMES
         spoken.append(f"any of {len(alike)} effects" if many else plain)
     has_alternatives = any(len(alike) > 1 for alike in answer.classes)
     return ", and ".join(spoken) if has_alternatives else join_words(spoken)
@@ -446,7 +442,7 @@ def _verdict(gap: GapSection) -> list[str]:
     probability = probability_of_causes(gap)
     chance = _chance(gap, probability)
     comes = "may come"
-    if probability >= SURE_PROBABILITY:
+    if probability >= GapSection.SURE_PROBABILITY:
         comes = "comes"
     elif probability >= GapSection.EVEN_PROBABILITY:
         comes = "probably comes"
@@ -520,7 +516,7 @@ def _probability_of_any(names: Sequence[str], answers: Sequence[AnswerRecord]) -
 def _class(gap: GapSection, names: Sequence[str]) -> str:
     """The effects of a class, those of a large one by what they have in common."""
     natures = [gap.about[n].nature if n in gap.about else "" for n in names]
-    if len(names) <= MAX_CLASS_NAMES or not all(natures):
+    if len(names) <= GapSection.MAX_CLASS_NAMES or not all(natures):
         return join_words([plain_name(n) for n in names], "or")
     common = collections.Counter(natures).most_common()
     if len(common) == 1:
@@ -649,7 +645,7 @@ def _next_steps(gap: GapSection) -> list[str]:
         if note is None:
             continue
         named_steps, effect = " ".join(steps), plain_name(name)
-        is_sure = probability_of(name, gap.answers) >= SURE_PROBABILITY
+        is_sure = probability_of(name, gap.answers) >= GapSection.SURE_PROBABILITY
         doubtful = not is_sure or _is_one_of_several(name, gap)
         if doubtful and note.exposed_by and note.exposed_by not in named_steps:
             steps.append(f"To tell {effect} from the others: {note.exposed_by}.")
@@ -664,9 +660,11 @@ def _next_steps(gap: GapSection) -> list[str]:
 def _asks_for_readings(gap: GapSection) -> bool:
     """Whether further readings would make the answer clearer."""
     if gap.verdict == "none":
-        return gap.visible_probability > DOUBT_PROBABILITY
+        return gap.visible_probability > GapSection.DOUBT_PROBABILITY
     open_verdicts = ("class", "unknown", "scatter")
-    unsure = gap.effect_reported and gap.answers[0].probability < SURE_PROBABILITY
+    unsure = (
+        gap.effect_reported and gap.answers[0].probability < GapSection.SURE_PROBABILITY
+    )
     return gap.verdict in open_verdicts or unsure
 
 
@@ -682,7 +680,9 @@ def _effects_in_question(gap: GapSection) -> list[str]:
     if gap.verdict == "class" and classes:
         of_setup = any(p.block.startswith("set-up") for p in named_places(gap.where))
         many = 1 if of_setup else 0
-        listed = [c if len(c) <= MAX_CLASS_NAMES else c[:many] for c in classes]
+        listed = [
+            c if len(c) <= GapSection.MAX_CLASS_NAMES else c[:many] for c in classes
+        ]
         members = [name for c in listed for name in c if name != UNKNOWN]
         return list(dict.fromkeys(members))
     return gap.selected

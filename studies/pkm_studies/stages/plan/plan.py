@@ -12,10 +12,12 @@ from oed import result, units
 from oed.base import Array, Index
 from oed.design import CRITERIA
 from oed.effects import PlannedEffects
-from oed.identifiability import assess
+from oed.identifiability import Assessment, assess, combination_text
+from oed.measurement import Measurement, Series
 from oed.planning import (
     Option,
     PlanSearchResult,
+    PlanStage,
     PlanStreams,
     StagePlan,
     StageRealisation,
@@ -25,18 +27,10 @@ from oed.planning import (
 )
 from pkm_studies.base import InputError, Progress
 from pkm_studies.resolve import PlanRequest, ResolvedStudy, named_effects
-from pkm_studies.stages.plan.earlier import EarlierSession
-from pkm_studies.stages.plan.phrases import (
-    accuracies,
-    loss_bound_text,
-    minutes,
-    more_accurate,
-    percent,
-    time_difference,
-)
-from pkm_studies.stages.plan.section import PlanOutcome, build_outcome
-from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask, build_task
+from pkm_studies.stages.design import order
+from pkm_studies.stages.plan.task import ANY_LOSS, EarlierSession, PlanTask, build_task
 from pkm_studies.stages.recording import PlanToRecord, recording_section
+from pkm_studies.tables import DesignTable
 
 # Targets out of reach: how far the best plan misses them, what would reach them.
 
@@ -591,3 +585,266 @@ def _small_stages(task: PlanTask, longer: StagePlan, best: StagePlan) -> str:
         f" make errors {gain} smaller, less than the {percent(task.table.worth)} that"
         " the study asks for."
     )
+
+
+# Phrases about plans: shares, factors and differences of time.
+
+
+def percent(share: float) -> str:
+    """A share in percent, with one decimal below 10 %."""
+    return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.1f} %"
+
+
+def more_accurate(value: float, better: float) -> str:
+    """How much more accurate `better` is than `value`: a share, or a factor from 2."""
+    ratio = value / better
+    if ratio >= 2.0:
+        return f"{ratio:.3g} times as accurate"
+    return f"{percent(ratio - 1.0)} more accurate"
+
+
+def loss_bound_text(loss: float) -> str:
+    """How much better than a plan the best possible one can be, given the loss."""
+    if loss < 1.0:
+        return f"{percent(loss)} better"
+    return f"{loss + 1.0:.3g} times as accurate"
+
+
+def minutes(seconds: float) -> str:
+    """A time in whole minutes."""
+    return f"{units.number(seconds, 'min'):.0f} min"
+
+
+def time_difference(seconds: float, other: float) -> str:
+    """How much longer or shorter a time is than another one, s."""
+    difference = abs(seconds - other)
+    if difference < 0.02 * other:
+        return "in the same time"
+    return f"in {minutes(difference)} {'less' if seconds < other else 'more'}"
+
+
+def accuracies(values: Mapping[str, float]) -> str:
+    """Accuracies by component and unit (`z_um`), as a list."""
+    parts = []
+    for key, value in values.items():
+        component, _, unit = key.rpartition("_")
+        parts.append(f"{component} {value:.3g} {unit}")
+    return "; ".join(parts)
+
+
+# -- the plan in headline sentences ----------------------------------------------------
+
+
+def plan_sentences(section: result.PlanSection | None) -> list[str]:
+    """The plan as headline sentences; none where it was not searched for."""
+    if section is None or section.value is None or not section.stages:
+        return []
+    names = ", then ".join(f"{s.measurement} ({s.chosen})" for s in section.stages)
+    lines = [
+        f"Plan of {section.cost:.0f} min: {names}; it leaves"
+        f" {accuracies(section.accuracy)} rms over the workspace."
+    ]
+    if section.goal and section.reached:
+        lines.append("The target accuracy is reached.")
+    elif section.goal:
+        lines.append(" ".join(section.needs))
+    lines += bound_sentences(section)
+    if section.effects is not None:
+        lines.append(section.effects.words)
+    return lines
+
+
+def bound_sentences(section: result.PlanSection | None) -> list[str]:
+    """How much better than the plan any other can be; none where no bound is known."""
+    if section is None or section.loss is None:
+        return []
+    return [
+        f"No plan within {section.budget_min:.0f} min is more than"
+        f" {loss_bound_text(section.loss)}: a bound over all plans that take each"
+        " measurement at most as often as `counts` allows."
+    ]
+
+
+# The plan as a section of the result: one record a stage, value, bound and front.
+
+
+#: posterior over prior standard deviation from which a parameter counts as unidentified
+UNIDENTIFIED = 0.95
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlanOutcome:
+    """The plan with its readings in working order.
+
+    section      of the result
+    measurement  with all set-ups of the plan
+    series       all readings
+    scheduled    readings of each stage, thermal references among them
+    """
+
+    section: result.PlanSection
+    measurement: Measurement
+    series: tuple[Series, ...]
+    scheduled: tuple[tuple[Series, ...], ...]
+
+
+def build_outcome(
+    task: PlanTask, search: PlanSearchResult, best: StagePlan
+) -> PlanOutcome:
+    """The plan `best` with its section, without comparisons and texts."""
+    arranged = [_arrange(task, stage, k) for k, stage in enumerate(best.stages)]
+    series = [s for stage in arranged for s in stage.series]
+    judged = search.most_accurate if task.goal.has_targets else best
+    section = result.PlanSection(
+        stages=_stage_records(task, best, arranged),
+        cost=units.number(best.seconds, "min"),
+        alternatives=[],
+        budget_min=units.number(task.budget, "min"),
+        price=best.price,
+        value=best.value,
+        goal=dict(task.table.wanted),
+        reached=search.reached,
+        start_accuracy=task.accuracy(task.start),
+        accuracy=task.accuracy_after(best),
+        best_reachable=task.accuracy_after(search.most_accurate),
+        bound=search.bound.value,
+        loss=max(judged.value / search.bound.value - 1.0, 0.0),
+        lines=search.bound.lines,
+        front=[task.record(plan) for plan in search.front],
+    )
+    return PlanOutcome(
+        section=section,
+        measurement=task.resolved.measurement_with({s.setup for s in series}),
+        series=tuple(series),
+        scheduled=tuple(stage.scheduled for stage in arranged),
+    )
+
+
+def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan:
+    """A stage's readings in working order."""
+    table = _add_order(task, stage.option.name)
+    location, rng = (
+        task.resolved.study.location.key("design"),
+        task.stage_generator(number),
+    )
+    measurement = stage.option.measurement
+    return order.order_plan(table, location, measurement, (), stage.series, rng)
+
+
+def _add_order(task: PlanTask, name: str) -> DesignTable:
+    """[design.order] and the whole runs of a measurement alone."""
+    design = task.resolved.study.design
+    table = next(t for t in task.table.measurement if t.name == name)
+    usual = design.order if design else DesignTable().order
+    return DesignTable(order=usual, whole_runs=table.whole_runs)
+
+
+def _stage_records(
+    task: PlanTask, plan: StagePlan, arranged: Sequence[order.OrderedPlan]
+) -> list[result.StageRecord]:
+    """The stages with their times, one after the other."""
+    records = []
+    readings: list[Series] = []
+    clock = 0.0
+    for stage, ordered in zip(plan.stages, arranged, strict=True):
+        readings.extend(ordered.series)
+        measurement = task.resolved.measurement_with({s.setup for s in readings})
+        cumulative = assess(measurement, readings)
+        records.append(_stage_record(task, stage, ordered, clock, cumulative))
+        clock += units.number(stage.seconds, "min")
+    return records
+
+
+def _stage_record(
+    task: PlanTask,
+    stage: PlanStage,
+    ordered: order.OrderedPlan,
+    begin_min: float,
+    cumulative: Assessment,
+) -> result.StageRecord:
+    """One stage; `cumulative` is the verdict on all readings up to it."""
+    verdict = assess(stage.option.measurement, stage.series).identifiability
+    accuracy = task.accuracy(stage.covariance)
+    duration_min = units.number(stage.seconds, "min")
+    return result.StageRecord(
+        measurement=stage.option.name,
+        setups=ordered.summary.setups,
+        readings=sum(len(s) for s in stage.series),
+        identifies=verdict.rank,
+        cost=duration_min,
+        kappa=CRITERIA.index("kappa", verdict.identifiable_singular_values),
+        predicted=accuracy,
+        chosen=len(stage.chosen),
+        begin_min=begin_min,
+        end_min=begin_min + duration_min,
+        price=stage.option.price,
+        operator=stage.option.operator,
+        available={
+            "least": float(stage.probability.min()),
+            "mean": float(stage.probability.mean()),
+        },
+        lost=float((1.0 - stage.probability).sum()),
+        cut_off_um=_largest_residual_um(stage),
+        rank=cumulative.identifiability.rank,
+        parameters=_standard_deviations(stage),
+        unidentified=_unidentified(task, stage, cumulative),
+        accuracy=accuracy,
+    )
+
+
+def _largest_residual_um(stage: PlanStage) -> float | None:
+    """Largest linearisation residual of a length, um; None where there is none."""
+    lengths = stage.linearisation_rms[_is_length(stage)]
+    if not lengths.size or not np.isfinite(lengths.max()):
+        return None
+    return units.number(lengths.max(), "um")
+
+
+def _is_length(stage: PlanStage) -> Array:
+    """Which numbers of a stage's readings (readings,) are lengths."""
+    setups = stage.option.measurement.setups
+    masks = []
+    for s in stage.series:
+        channels = setups[s.setup].instrument.channels
+        is_length = np.array([channel.unit == "m" for channel in channels])
+        masks.append(np.tile(is_length, len(s)))
+    return np.concatenate(masks)
+
+
+def _free_parameters(stage: PlanStage) -> list[int]:
+    """Positions of the machine's free parameters."""
+    measurement = stage.option.measurement
+    machine_parameters = len(measurement.machine.parameters)
+    return [int(k) for k in np.flatnonzero(measurement.free[:machine_parameters])]
+
+
+def _standard_deviations(stage: PlanStage) -> dict[str, result.Sd]:
+    """Standard deviation of each free parameter after a stage, in its display unit."""
+    measurement = stage.option.measurement
+    positions = _free_parameters(stage)
+    scaled = np.sqrt(np.diag(stage.covariance))[: len(positions)]
+    table = {}
+    for k, sd in zip(positions, scaled, strict=True):
+        unit = units.display(measurement.parameters[k].unit)
+        value = float(sd * measurement.tolerance[k])
+        table[measurement.names[k]] = result.Sd(units.number(value, unit), unit)
+    return table
+
+
+def _unidentified(
+    task: PlanTask, stage: PlanStage, cumulative: Assessment
+) -> list[str]:
+    """Parameters, then combinations of them, that no reading so far determines."""
+    measurement = stage.option.measurement
+    names = [measurement.names[k] for k in _free_parameters(stage)]
+    ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))[: len(names)]
+    pairs = zip(names, ratio, strict=True)
+    alone = [name for name, value in pairs if value > UNIDENTIFIED]
+    unit = {p.name: p.unit for p in cumulative.measurement.parameters}
+    combinations = []
+    for terms in cumulative.identifiability.coefficients_by_name(
+        cumulative.identifiability.lost
+    ):
+        if set(terms) <= set(names) and not set(terms) <= set(alone):
+            combinations.append(combination_text(terms, unit))
+    return [*alone, *combinations]

@@ -20,8 +20,7 @@ from oed.result import (
 )
 from pkm_reports import style
 from pkm_reports.page import build_document, render_pdf
-from pkm_reports.sections import plan
-from pkm_reports.sections.design import chapter, criteria
+from pkm_reports.sections import design, plan
 
 pytestmark = pytest.mark.pictures
 
@@ -118,7 +117,7 @@ def test_parts_of_the_design_may_be_null(names: list[str]) -> None:
 
 def _check_texts(result: StudyResult) -> None:
     """Texts and captions hold no number that is none; figures are not drawn."""
-    blocks = repr([*plan.blocks(result), *chapter.blocks(result)])
+    blocks = repr([*plan.blocks(result), *design.blocks(result)])
     assert not {"nan", "None"} & set(re.findall(r"\w+", blocks))
 
 
@@ -192,7 +191,7 @@ def test_efficiencies_are_ratios_of_phi(main: str) -> None:
     phi = np.array([[c.value(m) for m in informations] for c in scored.values()])
     expected = np.exp(phi - np.diag(phi)[:, None])
     entries = [_comparison(k, phi, scored) for k in range(len(scored))]
-    np.testing.assert_allclose(criteria.efficiencies(entries), expected, rtol=1e-9)
+    np.testing.assert_allclose(design.efficiencies(entries), expected, rtol=1e-9)
     # Proven designs leave only the gain, and for D the directions.
     replace = msgspec.structs.replace
     proven = [
@@ -203,7 +202,7 @@ def test_efficiencies_are_ratios_of_phi(main: str) -> None:
         )
         for entry in entries
     ]
-    again = criteria.efficiencies(proven, 4)
+    again = design.efficiencies(proven, 4)
     known = slice(0 if main != "Ds" else 1, None)
     np.testing.assert_allclose(again[known], expected[known], rtol=1e-9)
 
@@ -298,7 +297,7 @@ def test_the_figure_shows_the_share_of_scenarios() -> None:
         nominal_values=[quarter],
     )
     with style.applied():
-        axes = chapter.draw_robust(summary).axes[0]
+        axes = design.draw_robust(summary).axes[0]
     steps = {line.get_label(): np.array(line.get_xydata()) for line in axes.lines}
     of_robust = steps["robust plan, each scenario"]
     np.testing.assert_allclose(of_robust, [[50.0, 50.0], [100.0, 100.0]])

@@ -14,16 +14,15 @@ from oed.result import Drawing
 from pkm_reports import style
 from pkm_reports.page import build_document, render_html, render_pdf
 from pkm_reports.sections import (
+    acceptance,
     accuracy,
-    held_out,
     identifiability,
     identification,
-    kappa,
+    machine_figures,
     plan,
 )
+from pkm_reports.sections import design as design_chapter
 from pkm_reports.sections import posterior as corner
-from pkm_reports.sections.design import chapter, criteria, plans
-from pkm_reports.sections.figures import machine
 
 pytestmark = pytest.mark.pictures
 
@@ -56,8 +55,8 @@ def _empty_figures() -> list[Callable[[], Figure]]:
     no_scenario = replace(design.robust, values=[None], nominal_values=[])
     no_size = replace(design.how_many, sizes=[10, 20], accuracy={"z_um": [None, None]})
     return [
-        lambda: machine.draw_machine(Drawing([], [], [], [])),
-        lambda: kappa.draw_kappa([no_value]),
+        lambda: machine_figures.draw_machine(Drawing([], [], [], [])),
+        lambda: identifiability.draw_kappa([no_value]),
         lambda: identifiability.draw_singular_values(no_direction),
         lambda: identification.draw_parameters({}),
         lambda: identification.draw_residuals(no_residual),
@@ -65,12 +64,12 @@ def _empty_figures() -> list[Callable[[], Figure]]:
         lambda: accuracy.draw_components(no_component),
         lambda: accuracy.draw_budget({"x": no_budget}),
         lambda: accuracy.draw_workspace(no_place),
-        lambda: held_out.draw_residuals([no_reading]),
-        lambda: criteria.draw_efficiencies(no_criterion),
-        lambda: plans.draw_predicted([no_prediction]),
+        lambda: acceptance.draw_residuals([no_reading]),
+        lambda: design_chapter.draw_efficiencies(no_criterion),
+        lambda: design_chapter.draw_predicted([no_prediction]),
         lambda: plan.draw_path([no_command]),
-        lambda: chapter.draw_robust(no_scenario),
-        lambda: chapter.draw_how_many(no_size),
+        lambda: design_chapter.draw_robust(no_scenario),
+        lambda: design_chapter.draw_how_many(no_size),
     ]
 
 
@@ -97,17 +96,17 @@ def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> N
     assert prediction is not None
     with style.applied():
         for figure in (
-            machine.draw_machine(full.drawing),
+            machine_figures.draw_machine(full.drawing),
             identifiability.draw_singular_values(full.identifiability),
             identification.draw_parameters(full.estimate.parameters),
             accuracy.draw_components(prediction),
             accuracy.draw_budget(prediction.components),
             accuracy.draw_workspace(prediction),
-            criteria.draw_efficiencies(design),
-            plans.draw_predicted(design.plans),
+            design_chapter.draw_efficiencies(design),
+            design_chapter.draw_predicted(design.plans),
             plan.draw_path(design.poses),
-            chapter.draw_robust(design.robust),
-            chapter.draw_how_many(design.how_many),
+            design_chapter.draw_robust(design.robust),
+            design_chapter.draw_how_many(design.how_many),
         ):
             check_inside(figure)
 

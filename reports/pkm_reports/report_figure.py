@@ -1,0 +1,37 @@
+"""A figure of a report and the labels of its log axes: what derives from Matplotlib's classes.
+
+`style` imports this with the first figure, so that sentences and tables need no Matplotlib.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import Formatter
+
+from pkm_reports import text
+
+
+class ReportFigure(Figure):
+    """A figure whose layout is computed without a first drawing that nobody sees."""
+
+    def draw(self, renderer: Any) -> None:
+        """Draw, or compute the layout alone where the file is drawn right after."""
+        engine = self.get_layout_engine()
+        precedes = self.canvas.is_saving() and bool(self.axes)
+        if precedes and isinstance(engine, ConstrainedLayoutEngine):
+            # after a save matplotlib gives its default layout to a figure that had none
+            if any(axes.get_subplotspec() is not None for axes in self.axes):
+                engine.execute(self)
+        else:
+            super().draw(renderer)
+
+
+class PlainLog(Formatter):
+    """Labels of a log axis: 0.01, 1, 100, and 10⁻⁶ where that is too long."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Label of one tick."""
+        return text.trimmed(x, 3) if x > 0 else ""

@@ -1,0 +1,929 @@
+"""The first page: what a user asked, answered before anything is explained.
+
+A question that a result does not answer has no part.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from oed import trust
+from oed.result import (
+    ComponentAccuracy,
+    CorrectedSection,
+    DesignSection,
+    Drawing,
+    EffectEstimate,
+    ForecastSection,
+    GapSection,
+    HeldOutSection,
+    IdentifiabilityFinding,
+    IdentifiabilitySection,
+    PlanSection,
+    PredictionSection,
+    SetupInfo,
+    SpreadRecord,
+    StudyResult,
+    WantedVerdict,
+)
+from oed.text import format_probability
+from oed.verdict import SURE_PROBABILITY, accuracy_verdicts
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
+    Block,
+    Facts,
+    Items,
+    Notice,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+    TableColumn,
+    headed_list,
+    number_columns,
+    transposed,
+    wide_column,
+)
+from pkm_reports.sections import acceptance, forecast, gap_figures, stages
+from pkm_reports.sections.gap import size_in_readings
+from pkm_reports.sections.gap_figures import spoken
+from pkm_reports.sections.identifiability import lost_count
+from pkm_reports.sections.machine_figures import draw_overview
+from pkm_reports.sections.stages import has_schedule, is_missed
+
+# The first lines of a report: what was read or is to be, how accurate, the main doubt.
+
+
+def lead_title(result: StudyResult) -> str:
+    """The heading of the lines."""
+    return "In short"
+
+
+def lead_blocks(result: StudyResult) -> list[Block]:
+    """One paragraph, and the main doubt with what removes it; a bad fit before all."""
+    sentences = [
+        *_causes(result.gap),
+        *_readings(result),
+        *_accuracy_sentences(result),
+        *_forecast(result.forecast),
+    ]
+    doubt = main_doubt(result).words
+    content: list[Block] = [Paragraph(" ".join(sentences))] if sentences else []
+    if not doubt:
+        return content
+    if trust.objections(result):
+        return [Notice(doubt), *content]
+    return [*content, Notice(doubt)]
+
+
+def _causes(gap: GapSection | None) -> list[str]:
+    """The verdict of a diagnosis."""
+    return [] if gap is None else text.sentences(gap.words[:1])
+
+
+def _readings(result: StudyResult) -> list[str]:
+    """How many readings to take or taken, with what, and how long it takes."""
+    instruments = text.listing(instrument_names(used_setups(result)))
+    by = f" with the {instruments}" if instruments else ""
+    if is_plan(result):
+        number = planned_readings(result)
+        minutes = plan_minutes(result)
+        end = f": {minutes}." if minutes else "."
+        return [f"Take {text.count(number, 'reading')}{by}{end}"]
+    number, values = recorded_readings(result)
+    if not number:
+        return []
+    of_values = "" if values == number else f" ({text.count(values, 'value')})"
+    verb = "was" if number == 1 else "were"
+    return [f"{text.count(number, 'reading')}{of_values}{by} {verb} evaluated."]
+
+
+def _accuracy_sentences(result: StudyResult) -> list[str]:
+    """The error that is left of each component, and the condition of the figures."""
+    prediction = result.judged_prediction
+    if prediction is None or not prediction.components:
+        return []
+    errors = remaining_errors(result, prediction.components)
+    judged = verdicts(result, prediction.components)
+    parts = []
+    for name, error in errors.items():
+        part = f"{name}{text.NO_BREAK}{text.quantity(error.rms, error.unit)}"
+        if name in judged:
+            wanted = text.quantity(judged[name].wanted, error.unit)
+            part += f" ({wanted} wanted: {judged[name].judgement})"
+        parts.append(part)
+    scopes = text.listing(dict.fromkeys(error.scope for error in errors.values()))
+    reference = text.meaning(prediction.reference, REFERENCES)
+    return [
+        f"After compensation the rms error is predicted to be {text.listing(parts)},"
+        f" {reference}, {scopes}."
+    ]
+
+
+def _forecast(forecast: ForecastSection | None) -> list[str]:
+    """What the controller's table of a forecast leaves, or what its plan reads."""
+    if forecast is None:
+        return []
+    if not forecast.readings:
+        nodes = text.count(len(forecast.nodes), "node")
+        return [
+            f"Measure the errors at {nodes} with set-up {forecast.setup}:"
+            f" {forecast.minutes:.0f} min."
+        ]
+    parts = [
+        f"{name}{text.NO_BREAK}{text.quantity(c.predicted, c.unit)}"
+        f" ({text.number(c.low, 2)} to {text.number(c.high, 2)} with 95 %)"
+        for name, c in forecast.components.items()
+    ]
+    return [
+        f"{text.count(forecast.readings, 'reading')} of nodes with set-up {forecast.setup}"
+        " were evaluated. With the controller's table"
+        f" the rms error over the workspace is predicted to be {text.listing(parts)},"
+        f" against {forecast.reference}."
+    ]
+
+
+# After a diagnosis: ranked causes, what remains, and what to do.
+
+
+#: causes that are listed, and coefficients that stand for the size of one
+MAX_CAUSES: Final = 5
+MAX_COEFFICIENTS: Final = 3
+#: probability below which an effect that is not selected is no cause to list
+UNLIKELY: Final = 0.05
+#: standard deviations from which a coefficient counts as a size
+CLEAR: Final = 2.0
+
+
+def causes_title(result: StudyResult) -> str:
+    """The question that the part answers."""
+    return "What causes the error"
+
+
+def cause_blocks(result: StudyResult) -> list[Block]:
+    """Causes by size, what remains, what to do next."""
+    gap = result.gap
+    if gap is None:
+        return []
+    content: list[Block] = []
+    ranked = _ranked_causes(gap)
+    if ranked:
+        content.append(_cause_table(gap, ranked, result.corrected))
+    remaining = _remains(gap)
+    if remaining:
+        content.append(Paragraph(remaining))
+    actions = text.sentences(gap.next)
+    if gap.closure and not actions:
+        actions = ["Nothing: no effect needs a remedy."]
+    return [*content, *headed_list("What to do:", actions)]
+
+
+def _ranked_causes(gap: GapSection) -> list[str]:
+    """Selected effects by their size, then others that are not unlikely."""
+    sizes = {size.effect: sum(v * v for v in size.rms.values()) for size in gap.sizes}
+    selected = sorted(gap.selected, key=lambda n: -sizes[n] if n in sizes else 0.0)
+    others = [
+        name
+        for name in sorted(gap.marginal, key=lambda n: -gap.marginal[n])
+        if name not in gap.selected and gap.marginal[name] >= UNLIKELY
+    ]
+    return [*selected, *others][:MAX_CAUSES]
+
+
+def _cause_table(
+    gap: GapSection, ranked: Sequence[str], corrected: CorrectedSection | None
+) -> Table:
+    columns = [
+        TableColumn("Cause"),
+        *number_columns("Probability"),
+        # of one channel a number, of six a list
+        wide_column("In the readings, rms"),
+        wide_column("After calibration, rms"),
+        wide_column("Size of its own"),
+    ]
+    sizes = {size.effect: size for size in gap.sizes}
+    rows = []
+    for name in ranked:
+        rms = remaining = ""
+        if name in sizes:
+            rms = size_in_readings(gap, sizes[name].rms)
+            remaining = size_in_readings(gap, sizes[name].remaining)
+        chance = missing.entry(gap.marginal, name)
+        rows.append(
+            [
+                "an effect of unknown form" if name == "unknown" else spoken(name),
+                _probability(chance),
+                rms or text.MISSING,
+                remaining or text.MISSING,
+                own_size(name, corrected) or text.MISSING,
+            ]
+        )
+    caption = (
+        "Causes by their size in the readings, what calibration leaves of it, and the"
+        " probability that each acts. Size of its own: its clearest coefficients with"
+        " standard deviations."
+    )
+    marks = ["chosen" if name in gap.selected else "" for name in ranked]
+    return Table(columns, rows, caption, marks)
+
+
+def _probability(chance: float) -> str:
+    """In percent; never certainty."""
+    if chance > gap_figures.NEARLY_CERTAIN:
+        return f"> {text.percent(gap_figures.NEARLY_CERTAIN)}"
+    return text.percent(chance)
+
+
+def own_size(effect: str, corrected: CorrectedSection | None) -> str:
+    """The clearest coefficients of an effect in its own unit: leg 3 6.00 ± 0.04 µm."""
+    if corrected is None:
+        return ""
+    clear = {
+        name.partition(": ")[2]: e
+        for name, e in corrected.effects.items()
+        if e.effect == effect and abs(e.value) > CLEAR * e.sd and not e.shape
+    }
+    order = sorted(clear, key=lambda name: -abs(clear[name].value))
+    phrases = [_coefficient(name, clear[name]) for name in order[:MAX_COEFFICIENTS]]
+    if len(order) > MAX_COEFFICIENTS:
+        phrases.append(text.count(len(order) - MAX_COEFFICIENTS, "smaller coefficient"))
+    return text.listing(phrases)
+
+
+def _coefficient(name: str, estimate: EffectEstimate) -> str:
+    decimals = text.decimals_for(estimate.sd)
+    value, sd = text.fixed(estimate.value, decimals), text.fixed(estimate.sd, decimals)
+    return f"{name} {text.append_unit(f'{value} ± {sd}', estimate.unit)}"
+
+
+def _remains(gap: GapSection) -> str:
+    """The rms residual before and after, and what the noise is."""
+    if not gap.rms_before:
+        return ""
+    if not gap.selected:
+        sizes = [
+            f"{name} {text.channel_value(name, rms, gap.units)}"
+            for name, rms in gap.rms_before.items()
+        ]
+        phrase = f"What calibration leaves, rms: {'; '.join(sizes)}."
+        return " ".join([phrase, *text.sentences(gap.noise)])
+    parts = []
+    for name, before in gap.rms_before.items():
+        after = missing.entry(gap.rms_after, name)
+        change = (
+            f"{name} {text.channel_value(name, before, gap.units)} before,"
+            f" {text.channel_value(name, after, gap.units)} after"
+        )
+        parts.append(change)
+    phrase = f"What remains with these causes in the model, rms: {'; '.join(parts)}."
+    return " ".join([phrase, *text.sentences(gap.noise)])
+
+
+# What to measure: instrument, set-ups, number of readings, and a picture of them.
+
+
+#: set-ups and stages named one by one
+MAX_NAMED: Final = 6
+#: readings in their order
+MAX_READINGS: Final = 40
+#: names of files with readings to fill in; numbered where an earlier one is filled in
+POSES: Final = re.compile(r"(\w+_)?poses(-\d+)?\.csv")
+
+
+def measure_title(result: StudyResult) -> str:
+    """Measure, before the readings are taken; measured, once they are recorded."""
+    return "What to measure" if is_plan(result) else "What was measured"
+
+
+def is_plan(result: StudyResult) -> bool:
+    """Whether the report tells which readings to take; not where they are recorded."""
+    prediction = result.judged_prediction
+    of_readings = prediction is not None and prediction.mode != "plan"
+    planned = result.design is not None or has_schedule(result.plan)
+    return planned and not of_readings and result.gap is None
+
+
+def measure_blocks(result: StudyResult) -> list[Block]:
+    """Instrument, set-ups and readings as facts; where they lie in the machine."""
+    setups = used_setups(result)
+    facts = [
+        *_machine(result),
+        *_instruments(setups),
+        *_setups(setups),
+        *_number_of_readings(result),
+        *_time(result),
+        *_stages(result),
+        *_list_of_readings(result),
+    ]
+    content: list[Block] = [Facts(facts)] if facts else []
+    drawing = result.drawing
+    if drawing is not None and drawing.lines and drawing.tool_points:
+        caption = _drawing_caption(drawing)
+        picture = Picture("overview", lambda: draw_overview(drawing), caption)
+        content.append(picture)
+    return [*content, *_working_order(result)]
+
+
+def used_setups(result: StudyResult) -> list[SetupInfo]:
+    """The set-ups that readings are taken in; all of the study where none is named."""
+    names: list[str] = []
+    if result.design is not None:
+        names = result.design.setups
+    elif result.plan is not None:
+        names = [name for stage in result.plan.stages for name in stage.setups]
+    used = [setup for setup in result.setups if setup.name in names]
+    return used or list(result.setups)
+
+
+def _machine(result: StudyResult) -> list[tuple[str, str]]:
+    if not result.machine.about:
+        return []
+    return [("Machine", text.sentence(result.machine.about))]
+
+
+def _instruments(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
+    described = {setup.instrument: setup.about for setup in setups}
+    phrases = [
+        text.sentence(about or name.replace("_", " "))
+        for name, about in described.items()
+    ]
+    return [("Instrument", " ".join(phrases))] if phrases else []
+
+
+def _setups(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
+    if not setups:
+        return []
+    if len(setups) > MAX_NAMED:
+        named = text.listing([setup.name for setup in setups], MAX_NAMED)
+        return [("Set-ups", f"{len(setups)}: {named}.")]
+    rows = [f"{setup.name}{_settings(setup)}" for setup in setups]
+    term = "Set-up" if len(rows) == 1 else f"{len(rows)} set-ups"
+    return [(term, f"{text.listing(rows)}.")]
+
+
+def _settings(setup: SetupInfo) -> str:
+    """Settings that are not zero: those a user must set."""
+    numbers = {name: value for name, value in setup.numbers.items() if value}
+    return f" ({text.named_quantities(numbers)})" if numbers else ""
+
+
+def instrument_names(setups: Sequence[SetupInfo]) -> list[str]:
+    """The instruments of set-ups, each once: double ball bar, laser tracker."""
+    described = {setup.instrument: setup.about for setup in setups}
+    names = [
+        re.split("[,.(:]", about)[0].strip() or name.replace("_", " ")
+        for name, about in described.items()
+    ]
+    # an abbreviation, as RM 4, stays as it is
+    return [
+        name if name[1:2].isupper() else f"{name[:1].lower()}{name[1:]}"
+        for name in dict.fromkeys(names)
+    ]
+
+
+def planned_readings(result: StudyResult) -> int:
+    """How many readings a plan takes."""
+    if result.design is not None:
+        return result.design.n
+    return 0 if result.plan is None else sum(s.readings for s in result.plan.stages)
+
+
+def recorded_readings(result: StudyResult) -> tuple[int, int]:
+    """Readings that a fit uses, and their values."""
+    if result.estimate is None:
+        return 0, 0
+    values = result.estimate.readings
+    poses = 0 if result.drawing is None else len(result.drawing.tool_points)
+    return poses or values, values
+
+
+def _time(result: StudyResult) -> list[tuple[str, str]]:
+    time = plan_minutes(result) if is_plan(result) else ""
+    return [("Time", f"{time}.")] if time else []
+
+
+def _number_of_readings(result: StudyResult) -> list[tuple[str, str]]:
+    design = result.design
+    if design is not None:
+        phrase = f"{design.n}"
+        if design.candidates:
+            phrase += f", chosen from {design.candidates} candidates"
+        return [("Readings", f"{phrase}.")]
+    if has_schedule(result.plan) or result.estimate is None:
+        return []
+    number, values = recorded_readings(result)
+    if values == number:
+        return [("Readings", f"{number}.")]
+    return [("Readings", f"{number}, with {text.count(values, 'value')}.")]
+
+
+def _stages(result: StudyResult) -> list[tuple[str, str]]:
+    plan = result.plan
+    if plan is None or not has_schedule(plan):
+        return []
+    rows = [
+        f"{k}. {stage.measurement}, {text.count(stage.readings, 'reading')}"
+        for k, stage in enumerate(plan.stages[:MAX_NAMED], 1)
+    ]
+    if len(plan.stages) > MAX_NAMED:
+        rows.append(f"and {len(plan.stages) - MAX_NAMED} more")
+    return [("Stages", f"{'; '.join(rows)}.")]
+
+
+def _list_of_readings(result: StudyResult) -> list[tuple[str, str]]:
+    files = [name for name in result.written if POSES.fullmatch(name)]
+    if not files or not is_plan(result):
+        return []
+    return [("List", f"{text.listing(files)}, with cells for the readings.")]
+
+
+def _working_order(result: StudyResult) -> list[Block]:
+    """The readings to take, in their order; of many, the first."""
+    poses = [] if result.design is None else result.design.poses
+    shown = poses[:MAX_READINGS]
+    names = list(dict.fromkeys(key for pose in shown for key in pose.command))
+    if not names:
+        return []
+    cells = [[str(k) for k in range(1, len(shown) + 1)]]
+    columns = [*number_columns("No.")]
+    if len({pose.setup for pose in poses}) > 1:
+        columns.append(TableColumn("Set-up"))
+        cells.append([pose.setup for pose in shown])
+    for name in names:
+        columns += number_columns(text.heading(name))
+        values = missing.column([pose.command for pose in shown], name)
+        cells.append(text.aligned(values))
+    of = "" if len(shown) == len(poses) else f", the first {len(shown)} of them"
+    caption = f"{text.count(len(poses), 'reading')} in their order{of}."
+    return [Table(columns, transposed(cells), caption)]
+
+
+def _drawing_caption(drawing: Drawing) -> str:
+    points = text.count(len(drawing.tool_points), "reading")
+    return f"Machine at home and the tool points of {points}."
+
+
+# How long the measurement takes, and what it costs.
+
+
+def plan_minutes(result: StudyResult) -> str:
+    """The time of the plan and what it holds; empty for readings that exist already."""
+    plan, design = result.plan, result.design
+    if plan is not None and has_schedule(plan):
+        return _scheduled(plan)
+    return "" if design is None else _designed(design)
+
+
+def _scheduled(plan: PlanSection) -> str:
+    phrase = f"{stages.minutes(plan.cost)}{stages.budget_share(plan)}"
+    if not plan.price:
+        return phrase
+    return f"{phrase}, at a price of {text.trimmed(plan.price)}"
+
+
+def _designed(design: DesignSection) -> str:
+    if design.order is not None:
+        time = text.quantity(design.order.minutes, "min", 2)
+        return f"{time} with mounting and travel"
+    if design.cost_min is None:
+        return ""
+    time = text.quantity(design.cost_min, "min", 2)
+    return f"{time} with mounting, without travel"
+
+
+# How accurate the machine is afterwards, with what is wanted beside it.
+
+
+REFERENCES: Final = {
+    "absolute": "in the base frame",
+    "home": "zeroed at the home pose",
+    "best_fit": "after the best alignment of the workpiece",
+}
+#: effects that a caption names
+MAX_EFFECTS: Final = 4
+#: share of an error from which its unknown part is worth a sentence of its own
+CLEARLY_LESS: Final = 0.8
+
+
+LIMIT_COLUMNS: Final = (
+    TableColumn("Wanted", number=True),
+    TableColumn("Within", number=True),
+    TableColumn("Verdict"),
+)
+
+
+def accuracy_title(result: StudyResult) -> str:
+    """The question that the part answers."""
+    return "How accurate it is afterwards"
+
+
+def accuracy_blocks(result: StudyResult) -> list[Block]:
+    """Acceptance test, the predicted components, and held-out readings."""
+    content: list[Block] = []
+    if result.verification is not None:
+        content.append(Notice(acceptance.verdict(result.verification)))
+    prediction = result.judged_prediction
+    if prediction is not None and prediction.components:
+        content += _predicted_accuracy(result, prediction)
+    elif result.plan is not None and result.plan.accuracy:
+        content.append(_planned_accuracy(result.plan))
+    if result.forecast is not None:
+        content.append(forecast.answer(result.forecast))
+    return content + _held_out(result)
+
+
+def _held_out(result: StudyResult) -> list[Block]:
+    """What readings that the fit did not use say of it: a table where all fit."""
+    judged = [s for s in result.held_out if s.words]
+    fitting = [s for s in judged if s.verdict != "contradicts"]
+    if len(fitting) < 2:
+        fitting = []
+    content: list[Block] = [
+        Notice(text.sentence(s.words))
+        if s.verdict == "contradicts"
+        else Paragraph(text.sentence(s.words))
+        for s in judged
+        if s not in fitting
+    ]
+    return [*content, _held_out_table(fitting)] if fitting else content
+
+
+def _held_out_table(sections: Sequence[HeldOutSection]) -> Table:
+    verdicts = [s.verdict or text.MISSING for s in sections]
+    differ = len(set(verdicts)) > 1
+    columns = [
+        TableColumn("Channel"),
+        *number_columns("Predicted", "Seen", "Nominal", "Inside"),
+        *([TableColumn("Verdict")] if differ else []),
+    ]
+    several = len({s.name for s in sections}) > 1
+    rows = []
+    for s, judgement in zip(sections, verdicts, strict=True):
+        where = f"{s.name}, " if several else ""
+        errors = [missing.or_nan(v) for v in (s.predicted, s.rms, s.rms_before)]
+        rows.append(
+            [
+                f"{where}{s.channel} [{text.unit_symbol(s.unit)}]",
+                *map(text.number, errors),
+                text.percent(s.coverage),
+                *([judgement] if differ else []),
+            ]
+        )
+    names = text.listing(dict.fromkeys(f"{s.name} ({s.n})" for s in sections))
+    caption = (
+        f"Held-out readings of {names}, rms: predicted, seen, and with the nominal"
+        " numbers; the share inside the predicted 95 %."
+    )
+    if not differ and verdicts[0] == "confirms":
+        caption += " All channels confirm the fit."
+    elif not differ and verdicts[0] == "agrees":
+        caption += " All channels agree with the fit, none confirms it."
+    return Table(columns, rows, caption)
+
+
+# -- what is wanted --------------------------------------------------------------------
+
+
+def wanted_accuracy(result: StudyResult) -> dict[str, float]:
+    """Accuracy that the study asks for, by component and unit (`z_um`)."""
+    accuracies: dict[str, float] = {}
+    if result.design is not None and result.design.how_many is not None:
+        accuracies |= result.design.how_many.wanted
+    if result.plan is not None:
+        accuracies |= result.plan.goal
+    prediction = result.judged_prediction
+    if prediction is not None:
+        unit = prediction.unit
+        accuracies |= {f"{n}_{unit[n]}": v for n, v in prediction.wanted.items()}
+    return accuracies
+
+
+def verdicts(
+    result: StudyResult, components: Mapping[str, ComponentAccuracy]
+) -> dict[str, WantedVerdict]:
+    """The verdict on all that the study asks for, by predicted component."""
+    goals = wanted_accuracy(result)
+    limits = {
+        name: missing.entry(goals, f"{name}_{c.after.unit}")
+        for name, c in components.items()
+    }
+    stated = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
+    return accuracy_verdicts(result, stated)
+
+
+# -- the components --------------------------------------------------------------------
+
+
+def remaining_errors(
+    result: StudyResult, components: Mapping[str, ComponentAccuracy]
+) -> dict[str, WantedVerdict]:
+    """The error of each component that verdicts rest on, effects counted.
+
+    Of components that the controller corrects or the study wants something of; all
+    where there are none.
+    """
+    goals = verdicts(result, components)
+    shown = [n for n, c in components.items() if n in goals or c.compensatable]
+    names = sorted(shown or components, key=lambda name: name not in goals)
+    return accuracy_verdicts(result, dict.fromkeys(names, math.inf))
+
+
+def _predicted_accuracy(
+    result: StudyResult, prediction: PredictionSection
+) -> list[Block]:
+    components = prediction.components
+    judged = verdicts(result, components)
+    errors = remaining_errors(result, components)
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Before", "Afterwards", "95 % of machines"),
+        *(LIMIT_COLUMNS if judged else []),
+    ]
+    rows, marks = [], []
+    for name, error in errors.items():
+        before, unit = components[name].before.rms, text.unit_symbol(error.unit)
+        cells = [f"{name} [{unit}]", text.number(before), text.number(error.rms)]
+        cells.append(_span(components[name].judged, error.rms))
+        rows.append([*cells, *_limit_cells(name, judged)])
+        marks.append(text.MARKS[judged[name].judgement] if name in judged else "")
+    table = Table(columns, rows, _accuracy_caption(prediction, errors, judged), marks)
+    return [table, *_undriven(components)]
+
+
+def _span(spread: SpreadRecord, rms: float) -> str:
+    """Ends of the interval of one machine's rms error, in proportion to a larger error."""
+    if spread.rms_interval is None or not spread.rms > 0.0:
+        return ""
+    low, high = (text.number(end * rms / spread.rms, 2) for end in spread.rms_interval)
+    return f"{low} to {high}"
+
+
+def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
+    """What is wanted, the probability that it is met, and the verdict."""
+    if not judged:
+        return []
+    if name not in judged:
+        return [text.MISSING] * len(LIMIT_COLUMNS)
+    stated = judged[name]
+    phrase = text.VERDICTS[stated.judgement]
+    if stated.judgement == "pass":
+        phrase += ", confirmed" if stated.confirmed else ", predicted"
+    return [text.number(stated.wanted), format_probability(stated.probability), phrase]
+
+
+def _accuracy_caption(
+    prediction: PredictionSection,
+    errors: Mapping[str, WantedVerdict],
+    judged: Mapping[str, WantedVerdict],
+) -> str:
+    reference = text.meaning(prediction.reference, REFERENCES)
+    scopes = text.listing(dict.fromkeys(error.scope for error in errors.values()))
+    caption = f"Predicted rms error over the workspace, {reference}: {scopes}."
+    caption += _usual_effects(prediction)
+    if not judged:
+        return f"{caption} The study states no wanted accuracy."
+    decide = dict.fromkeys(v.decide for v in judged.values() if v.decide)
+    sentences = [
+        caption,
+        "Within: probability that the machine keeps what is wanted; it passes from"
+        f" {text.percent(SURE_PROBABILITY)} on. What no drive corrects is judged by its"
+        " unknown part.",
+        *(f"To decide: {text.sentence(phrase)}" for phrase in decide),
+    ]
+    return " ".join(sentences)
+
+
+def _usual_effects(prediction: PredictionSection) -> str:
+    """Which effects a planned accuracy counts."""
+    budget = prediction.budget
+    if prediction.mode != "plan" or budget is None or budget.usual is None:
+        return ""
+    largest = [line.effect.replace("_", " ") for line in budget.unmodelled]
+    return f" Effects, the largest first: {text.listing(largest, MAX_EFFECTS)}."
+
+
+def _undriven(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
+    """Why an error can stay large although it is known: with this machine's numbers."""
+    remaining = [
+        name
+        for name, c in components.items()
+        if not c.compensatable and c.known.rms < CLEARLY_LESS * c.after.rms
+    ]
+    if not remaining:
+        return []
+    name = max(remaining, key=lambda n: components[n].after.rms)
+    component = components[name]
+    after = text.quantity(component.after.rms, component.after.unit)
+    unknown = text.quantity(component.known.rms, component.after.unit)
+    return [
+        Paragraph(
+            f"No drive of this machine corrects {text.listing(remaining)}: {name} keeps"
+            f" {after}. All of it but {unknown} is known, and the compensation table has it"
+            " for an additional axis or the part program."
+        )
+    ]
+
+
+def _planned_accuracy(plan: PlanSection) -> Table:
+    """Accuracy of a plan of stages, which has no prediction of its own, and no verdict."""
+    columns = [
+        TableColumn("Component"),
+        *number_columns("Afterwards"),
+        *(number_columns("Wanted") if plan.goal else []),
+        *number_columns("Before"),
+    ]
+    rows = []
+    for key, value in plan.accuracy.items():
+        limits = [text.number(missing.entry(plan.goal, key))] if plan.goal else []
+        before = text.number(missing.entry(plan.start_accuracy, key))
+        rows.append([text.heading(key), text.number(value), *limits, before])
+    within = stages.budget_phrase(plan)
+    caption = f"Predicted rms error over the workspace after the plan{within}."
+    return Table(columns, rows, caption)
+
+
+# What the readings leave unknown, and what would bring it back.
+
+
+#: remedies of a finding that are named
+MAX_REMEDIES: Final = 4
+
+
+def unknown_title(result: StudyResult) -> str:
+    """The question that the part answers."""
+    return "What stays unknown"
+
+
+def unknown_blocks(result: StudyResult) -> list[Block]:
+    """Lost and weak directions, each with its remedies; where nothing is, that."""
+    section = result.identifiability
+    if section is None:
+        return []
+    findings = [f for f in section.words if f.kind in ("lost", "weak")]
+    content: list[Block] = [Paragraph(_determined(section))]
+    if findings:
+        content.append(Items([_finding(finding) for finding in findings]))
+    return content
+
+
+def _determined(section: IdentifiabilitySection) -> str:
+    lost = lost_count(section)
+    parameters = text.count(section.n, "unknown")
+    if not lost:
+        return f"The readings determine all of the {parameters}."
+    verb = "stays" if lost == 1 else "stay"
+    directions = text.count(lost, "combination")
+    return (
+        f"The readings determine {section.rank} of {parameters}: {directions} of them"
+        f" {verb} as uncertain as the tolerances."
+    )
+
+
+def _finding(finding: IdentifiabilityFinding) -> str:
+    phrase = text.sentence(finding.text)
+    if not finding.remedies:
+        return phrase
+    return f"{phrase} What helps: {'; '.join(finding.remedies[:MAX_REMEDIES])}."
+
+
+# What could go wrong or has gone wrong, the most harmful first.
+
+
+def warnings_title(result: StudyResult) -> str:
+    """The question that the part answers."""
+    if trust.objections(result):
+        return "The fit is not to be trusted"
+    return "What could go wrong"
+
+
+class Doubt(NamedTuple):
+    """What spoils the figures most.
+
+    words     as the first lines of the report have it; empty where there is none
+    warning   the warning that it states; empty where it is none of them
+    """
+
+    words: str
+    warning: str = ""
+
+
+def warning_blocks(result: StudyResult) -> list[Block]:
+    """Findings about the readings, missed goals, failed claims, warnings, conditions.
+
+    The one of the main doubt stands in the first lines of the report already.
+    """
+    sentences = _warnings(result)
+    if not sentences:
+        return [Paragraph("The study has no warnings.")]
+    stated = main_doubt(result).warning
+    return [Notice(sentence) for sentence in sentences if sentence != stated]
+
+
+def main_doubt(result: StudyResult) -> Doubt:
+    """What spoils the figures most, and what removes it."""
+    worst = next(iter(_warnings(result)), "")
+    checked = result.goodness
+    findings = [] if checked is None else map(text.sentence, checked.findings)
+    if trust.objections(result) or worst in findings:
+        return Doubt(worst, worst)
+    of_effects = _effects_doubt(result.prediction)
+    if worst and not of_effects:
+        return Doubt(f"Main doubt: {worst[:1].lower()}{worst[1:]}", worst)
+    other = of_effects or _scope_doubt(result)
+    return Doubt(f"Main doubt: {other}" if other else "")
+
+
+def _warnings(result: StudyResult) -> list[str]:
+    """All warnings once, those that spoil the most first."""
+    return list(dict.fromkeys(map(text.sentence, ranked_warnings(result))))
+
+
+def _effects_doubt(prediction: PredictionSection | None) -> str:
+    """The effect beside the geometry that costs a planned machine most."""
+    budget = None if prediction is None else prediction.budget
+    if prediction is None or budget is None or not budget.unmodelled:
+        return ""
+    if prediction.mode != "plan":
+        return ""
+    largest = budget.unmodelled[0]
+    effect = largest.effect.replace("_", " ")
+    size = text.replace_symbols(largest.expected)
+    return (
+        f"{effect}, here at its expected size of {size}, can be ten times"
+        f" larger or smaller. What removes it: {largest.remedy.rstrip('.')}."
+    )
+
+
+def _scope_doubt(result: StudyResult) -> str:
+    """What figures leave out that nothing else speaks against."""
+    if result.forecast is not None and result.forecast.sentences:
+        holds = result.forecast.sentences[1:2] or result.forecast.sentences
+        return (
+            f"{holds[0].rstrip('.')}. What removes it: nodes read in the state of use."
+        )
+    if result.judged_prediction is None or result.gap is not None:
+        return ""
+    return (
+        "the figures are of the geometry alone; heat, load, play and other effects come on"
+        " top. What removes it: a test of the compensated machine, which oed verify plans."
+    )
+
+
+def fits_with_effects(result: StudyResult) -> bool:
+    """Whether the fit with effects is delivered, and nothing speaks against it."""
+    return result.corrected is not None and not result.corrected.warnings
+
+
+def ranked_warnings(result: StudyResult) -> Iterator[str]:
+    """All warnings of a result, those that spoil the most first.
+
+    A bad fit spoils everything; then what was promised and is not kept; then what a
+    fit or a correction rests on.
+    """
+    objections = trust.objections(result)
+    if result.goodness is not None:
+        yield from result.goodness.findings
+        if result.goodness.bad_fit and result.goodness.findings:
+            objections = objections[1:]
+    yield from objections
+    if result.plan is not None and is_missed(result.plan):
+        yield "The plan does not reach the wanted accuracy"
+    failed = [claim.claim for claim in result.claims if not claim.met]
+    if failed:
+        noun = "a claim" if len(failed) == 1 else f"{len(failed)} claims"
+        yield f"The study misses {noun}: {text.listing(failed)}"
+    if result.corrected is not None and result.corrected.conditions:
+        conditions = "; ".join(result.corrected.conditions)
+        yield (
+            f"The corrected accuracy rests on these conditions: {conditions}. What removes"
+            " this: a test of the compensated machine, which oed verify plans"
+        )
+    if result.corrected is not None:
+        yield from result.corrected.warnings
+    if result.estimate is not None and not fits_with_effects(result):
+        yield from result.estimate.warnings
+    yield from result.warnings
+
+
+#: anchor, title and content of each part, in order
+Part = tuple[str, Callable[[StudyResult], str], Callable[[StudyResult], list[Block]]]
+PARTS: Final[tuple[Part, ...]] = (
+    ("short", lead_title, lead_blocks),
+    ("causes", causes_title, cause_blocks),
+    ("measure", measure_title, measure_blocks),
+    ("how-accurate", accuracy_title, accuracy_blocks),
+    ("unknown", unknown_title, unknown_blocks),
+    ("warnings", warnings_title, warning_blocks),
+)
+
+
+def answer_parts(result: StudyResult) -> list[Section]:
+    """The parts of the first page that this result can answer."""
+    content = [
+        Section(anchor, title(result), blocks(result))
+        for anchor, title, blocks in PARTS
+    ]
+    return [part for part in content if part.blocks]

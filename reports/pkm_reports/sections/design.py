@@ -1,0 +1,1023 @@
+"""Chapter: how good the plan is: its certificate, and comparisons with other plans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from oed.base import Array
+from oed.design import CRITERIA
+from oed.result import (
+    CriterionComparison,
+    DesignSection,
+    HowManySummary,
+    PlanScore,
+    RobustSummary,
+    StudyResult,
+)
+from pkm_reports import missing, style, text
+from pkm_reports.blocks import (
+    Block,
+    Chapter,
+    Paragraph,
+    Picture,
+    Table,
+    TableColumn,
+    number_columns,
+    transposed,
+    wide_column,
+)
+from pkm_reports.missing import or_nan
+from pkm_reports.sections import stages
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# Chapter: how good the plan is: its certificate, and comparisons with other plans.
+
+
+# The robust and the nominal plan over the scenarios, as cumulative distributions.
+
+#: factor between the limits from which the axis is logarithmic
+WIDE = 8.0
+
+
+def draw_robust(robust: RobustSummary) -> Figure:
+    """Share of the scenarios in which a plan is worth no more than so much."""
+    values = missing.array(robust.values)
+    nominal = missing.array(robust.nominal_values)
+    finite = [v for v in (values, nominal) if np.isfinite(v).any()]
+    if not finite:
+        return style.empty("No values of the scenarios are stored in this result.")
+    best = max(float(np.nanmax(v)) for v in finite)
+    figure = style.figure(2.7)
+    axes = figure.subplots()
+    if robust.risk == "cvar" and 0.0 < robust.level < 1.0:
+        label = f"the worst {text.percent(robust.level)}: their mean counts"
+        shade: Any = {
+            "color": style.SHADE,
+            "lw": 0,
+            "zorder": 0,
+            "label": label,
+        }
+        axes.axhspan(0.0, 100.0 * robust.level, **shade)
+    _distribution(axes, nominal, robust.nominal, best, "nominal plan", 1)
+    _distribution(axes, values, robust.value, best, "robust plan", 0)
+    axes.set_xlabel("worth in a scenario [% of the best one of all]")
+    axes.set_ylabel("share of the scenarios [%]")
+    axes.set_ylim(0.0, 104.0)
+    low, high = axes.get_xlim()
+    if low > 0.0 and high > WIDE * low:
+        style.log_axis(axes, "x")
+    style.legend_below(figure, style.legend_entries([axes]))
+    return figure
+
+
+def _distribution(
+    axes: Axes, values: Array, by_risk: float, best: float, label: str, k: int
+) -> None:
+    """The scenarios of a plan, worst first; a dashed line at its worth by the risk."""
+    values = np.sort(values[np.isfinite(values)])
+    if not len(values):
+        return
+    colour = style.CYCLE[k]
+    worth = 100.0 * np.exp(values - best)
+    share = 100.0 * np.arange(1, len(values) + 1) / len(values)
+    look: Any = {
+        "marker": style.marker(k),
+        "ms": 3.5,
+        "drawstyle": "steps-post",
+    }
+    axes.plot(worth, share, color=colour, label=f"{label}, each scenario", **look)
+    dashed: Any = {"color": colour, "ls": "--", "lw": 1.0}
+    if np.isfinite(by_risk):
+        worth_by_risk = 100.0 * float(np.exp(by_risk - best))
+        axes.axvline(worth_by_risk, label=f"{label}, by the risk", **dashed)
+
+
+# Accuracy over the number of readings, with the bound for each number.
+
+MOST_COLUMNS: Final = 3
+MOST_TICKS: Final = 5
+
+
+def draw_how_many(summary: HowManySummary) -> Figure:
+    """A panel for each component: plans found, the bound below, the wanted accuracy."""
+    sizes = missing.array(summary.sizes)
+    names = [
+        name
+        for name, values in summary.accuracy.items()
+        if len(values) == len(sizes) and missing.finite(values)
+    ]
+    if not names:
+        return style.empty(
+            "No accuracy over the number of readings is stored in this result."
+        )
+    columns = 2 if len(names) == 4 else min(MOST_COLUMNS, len(names))
+    rows = math.ceil(len(names) / columns)
+    figure = style.figure(0.65 + (2.6 if columns == 1 else 2.05) * rows)
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for k, (axes, name) in enumerate(zip(grid, names, strict=False)):
+        _panel(axes, name, sizes, summary)
+        if k + columns >= len(names):
+            axes.set_xlabel("number of readings")
+    style.hide(grid[len(names) :])
+    style.legend_below(figure, style.legend_entries(grid))
+    return figure
+
+
+def _panel(
+    axes: Axes,
+    name: str,
+    sizes: Array,
+    summary: HowManySummary,
+) -> None:
+    reached = missing.array(summary.accuracy[name])
+    bound = _bound(summary.bound, name, len(sizes))
+    wanted = missing.entry(summary.wanted, name)
+    values = np.concatenate([reached, bound, [wanted]])
+    values = values[np.isfinite(values) & (values > 0.0)]
+    low, high = float(values.min()) / 1.3, 1.3 * float(values.max())
+    if np.isfinite(bound).any():
+        label = "no plan of as many readings is better"
+        axes.fill_between(
+            sizes,
+            low,
+            bound,
+            color=style.LIGHT,
+            lw=0,
+            label=label,
+        )
+        axes.plot(sizes, bound, color=style.GREY, lw=0.8)
+    axes.plot(sizes, reached, "o-", color=style.BLUE, label="plans found")
+    if np.isfinite(wanted):
+        axes.axhline(
+            wanted,
+            color=style.RED,
+            ls="--",
+            lw=1.0,
+            label="wanted",
+        )
+    if summary.fewest is not None:
+        label = f"fewest that reach all wanted: {summary.fewest}"
+        line: Any = {"color": style.GREEN, "ls": ":", "lw": 1.3}
+        axes.axvline(summary.fewest, label=label, **line)
+    axes.set_ylim(low, high)
+    axes.set_xscale("log")
+    axes.set_xlim(float(sizes.min()) / 1.08, 1.08 * float(sizes.max()))
+    style.log_axis(axes, "y")
+    ticks = _ticks(sizes)
+    style.fixed_ticks(axes, "x", ticks, [text.trimmed(n) for n in ticks])
+    axes.set_title(style.label(text.heading(name)))
+
+
+def _bound(
+    bounds: Mapping[str, Sequence[float | None]],
+    name: str,
+    count: int,
+) -> Array:
+    """The bound at each number of readings, NaN where it is not known."""
+    if name not in bounds or len(bounds[name]) != count:
+        return np.full(count, np.nan)
+    return missing.array(bounds[name])
+
+
+def _ticks(sizes: Array) -> Sequence[float]:
+    """A few of the sizes, evenly apart on a log axis, both ends among them."""
+    if len(sizes) <= MOST_TICKS:
+        return [float(n) for n in sizes]
+    places = np.geomspace(sizes[0], sizes[-1], MOST_TICKS)
+    nearest = [int(np.argmin(np.abs(np.log(sizes / size)))) for size in places]
+    return sorted({float(sizes[k]) for k in nearest})
+
+
+def blocks(result: StudyResult) -> list[Block]:
+    """Certificate, polishing, reference plans, criteria, effects, scenarios, number of readings."""
+    design = result.design
+    if design is None:
+        return []
+    return [
+        *certificate_blocks(design),
+        *_polish(design),
+        *plan_blocks(design),
+        *criteria_blocks(design),
+        *_effects(design),
+        *_robust(design),
+        *_how_many(design),
+    ]
+
+
+CHAPTER: Final = Chapter("design", "How good the plan is", blocks)
+
+
+# -- poses and set-ups polished off the grid -------------------------------------------
+
+
+def _polish(design: DesignSection) -> list[Block]:
+    """Criterion before and after, and the set-ups that moved."""
+    polish = design.polished
+    if polish is None:
+        return []
+    criterion = design.criterion
+    before = criterion_value(criterion, polish.before)
+    after = criterion_value(criterion, polish.after)
+    sentence = f"Polishing off the grid brings criterion {criterion}"
+    sentence += f" from {before} to {after}"
+    if polish.before == polish.after:
+        sentence = f"Polishing off the grid leaves criterion {criterion} at {after}"
+    if polish.words and polish.words not in design.words:
+        sentence += f": {polish.words}"
+    content: list[Block] = [Paragraph(text.sentence(sentence))]
+    if polish.setups:
+        columns = [TableColumn("Set-up"), wide_column("Set it to")]
+        rows = [
+            [name, text.named_quantities(settings)]
+            for name, settings in polish.setups.items()
+        ]
+        count = text.count(len(rows), "set-up")
+        caption = f"New settings of the set-ups that polishing moved: {count}."
+        content.append(Table(columns, rows, caption))
+    return content
+
+
+# -- the plan that allows for effects, beside one for a machine without ----------------
+
+
+def _effects(design: DesignSection) -> list[Block]:
+    """A sentence, and the accuracy of both plans."""
+    allowed = design.effects
+    if allowed is None:
+        return []
+    with_effects = _difference(allowed.efficiency)
+    alone = _difference(allowed.efficiency_without)
+    sentence = (
+        f"The plan allows for {text.count(allowed.groups, 'group')} of effects beside the"
+        f" geometry, {_sizes(allowed.size)}. On a machine that has them at the sizes expected"
+        f" of them, the plan for a machine without effects {with_effects} by"
+        f" {design.criterion}; on a machine without effects, this plan {alone}."
+    )
+    columns = [
+        wide_column("Error after compensation, rms"),
+        *number_columns("before any reading", "this plan", "plan without effects"),
+    ]
+    rows = []
+    for key, value in allowed.accuracy.items():
+        stem, unit = text.split_unit(key)
+        values = (allowed.before[key], value, allowed.accuracy_without[key])
+        rows.append([stem, *(text.quantity(v, unit) for v in values)])
+    caption = (
+        "Predicted errors over the workspace of a machine with these effects, once all that"
+        " is known is corrected."
+    )
+    table = Table(columns, rows, caption)
+    return [Paragraph(sentence), table, *stages.recording_blocks(allowed.recording)]
+
+
+def _difference(efficiency: float) -> str:
+    """What a plan loses, or gains, against another one."""
+    verb = "loses" if efficiency <= 1.0 else "gains"
+    return f"{verb} {text.percent(abs(1.0 - efficiency))}"
+
+
+def _sizes(factor: float) -> str:
+    """The sizes that the plan is chosen for, as a factor on the expected ones."""
+    if factor == 1.0:
+        return "at the sizes expected of them"
+    return (
+        f"at {factor:.2g} times the sizes expected of them, the typical size on a healthy"
+        " machine"
+    )
+
+
+# -- the robust plan over many machines and set-ups ------------------------------------
+
+
+RISKS: Final = {"mean": "the mean over all", "worst": "the worst"}
+
+
+def _robust(design: DesignSection) -> list[Block]:
+    """A sentence, and the scenarios of both plans."""
+    summary = design.robust
+    if summary is None:
+        return []
+    caption = _robust_caption(summary)
+    return [
+        Paragraph(_robust_sentence(summary)),
+        Picture("robust", lambda: draw_robust(summary), caption),
+    ]
+
+
+def _robust_sentence(summary: RobustSummary) -> str:
+    scenarios = text.count(summary.scenarios, "scenario")
+    gain = text.times(math.exp(summary.value - summary.nominal))
+    share = text.percent_at_least(summary.efficiency)
+    return (
+        f"The plan is robust: it is judged by {_risk(summary)} of {scenarios}, machines"
+        " and set-ups drawn within what is known of them beforehand. By that risk it is"
+        f" worth {gain} the plan for the nominal machine, and is certified to {share} of"
+        " the best possible."
+    )
+
+
+def _risk(summary: RobustSummary) -> str:
+    if summary.risk == "cvar":
+        return f"the mean of the worst {text.percent(summary.level)}"
+    return text.meaning(summary.risk, RISKS)
+
+
+def _robust_caption(summary: RobustSummary) -> str:
+    """In how many scenarios the robust plan is ahead."""
+    caption = (
+        "Worth of the robust and of the nominal plan in each scenario, exp(value −"
+        " largest value of all), worst first. Dashed: by the risk of the study. Right"
+        " is better."
+    )
+    pairs = list(zip(summary.values, summary.nominal_values, strict=False))
+    if not pairs:
+        return caption
+    ahead = sum(or_nan(value) > or_nan(nominal) for value, nominal in pairs)
+    return f"{caption} The robust plan is ahead in {ahead} of {len(pairs)}."
+
+
+# -- how many readings a wanted accuracy needs -----------------------------------------
+
+
+def _how_many(design: DesignSection) -> list[Block]:
+    """A sentence, and accuracy over the number of readings."""
+    summary = design.how_many
+    if summary is None:
+        return []
+    caption = _how_many_caption(summary)
+    return [
+        Paragraph(_how_many_sentence(summary)),
+        Picture("how_many", lambda: draw_how_many(summary), caption),
+    ]
+
+
+def _how_many_sentence(summary: HowManySummary) -> str:
+    """The sentence of the study, or the same from the numbers."""
+    wanted = text.named_quantities(summary.wanted, 4)
+    if summary.words:
+        verdict = text.sentence(summary.words)
+        return f"Wanted: {wanted}. {verdict}" if summary.wanted else verdict
+    if not summary.wanted:
+        return (
+            "The study asks for no accuracy: the figure shows what each number of"
+            " readings reaches."
+        )
+    if summary.fewest is None:
+        return (
+            f"No plan found with up to {summary.most} readings reaches {wanted}; none"
+            f" with fewer than {summary.at_least} can."
+        )
+    readings = text.count(summary.fewest, "reading")
+    if summary.fewest == summary.at_least:
+        return f"A plan of {readings} reaches {wanted}; fewer cannot (proven)."
+    return (
+        f"A plan of {readings} reaches {wanted}; fewer than {summary.at_least} readings"
+        " cannot."
+    )
+
+
+def _how_many_caption(summary: HowManySummary) -> str:
+    """First and last point of each curve."""
+    caption = (
+        "Predicted rms error over the number of readings, both on log scales. Dots are"
+        " plans found; no plan of as many readings lies in the shaded region."
+    )
+    sizes = summary.sizes
+    ranges = []
+    for key, values in summary.accuracy.items():
+        if len(values) == len(sizes) > 1:
+            stem, unit = text.split_unit(key)
+            first, last = (
+                text.quantity(values[0], unit),
+                text.quantity(values[-1], unit),
+            )
+            ranges.append(f"{stem} from {first} to {last}")
+    if not ranges:
+        return caption
+    return f"{caption} From {sizes[0]} to {sizes[-1]} readings: {text.listing(ranges)}."
+
+
+# The certificate of the chosen readings: in words, in numbers, and refusals.
+
+
+#: duality gap that is written as none
+NO_GAP: Final = 1e-9
+
+
+def certificate_blocks(design: DesignSection) -> list[Block]:
+    """Sentence, numbers, refusals."""
+    columns = [TableColumn("Quantity"), wide_column("Of the chosen readings")]
+    rows = [[name, value] for name, value in _facts(design) if value]
+    table = Table(columns, rows, _certificate_caption(design))
+    return [Paragraph(certificate_sentence(design)), table, *_refusals(design)]
+
+
+def certificate_sentence(design: DesignSection) -> str:
+    """How good the choice is known to be."""
+    if design.words:
+        return text.sentence(design.words)
+    readings = text.count(design.n, "reading")
+    if design.candidates:
+        readings += f" out of {text.count(design.candidates, 'candidate')}"
+    if design.proven:
+        return (
+            f"Proven optimal: no other choice of {readings} is better by criterion"
+            f" {design.criterion}."
+        )
+    if design.efficiency is not None:
+        share = text.percent_at_least(design.efficiency)
+        return f"Certified to {share} of the best possible {readings}."
+    return (
+        f"The best {readings} found by criterion {design.criterion}; no bound is known."
+    )
+
+
+def criterion_value(criterion: str, value: float | None) -> str:
+    """A value of a criterion: logarithms with two decimals."""
+    known = CRITERIA.entry(criterion)
+    if known is not None and known.is_log_det:
+        return text.fixed(value, 2)
+    return text.number(value, 4)
+
+
+# -- in numbers ------------------------------------------------------------------------
+
+
+def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
+    """Name and value of all that is stored; what is missing has an empty value."""
+    criterion, setups = design.criterion, design.setups
+    known = CRITERIA.entry(criterion)
+    yield "Criterion", f"{criterion}: {known.meaning}" if known else criterion
+    yield "Shares", _shares(design)
+    yield "Value", criterion_value(criterion, design.value)
+    yield "Bound", _certified_bound(design)
+    yield "Certificate", _certificate(design)
+    yield "Duality gap", _duality_gap(design)
+    yield "Directions determined", _directions(design)
+    yield "Readings", _readings(design)
+    yield "Candidates", str(design.candidates or "")
+    yield "Set-ups, in working order", text.listing(setups, 20)
+    yield "Cost", _cost(design)
+    yield "Condition number", text.number(design.kappa, 4)
+    yield "Scaling of the parameters", design.scaling
+
+
+def _shares(design: DesignSection) -> str:
+    """Shares of the criteria in a compound one."""
+    total = sum(design.compound.values()) or 1.0
+    return text.listing(
+        f"{text.percent(weight / total)} {name}"
+        for name, weight in design.compound.items()
+    )
+
+
+def _certified_bound(design: DesignSection) -> str:
+    if design.bound is None:
+        return ""
+    bound = criterion_value(design.criterion, design.bound)
+    return f"{bound}: no choice is {_better(design)}"
+
+
+def _better(design: DesignSection) -> str:
+    known = CRITERIA.entry(design.criterion)
+    return "smaller" if known is not None and known.smaller_is_better else "larger"
+
+
+def _certificate(design: DesignSection) -> str:
+    if design.proven:
+        return "proven optimal"
+    if design.efficiency is not None:
+        share = text.percent_at_least(design.efficiency)
+        return f"at least {share} of the best possible"
+    polish = design.polished
+    if polish is not None and polish.before != polish.after:
+        return "only of the choice before polishing: the bound holds on the grid"
+    return "no bound is known" if design.bound is None else ""
+
+
+def _duality_gap(design: DesignSection) -> str:
+    """How much of the distance to the bound may come from the bound itself."""
+    gap = design.gap
+    if gap is None:
+        return ""
+    if gap <= NO_GAP:
+        return "none: weights on the candidates reach the bound"
+    return f"the bound may be up to {text.percent(math.expm1(gap))} too high"
+
+
+def _directions(design: DesignSection) -> str:
+    if not design.directions or not design.columns:
+        return ""
+    return f"{design.directions} of {design.columns}"
+
+
+def _readings(design: DesignSection) -> str:
+    if not design.retained:
+        return str(design.n)
+    return f"{design.n}, of which {design.retained} belong to the earlier plan"
+
+
+def _cost(design: DesignSection) -> str:
+    if design.cost_min is None:
+        return ""
+    return f"{text.quantity(design.cost_min, 'min')} for mounting and reading"
+
+
+def _certificate_caption(design: DesignSection) -> str:
+    """Value and bound once more: what one compares first."""
+    criterion = design.criterion
+    value = criterion_value(criterion, design.value)
+    caption = f"The choice in numbers: by criterion {criterion} it reaches {value}"
+    if design.effects is not None:
+        caption += " with the effects that it allows for"
+    if design.bound is None:
+        return f"{caption}."
+    bound = criterion_value(criterion, design.bound)
+    return f"{caption}, and the best possible is no {_better(design)} than {bound}."
+
+
+# -- refusals --------------------------------------------------------------------------
+
+
+def _refusals(design: DesignSection) -> list[Block]:
+    """Why candidates were left out, most refusals first."""
+    refused = sorted(design.refused.items(), key=lambda item: -item[1])
+    if not refused:
+        return []
+    reason, count = refused[0]
+    candidates, reason = text.count(count, "candidate"), text.replace_symbols(reason)
+    if len(refused) == 1:
+        verb = "was" if count == 1 else "were"
+        return [
+            Paragraph(
+                f"{candidates} {verb} left out before the choice, because they {reason}."
+            )
+        ]
+    columns = [TableColumn("Candidates", number=True), wide_column("which …")]
+    rows = [[str(n), text.replace_symbols(why)] for why, n in refused]
+    caption = (
+        "Candidates left out before the choice; one may have several reasons. Most,"
+        f" {count}, {reason}."
+    )
+    return [Table(columns, rows, caption)]
+
+
+# Plans for several criteria: what the plan for one is worth by the others.
+
+
+# Efficiency of the design for each criterion by all others, as a shaded table.
+
+#: share of the colour scale above which letters are white
+DARK: Final = 0.55
+#: least |log ratio| from which a number of directions is computed
+LEAST_LOG: Final = 1e-4
+
+
+def draw_efficiencies(design: DesignSection) -> Figure:
+    """A row for each criterion, a column for the design made for it."""
+    table = efficiencies(design.compared, design.directions)
+    if not np.isfinite(table).any():
+        return style.empty("No designs for further criteria are stored in this result.")
+    names = [entry.name for entry in design.compared]
+    width = min(style.WIDTH, 2.6 + 0.62 * len(names))
+    figure = style.figure(0.75 + 0.3 * len(names), width)
+    axes = figure.subplots()
+    low = min(0.5, math.floor(10.0 * float(np.nanmin(table))) / 10.0)
+    shade: Any = {
+        "cmap": style.AMOUNT,
+        "vmin": low,
+        "vmax": 1.0,
+        "aspect": "auto",
+    }
+    image = axes.imshow(np.ma.masked_invalid(np.minimum(table, 1.0)), **shade)
+    _write_percentages(axes, table, low)
+    style.fixed_ticks(axes, "x", range(len(names)), names)
+    style.fixed_ticks(axes, "y", range(len(names)), names)
+    axes.grid(False)
+    axes.set(xlabel="plan designed for …", ylabel="… judged by")
+    bar: Any = figure.colorbar(
+        image,
+        ax=axes,
+        label="efficiency",
+        pad=0.02,
+    )
+    bar.outline.set_visible(False)
+    return figure
+
+
+def efficiencies(compared: Sequence[CriterionComparison], directions: int = 0) -> Array:
+    """phi by criterion i of design j over phi of the design for i (criteria, designs).
+
+    Plans are taken to have the same number of readings. NaN where a plan leaves a
+    direction unseen, or where the stored numbers do not give phi.
+    """
+    names = [entry.name for entry in compared]
+    table = np.full((len(names), len(names)), np.nan)
+    for i, entry in enumerate(compared):
+        values = {name: missing.entry(entry.values, name) for name in names}
+        size = _counted_directions(entry, values, names[0], directions)
+        for j, name in enumerate(names):
+            table[i, j] = _ratio(entry.name, values[name], values[entry.name], size)
+        table[i, i] = 1.0
+    return table
+
+
+def _ratio(
+    criterion: str,
+    value: float,
+    best: float,
+    directions: float,
+) -> float:
+    """phi of a design over phi of the best one; NaN for a criterion of another version."""
+    known = CRITERIA.entry(criterion)
+    return math.nan if known is None else known.phi_ratio(value, best, directions)
+
+
+def _counted_directions(
+    entry: CriterionComparison,
+    values: Mapping[str, float],
+    main: str,
+    directions: int,
+) -> float:
+    """What log det is divided by: the number of directions that count.
+
+    It follows from the bound or the gain, where these differ from the value itself.
+    """
+    known = CRITERIA.entry(entry.name)
+    if known is None or known.form is None:  # a weighted mean of log phi
+        return 1.0
+    below_bound = entry.value - or_nan(entry.bound)
+    above_main = values[entry.name] - values[main]
+    sizes = [
+        _directions_from(below_bound, or_nan(entry.efficiency)),
+        _directions_from(above_main, or_nan(entry.gain)),
+    ]
+    for size in sizes:
+        if math.isfinite(size) and size > 0.0:
+            return size
+    judges_all = known.needs == "none"
+    return float(directions) if judges_all and directions > 0 else math.nan
+
+
+def _directions_from(difference: float, ratio: float) -> float:
+    """Directions for which a difference of log det is a ratio of phi; NaN if unclear."""
+    if not ratio > 0.0 or abs(math.log(ratio)) <= LEAST_LOG:
+        return math.nan
+    return difference / math.log(ratio)
+
+
+def _write_percentages(axes: Axes, table: Array, low: float) -> None:
+    """Percentages in the cells; a dash where there is none."""
+    for (i, j), share in np.ndenumerate(table):
+        dark = (share - low) / (1.0 - low) > DARK
+        ink = style.INK if np.isfinite(share) else style.GREY
+        letters: Any = {"ha": "center", "va": "center", "fontsize": 7.5}
+        letters["color"] = "white" if dark else ink
+        letters["fontweight"] = "bold" if i == j else "normal"
+        axes.text(j, i, text.percent(share), **letters)
+
+
+#: criteria from which the values by the others have a table of their own
+MANY_CRITERIA: Final = 4
+
+
+def criteria_blocks(design: DesignSection) -> list[Block]:
+    """Figure of efficiencies, and the values behind it."""
+    compared = design.compared
+    if not compared:
+        return []
+    names = [entry.name for entry in compared]
+    content: list[Block] = [
+        Paragraph(_criteria_introduction(names)),
+        Picture(
+            "compared", lambda: draw_efficiencies(design), _criteria_caption(design)
+        ),
+    ]
+    if len(names) <= MANY_CRITERIA:
+        return [*content, _one_table(compared, names)]
+    return [*content, _certificates(compared, names), _values(compared, names)]
+
+
+def _criteria_introduction(names: Sequence[str]) -> str:
+    criteria_count = "1 criterion" if len(names) == 1 else f"{len(names)} criteria"
+    return (
+        f"Under the same rules the study designs a plan for each of {criteria_count},"
+        f" {text.listing(names)}, and judges it by all of them. The plan of this study"
+        f" is the one for {names[0]}."
+    )
+
+
+def _criteria_caption(design: DesignSection) -> str:
+    """The worst plan by another criterion, and the best compromise."""
+    caption = (
+        "Efficiency by each criterion (row) of the plan for each criterion (column),"
+        " relative to the plan for the row's criterion."
+    )
+    names = [entry.name for entry in design.compared]
+    table = efficiencies(design.compared, design.directions)
+    diagonal = np.eye(len(names), dtype=bool)
+    others = np.where(diagonal, np.nan, table)
+    if not np.isfinite(others).any():
+        return caption
+    i, j = np.unravel_index(int(np.nanargmin(others)), others.shape)
+    worst = text.percent(others[i, j])
+    least = np.nanmin(np.where(np.isfinite(table), table, np.inf), axis=0)
+    best = int(np.argmax(least))
+    return (
+        f"{caption} The lowest: the plan for {names[j]} reaches {worst} by {names[i]}."
+        f" The best compromise is the plan for {names[best]}, with"
+        f" {text.percent(least[best])} or more by all."
+    )
+
+
+# -- tables ----------------------------------------------------------------------------
+
+
+def _one_table(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Table:
+    """Certificates and the values of all plans side by side."""
+    columns = [*_certificate_columns(names), *_plan_columns(names)]
+    rows = [[*_certificate_row(entry), *_value_row(entry, names)] for entry in compared]
+    caption = f"{_certificates_text(names)} Then its value for each of the plans."
+    return Table(columns, rows, caption)
+
+
+def _certificates(
+    compared: Sequence[CriterionComparison], names: Sequence[str]
+) -> Table:
+    rows = [_certificate_row(entry) for entry in compared]
+    return Table(_certificate_columns(names), rows, _certificates_text(names))
+
+
+def _values(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Table:
+    columns = [TableColumn("By"), *_plan_columns(names)]
+    rows = [[entry.name, *_value_row(entry, names)] for entry in compared]
+    better = "Larger is better"
+    if "kappa" in names:
+        better += "; for kappa, smaller"
+    caption = (
+        "Values by each criterion (row) of the plan for each criterion (column)."
+        f" {better}."
+    )
+    return Table(columns, rows, caption)
+
+
+def _certificates_text(names: Sequence[str]) -> str:
+    return (
+        "One row a criterion: the value of the plan for it, the bound that no plan"
+        " passes, the certified share of the best possible, and the gain over the plan"
+        f" for {names[0]}."
+    )
+
+
+def _certificate_columns(names: Sequence[str]) -> list[TableColumn]:
+    titles = ("Value", "Bound", "Certified", f"Gain over {names[0]}")
+    return [TableColumn("Criterion"), *number_columns(*titles)]
+
+
+def _plan_columns(names: Sequence[str]) -> list[TableColumn]:
+    return number_columns(*[f"plan for {name}" for name in names])
+
+
+def _certificate_row(entry: CriterionComparison) -> list[str]:
+    share = text.percent_at_least(entry.efficiency)
+    return [
+        entry.name,
+        criterion_value(entry.name, entry.value),
+        text.MISSING
+        if entry.bound is None
+        else criterion_value(entry.name, entry.bound),
+        "proven" if entry.proven else share,
+        text.times(entry.gain),
+    ]
+
+
+def _value_row(entry: CriterionComparison, names: Sequence[str]) -> list[str]:
+    return [
+        criterion_value(entry.name, missing.entry(entry.values, name)) for name in names
+    ]
+
+
+# The chosen plan against reference plans: by the criterion, and by accuracy.
+
+
+# Predicted accuracy of each component, plan by plan, as marks on a log scale.
+
+MAX_COMPONENTS: Final = 8
+
+
+def draw_predicted(plans: Sequence[PlanScore]) -> Figure:
+    """A line for each component, a mark for each plan; lengths and angles apart."""
+    shown = [plan for plan in plans if plan.predicted][:MAX_COMPONENTS]
+    if not shown:
+        return style.empty(
+            "No predicted accuracy of the plans is stored in this result."
+        )
+    groups: dict[str, list[str]] = {}
+    for key in shown_components(shown):
+        groups.setdefault(text.split_unit(key)[1], []).append(key)
+    labels = [style.label(plan.name, 40) for plan in shown]
+    columns = style.legend_columns(labels)
+    rows = max(map(len, groups.values()))
+    legend_rows = math.ceil(len(labels) / columns)
+    figure = style.figure(0.75 + 0.27 * rows + 0.17 * legend_rows)
+    panels = figure.subplots(1, len(groups), squeeze=False)[0]
+    for axes, (unit, keys) in zip(panels, groups.items(), strict=True):
+        _error_panel(axes, keys, shown, labels)
+        of_unit = f" [{text.unit_symbol(unit)}]" if unit else ""
+        axes.set_xlabel(f"predicted rms error{of_unit}")
+    handles, names = panels[0].get_legend_handles_labels()
+    legend: Any = {"loc": "outside lower center", "ncols": columns}
+    figure.legend(handles[::-1], names[::-1], **legend)
+    return figure
+
+
+def shown_components(plans: Sequence[PlanScore]) -> list[str]:
+    """Components that any of the plans predicts, in order of appearance."""
+    return list(dict.fromkeys(key for plan in plans for key in plan.predicted))
+
+
+def _error_panel(
+    axes: Axes, keys: Sequence[str], plans: Sequence[PlanScore], labels: Sequence[str]
+) -> None:
+    tables = [plan.predicted for plan in plans]
+    rms = np.column_stack([missing.column(tables, key) for key in keys])
+    rms[~(rms > 0.0)] = np.nan
+    rows = np.arange(len(keys))
+    finite = np.isfinite(rms).any(axis=0)
+    least = np.nanmin(rms[:, finite], axis=0)
+    most = np.nanmax(rms[:, finite], axis=0)
+    axes.hlines(
+        rows[finite],
+        least,
+        most,
+        color=style.LIGHT,
+        lw=1.0,
+    )
+    # The chosen plan is the first: drawn last, it lies on top.
+    for k in reversed(range(len(plans))):
+        look: Any = {"color": style.CYCLE[k % len(style.CYCLE)], "ls": ""}
+        look |= {"marker": style.marker(k), "ms": 6 if k == 0 else 5}
+        look |= {"mec": "white", "mew": 0.4, "zorder": 4.0 - 0.1 * k}
+        axes.plot(
+            rms[k],
+            rows,
+            label=labels[k],
+            **look,
+        )
+    if finite.any():
+        axes.set_xlim(float(least.min()) / 1.35, 1.35 * float(most.max()))
+    style.log_axis(axes, "x")
+    stems = [text.split_unit(key)[0] for key in keys]
+    style.fixed_ticks(axes, "y", rows.tolist(), stems)
+    axes.set_ylim(len(keys) - 0.5, -0.5)
+
+
+def plan_blocks(design: DesignSection) -> list[Block]:
+    """Scores, then predicted accuracy as figure and table."""
+    plans = design.plans
+    if not plans:
+        return []
+    content: list[Block] = [_scores(design)]
+    if any(plan.predicted for plan in plans):
+        caption = _figure_caption(plans)
+        content.append(Picture("predicted", lambda: draw_predicted(plans), caption))
+        content.append(_accuracies(design))
+    return content
+
+
+def is_chosen(plan: PlanScore, design: DesignSection) -> bool:
+    """Whether a plan is the chosen one, by its name or by all its numbers."""
+    if plan.name == "chosen":
+        return True
+    of_plan = (plan.n, plan.value, plan.kappa)
+    return of_plan == (design.n, design.value, design.kappa)
+
+
+def _marks(design: DesignSection) -> list[str]:
+    return ["chosen" if is_chosen(plan, design) else "" for plan in design.plans]
+
+
+# -- by the criterion ------------------------------------------------------------------
+
+
+def _scores(design: DesignSection) -> Table:
+    plans = design.plans
+    criterion = plans[0].criterion
+    indices = list(dict.fromkeys(key for plan in plans for key in plan.observability))
+    columns = {
+        "Readings": [str(plan.n) for plan in plans],
+        criterion: [criterion_value(criterion, plan.value) for plan in plans],
+        "log det": [text.fixed(plan.logdet, 2) for plan in plans],
+        f"{criterion}-efficiency": [text.percent(plan.efficiency) for plan in plans],
+    }
+    if criterion == "D":  # its value is the column log det
+        del columns["D"]
+    if criterion != "kappa":
+        columns["κ"] = [text.number(plan.kappa, 4) for plan in plans]
+    for index in indices:
+        if index != criterion:
+            values = missing.column([plan.observability for plan in plans], index)
+            columns[index] = [text.number(value) for value in values]
+    titles = [wide_column("Plan"), *number_columns(*columns)]
+    cells = [[plan.name for plan in plans], *columns.values()]
+    return Table(titles, transposed(cells), _scores_caption(design), _marks(design))
+
+
+def _scores_caption(design: DesignSection) -> str:
+    """The chosen plan against the best of the others."""
+    caption = (
+        "The chosen plan (marked) and reference plans. Higher log det and lower κ are"
+        " better."
+    )
+    if design.effects is not None:
+        caption += " All are judged on a machine without effects."
+    plans = [plan for plan in design.plans if plan.efficiency > 0.0]
+    chosen = [plan for plan in plans if is_chosen(plan, design)]
+    others = [plan for plan in plans if not is_chosen(plan, design)]
+    if not chosen or not others:
+        return caption
+    rival = max(others, key=lambda plan: plan.efficiency)
+    share = rival.efficiency / chosen[0].efficiency
+    if share > 1.0:
+        return f"{caption} The plan “{rival.name}” is better than the chosen one."
+    caption += (
+        f" The next best, “{rival.name}”, has {text.percent(share)} of the efficiency of"
+        " the chosen one"
+    )
+    if rival.criterion != "D" or rival.n != chosen[0].n:
+        return f"{caption}."
+    # D-efficiency grows in proportion to the number of readings.
+    more = math.ceil(rival.n / share - rival.n)
+    return f"{caption}: it needs about {text.count(more, 'more reading')} to match it."
+
+
+# -- by predicted accuracy -------------------------------------------------------------
+
+
+def _figure_caption(plans: Sequence[PlanScore]) -> str:
+    """What the chosen plan leaves of each component."""
+    sentences = [
+        "Predicted rms error of each component over the workspace after all known"
+        " errors are corrected, on a log scale.",
+        "Each plan has a mark; left is better.",
+    ]
+    first = plans[0]
+    errors = [_error(key, rms) for key, rms in first.predicted.items()]
+    if errors:
+        sentences.append(f"The plan “{first.name}” leaves {text.listing(errors)}.")
+    with_prediction = [plan for plan in plans if plan.predicted]
+    more = len(with_prediction) - MAX_COMPONENTS
+    if more > 0:
+        sentences.append(f"{more} more are in the table only.")
+    return " ".join(sentences)
+
+
+def _error(key: str, rms: float) -> str:
+    stem, unit = text.split_unit(key)
+    return f"{stem} {text.quantity(rms, unit)}"
+
+
+def _accuracies(design: DesignSection) -> Table:
+    """Two rows for each plan: rms errors, and the gain over the reference plan."""
+    keys = shown_components(design.plans)
+    reference = _reference(design.plans)
+    rows, marks = [], []
+    for plan, mark in zip(design.plans, _marks(design), strict=True):
+        errors = [text.number(missing.entry(plan.predicted, key)) for key in keys]
+        rows.append([plan.name, *errors])
+        marks.append(mark)
+        if reference is not None and plan is not reference and plan.gain:
+            gains = [text.times(missing.entry(plan.gain, key)) for key in keys]
+            rows.append(["… times as accurate", *gains])
+            marks.append(mark)
+    titles = [text.heading(key) for key in keys]
+    columns = [wide_column("Plan"), *number_columns(*titles)]
+    caption = _accuracies_caption(design.plans[0], reference)
+    return Table(columns, rows, caption, marks)
+
+
+def _accuracies_caption(chosen: PlanScore, reference: PlanScore | None) -> str:
+    caption = "Predicted rms errors, plan by plan"
+    if reference is None:
+        return f"{caption}."
+    caption += f", and how many times as accurate as with “{reference.name}”."
+    if not chosen.gain:
+        return caption
+    least = text.times(min(chosen.gain.values()))
+    most = text.times(max(chosen.gain.values()))
+    gain = least if least == most else f"{least} to {most}"
+    return f"{caption} The chosen plan is {gain} as accurate."
+
+
+def _reference(plans: Sequence[PlanScore]) -> PlanScore | None:
+    """The plan that gains refer to: the first after the chosen one."""
+    has_gains = any(plan.gain for plan in plans)
+    return plans[1] if len(plans) > 1 and has_gains else None

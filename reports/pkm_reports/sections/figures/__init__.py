@@ -1,1 +1,0 @@
-"""The figures of a report, one a file: each has `draw`, from a section of the result."""

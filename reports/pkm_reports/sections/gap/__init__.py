@@ -1,1 +1,0 @@
-"""The chapters about the gap between model and machine."""

@@ -1,1 +1,0 @@
-"""The chapter about a plan in stages, a part of it a module."""

@@ -1,0 +1,371 @@
+"""What the page's views show: machine, readings, error map and gap as points.
+
+build_view             the view of a result; None where it has nothing to show
+PageView               its lines, readings, fields and circles
+ViewLine               a polyline, mm
+ViewLabel              names of parameters at a point, mm
+ViewReading            a reading with its place, values and run
+encoded_view           a view as JSON within a page's script
+residuals_of_readings  the residuals of a result by reading
+points_mm              points that are given in m, in mm
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from oed import units
+from oed.base import Array
+from oed.result import Drawing, GapSection, PredictionSection, StudyResult, Trace
+from pkm_reports import text
+from pkm_reports.missing import or_nan
+
+# Circles of readings, with their residuals about the circle.
+
+#: circles that the page shows
+MAX_CIRCLES: Final = 12
+#: readings of a circle, at least
+LEAST: Final = 8
+#: spread of the radii and height above the plane, as shares of the radius
+ROUND: Final = 0.02
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CirclePass:
+    """One way round: angles in degrees, residuals before and after.
+
+    readings    numbers of the readings, from 0; empty where they are not known
+    """
+
+    name: str
+    at: list[float]
+    before: list[float]
+    after: list[float]
+    readings: list[int]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Circle:
+    """A circle with all its passes; `unit` is that of the residuals."""
+
+    name: str
+    unit: str
+    passes: list[CirclePass]
+
+
+def circles(gap: GapSection | None, readings: Sequence[ViewReading]) -> list[Circle]:
+    """Circles of a diagnosis, or of the fitted readings where there is none."""
+    if gap is not None and any(trace.kind == "circle" for trace in gap.traces):
+        return _trace_circles(gap.traces)
+    return _reading_circles(readings)
+
+
+def _trace_circles(traces: Sequence[Trace]) -> list[Circle]:
+    passes: dict[tuple[str, str, str, str], list[Trace]] = {}
+    for trace in traces:
+        if trace.kind == "circle":
+            key = (trace.setup, trace.base, trace.channel, _load(trace))
+            passes.setdefault(key, []).append(trace)
+    return [
+        Circle(
+            name=text.cleaned(f"{setup}, {base}, {channel}{load}"),
+            unit=text.unit_symbol(runs[0].unit),
+            passes=[
+                CirclePass(text.cleaned(t.run), t.at, t.before, t.after, [])
+                for t in runs
+            ],
+        )
+        for (setup, base, channel, load), runs in list(passes.items())[:MAX_CIRCLES]
+    ]
+
+
+def _load(trace: Trace) -> str:
+    return "" if trace.payload is None else f", {text.trimmed(trace.payload, 3)} N"
+
+
+def _reading_circles(readings: Sequence[ViewReading]) -> list[Circle]:
+    runs: dict[tuple[str, str], list[int]] = {}
+    for k, reading in enumerate(readings):
+        if len(reading.residuals) == 1:
+            runs.setdefault((reading.setup, reading.run), []).append(k)
+    drawn = []
+    for (setup, run), members in runs.items():
+        angles = angles_on_circle(np.array([readings[k].at for k in members]))
+        if angles is None:
+            continue
+        order = [int(k) for k in np.argsort(angles, kind="stable")]
+        entries = [readings[members[k]].residuals[0] for k in order]
+        whole = CirclePass(
+            name=run,
+            at=[round(float(angles[k]), 2) for k in order],
+            before=[entry.before for entry in entries],
+            after=[entry.after for entry in entries],
+            readings=[members[k] for k in order],
+        )
+        drawn.append(Circle(f"{setup}, {run}", entries[0].unit, [whole]))
+    return drawn[:MAX_CIRCLES]
+
+
+def angles_on_circle(points: Array) -> Array | None:
+    """Angles (n,), deg, of points (n, 3) about their circle; None where they form none.
+
+    The centre is that of the least-squares circle in the plane of the points.
+    """
+    if len(points) < LEAST:
+        return None
+    offset = points - points.mean(axis=0)
+    _, _, axes = np.linalg.svd(offset, full_matrices=False)
+    plane, height = offset @ axes[:2].T, offset @ axes[2]
+    system = np.column_stack([2.0 * plane, np.ones(len(plane))])
+    centre = np.linalg.lstsq(system, np.sum(plane**2, axis=1), rcond=None)[0][:2]
+    around = plane - centre
+    radii = np.linalg.norm(around, axis=1)
+    radius = float(radii.mean())
+    if not radius > 0.0 or radii.std() > ROUND * radius:
+        return None
+    if np.abs(height).max() > ROUND * radius:
+        return None
+    return np.asarray(np.degrees(np.arctan2(around[:, 1], around[:, 0])) % 360.0)
+
+
+#: decimals of places, mm
+DECIMALS: Final = 2
+#: significant digits of errors
+DIGITS: Final = 4
+#: readings beyond which the page has no views
+MOST: Final = 5000
+
+Point = list[float]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewLine:
+    """A polyline, mm."""
+
+    kind: str
+    points: list[Point]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewLabel:
+    """Names of parameters at the point that they move, mm."""
+
+    at: Point
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewReading:
+    """A reading: where the tool is and the far end of what is measured, mm.
+
+    words      the command, and where it is known the run
+    residuals  by channel, where the readings are fitted
+    """
+
+    setup: str
+    run: str
+    words: str
+    at: Point
+    far: Point | None
+    residuals: list[ReadingResiduals]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ViewField:
+    """A size at each of the points `at`, mm, before and after; `words` says where."""
+
+    name: str
+    unit: str
+    at: list[Point]
+    words: list[str]
+    before: list[float | None]
+    after: list[float | None]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PageView:
+    """All that the views of one page show."""
+
+    lines: list[ViewLine]
+    labels: list[ViewLabel]
+    readings: list[ViewReading]
+    fields: list[ViewField]
+    circles: list[Circle]
+
+
+def build_view(result: StudyResult) -> PageView | None:
+    """The views of a result; None where nothing is drawn, or far too much."""
+    drawing = result.drawing
+    if drawing is None or not (drawing.lines or drawing.tool_points):
+        return None
+    if len(drawing.tool_points) > MOST:
+        return None
+    lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
+    labels = [ViewLabel(_mm([label.at])[0], label.text) for label in drawing.labels]
+    readings = _readings(result, drawing)
+    shown = circles(result.gap, readings)
+    return PageView(lines, labels, readings, _fields(result), shown)
+
+
+def encoded_view(view: PageView) -> str:
+    """JSON for a script element: no character of it ends the element."""
+    encoded = msgspec.json.encode(view).decode("utf-8")
+    return (
+        encoded.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    )
+
+
+# -- readings --------------------------------------------------------------------------
+
+
+def _readings(result: StudyResult, drawing: Drawing) -> list[ViewReading]:
+    count = len(drawing.tool_points)
+    runs, commands = _runs_and_commands(result, drawing)
+    fitted = residuals_of_readings(result, drawing)
+    tips = _mm(drawing.tool_points)
+    paired = len(drawing.bars) == count
+    bars = drawing.bars if paired else [[]] * count
+    far = [_mm(bar[:1])[0] if bar else None for bar in bars]
+    setups = [*drawing.reading_of, *["reading"] * count][:count]
+    return [
+        ViewReading(
+            setup=text.cleaned(setups[k]),
+            run=text.cleaned(runs[k]),
+            words=text.cleaned(text.named_quantities(commands[k], 4)),
+            at=tips[k],
+            far=far[k],
+            residuals=fitted[k],
+        )
+        for k in range(count)
+    ]
+
+
+def _runs_and_commands(
+    result: StudyResult, drawing: Drawing
+) -> tuple[Sequence[str], Sequence[Mapping[str, float]]]:
+    """Of each tool point; from the planned readings where the drawing has none."""
+    count = len(drawing.tool_points)
+    if len(drawing.runs) == count == len(drawing.commands):
+        return drawing.runs, drawing.commands
+    poses = [] if result.design is None else result.design.poses
+    if len(poses) == count:
+        return [pose.run for pose in poses], [pose.command for pose in poses]
+    return [""] * count, [{}] * count
+
+
+# -- fields ----------------------------------------------------------------------------
+
+
+def _fields(result: StudyResult) -> list[ViewField]:
+    corrected = result.corrected
+    prediction = result.prediction
+    if corrected is not None and corrected.prediction is not None:
+        prediction = corrected.prediction
+    fields = [] if prediction is None else _error_fields(prediction)
+    if result.gap is not None:
+        fields += _gap_field(result.gap)
+    return fields
+
+
+def _error_fields(prediction: PredictionSection) -> list[ViewField]:
+    points = [point for point in prediction.map if len(point.at) == 3]
+    if not points:
+        return []
+    at = _mm([point.at for point in points])
+    phrases = [text.cleaned(text.named_quantities(p.command, 4)) for p in points]
+    return [
+        ViewField(
+            name=f"error of {text.cleaned(name)}",
+            unit=text.unit_symbol(component.after.unit),
+            at=at,
+            words=phrases,
+            before=[rounded(point.before[name]) for point in points],
+            after=[rounded(point.after[name]) for point in points],
+        )
+        for name, component in prediction.components.items()
+    ]
+
+
+def _gap_field(gap: GapSection) -> list[ViewField]:
+    if not gap.spots:
+        return []
+    return [
+        ViewField(
+            name="residual of the readings",
+            unit=text.unit_symbol(gap.spots_unit),
+            at=[_round(spot.at) for spot in gap.spots],
+            words=["" for _ in gap.spots],
+            before=[rounded(spot.before) for spot in gap.spots],
+            after=[rounded(spot.after) for spot in gap.spots],
+        )
+    ]
+
+
+def rounded(value: float | None) -> float | None:
+    """A size with few digits; None where there is none."""
+    x = or_nan(value)
+    return float(f"{x:.{DIGITS}g}") if np.isfinite(x) else None
+
+
+def _mm(points: Sequence[Sequence[float]]) -> list[Point]:
+    return [_round(point) for point in points_mm(points)]
+
+
+def _round(point: Sequence[float] | Array) -> Point:
+    return [round(float(v), DECIMALS) for v in point]
+
+
+# -- residuals -------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ReadingResiduals:
+    """Residual of one channel of a reading, before and after the fit."""
+
+    channel: str
+    unit: str
+    before: float
+    after: float
+
+
+def residuals_of_readings(
+    result: StudyResult, drawing: Drawing
+) -> list[list[ReadingResiduals]]:
+    """For each tool point its channels' residuals; empty lists where they do not match.
+
+    A set-up has one noise for each channel, so that their number is known.
+    """
+    estimate, count = result.estimate, len(drawing.tool_points)
+    nothing: list[list[ReadingResiduals]] = [[] for _ in range(count)]
+    channels_of = {setup.name: len(setup.sigma) for setup in result.setups}
+    if estimate is None or not set(drawing.reading_of) <= set(channels_of):
+        return nothing
+    channels = [channels_of[name] for name in drawing.reading_of]
+    if len(channels) != count or sum(channels) != len(estimate.residuals):
+        return nothing
+    entries = [
+        ReadingResiduals(
+            text.cleaned(channel),
+            text.unit_symbol(estimate.units[channel]),
+            round(before, 4),
+            round(after, 4),
+        )
+        for channel, before, after in zip(
+            estimate.channels,
+            estimate.residuals_before,
+            estimate.residuals,
+            strict=True,
+        )
+    ]
+    listed = iter(entries)
+    return [[next(listed) for _ in range(n)] for n in channels]
+
+
+def points_mm(points: Sequence[Sequence[float]]) -> Array:
+    """Points (n, 3) given in m, in mm."""
+    return units.from_si(np.array(points, dtype=float).reshape(-1, 3), "mm")

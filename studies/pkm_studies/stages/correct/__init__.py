@@ -1,0 +1,1 @@
+"""The stage that corrects: effects with the geometry, and over all hypotheses."""

@@ -1,0 +1,774 @@
+"""The step that corrects effects together with the geometry, and its section of the result."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+
+import msgspec
+import numpy as np
+
+from oed import posterior, units
+from oed.accuracy import least_error
+from oed.base import Array
+from oed.checks import (
+    PHYSICAL_KINDS,
+    CheckFinding,
+    Goodness,
+    Severity,
+    goodness_of_delivered,
+)
+from oed.compensate import CommandGrid, GridAxis
+from oed.corrected import (
+    ChosenForm,
+    CorrectedAccuracy,
+    CorrectedEstimate,
+    EffectReadings,
+    StateTable,
+    TabledEffects,
+    TurnedRuns,
+    estimate_with_effects,
+    find_turned_runs,
+    predict_corrected,
+    tabled_effects,
+    with_constants,
+)
+from oed.effect_model import Effect
+from oed.estimation import IdentificationError
+from oed.fit_limits import noise_ratio
+from oed.gap import untestable
+from oed.measurement import Measurement
+from oed.model import Machine
+from oed.posterior import Posterior
+from oed.result import (
+    UNKNOWN,
+    CoefficientRecord,
+    CompensationName,
+    CorrectedSection,
+    EffectEstimate,
+    EffectTable,
+    GapSection,
+    GoodnessSection,
+    Marginal,
+    MistakeRecord,
+    PredictionSection,
+    SpreadRecord,
+)
+from oed.text import join_words, rounded
+from pkm_studies import describe
+from pkm_studies.base import Stream
+from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
+from pkm_studies.quantities import column, display_unit
+from pkm_studies.resolve import (
+    GapRequest,
+    regular_commands,
+    workspace_axes,
+)
+from pkm_studies.stages.fit.estimate import (
+    add_controller,
+    estimate_section,
+    marginal,
+    readings_with_covariates,
+    sampler_options,
+    sampling_warnings,
+    with_noise,
+)
+from pkm_studies.stages.gap import sentences
+from pkm_studies.stages.gap.sentences import plain_name
+from pkm_studies.stages.predict.prediction import (
+    accuracy_section,
+    add_wanted,
+    budget_section,
+    spread_record,
+)
+from pkm_studies.stages.run_state import Fitted
+
+# Reports parameters and effects estimated together: the section `corrected`.
+
+
+# Coefficients of the joint estimate, for the diagnosis and its sentences.
+
+
+def coefficient_records(corrected: CorrectedEstimate) -> Iterator[CoefficientRecord]:
+    """Each coefficient, SI."""
+    estimate, k = corrected.estimate, 0
+    start = corrected.parameters
+    for form in corrected.forms:
+        signature = form.signature
+        parts = zip(signature.names, signature.labels, signature.shape, strict=True)
+        for name, label, shape in parts:
+            scale = float(corrected.scales[k])
+            yield CoefficientRecord(
+                effect=form.effect.name,
+                name=name,
+                label=label,
+                value=float(estimate.theta[start + k]) * scale,
+                sd=float(estimate.sd[start + k]) * scale,
+                unit=form.effect.unit(name),
+                prior_sd=scale,
+                shape=bool(shape),
+            )
+            k += 1
+
+
+def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> GapSection:
+    """The diagnosis with the coefficients that are estimated with the parameters.
+
+    It names effects by linear models of single forms; what they amount to comes from the
+    nonlinear fit of all of them, which the accuracy rests on as well.
+    """
+    joint = list(coefficient_records(corrected))
+    effects = {c.effect for c in joint}
+    others = [c for c in gap.coefficients if c.effect not in effects]
+    named = [c for c in joint if c.effect in gap.selected]
+    constants = {
+        form.effect.name: dict(form.constants)
+        for form in corrected.forms
+        if form.effect.name in gap.selected
+    }
+    return sentences.add_sentences(
+        msgspec.structs.replace(
+            gap,
+            coefficients=[*named, *others],
+            constants={**gap.constants, **constants},
+        )
+    )
+
+
+def implausible_sizes(corrected: CorrectedEstimate) -> list[str]:
+    """One sentence for each effect with a coefficient far beyond its expected size."""
+    checks = {form.effect.name: form.effect.check for form in corrected.forms}
+    return sentences.implausible_sentences(coefficient_records(corrected), checks)
+
+
+# Reports the tables with which a controller corrects effects: `corrected.tables`.
+
+#: largest number of commands of the effects' tables
+COMMANDS = 1000
+
+
+def effect_tables(
+    corrected: CorrectedEstimate,
+    command: Array,
+    axes: tuple[GridAxis, ...],
+    prediction: PredictionSection | None,
+) -> tuple[list[EffectTable], Mapping[str, str]]:
+    """Tables in display units over a box of commands, and why an effect has none.
+
+    command     (n, n_dof) of the workspace, SI, where the box is out of reach
+    prediction  the accuracy with the effects compensated
+    """
+    if not len(command):
+        return [], {}
+    tabled = tabled_effects(corrected, command)
+    if not tabled.tables:
+        return [], tabled.missing
+    readings = corrected.readings
+    kinematics = readings.measurement.kinematics
+    want = table_accuracy(kinematics, prediction)
+
+    def correction(places: Array) -> Array:
+        return _stacked(tabled, tabled_effects(corrected, places))
+
+    grid = command_grid(axes, correction, want, COMMANDS)
+    costs: list[dict[str, float]] = [{} for _ in tabled.tables]
+    if grid is not None:
+        tabled = tabled_effects(corrected, grid.commands)
+        command = grid.commands
+        costs = list(_costs(tabled, grid, want))
+    tables = [
+        effect_table(kinematics.machine, table, command, cost)
+        for table, cost in zip(tabled.tables, costs, strict=True)
+    ]
+    return tables, tabled.missing
+
+
+def _stacked(first: TabledEffects, tabled: TabledEffects) -> Array:
+    """Corrections (n, s, nq) in all states of the tables `first`, one after the other."""
+    of = {(t.effect, t.axis): t.joints for t in tabled.tables}
+    count = next(iter(of.values())).shape[1]
+    states = []
+    for table in first.tables:
+        nothing = np.zeros((len(table.values), count, table.joints.shape[2]))
+        states.append(of.get((table.effect, table.axis), nothing))
+    return np.swapaxes(np.concatenate(states), 0, 1)
+
+
+def _costs(
+    tabled: TabledEffects, grid: CommandGrid, want: TableAccuracy
+) -> Iterator[dict[str, float]]:
+    """{component: rms error} by interpolation of each table, in its worst state."""
+    ends = np.cumsum([len(table.values) for table in tabled.tables])
+    for errors in np.split(grid.errors, ends[:-1]):
+        worst = errors.max(axis=0)
+        yield {
+            name: units.number(float(size), units.FINE[unit])
+            for name, unit, size in zip(want.names, want.units, worst, strict=True)
+        }
+
+
+def effect_table(
+    machine: Machine,
+    table: StateTable,
+    command: Array,
+    interpolation: Mapping[str, float],
+) -> EffectTable:
+    """A table in display units, at commands (n, n_dof), SI."""
+    names = [column(joint.name, joint.unit) for joint in machine.joints]
+    factors = [units.factor(display_unit(joint.unit)) for joint in machine.joints]
+    return EffectTable(
+        effect=table.effect,
+        state=table.column,
+        joint_wise=table.joint_wise,
+        values=table.values.tolist(),
+        joints=names,
+        commands=[describe.displayed_command(machine, c) for c in command],
+        table=(table.joints / factors).tolist(),
+        interpolation=dict(interpolation),
+    )
+
+
+#: what a controller must know, by the covariate that an effect needs
+KNOWN = {
+    "direction": "the direction of travel of each joint is known",
+    "feed": "the feed is known",
+    "payload": "the payload is known",
+    "tension": "the tension of each cable is known",
+}
+
+#: why a table of an effect is left out
+NO_HELP = "parameters alone are expected to leave no larger error"
+#: effects that change with the payload, where readings have several
+LOADED = ("gravity", "frame_bending")
+
+
+@dataclasses.dataclass(frozen=True)
+class Workspace:
+    """Where a corrected model is used.
+
+    command  (n, n_dof) commands, SI
+    axes     of the tables of effects
+    wanted   errors to reach by component, SI
+    """
+
+    command: Array
+    axes: tuple[GridAxis, ...]
+    wanted: Mapping[str, float]
+
+
+def corrected_section(
+    corrected: CorrectedEstimate,
+    gap: GapSection | None,
+    accuracy: CorrectedAccuracy | None,
+    draws: Posterior | None,
+    workspace: Workspace,
+    *,
+    origin: str = "diagnosis",
+    truth: Array | None = None,
+    warnings: Sequence[str] = (),
+) -> CorrectedSection:
+    """The section of an estimate, with tables of its effects over a box of commands.
+
+    `origin` says who named the effects, `truth` (n,) are a virtual machine's parameters,
+    `warnings` those of the fit.
+    """
+    measurement, estimate = corrected.measurement, corrected.estimate
+    count = corrected.parameters
+    if truth is not None:
+        truth = np.concatenate([truth, np.full(len(corrected.scales), np.nan)])
+    whole = estimate_section(measurement, corrected.series, estimate, truth)
+    names = measurement.names[:count]
+    parameters = {n: p for n, p in whole.parameters.items() if n in names}
+    size = len(parameters)
+    predicted = None
+    if accuracy is not None:
+        predicted = add_wanted(_predicted(measurement, accuracy), workspace.wanted)
+    tables, not_tabled = effect_tables(
+        corrected, workspace.command, workspace.axes, predicted
+    )
+    marginals = {} if draws is None else dict(_marginals(corrected, draws))
+    return CorrectedSection(
+        parameters=parameters,
+        effects=dict(_coefficients(corrected)),
+        constants={f.effect.name: dict(f.constants) for f in corrected.forms},
+        conditions=conditions(corrected, gap),
+        origin=origin,
+        rms_after=whole.rms_after,
+        units=whole.units,
+        readings=whole.readings,
+        chi2=estimate.chi2,
+        dof=estimate.dof,
+        covariance=[row[:size] for row in whole.covariance[:size]],
+        prediction=predicted,
+        parameters_only=_parameters_only(corrected, accuracy) if accuracy else {},
+        posterior=marginals,
+        tables=tables,
+        not_tabled=dict(not_tabled),
+        warnings=list(warnings),
+    )
+
+
+def add_least_error(
+    section: CorrectedSection,
+    corrected: CorrectedEstimate,
+    accuracy: CorrectedAccuracy,
+    plain: Array,
+) -> CorrectedSection:
+    """The section with what a controller is sent, by the draws of its fit.
+
+    plain  (np,) parameters of the fit without effects, SI
+    """
+    before, after = accuracy.compensated.before, accuracy.compensated.after
+    geometry = {
+        CompensationName.BEST: accuracy.parameters_only,
+        CompensationName.PLAIN: accuracy.plain,
+    }
+    machine = corrected.measurement.machine
+    every = {CompensationName.BEST_WITH_EFFECTS: after, **geometry}
+    sent = least_error(before, every, machine.driven)
+    section = msgspec.structs.replace(section, sent=sent)
+    if least_error(before, geometry, machine.driven) == CompensationName.PLAIN:
+        section = add_controller(section, machine, plain)
+    return (
+        section if sent == CompensationName.BEST_WITH_EFFECTS else drop_tables(section)
+    )
+
+
+def drop_tables(section: CorrectedSection, reason: str = NO_HELP) -> CorrectedSection:
+    """The section whose effects no controller corrects, for a reason."""
+    reasons = {table.effect: reason for table in section.tables}
+    return msgspec.structs.replace(
+        section, tables=[], not_tabled={**section.not_tabled, **reasons}
+    )
+
+
+def _predicted(
+    measurement: Measurement, accuracy: CorrectedAccuracy
+) -> PredictionSection:
+    """The predicted accuracy with its budget."""
+    compensated, budget = accuracy.compensated, accuracy.budget
+    section = accuracy_section(measurement.kinematics, compensated, "corrected", budget)
+    lines = budget_section(measurement.machine, compensated, budget)
+    return msgspec.structs.replace(section, budget=lines)
+
+
+def misfit_warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
+    """Why the corrected values should not go into a controller; none if they fit."""
+    if not goodness.is_bad(noise_is_a_guess=noise_is_a_guess):
+        return []
+    misfit = "no machine within its tolerances gives these readings"
+    if goodness.ratio is not None:
+        misfit = f"the residuals are {goodness.ratio:.1f} times the stated noise"
+    return [f"{misfit} even with the effects in the model"]
+
+
+def _coefficients(
+    corrected: CorrectedEstimate,
+) -> Iterator[tuple[str, EffectEstimate]]:
+    """Each coefficient in a unit that a person reads."""
+    records = coefficient_records(corrected)
+    names, scales = corrected.coefficient_names, corrected.scales
+    for name, c, scale in zip(names, records, scales, strict=True):
+        unit, factor = units.coefficient_unit(c.unit)
+        yield (
+            name,
+            EffectEstimate(
+                value=c.value / factor,
+                sd=c.sd / factor,
+                unit=unit,
+                effect=c.effect,
+                prior_sd=float(scale) / factor,
+                shape=c.shape,
+            ),
+        )
+
+
+def _marginals(
+    corrected: CorrectedEstimate, draws: Posterior
+) -> Iterator[tuple[str, Marginal]]:
+    """Posterior of every parameter that is free, and of every coefficient."""
+    coefficients, parameters = dict(_coefficients(corrected)), corrected.parameters
+    for k, p in enumerate(corrected.measurement.parameters):
+        if corrected.estimate.prior_sd[k] == 0.0:
+            continue
+        if k < parameters:
+            unit = units.display(p.unit)
+            values = units.from_si(draws.pooled[:, k], unit)
+        else:
+            coefficient = coefficients[p.name]
+            unit = coefficient.unit
+            values = draws.pooled[:, k] * coefficient.prior_sd
+        yield p.name, marginal(values, draws, k, unit)
+
+
+def _parameters_only(
+    corrected: CorrectedEstimate, accuracy: CorrectedAccuracy
+) -> dict[str, SpreadRecord]:
+    components = corrected.measurement.machine.components
+    return {
+        c.name: spread_record(accuracy.parameters_only[c.name], units.FINE[c.unit])
+        for c in components
+    }
+
+
+# -- conditions ------------------------------------------------------------------------
+
+
+def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str]:
+    """One sentence for each condition."""
+    moving = [f.effect.name for f in corrected.forms if _moves_machine(corrected, f)]
+    sentences = []
+    if moving:
+        names = join_words([plain_name(name) for name in moving])
+        sentences.append(f"the controller corrects {names} as well as the parameters")
+    for form in corrected.forms:
+        sentences += _effect_text(corrected, form)
+    if gap is not None:
+        sentences += _diagnosed_effects(corrected, gap)
+    return list(dict.fromkeys(sentences))
+
+
+def _effect_text(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
+    """Conditions of one effect."""
+    name = plain_name(form.effect.name)
+    if not _moves_machine(corrected, form):
+        return [
+            f"{name}: it belongs to the measurement; the machine needs no correction"
+        ]
+    sentences = []
+    for need in form.effect.needs:
+        covariate = need.partition(":")[0].strip()
+        if covariate in KNOWN:
+            sentences.append(f"{name}: {KNOWN[covariate]}")
+        elif "time" in need or "temp" in need:
+            sentences.append(_warmth_text(name, form))
+    if not sentences and form.effect.name in LOADED:
+        sentences.append(
+            f"{name}: the machine carries the payload of these readings, or a known one"
+        )
+    return sentences
+
+
+def _warmth_text(name: str, form: ChosenForm) -> str:
+    if any("per kelvin" in n for n in form.signature.names):
+        return f"{name}: the temperatures are read as in these readings"
+    return (
+        f"{name}: no temperature was recorded, so that the correction holds for the"
+        " warm-up of this session alone"
+    )
+
+
+def _moves_machine(corrected: CorrectedEstimate, form: ChosenForm) -> bool:
+    """Whether the effect changes joints or parameters of the machine."""
+    columns = [
+        column
+        for state in corrected.states
+        for column in form.effect.columns(state, **form.constants)
+    ]
+    names_of_machine = {p.name for p in corrected.measurement.machine.parameters}
+    joints = any(np.any(v) for c in columns for v in c.joints.values())
+    return joints or any(n in names_of_machine for c in columns for n in c.parameters)
+
+
+def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:
+    """What the diagnosis could not decide."""
+    sentences = []
+    used = {form.effect.name for form in corrected.forms}
+    for group in gap.confusable:
+        rivals = [n for n in group if n not in used]
+        if rivals and used & set(group):
+            taken = plain_name(next(n for n in group if n in used))
+            others = join_words([plain_name(name) for name in rivals], last="or")
+            sentences.append(
+                f"{taken} is the cause: these readings cannot distinguish it from"
+                f" {others}"
+            )
+    if gap.answers and UNKNOWN in gap.answers[0].effects:
+        sentences.append(
+            "a part of the gap of unknown form is not in the model: it stays, and the"
+            " predicted accuracy does not contain it"
+        )
+    return sentences
+
+
+# The step that estimates parameters and effects together.
+
+
+# What the alarms of a bad fit become where the fit with effects is good.
+#
+# The check looked at a fit without effects. Where parameters and effects together fit, the
+# alarm would be untrue of the values that count.
+
+
+def resolves_alarm(
+    corrected: CorrectedSection, findings: Sequence[CheckFinding]
+) -> bool:
+    """Whether the fit with effects is good, and no finding remains that spoils it."""
+    return not corrected.warnings and may_be_resolved(findings)
+
+
+def may_be_resolved(findings: Sequence[CheckFinding]) -> bool:
+    """Whether effects may be behind every finding that spoils the fit."""
+    return all(f.severity > Severity.BAD_FIT or is_about_the_fit(f) for f in findings)
+
+
+def resolved_section(
+    section: GoodnessSection,
+    corrected: CorrectedSection,
+    findings: Sequence[CheckFinding],
+) -> GoodnessSection:
+    """The section with the alarms as they are with the effects in the model."""
+    renamed = resolved_sentences(corrected, findings)
+    sentences = [renamed.get(sentence, sentence) for sentence in section.findings]
+    return msgspec.structs.replace(section, findings=sentences, bad_fit=False)
+
+
+def resolved_sentences(
+    corrected: CorrectedSection, findings: Sequence[CheckFinding]
+) -> dict[str, str]:
+    """Alarms of the fit without effects, and what is true with them."""
+    ratio = noise_ratio(corrected.chi2, corrected.dof)
+    effects = " and ".join(corrected.constants)
+    opening = (
+        f"With {effects} in the model {_fit(ratio)}, and the corrected values count."
+    )
+    return sentences_with(opening, findings)
+
+
+def _fit(ratio: float | None) -> str:
+    if ratio is None:
+        return "the readings fit"
+    return f"the residuals are {rounded(ratio)} times the stated noise"
+
+
+def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
+    """Alarms of the fit without effects, each after what is true with them."""
+    return {
+        f.sentence: f"{opening} Without: {f.sentence[:1].lower()}{f.sentence[1:]}"
+        for f in findings
+        if is_about_the_fit(f)
+    }
+
+
+def turned_sentence(corrected: CorrectedSection, turned: TurnedRuns) -> str:
+    """Which runs were driven the other way than their rows say."""
+    names = ", ".join(run for _, run in turned.runs)
+    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
+    effects = " and ".join(corrected.constants)
+    return (
+        f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
+        f" order of the rows says, or all others were (residuals with {effects}:"
+        f" {rounded(turned.before)} times the stated noise; with the order of {names} reversed:"
+        f" {rounded(turned.after)} times)."
+    )
+
+
+def add_turned_runs(
+    section: GoodnessSection, corrected: CorrectedSection, turned: TurnedRuns
+) -> GoodnessSection:
+    """The section with that mistake as its first finding."""
+    sentence = turned_sentence(corrected, turned)
+    names = ", ".join(run for _, run in turned.runs)
+    mistake = MistakeRecord(
+        what=f"direction reversed: {names}",
+        evidence=(
+            f"residuals {turned.before:.3g} times the stated noise as given,"
+            f" {turned.after:.3g} times with this undone"
+        ),
+    )
+    return msgspec.structs.replace(
+        section,
+        findings=[sentence, *section.findings],
+        mistakes=[mistake, *section.mistakes],
+        bad_fit=True,
+    )
+
+
+def is_about_the_fit(finding: CheckFinding) -> bool:
+    """Whether an effect of the machine may be behind a finding."""
+    kinds = ("fit", *PHYSICAL_KINDS)
+    return finding.severity <= Severity.BAD_FIT and finding.kind in kinds
+
+
+def correct_for_effects(state: Fitted) -> Fitted:
+    """Estimate the parameters together with the effects that are named or diagnosed."""
+    request, gap = state.resolved.diagnosed, state.result.gap
+    effects = _effects(state, request, gap)
+    if not effects:
+        return state
+    state.progress.stage("parameters and effects together")
+    effect_readings = readings_with_covariates(state, request)
+    if state.with_effects:
+        _refuse_untestable(state, effect_readings, effects)
+    try:
+        corrected = estimate_with_effects(
+            effect_readings,
+            effects,
+            state.estimate.theta,
+            stages=state.resolved.identification_stages,
+            estimate_noise=state.estimates_noise,
+            max_iterations=state.study.identify.max_iterations,
+        )
+    except IdentificationError as error:
+        if state.with_effects:
+            raise
+        names = ", ".join(effect.name for effect in effects)
+        return state.add_warnings(
+            f"nothing is corrected for {names}, because with them in the model {error}"
+        )
+    if corrected is None:
+        return state.add_warnings("no effect that was named changes these readings")
+    state = state.replace(corrected=corrected)
+    # the noise without what the effects explain
+    setups = state.measurement.setups
+    noisy = with_noise(state.goodness, corrected.estimate, setups)
+    state = state.add_sections(goodness=noisy)
+    return _add_section(state, corrected, gap)
+
+
+def _effects(
+    state: Fitted, request: GapRequest, gap: GapSection | None
+) -> list[Effect]:
+    """The effects of the command, or those that the diagnosis holds likely."""
+    if state.with_effects:
+        location = state.study.location.key("--with")
+        names = dict.fromkeys(state.with_effects)
+        return [state.resolved.effect_of_catalogue(name, location) for name in names]
+    if gap is None or not gap.effect_likely:
+        return []
+    by_name = {effect.name: effect for effect in request.effects}
+    # with the constants of the forms that the diagnosis selected
+    return [
+        with_constants(by_name[name], gap.constants.get(name, {}))
+        for name in gap.selected
+        if name in by_name
+    ]
+
+
+def _refuse_untestable(
+    state: Fitted, effect_readings: EffectReadings, effects: Sequence[Effect]
+) -> None:
+    """Raises InputError for an effect that these readings cannot show."""
+    states = effect_readings.problem(state.estimate.theta).states
+    for effect in effects:
+        reason = untestable(effect, states)
+        if reason is not None:
+            raise state.study.location.key("--with").error(
+                f"{effect.name} cannot be estimated: {reason}",
+                "record it, or name other effects",
+                effect.name,
+            )
+
+
+def _add_section(
+    state: Fitted, corrected: CorrectedEstimate, gap: GapSection | None
+) -> Fitted:
+    """The state with the section `corrected`: estimates, conditions, prediction."""
+    study, rng = state.study, state.rng(Stream.CORRECTED)
+    draws = None
+    if study.posterior.enabled and (state.posterior or state.with_effects):
+        draws = _sample(state, corrected, rng)
+        state = state.add_warnings(*sampling_warnings(draws, study.posterior.ess))
+    table = study.prediction
+    kinematics = state.measurement.kinematics
+    command = regular_commands(study, kinematics)
+    reference = "home" if table is None else table.reference
+    accuracy = None
+    if len(command):
+        theta = _approximate(corrected, rng) if draws is None else draws.pooled
+        worth = None if draws is None else float(np.nanmin(draws.ess))
+        plain = state.estimate.theta[: len(kinematics.machine.parameters)]
+        accuracy = predict_corrected(
+            corrected, command, reference, rng, theta, worth, plain
+        )
+    workspace = Workspace(
+        command=command,
+        axes=workspace_axes(study, kinematics.machine),
+        wanted=state.resolved.wanted_accuracy,
+    )
+    goodness = goodness_of_delivered(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        state.doubtful_values,
+    )
+    estimate = dataclasses.replace(
+        corrected.estimate, chi2=goodness.chi2, dof=goodness.dof
+    )
+    corrected = dataclasses.replace(corrected, estimate=estimate)
+    section = corrected_section(
+        corrected,
+        gap,
+        accuracy,
+        draws,
+        workspace,
+        origin="given" if state.with_effects else "diagnosis",
+        truth=state.readings.truth,
+        warnings=misfit_warnings(goodness, noise_is_a_guess=state.noise_is_a_guess),
+    )
+    if accuracy is not None:
+        section = add_least_error(section, corrected, accuracy, plain)
+    turned = find_turned_runs(corrected)
+    if turned is not None:
+        return _mark_turned_runs(state, section, turned)
+    state = state.add_sections(corrected=section)
+    if gap is not None and not state.with_effects:
+        joint = add_joint_coefficients(gap, corrected)
+        return _add_true_alarms(state.add_sections(gap=joint), section)
+    state = state.add_warnings(*implausible_sizes(corrected))
+    return _add_true_alarms(state, section)
+
+
+def _mark_turned_runs(
+    state: Fitted, section: CorrectedSection, turned: TurnedRuns
+) -> Fitted:
+    """The state that names runs which were driven the other way than written."""
+    sentence = turned_sentence(section, turned)
+    goodness = add_turned_runs(state.goodness, section, turned)
+    warnings = [*section.warnings, sentence]
+    section = msgspec.structs.replace(section, warnings=warnings)
+    state = state.add_sections(corrected=section, goodness=goodness)
+    return state.replace(warnings=(sentence, *state.warnings))
+
+
+def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
+    """The state whose alarms hold for the corrected values, where these fit."""
+    checked = state.checked
+    if checked is None or not checked.bad_fit:
+        return state
+    if not resolves_alarm(section, checked.findings):
+        return state
+    goodness = resolved_section(state.goodness, section, checked.findings)
+    true = resolved_sentences(section, checked.findings)
+    state = state.add_sections(goodness=goodness)
+    # The fit without effects is not delivered: its own section keeps its warnings.
+    plain = set(state.estimate_section.warnings)
+    stated = [true.get(w, w) for w in state.warnings if w not in plain]
+    return state.replace(warnings=tuple(stated))
+
+
+def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Array:
+    """Draws (m, n) of parameters and effects without a posterior."""
+    return posterior.draw_approximation(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        rng,
+    ).theta
+
+
+def _sample(
+    state: Fitted, corrected: CorrectedEstimate, rng: np.random.Generator
+) -> posterior.Posterior:
+    state.progress.stage("posterior with the effects")
+    return posterior.sample(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        rng,
+        **sampler_options(state.study.posterior),
+        progress=state.progress.share,
+    )

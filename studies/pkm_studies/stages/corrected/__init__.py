@@ -1,1 +1,0 @@
-"""Parameters and effects estimated together as the section `corrected`."""

@@ -1,0 +1,845 @@
+"""The steps that predict accuracy: after the fit or the plan, its budget, and held-out readings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import get_args
+
+import msgspec
+import numpy as np
+
+from oed import posterior, trust, units
+from oed.accuracy import (
+    Budget,
+    ErrorMaps,
+    Prediction,
+    Reference,
+    Spread,
+    budget_model,
+    driven_errors,
+)
+from oed.base import Array, Mask
+from oed.effect_model import EFFECT_SIZES
+from oed.effects import ExpectedEffect, ExpectedEffects, SessionStates, expected_effects
+from oed.estimation import Estimate, fit_machines
+from oed.gap import assemble
+from oed.instrument import Channel
+from oed.measurement import Measurement, Series, draw_parameters, reading_structure
+from oed.mechanism import Kinematics
+from oed.model import Machine
+from oed.noise import Laws
+from oed.posterior import ApproximateDraws
+from oed.result import (
+    BudgetLine,
+    BudgetSection,
+    ComponentAccuracy,
+    HeldOutSection,
+    HeldOutVerdict,
+    MapPoint,
+    PredictionSection,
+    SpreadRecord,
+    ToolAccuracy,
+    UnmodelledLine,
+    UsualEffects,
+)
+from oed.units import MM
+from pkm_studies import describe
+from pkm_studies.base import Stream
+from pkm_studies.resolve import GapRequest
+from pkm_studies.results import Values, advice_on, error_ratio
+from pkm_studies.stages.fit.estimate import session_states
+from pkm_studies.stages.gap.diagnosis import empty_readings
+from pkm_studies.stages.predict import knowledge
+from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
+from pkm_studies.stages.run_state import (
+    Fitted,
+    HeldOut,
+    Measured,
+    Scheduled,
+    ScheduledT,
+)
+from pkm_studies.tables import PredictionTable
+
+# Reports the predicted accuracy over the workspace: the section `prediction`.
+
+
+def add_realised(
+    section: PredictionSection, realised: Mapping[str, Spread] | None
+) -> PredictionSection:
+    """The section with the accuracy of virtual machines, by component, if any."""
+    if realised is None:
+        return section
+    spreads = {n: spread_record(s, section.unit[n]) for n, s in realised.items()}
+    shares = {n: s.rms / section.components[n].after.rms for n, s in spreads.items()}
+    return msgspec.structs.replace(section, realised=spreads, realised_share=shares)
+
+
+def accuracy_section(
+    kinematics: Kinematics,
+    prediction: Prediction,
+    mode: str,
+    budget: Budget | None = None,
+) -> PredictionSection:
+    """A prediction in the components' fine units; `mode` says what it rests on."""
+    machine = kinematics.machine
+    of_sources = {} if budget is None else budget.shares()
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    compensatable = {c.name: c.compensatable for c in machine.components}
+    components = {
+        name: ComponentAccuracy(
+            compensatable=compensatable[name],
+            before=spread_record(prediction.before[name], fine[name]),
+            after=spread_record(prediction.after[name], fine[name]),
+            known=spread_record(prediction.fully_corrected[name], fine[name]),
+            budget=of_sources.get(name, {}),
+        )
+        for name in prediction.names
+    }
+    points = []
+    poses = kinematics.inverse(prediction.command)[0]
+    _, tips, _ = kinematics.frames(poses, np.zeros(3))
+    for i, command in enumerate(prediction.command):
+        before = _component_values(prediction, prediction.sd_before[i], fine)
+        after = _component_values(prediction, prediction.sd_after[i], fine)
+        tip = [float(v) for v in tips[i]]
+        points.append(
+            MapPoint(describe.displayed_command(machine, command), before, after, tip)
+        )
+    return PredictionSection(
+        reference=prediction.reference,
+        components=components,
+        unit=fine,
+        poses=len(prediction.command),
+        map=points,
+        mode=mode,
+        worst={
+            name: points[int(np.argmax(prediction.sd_after[:, k]))]
+            for k, name in enumerate(prediction.names)
+        },
+    )
+
+
+def add_wanted(
+    section: PredictionSection, wanted: Mapping[str, float]
+) -> PredictionSection:
+    """The section with the rms errors to reach, given in SI by component."""
+    fine = {name: units.number(v, section.unit[name]) for name, v in wanted.items()}
+    return msgspec.structs.replace(section, wanted=fine)
+
+
+def component_records(
+    machine: Machine, prediction: Prediction
+) -> dict[str, SpreadRecord]:
+    """Spread after compensation by component, in its fine unit."""
+    return {
+        c.name: spread_record(prediction.after[c.name], units.FINE[c.unit])
+        for c in machine.components
+    }
+
+
+def tool_accuracy(
+    machine: Machine, prediction: Prediction, length: float
+) -> ToolAccuracy:
+    """Accuracy after compensation at a tool of a length, m."""
+    unit = units.display("m")
+    records = component_records(machine, prediction)
+    return ToolAccuracy(units.number(length, unit), unit, records)
+
+
+def _component_values(
+    prediction: Prediction, values: Array, fine: Mapping[str, str]
+) -> dict[str, float]:
+    """Values (k,), SI, by component, in its fine unit."""
+    pairs = zip(prediction.names, values, strict=True)
+    return {name: units.number(value, fine[name]) for name, value in pairs}
+
+
+def spread_record(spread: Spread, unit: str) -> SpreadRecord:
+    """A spread, SI, in a unit."""
+
+    def interval(ends: tuple[float, float]) -> tuple[float, float] | None:
+        if not np.isfinite(ends).all():
+            return None
+        return units.number(ends[0], unit), units.number(ends[1], unit)
+
+    return SpreadRecord(
+        rms=units.number(spread.rms, unit),
+        p95=units.number(spread.p95, unit),
+        max=units.number(spread.largest, unit),
+        unit=unit,
+        rms_interval=interval(spread.rms_interval),
+        p95_interval=interval(spread.p95_interval),
+        max_interval=interval(spread.largest_interval),
+        rms_quantiles=[units.number(q, unit) for q in spread.rms_quantiles],
+        monte_carlo={
+            name.replace("largest", "max"): [units.number(e, unit) for e in errors]
+            for name, errors in spread.monte_carlo.items()
+        },
+    )
+
+
+# Reports the uncertainty budget, and what to improve first: `prediction.budget`.
+
+
+#: largest usual size of an effect that the model lacks, in expected sizes
+FAR = EFFECT_SIZES.usual[-1]
+
+
+def budget_section(
+    machine: Machine,
+    prediction: Prediction,
+    budget: Budget,
+    expected: ExpectedEffects | None = None,
+) -> BudgetSection:
+    """The budget in the components' fine units, with effects that are not modelled."""
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    driven = {c.name: fine[c.name] for c in machine.components if c.compensatable}
+    lines = [_line(budget, k, fine) for k in range(len(budget.lines))]
+    predicted = _displayed_shares(budget.names, np.sqrt(budget.variance), fine)
+    after = np.array([prediction.after[name].rms for name in budget.names])
+    effects = [] if expected is None else expected.effects
+    unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in effects]
+    geometry = _displayed_shares(budget.names, after, fine)
+    unmodelled.sort(key=lambda line: -error_ratio(line.with_it, geometry, driven))
+    return BudgetSection(
+        predicted=dict(predicted),
+        lines=lines,
+        unmodelled=unmodelled,
+        usual=_usual(expected, budget.names, after, driven or fine),
+        advice=advice_on(lines, predicted, driven or fine),
+        no_axes={n: v for n, v in geometry.items() if n not in driven},
+    )
+
+
+def _displayed_shares(
+    names: Sequence[str], values: Array, fine: Mapping[str, str]
+) -> Values:
+    pairs = zip(names, values, strict=True)
+    return {name: units.number(value, fine[name]) for name, value in pairs}
+
+
+def _line(budget: Budget, number: int, fine: Mapping[str, str]) -> BudgetLine:
+    names, line = budget.names, budget.lines[number]
+    share = np.zeros_like(budget.variance)
+    np.divide(line.variance, budget.variance, out=share, where=budget.variance > 0.0)
+    size = np.sign(line.variance) * np.sqrt(np.abs(line.variance))
+    without, halved = (
+        None if values is None else dict(_displayed_shares(names, values, fine))
+        for values in (line.without, line.halved)
+    )
+    return BudgetLine(
+        source=line.source,
+        kind=line.kind,
+        share=dict(zip(names, share.tolist(), strict=True)),
+        size=dict(_displayed_shares(names, size, fine)),
+        without=without,
+        halved=halved,
+    )
+
+
+def _unmodelled(
+    expected: ExpectedEffect,
+    names: Sequence[str],
+    after: Array,
+    fine: Mapping[str, str],
+) -> UnmodelledLine:
+    variance = expected.variance.mean(axis=0)
+    effect = expected.effect
+    return UnmodelledLine(
+        effect=effect.name,
+        about=effect.about,
+        expected=_expected_size(expected),
+        size=dict(_displayed_shares(names, np.sqrt(variance), fine)),
+        with_it=dict(_displayed_shares(names, np.sqrt(after**2 + variance), fine)),
+        remedy=effect.remedy,
+        not_testable=expected.not_testable,
+        far=dict(_displayed_shares(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
+    )
+
+
+def _usual(
+    expected: ExpectedEffects | None,
+    names: Sequence[str],
+    after: Array,
+    shown: Mapping[str, str],
+) -> UsualEffects | None:
+    """The machine with all effects; None where none are expected.
+
+    shown  {component: fine unit} of those that compensation corrects
+    """
+    if expected is None:
+        return None
+    added = expected.added.mean(axis=0)
+    fitted = expected.fitted.mean(axis=0)
+    return UsualEffects(
+        effects=[effect.effect.name for effect in expected.effects],
+        unmodelled=_shown_shares(names, np.sqrt(after**2 + added), shown),
+        fitted=_shown_shares(names, np.sqrt(fitted), shown),
+    )
+
+
+def _shown_shares(
+    names: Sequence[str], values: Array, shown: Mapping[str, str]
+) -> dict[str, float]:
+    pairs = dict(zip(names, values, strict=True))
+    return {name: units.number(pairs[name], unit) for name, unit in shown.items()}
+
+
+def _expected_size(expected: ExpectedEffect) -> str:
+    """Prior standard deviations of the coefficients: `3 C`, or the range of several."""
+    sizes: dict[str, list[float]] = {}
+    for name, scale in expected.sizes.items():
+        unit, factor = units.coefficient_unit(expected.effect.unit(name))
+        sizes.setdefault(unit, []).append(scale / factor)
+    parts = []
+    for unit, values in sizes.items():
+        low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+        span = low if low == high else f"{low} to {high}"
+        parts.append(f"{span} {unit}")
+    return ", ".join(parts)
+
+
+# Steps that predict: accuracy over the workspace, and held-out readings.
+
+
+# Compares held-out readings with their predictive intervals: the section `held_out`.
+#
+# A new mounting adds unknowns of its own, such as a probe's offset, which no earlier
+# reading can know. They alone are fitted to the held-out readings, within their
+# tolerances, in readings and draws alike: r = Q (y - f), and the interval is that of
+# Q (y* - f), with Q = 1 - J_s (J_s^T W J_s + Lambda_s^-1)^-1 J_s^T W.
+#
+# The verdict compares with readings drawn from the prediction itself, so that errors which
+# all readings share count as such. The share inside the 95 % intervals is too low where
+# fewer than `RARE` of the draws have a lower one. The ratio of the rms after the fit to
+# that before it contradicts the fit where few draws have a larger one, and confirms it
+# where few draws of the nominal numbers have a smaller one.
+
+#: ends of a 95 % interval
+INTERVAL = (0.025, 0.975)
+#: share of draws that are rarer than chance
+RARE = 0.01
+READ_AGAIN = (
+    "Either they were read with other numbers in the machine than stated, such as a bed"
+    " mesh probed before the last calibration was saved, or the fit is wrong: read them"
+    " again before its numbers are used"
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HypothesisDraws:
+    """Draws of the machine by one fit.
+
+    estimate  the fit
+    theta     (m, n) parameters, SI
+    law       (m, d) coordinates of the noise law
+    changes   (m, N) of the held-out readings by effects, SI; None without
+    """
+
+    estimate: Estimate
+    theta: Array
+    law: Array
+    changes: Array | None = None
+
+    def readings(self, measurement: Measurement, series: Series, start: int) -> Array:
+        """Readings (m, k) of a series, the held-out ones from `start` on, SI."""
+        predicted = measurement.readings([series], self.theta)
+        if self.changes is None:
+            return predicted
+        return predicted + self.changes[:, start : start + predicted.shape[1]]
+
+
+def held_out_sections(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    drawn: Sequence[HypothesisDraws],
+    rng: np.random.Generator,
+) -> list[HeldOutSection]:
+    """One section for each series and channel of the held-out readings y (N,), SI.
+
+    drawn  by each hypothesis, as many as its share
+    """
+    mean = np.vstack([machines.theta for machines in drawn]).mean(axis=0)
+    sections, start = [], 0
+    for s in series:
+        channels = measurement.setups[s.setup].instrument.channels
+        readings = y[start : start + len(s) * len(channels)]
+        predicted = np.vstack([m.readings(measurement, s, start) for m in drawn])
+        start += len(readings)
+        noise = np.vstack([_noise_draws(measurement, s, m, rng) for m in drawn])
+        centre = predicted.mean(axis=0)
+        adjust = _setup_adjustment(measurement, s, mean)
+        draws = (predicted + noise - centre) @ adjust.T
+        low, high = np.quantile(draws, INTERVAL, axis=0)
+        raw = readings - centre
+        before = readings - measurement.readings([s], measurement.nominal)
+        whole = HeldOutComparison(
+            residual=adjust @ raw,
+            before=adjust @ before,
+            low=low,
+            high=high,
+            draws=draws,
+            noise=noise @ adjust.T,
+        )
+        for k, channel in enumerate(channels):
+            members = slice(k, None, len(channels))
+            sections.append(
+                _held_out_section(s.setup, channel, whole.take(members), raw[members])
+            )
+    return sections
+
+
+def _held_out_section(
+    setup: str, channel: Channel, compared: HeldOutComparison, raw: Array
+) -> HeldOutSection:
+    unit = units.FINE[channel.unit]
+    residual = compared.residual
+    half_widths = (compared.high - compared.low) / 2.0
+    return HeldOutSection(
+        name=setup,
+        channel=channel.name,
+        n=len(residual),
+        rms=_rms_in(residual, unit),
+        rms_raw=_rms_in(raw, unit),
+        unit=unit,
+        coverage=compared.coverage,
+        residuals=[units.number(v, unit) for v in residual],
+        half_widths=[units.number(v, unit) for v in half_widths],
+        predicted=_rms_in(compared.draws, unit),
+        rms_before=_rms_in(compared.before, unit),
+        verdict=compared.verdict,
+        words=compared.words(setup, channel.name, unit),
+    )
+
+
+def _rms_in(values: Array, unit: str) -> float:
+    return units.number(_rms(values), unit)
+
+
+def _setup_adjustment(measurement: Measurement, series: Series, mean: Array) -> Array:
+    """Q (N, N), which takes the set-up's unknowns out of its readings."""
+    columns = _setup_unknowns(measurement, series.setup)
+    slope = measurement.jacobian([series], mean)[:, columns]
+    noise = measurement.noise([series])
+    white = noise.whiten(slope)
+    precision = white.T @ white + np.diag(measurement.tolerance[columns] ** -2.0)
+    weight = white.T @ noise.whiten(np.eye(len(slope)))
+    return np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight)
+
+
+def _setup_unknowns(measurement: Measurement, setup: str) -> Mask:
+    """Free parameters (n,) of one set-up."""
+    of_setup = np.array([n.startswith(f"{setup}.") for n in measurement.names])
+    return of_setup & measurement.free
+
+
+def _noise_draws(
+    measurement: Measurement,
+    series: Series,
+    drawn: HypothesisDraws,
+    rng: np.random.Generator,
+) -> Array:
+    """Errors (m, N), SI, of new readings: one for each draw of the noise law."""
+    structure = reading_structure(measurement, [series], drawn.theta[0])
+    laws = Laws.stated(structure, len(drawn.law), drawn.estimate.scatter)
+    fitted = drawn.estimate.noise_posterior
+    if fitted is not None:
+        law = fitted.prior.laws(drawn.law)
+        kinds = [_channel_kind(measurement, n) for n in fitted.structure.names]
+        scale = np.ones((len(drawn.law), len(structure.names)))
+        for k, name in enumerate(structure.names):
+            kind = _channel_kind(measurement, name)
+            if kind in kinds:
+                scale[:, k] = law.scale[:, kinds.index(kind)]
+        laws = dataclasses.replace(law, scale=scale)
+    errors = laws.whitening(structure).draw(
+        rng, structure.statement, estimated=fitted is not None
+    )
+    return structure.restore(errors)
+
+
+def _channel_kind(measurement: Measurement, name: str) -> tuple[str, str]:
+    """Instrument and channel of a group of readings, `set-up.channel`."""
+    setup, _, channel = name.rpartition(".")
+    return measurement.setups[setup].instrument.name, channel
+
+
+# -- verdict ---------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HeldOutComparison:
+    """Readings of one channel against a fit and against the nominal numbers, SI.
+
+    residual  (n,) reading minus the centre of the prediction
+    before    (n,) reading minus what the nominal numbers give
+    low, high (n,) ends of the 95 % intervals of the residual
+    draws     (m, n) predicted residuals
+    noise     (m, n) their noise alone
+    """
+
+    residual: Array
+    before: Array
+    low: Array
+    high: Array
+    draws: Array
+    noise: Array
+
+    def take(self, members: slice) -> HeldOutComparison:
+        """The comparison of some readings."""
+        fields = (field.name for field in dataclasses.fields(self))
+        return HeldOutComparison(
+            **{name: getattr(self, name)[..., members] for name in fields}
+        )
+
+    @property
+    def coverage(self) -> float:
+        """Share of the readings inside their intervals."""
+        return float(self._inside(self.residual))
+
+    @property
+    def is_uncovered(self) -> bool:
+        """Whether fewer readings are inside than belong there."""
+        return self.coverage < float(np.quantile(self._inside(self.draws), RARE))
+
+    @property
+    def verdict(self) -> HeldOutVerdict:
+        """What the readings say of the fit."""
+        correction = self.before - self.residual
+        gain = _mean_square(self.before) - _mean_square(self.residual)
+        by_fit = _mean_square(self.draws + correction) - _mean_square(self.draws)
+        by_nominal = _mean_square(self.noise) - _mean_square(self.noise - correction)
+        if gain < min(np.quantile(by_fit, RARE), 0.0):
+            return "contradicts"
+        if gain > max(np.quantile(by_nominal, 1.0 - RARE), 0.0):
+            return "confirms"
+        return "contradicts" if self.is_uncovered else "agrees"
+
+    def words(self, setup: str, channel: str, unit: str) -> str:
+        """The verdict in words."""
+        predicted, after, before = (
+            f"{units.number(value, unit):.3g} {unit}"
+            for value in map(_rms, (self.draws, self.residual, self.before))
+        )
+        share = f"{100.0 * self.coverage:.0f} %"
+        sentence = (
+            f"Held-out readings of {setup} ({len(self.residual)}, {channel}): predicted"
+            f" {predicted} rms, seen {after} rms ({before} with the nominal numbers);"
+            f" {share} are inside the predicted 95 %"
+        )
+        return ". ".join([sentence, *self._conclusions()])
+
+    def _conclusions(self) -> list[str]:
+        verdict = self.verdict
+        if verdict == "contradicts":
+            why = "the nominal numbers predict them better"
+            if self.is_uncovered:
+                why = "fewer are inside than belong there"
+            return [f"They contradict the fit: {why}", READ_AGAIN]
+        lines = ["They confirm the fit"] if verdict == "confirms" else []
+        if self.is_uncovered:
+            lines.append(
+                "Fewer are inside than belong there: they scatter more than the stated or"
+                " estimated noise says"
+            )
+        return lines
+
+    def _inside(self, residual: Array) -> Array:
+        inside = (residual >= self.low) & (residual <= self.high)
+        return np.asarray(inside.mean(axis=-1))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _mean_square(values: Array) -> Array:
+    """Mean square over the last axis."""
+    return np.asarray(np.mean(values**2, axis=-1))
+
+
+# Checks a prediction on virtual machines: read, identified, compensated, measured.
+
+#: machines that go through the check together
+TOGETHER = 200
+
+
+def realised_accuracy(
+    measurement: Measurement,
+    series: Sequence[Series],
+    command: Array,
+    reference: Reference,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Spread] | None:
+    """True pose error after compensation, by component, of `count` drawn machines.
+
+    command   (n, n_dof) commands at which the error is computed
+    stages    patterns of the parameters freed in turn
+    progress  called with the share of machines that are done
+
+    None where no machine is asked for.
+    """
+    if not count:
+        return None
+    keep = len(measurement.machine.parameters)
+    errors = []
+    for start in range(0, count, TOGETHER):
+        machines = min(TOGETHER, count - start)
+        truth, y = _draw_machines(measurement, series, machines, rng)
+        theta = fit_machines(measurement, series, y, stages=stages)
+        identified, true = theta[:, :keep], truth[:, :keep]
+        errors.append(
+            driven_errors(
+                measurement.kinematics, command, true, reference, believed=identified
+            )
+        )
+        if progress is not None:
+            progress((start + machines) / count)
+    table = np.concatenate(errors)
+    return {
+        c.name: Spread.of_errors(table[:, :, k])
+        for k, c in enumerate(measurement.machine.components)
+    }
+
+
+def _draw_machines(
+    measurement: Measurement,
+    series: Sequence[Series],
+    machines: int,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """True parameters (m, n) and noisy readings (m, N) of machines, SI.
+
+    Each machine draws its parameters, then its noise: how many machines are drawn
+    together changes no number.
+    """
+    noise = measurement.noise(series)
+    truth, errors = [], []
+    for _ in range(machines):
+        truth.append(draw_parameters(measurement, rng))
+        errors.append(noise.draw(rng, (len(noise.sigma),)))
+    exact = measurement.readings(series, np.array(truth))
+    return np.array(truth), exact + np.array(errors)
+
+
+#: draws used for predictive intervals
+PREDICTIVE_DRAWS = 2000
+
+
+def predict_accuracy(state: ScheduledT) -> ScheduledT:
+    """Predict the residual accuracy over the workspace, and check it on machines.
+
+    With readings of a virtual machine, which only exercise the plan, the prediction
+    rests on the tolerances alone.
+    """
+    request, machine = state.resolved.prediction, state.measurement.machine
+    if request is None:
+        return state
+    table, command = request.table, request.command
+    if _is_untrusted(state):
+        reason = _withheld(state)
+        return state.add_warnings(reason).withhold_section("prediction", reason)
+    state.progress.stage("prediction")
+    realised = _realised(state, table, command)
+    rng = state.rng(Stream.PREDICT)
+    known = _knowledge(state)
+    others = [r for r in get_args(Reference) if r != table.reference]
+    by_reference = knowledge.accuracy(known, command, [table.reference, *others], rng)
+    section = _section(state, known, by_reference[table.reference])
+    section = msgspec.structs.replace(
+        section,
+        references={
+            reference: component_records(machine, result.prediction)
+            for reference, result in by_reference.items()
+        },
+        tools=_tools(state, table, known, command),
+    )
+    section = add_wanted(section, state.resolved.wanted_accuracy)
+    return state.add_sections(prediction=add_realised(section, realised))
+
+
+def _realised(
+    state: Scheduled, table: PredictionTable, command: Array
+) -> Mapping[str, Spread] | None:
+    """Accuracy of virtual machines; None where the study asks for none."""
+    return realised_accuracy(
+        state.measurement,
+        state.readings.series,
+        command,
+        table.reference,
+        table.virtual_machines,
+        state.rng(Stream.MACHINES),
+        stages=state.resolved.identification_stages,
+        progress=state.progress.share,
+    )
+
+
+def _knowledge(state: Scheduled) -> ParameterKnowledge:
+    """What the prediction rests on: real readings, or the plan."""
+    series = state.readings.series
+    if not isinstance(state, Fitted) or state.readings.truth is not None:
+        return knowledge.planned(state.measurement, series)
+    draws = _draws(state)
+    return knowledge.identified(state.measurement, series, state.estimate, draws)
+
+
+def _draws(state: Fitted) -> ApproximateDraws:
+    """Draws of parameters and noise law: of the posterior, or of its approximation.
+
+    Both follow directions that no reading determines; a covariance does not.
+    """
+    sampled = state.posterior
+    if sampled is not None:
+        theta, laws = sampled.pooled, sampled.noise_law
+        laws = laws.reshape(len(theta), laws.shape[2])
+        return ApproximateDraws(theta, laws, float(np.nanmin(sampled.ess)))
+    return posterior.draw_approximation(
+        state.measurement,
+        state.readings.series,
+        state.readings.y,
+        state.estimate,
+        state.rng(Stream.LAPLACE),
+    )
+
+
+def _section(
+    state: Scheduled, known: ParameterKnowledge, main: Accuracy
+) -> PredictionSection:
+    """The section with its budget."""
+    machine, planned = state.measurement.machine, known.mean is None
+    budget = known.model.budget(
+        main.maps,
+        estimated=known.estimated,
+        predicted=main.variance,
+    )
+    mode = "plan" if planned else "identified"
+    section = accuracy_section(
+        state.measurement.kinematics, main.prediction, mode, budget
+    )
+    expected = _expected_effects(state, main) if planned else None
+    lines = budget_section(machine, main.prediction, budget, expected)
+    return msgspec.structs.replace(section, budget=lines)
+
+
+def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | None:
+    """Effects that usually go unmodelled, at the sizes that are expected of them."""
+    return expected_unmodelled(
+        state.measurement,
+        state.readings.series,
+        main.maps,
+        state.resolved.gap_or_default,
+        main.prediction.reference,
+        state.rng(Stream.UNMODELLED),
+    )
+
+
+def _tools(
+    state: Scheduled,
+    table: PredictionTable,
+    known: ParameterKnowledge,
+    command: Array,
+) -> list[ToolAccuracy]:
+    """Accuracy after compensation at tools of the lengths that the study names."""
+    machine = state.measurement.machine
+    rng = state.rng(Stream.TOOLS)
+    records = []
+    for length in table.tools:
+        tool = np.array([0.0, 0.0, length * MM])
+        moved = machine.with_tool(command, tool)
+        result = knowledge.accuracy(known, moved, [table.reference], rng, tool)
+        predicted = result[table.reference].prediction
+        records.append(tool_accuracy(machine, predicted, length * MM))
+    return records
+
+
+def _is_untrusted(state: Scheduled) -> bool:
+    """Whether a prediction would rest on a fit that is not to be trusted.
+
+    With readings of a virtual machine it rests on none.
+    """
+    if not isinstance(state, Measured) or state.readings.truth is not None:
+        return False
+    result = state.result
+    fitted = trust.section_objections(result.goodness, result.estimate)
+    return state.fit_is_bad or bool(fitted)
+
+
+def _withheld(state: Scheduled) -> str:
+    """Why no accuracy is predicted from the fit without effects."""
+    if not isinstance(state, Fitted) or state.corrected is None:
+        return "The predicted accuracy is withheld: it would rest on a bad fit"
+    return "The fit without effects is bad: no accuracy is predicted from it"
+
+
+def predict_held_out(state: Fitted) -> Fitted:
+    """Compare held-out readings with what the fit predicts, over all answers if any."""
+    held_out = state.readings.held_out
+    if held_out is None:
+        return state
+    state.progress.stage("held-out readings")
+    rng = state.rng(Stream.HELD_OUT)
+    drawn = _hypothesis_draws(state, held_out, rng)
+    sections = held_out_sections(
+        state.measurement, held_out.series, held_out.y, drawn, rng
+    )
+    return state.add_sections(held_out=sections)
+
+
+def _hypothesis_draws(
+    state: Fitted, held_out: HeldOut, rng: np.random.Generator
+) -> list[HypothesisDraws]:
+    """Draws by the fit, or by each answer of the diagnosis in its share."""
+    if state.mixture is None:
+        draws = _draws(state)
+        count = min(PREDICTIVE_DRAWS, len(draws.theta))
+        rows = rng.choice(len(draws.theta), size=count, replace=False)
+        return [
+            HypothesisDraws(state.estimate, draws.theta[rows], draws.noise_law[rows])
+        ]
+    problem = assemble(
+        state.measurement,
+        held_out.series,
+        held_out.covariates,
+        state.estimate.theta,
+        gravity=state.resolved.gap_or_default.gravity,
+    )
+    session = session_states(state)
+    parts = []
+    taken = state.mixture.rows(rng, PREDICTIVE_DRAWS)
+    for answer, rows in zip(state.mixture.answers, taken, strict=True):
+        changes = None
+        if answer.columns is not None:
+            coefficients = answer.coefficients[rows]
+            changes = coefficients @ answer.columns.changes(problem, session).T
+        if len(rows):
+            theta, law = answer.theta[rows], answer.noise_law[rows]
+            parts.append(HypothesisDraws(answer.estimate, theta, law, changes))
+    return parts
+
+
+# -- effects that no plan models -------------------------------------------------------
+
+
+def expected_unmodelled(
+    measurement: Measurement,
+    series: Sequence[Series],
+    maps: ErrorMaps,
+    request: GapRequest,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> ExpectedEffects | None:
+    """Errors by each effect of a request in planned readings and over the workspace."""
+    planned = empty_readings(measurement, series, request)
+    problem = assemble(
+        measurement, planned.series, planned.covariates, gravity=request.gravity
+    )
+    model = budget_model(measurement, problem.series, measurement.nominal)
+    return expected_effects(
+        problem, SessionStates.of(problem), model, maps, request.effects, reference, rng
+    )

@@ -1,1 +1,0 @@
-"""Steps of a run: each takes the state of a run and returns the next one."""
