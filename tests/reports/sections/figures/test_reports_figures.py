@@ -140,8 +140,8 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
         "channels": ["length"] * 6000,
     }
     report = build_document(result_of(raw))
-    assert report.images["residuals"].kind == "png"
     assert b"data:image/png" in render_html(report)
+    assert report.images["residuals"].kind == "png"
     assert render_pdf(report).startswith(b"%PDF")
 
 
