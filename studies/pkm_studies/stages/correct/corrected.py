@@ -38,6 +38,7 @@ from oed.estimation import IdentificationError
 from oed.fit_limits import noise_ratio
 from oed.gap import untestable
 from oed.measurement import Measurement
+from oed.mechanism import AssemblyError
 from oed.model import Machine
 from oed.posterior import Posterior
 from oed.result import (
@@ -618,12 +619,20 @@ def correct_for_effects(state: Fitted) -> Fitted:
         )
     if corrected is None:
         return state.add_warnings("no effect that was named changes these readings")
-    state = state.replace(corrected=corrected)
     # the noise without what the effects explain
     setups = state.measurement.setups
     noisy = with_noise(state.goodness, corrected.estimate, setups)
-    state = state.add_sections(goodness=noisy)
-    return _add_section(state, corrected, gap)
+    with_effects = state.replace(corrected=corrected).add_sections(goodness=noisy)
+    try:
+        return _add_section(with_effects, corrected, gap)
+    except AssemblyError as error:
+        if state.with_effects:
+            raise
+        names = ", ".join(effect.name for effect in effects)
+        return state.add_warnings(
+            f"nothing is corrected for {names}, because the machine that these readings"
+            f" then give does not reach its workspace: {error}"
+        )
 
 
 def _effects(
