@@ -8,7 +8,7 @@
 Machines are drawn by an independent generator (`benchmarks.second`). Judged is the error
 of the tool point at the session's poses, free of its best rigid motion: by the parameters
 alone, and with the effects corrected as well; in the second campaign by the best answer
-of a diagnosis, and by the mixture over all answers.
+of a diagnosis, and by the mixture over all hypotheses.
 """
 
 from __future__ import annotations

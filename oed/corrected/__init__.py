@@ -7,7 +7,7 @@ MeasurementWithEffects  a measurement whose parameters include effects' coeffici
 ChosenForm              the form of an effect that suits the readings best
 with_constants          an effect at given constants
 AnswerFits              how the answers of a diagnosis are fitted
-AnswerMixture           what is known of the machine over all answers
+AnswerMixture           what is known of the machine over all hypotheses
 TurnedRuns              runs that were driven the other way than their rows say
 find_turned_runs        these, where readings can tell
 CorrectedAccuracy       accuracy with parameters and effects compensated

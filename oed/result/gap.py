@@ -41,7 +41,7 @@ class MixedAnswer(Record, frozen=True):
 
 
 class MixedParameter(Record, frozen=True):
-    """A parameter over all answers, in `unit`.
+    """A parameter over all hypotheses, in `unit`.
 
     within     standard deviation that the answers have on average; the rest of `sd` is
                between them
@@ -70,7 +70,7 @@ class CompensationChoice(Record, frozen=True):
 
 
 class MixtureSection(Record, frozen=True):
-    """Parameters and accuracy over all answers of a diagnosis.
+    """Parameters and accuracy over all hypotheses of a diagnosis.
 
     answers     that were fitted, the decision's first
     rest        probability of all others
@@ -80,7 +80,7 @@ class MixtureSection(Record, frozen=True):
                 the mean, shifted so that it takes up what is known of the effects
     covariance  of `parameters`, in their units
     choices     compensations and what all answers expect of each
-    prediction  with `controller` sent, over all answers; null without a workspace
+    prediction  with `controller` sent, over all hypotheses; null without a workspace
     with_effects  the same with the parameters and the effects of the best answer sent;
                 null where none is corrected, or that is expected to be worse
     words       in sentences
@@ -416,7 +416,7 @@ class GapSection(Record, frozen=True):
     words     one finding a sentence, the most important first
     next      what to do about it
     second_visit  readings that separate the answers; null where the first is sure
-    mixture   parameters and accuracy over all answers; null where no answer can be used
+    mixture   parameters and accuracy over all hypotheses; null where no answer can be used
     """
 
     #: probability from which an answer, or an effect, is sure

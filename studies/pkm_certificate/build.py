@@ -42,7 +42,7 @@ ACCURACY = (
 )
 OVER_ANSWERS = (
     "the parameters are those of the fit before its diagnosis; predicted errors are those"
-    " of the machine compensated with the parameters over all answers of the diagnosis, and"
+    " of the machine compensated with the parameters over all hypotheses of the diagnosis, and"
     " hold the effects that these leave possible"
 )
 CHECKED = (

@@ -114,7 +114,7 @@ def controller_values(
 
 
 def mixture_of(result: StudyResult) -> MixtureSection | None:
-    """Parameters over all answers of a diagnosis that a controller can be given."""
+    """Parameters over all hypotheses of a diagnosis that a controller can be given."""
     mixture = None if result.gap is None else result.gap.mixture
     return mixture if mixture is not None and mixture.controller else None
 
@@ -131,7 +131,7 @@ def known_parameters(
 ) -> tuple[Array, Array, str]:
     """Values (n,) of free parameters, their covariance (n, n), SI, and its source.
 
-    After a diagnosis both are those over all of its answers. Otherwise the covariance is
+    After a diagnosis both are those over all of its hypotheses. Otherwise the covariance is
     that of the section `corrected` where there is one, which effects do not bend, or comes
     from the draws of the posterior, or, where there are none, from the estimate.
 
@@ -166,14 +166,14 @@ def known_parameters(
 def _mixture_knowledge(
     mixture: MixtureSection, free: Sequence[str]
 ) -> tuple[Array, Array, str]:
-    """The same over all answers of a diagnosis."""
+    """The same over all hypotheses of a diagnosis."""
     names = list(mixture.parameters)
     indices = [names.index(name) for name in free]
     rows = [mixture.parameters[name] for name in free]
     factors = np.array([units.factor(row.unit) for row in rows])
     covariance = np.array(mixture.covariance)[np.ix_(indices, indices)]
     value = np.array([row.value for row in rows]) * factors
-    source = "parameters over all answers of the diagnosis"
+    source = "parameters over all hypotheses of the diagnosis"
     return value, covariance * np.outer(factors, factors), source
 
 

@@ -827,12 +827,12 @@ def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
     return text.listing(entries)
 
 
-# Chapter: parameters and accuracy over all answers of a diagnosis.
+# Chapter: parameters and accuracy over all hypotheses of a diagnosis.
 
 
 #: compensations that a controller can be sent, as a reader knows them
 COMPENSATIONS: Final = {
-    CompensationName.MIXTURE: "Geometry, over all answers",
+    CompensationName.MIXTURE: "Geometry, over all hypotheses",
     CompensationName.BEST: "Geometry, best answer alone",
     CompensationName.PLAIN: "Geometry, fit without effects",
     CompensationName.BEST_WITH_EFFECTS: "Best answer with its effects corrected",
@@ -932,7 +932,7 @@ def _mixture_parameters(section: MixtureSection) -> Table:
             ]
         )
     caption = (
-        "Parameters over all answers. What the standard deviation has beyond that within"
+        "Parameters over all hypotheses. What the standard deviation has beyond that within"
         " the answers is between them. A controller that corrects geometry alone takes"
         " the last column: those of the least expected error."
     )

@@ -222,7 +222,7 @@ def without_effects(result: StudyResult) -> tuple[str, ...]:
     option = ",".join(f"{name}_{s.unit}={s.rms:.3g}" for name, s in driven.items())
     return (
         f"a controller that corrects the geometry alone is predicted to reach {rms} rms,"
-        f" over all answers of the diagnosis: promise that by `--promise {option}`",
+        f" over all hypotheses of the diagnosis: promise that by `--promise {option}`",
     )
 
 
@@ -281,7 +281,7 @@ def promised_rms(
     chosen: list[int],
     covariance: Array,
 ) -> Array:
-    """Predicted rms (k,), SI: as it is judged, over all answers where there are any.
+    """Predicted rms (k,), SI: as it is judged, over all hypotheses where there are any.
 
     Of what no drive corrects, the part that stays unknown. A prediction made before the
     measurement promises nothing of this machine.

@@ -85,7 +85,7 @@ Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureS
 DRAWS = 100
 #: what the parameters are where effects may act and are not corrected
 SENT = {
-    CompensationName.MIXTURE: "the parameters are the mean of what is known, over all answers where there"
+    CompensationName.MIXTURE: "the parameters are the mean of what is known, over all hypotheses where there"
     " is a diagnosis, shifted so that they take up what is known of effects over the"
     " workspace",
     CompensationName.BEST: "the parameters are those of the likeliest answer, which are expected to leave"
@@ -172,7 +172,7 @@ def adjusted_result(result: StudyResult) -> StudyResult:
 def _adjusted_mixture(
     result: StudyResult, adjustment: AdjustmentSection
 ) -> StudyResult:
-    """The result whose controller parameters over all answers have the adjustments."""
+    """The result whose controller parameters over all hypotheses have the adjustments."""
     mixture = mixture_of(result)
     if mixture is None or result.gap is None:
         return result
@@ -216,14 +216,14 @@ def _effect_parameters(corrected: CorrectedSection, tables: bool) -> tuple[str, 
 def _mixture_parameters(
     mixture: MixtureSection, corrected: CorrectedSection | None, tables: bool
 ) -> tuple[str, ...]:
-    """What the parameters over all answers are, what stays, and what is reached."""
+    """What the parameters over all hypotheses are, what stays, and what is reached."""
     sentences = [SENT.get(mixture.sent, SENT[CompensationName.BEST])]
     if corrected is not None:
         left_out = list(corrected.constants)
         sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")
     if mixture.prediction is not None:
         rms = _rms_of(mixture.prediction)
-        sentences.append(f"predicted rms over all answers: {rms}")
+        sentences.append(f"predicted rms over all hypotheses: {rms}")
     return tuple(sentences)
 
 
@@ -233,7 +233,7 @@ def _if_not_best(mixture: MixtureSection | None) -> tuple[str, ...]:
         return ()
     rms = _rms_of(mixture.with_effects)
     return (
-        "these figures take the diagnosis' best answer as true; over all of its answers"
+        "these figures take the diagnosis' best answer as true; over all of its hypotheses"
         f" the predicted rms with this compensation is {rms}",
     )
 

@@ -209,7 +209,7 @@ class Fitted(Measured):
     posterior  draws about the estimate, where the study asks for them
     corrected  parameters and effects, estimated together
     diagnosis  of what the fit leaves, where there is one
-    mixture    what is known of the machine over all answers of the diagnosis
+    mixture    what is known of the machine over all hypotheses of the diagnosis
     """
 
     estimate: Estimate

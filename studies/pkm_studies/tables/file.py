@@ -54,7 +54,7 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
     effects         effects beside the geometry that the readings are asked about, by name,
                     or "catalogue": all that the machine can have, the default for readings
                     of a machine. Parameters, accuracy and what a controller is sent are
-                    those over all answers; "none": what is said holds for the geometry
+                    those over all hypotheses; "none": what is said holds for the geometry
                     alone, the default for readings of a virtual machine
     """
 

@@ -64,7 +64,7 @@ def test_parameters_far_from_nominal_are_named() -> None:
 
 
 def test_a_gap_bends_a_fit_without_it() -> None:
-    """Unless all that rests on the result is over all answers."""
+    """Unless all that rests on the result is over all hypotheses."""
     gap = whole()["gap"]
     (sentence,) = trust.objections(good(gap=gap | {"mixture": None}))
     assert "reports a gap (effect)" in sentence

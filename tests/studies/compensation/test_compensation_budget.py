@@ -167,7 +167,7 @@ def test_a_budget_without_effects_is_not_that_over_all_answers(
     capsys.readouterr()
     assert main(["compensate", str(folder), "--to", "json", *few]) == 0
     printed = capsys.readouterr().out
-    assert "Predicted rms over all answers: " in printed
+    assert "Predicted rms over all hypotheses: " in printed
     [sentence] = [line for line in printed.splitlines() if "With this file" in line]
     counted, alone = sentence.split("; geometry alone with this file: ")
     assert "rms is z 66 um" in counted

@@ -1,4 +1,4 @@
-"""Parameters over all answers of a diagnosis: who takes them, and what is printed."""
+"""Parameters over all hypotheses of a diagnosis: who takes them, and what is printed."""
 
 from pathlib import Path
 
@@ -99,8 +99,8 @@ def test_words_name_answers_disagreement_and_each_compensation(
     assert "backlash (90 %), no gap (5 %)" in answers
     assert "5 % together, are left out" in answers
     assert "disagree most on da1y: 75 %" in parameter
-    assert "1 arcsec by the parameters over all answers" in choices
-    assert choices.startswith("Expected rms error over all answers: ")
+    assert "1 arcsec by the parameters over all hypotheses" in choices
+    assert choices.startswith("Expected rms error over all hypotheses: ")
     assert "best answer alone" not in choices
 
 
@@ -154,7 +154,7 @@ def test_a_promise_says_what_geometry_alone_reaches(result: StudyResult) -> None
 
 
 def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) -> None:
-    """That is over all answers, as the certificate says too (tests/certificate)."""
+    """That is over all hypotheses, as the certificate says too (tests/certificate)."""
     sent_alone = msgspec.structs.replace(result, corrected=None)
     number = [c.name for c in machine.components].index("z")
     size = len(machine.parameters)

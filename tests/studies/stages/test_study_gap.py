@@ -39,7 +39,7 @@ pytestmark = pytest.mark.usefixtures("own_folder")
 def diagnosis_by_hand() -> Iterator[None]:
     """The search for effects has tests of its own.
 
-    So has the accuracy over all answers: few draws are as good here.
+    So has the accuracy over all hypotheses: few draws are as good here.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -53,7 +53,7 @@ def diagnosis_by_hand() -> Iterator[None]:
 
 @pytest.fixture
 def without_mixture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The accuracy over all answers has tests of its own, and takes half of the time."""
+    """The accuracy over all hypotheses has tests of its own, and takes half of the time."""
     monkeypatch.setattr("pkm_studies.stages.order.mix_answers", lambda state: state)
 
 

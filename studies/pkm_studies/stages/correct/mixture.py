@@ -43,12 +43,12 @@ from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowled
 from pkm_studies.stages.predict.prediction import accuracy_section, add_wanted
 from pkm_studies.stages.run_state import Fitted
 
-# Parameters and accuracy over all answers of a diagnosis: the record `gap.mixture`.
+# Parameters and accuracy over all hypotheses of a diagnosis: the record `gap.mixture`.
 
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 PHRASES = {
-    CompensationName.MIXTURE: "by the parameters over all answers",
+    CompensationName.MIXTURE: "by the parameters over all hypotheses",
     CompensationName.BEST: "by those of the best answer alone",
     CompensationName.PLAIN: "by those of the fit without effects",
     CompensationName.BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
@@ -144,7 +144,7 @@ def _knowledge(
     seed: Sequence[int],
     session: SessionStates,
 ) -> ParameterKnowledge:
-    """Draws over all answers; the last effects are those of the best answer's fit."""
+    """Draws over all hypotheses; the last effects are those of the best answer's fit."""
     count = len(measurement.machine.parameters)
     drawn = mixture.draw(np.random.default_rng(seed))
     parts = [] if drawn.columns is None else [drawn.columns]
@@ -313,7 +313,7 @@ def _answers_text(section: MixtureSection) -> str:
         f"{_name(answer)} ({format_probability(answer.probability)})"
         for answer in section.answers
     ]
-    sentence = f"Over all answers of the diagnosis: {', '.join(named)}"
+    sentence = f"Over all hypotheses of the diagnosis: {', '.join(named)}"
     if section.rest > ROUNDED:
         rest = format_probability(section.rest)
         sentence += f"; other answers, {rest} together, are left out"
@@ -359,7 +359,7 @@ def _choices_text(section: MixtureSection) -> list[str]:
         ):
             figures = [f"{n} {format_number(choice.rms[n])} {unit[n]}" for n in driven]
             parts.append(f"{join_words(figures)} {PHRASES[choice.name]}")
-    return [f"Expected rms error over all answers: {'; '.join(parts)}."]
+    return [f"Expected rms error over all hypotheses: {'; '.join(parts)}."]
 
 
 #: why no table holds an effect that varies faster than its commands
@@ -367,7 +367,7 @@ COARSE = "it varies faster over the workspace than a table can follow"
 
 
 def mix_answers(state: Fitted) -> Fitted:
-    """Parameters and accuracy over all answers of the diagnosis, where there is one.
+    """Parameters and accuracy over all hypotheses of the diagnosis, where there is one.
 
     Nothing rests on a fit that failed its check, unless an effect explains that.
     """
@@ -376,7 +376,7 @@ def mix_answers(state: Fitted) -> Fitted:
         return state
     if state.fit_is_bad and state.corrected is None:
         return state
-    state.progress.stage("parameters over all answers")
+    state.progress.stage("parameters over all hypotheses")
     request = state.resolved.diagnosed
     effect_readings = readings_with_covariates(state, request)
     problem = effect_readings.problem(state.estimate.theta)

@@ -778,7 +778,7 @@ def _withheld(state: Scheduled) -> str:
 
 
 def predict_held_out(state: Fitted) -> Fitted:
-    """Compare held-out readings with what the fit predicts, over all answers if any."""
+    """Compare held-out readings with what the fit predicts, over all hypotheses if any."""
     held_out = state.readings.held_out
     if held_out is None:
         return state
