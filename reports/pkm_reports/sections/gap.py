@@ -39,7 +39,7 @@ from pkm_reports.blocks import (
 from pkm_reports.missing import or_nan
 from pkm_reports.sections import gap_figures
 from pkm_reports.sections.accuracy import spread_figures
-from pkm_reports.sections.gap_figures import spoken
+from pkm_reports.sections.gap_figures import size_in_readings, spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -658,8 +658,6 @@ MARGINALS: Final = (
     "Sizes that these readings cannot show do not count; effects that look alike are"
     " counted one by one."
 )
-#: rms, in the unit of its channel, from which an effect shows in a channel
-VISIBLE: Final = 1e-9
 
 
 def explanation_blocks(gap: GapSection) -> list[Block]:
@@ -814,17 +812,6 @@ def _effect_text(gap: GapSection, effect: str) -> str:
 
 def _effect_constants(gap: GapSection, effect: str) -> Mapping[str, float]:
     return gap.constants.get(effect, {})
-
-
-def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
-    """Rms by channel; one channel alone needs no name."""
-    named = len(gap.units) != 1
-    entries = []
-    for channel, rms in sizes.items():
-        if rms > VISIBLE:
-            entry = text.channel_value(channel, rms, gap.units)
-            entries.append(f"{channel} {entry}" if named else entry)
-    return text.listing(entries)
 
 
 # Chapter: parameters and accuracy over all hypotheses of a diagnosis.

@@ -296,3 +296,20 @@ def _rms(by_channel: Mapping[str, float]) -> float:
     """Rms over the channels in which the effect shows; NaN where it shows in none."""
     sizes = np.array([size for size in by_channel.values() if size > 0.0])
     return float(np.sqrt(np.mean(sizes**2))) if sizes.size else float("nan")
+
+
+# Sizes in words.
+
+#: rms, in the unit of its channel, from which an effect shows in a channel
+VISIBLE: Final = 1e-9
+
+
+def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
+    """Rms by channel; one channel alone needs no name."""
+    named = len(gap.units) != 1
+    entries = []
+    for channel, rms in sizes.items():
+        if rms > VISIBLE:
+            entry = text.channel_value(channel, rms, gap.units)
+            entries.append(f"{channel} {entry}" if named else entry)
+    return text.listing(entries)

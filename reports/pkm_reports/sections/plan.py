@@ -38,7 +38,7 @@ from pkm_reports.blocks import (
     wide_column,
 )
 from pkm_reports.sections.machine_figures import draw_machine
-from pkm_reports.sections.stages import has_schedule
+from pkm_reports.sections.plan_words import has_schedule
 from pkm_reports.view import points_mm
 
 if TYPE_CHECKING:

@@ -40,6 +40,13 @@ from pkm_reports.blocks import (
     wide_column,
 )
 from pkm_reports.missing import or_nan
+from pkm_reports.sections.plan_words import (
+    budget_phrase,
+    budget_share,
+    has_schedule,
+    is_missed,
+    minutes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -265,11 +272,6 @@ def verdict_blocks(plan: PlanSection) -> list[Block]:
     return content
 
 
-def is_missed(plan: PlanSection) -> bool:
-    """Whether there is a goal that the plan does not reach."""
-    return bool(plan.goal) and not plan.reached
-
-
 def _missed(plan: PlanSection) -> str:
     goal, within = accuracies(plan.goal), budget_phrase(plan)
     notice = f"The goal is out of reach{within}: {goal}."
@@ -317,28 +319,7 @@ def loss_bound(loss: float) -> str:
     return f"at most {text.percent_at_most(loss)}"
 
 
-# Minutes, budgets, accuracies and measurements of a plan in words.
-
-
-def minutes(value: float | None) -> str:
-    """33 min."""
-    return text.quantity(value, "min")
-
-
-def budget_phrase(plan: PlanSection) -> str:
-    """` within 120 min`, or nothing where there is no budget."""
-    return "" if plan.budget_min is None else f" within {_budget(plan.budget_min)}"
-
-
-def budget_share(plan: PlanSection) -> str:
-    """` of a budget of 120 min`, or nothing where there is none."""
-    if plan.budget_min is None:
-        return ""
-    return f" of a budget of {_budget(plan.budget_min)}"
-
-
-def _budget(minutes: float) -> str:
-    return text.append_unit(text.trimmed(minutes), "min")
+# Accuracies and measurements of a plan in words.
 
 
 def accuracies(table: Mapping[str, float], only: Iterable[str] | None = None) -> str:
@@ -364,11 +345,6 @@ def measurements(plan: AlternativePlan) -> str:
 def cells(table: Mapping[str, float], keys: Iterable[str]) -> list[str]:
     """Numbers of a table row."""
     return [text.number(missing.entry(table, key)) for key in keys]
-
-
-def has_schedule(plan: PlanSection | None) -> bool:
-    """Whether a plan has times of its stages."""
-    return plan is not None and any(s.begin_min is not None for s in plan.stages)
 
 
 def blocks(result: StudyResult) -> list[Block]:

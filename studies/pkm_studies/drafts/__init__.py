@@ -17,16 +17,14 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
+    from pkm_studies.drafts.axis_lines import SHARES, format_numbers, prediction_table
     from pkm_studies.drafts.drafts import (
-        SHARES,
         default_instrument,
-        draft_text,
         first_sound,
-        format_numbers,
         model_of,
-        prediction_table,
         write_draft,
     )
+    from pkm_studies.drafts.template import draft_text
     from pkm_studies.drafts.time_budget import read_time, with_time
 else:
     __getattr__ = door(__name__)

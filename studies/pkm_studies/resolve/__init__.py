@@ -75,7 +75,7 @@ if TYPE_CHECKING:
         planned_covariates,
         pose_error_slopes,
     )
-    from pkm_studies.resolve.grids import Circles, ToolPoints, reference_command
+    from pkm_studies.resolve.grids import Circles, reference_command
     from pkm_studies.resolve.machine import (
         check_home,
         described_machine,
@@ -103,5 +103,6 @@ if TYPE_CHECKING:
     from pkm_studies.resolve.tolerances import (
         replace_mean_and_covariance,
     )
+    from pkm_studies.resolve.tool_points import ToolPoints
 else:
     __getattr__ = door(__name__)

@@ -28,15 +28,8 @@ if TYPE_CHECKING:
         read_json,
     )
     from pkm_studies.study.decode import decode_table, tables_of
-    from pkm_studies.study.loader import (
-        SCHEMAS,
-        SUFFIX,
-        Study,
-        combinations,
-        from_tables,
-        load,
-        parse,
-        vary_setting,
-    )
+    from pkm_studies.study.loader import SUFFIX, Study, from_tables, load, parse
+    from pkm_studies.study.schemas import SCHEMAS
+    from pkm_studies.study.vary import combinations, vary_setting
 else:
     __getattr__ = door(__name__)

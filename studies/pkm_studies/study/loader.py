@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import copy
-import inspect
-import itertools
-import re
-import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from oed import units
-from oed.result import StudyResult
-from oed.text import suggest
 from pkm_studies import files
 from pkm_studies.base import Location
 from pkm_studies.study import decode
-from pkm_studies.tables import ReadingsTable, StudyFile, StudyTable
+from pkm_studies.tables import ReadingsTable, StudyFile
 from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
@@ -150,161 +142,3 @@ def _check_readings(table: ReadingsTable, location: Location) -> None:
         raise location.key("path").error(
             "a path goes with a source", "name files in `files = [...]`", table.path
         )
-
-
-# Studies that differ from a base in some fields, as campaigns and test sweeps vary it.
-
-
-def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Every value of each field with every value of the others, in their order."""
-    values = itertools.product(*vary.values())
-    return [dict(zip(vary, combination, strict=True)) for combination in values]
-
-
-def vary_setting(study: Study, setting: Mapping[str, Any], location: Location) -> Study:
-    """The study with other values of some fields. Raises InputError.
-
-    A field is addressed by its table and name; an entry of a list by its own name, as in
-    `setup.cup.length_mm`.
-    """
-    tables = copy.deepcopy(tomllib.loads(study.text))
-    for field, value in setting.items():
-        _assign(tables, field, value, location.key(field))
-    text = msgspec.toml.encode(tables).decode()
-    return parse(text, study.path, study.consent)
-
-
-def _assign(tables: Any, field: str, value: Any, location: Location) -> None:
-    """Set a field of nested tables, addressed by keys and names of list entries."""
-    *way, last = field.split(".")
-    entry = tables
-    for key in way:
-        entry = _entry(entry, key, location)
-    if not isinstance(entry, dict):
-        raise location.error("this is no field of a table", "name a field of the study")
-    entry[last] = value
-
-
-def _entry(at: Any, key: str, location: Location) -> Any:
-    """What a table or a list of named tables holds under a key."""
-    if isinstance(at, list):
-        named = {str(entry.get("name")): entry for entry in at}
-        if key not in named:
-            raise location.error(f"no entry {key!r}", suggest(key, named))
-        return named[key]
-    if isinstance(at, dict):
-        return at.setdefault(key, {})
-    raise location.error(f"{key!r} lies in no table", "name a field of the study")
-
-
-# JSON schemas of the files that people and scripts write or read.
-
-
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
-Schema = dict[str, Any]
-#: the first line of a field in a docstring: its name, or several, and what it is
-FIELD = re.compile(r"^(\w+(?:, \w+)*) +(\S.*)$")
-
-
-def study_schema() -> Schema:
-    """Schema of `*.study.toml`."""
-    schema = _schema(StudyFile, "A planning study")
-    definitions = schema["$defs"]
-    for table in _subclasses(StudyTable):
-        _inherit(definitions, table)
-        if table.free_keys is not None and table.__name__ in definitions:
-            _open(definitions[table.__name__], table.free_keys)
-    return schema
-
-
-def result_schema() -> Schema:
-    """Schema of `result.json`."""
-    return _schema(StudyResult, "The result of a study")
-
-
-def readings_schema() -> Schema:
-    """Schema of one row of `*.readings.csv`; an empty cell is null."""
-    unit = "|".join(units.UNITS)
-    number = {"type": ["number", "null"]}
-    return {
-        "$schema": DIALECT,
-        "title": "One row of a readings file",
-        "description": (
-            "CSV, UTF-8, commas, a header. The unit ends the column's name. An empty"
-            " cell is a reading not taken; the first row of a relative or calliper run"
-            " is its reference. Pose columns are the machine's command coordinates"
-            " (z_mm, psi_deg) or its joints (q1_mm), channels those of the set-up's"
-            " instrument (length_mm): see `oed list`."
-        ),
-        "type": "object",
-        "required": ["setup", "run", "order"],
-        "properties": {
-            "setup": {
-                "type": "string",
-                "minLength": 1,
-                "description": "names a [[setup]] of the study",
-            },
-            "run": {"type": ["string", "number"], "description": "a circle, a line"},
-            "order": {"type": "integer", "description": "in time within the run"},
-            "direction": {"enum": [1, -1, None]},
-            "feed_mm_min": number,
-            "repeat": number,
-        },
-        "patternProperties": {f"^[A-Za-z][A-Za-z0-9_]*_({unit})$": number},
-        "additionalProperties": False,
-    }
-
-
-SCHEMAS: dict[str, Callable[[], Schema]] = {
-    "study": study_schema,
-    "result": result_schema,
-    "readings": readings_schema,
-}
-
-
-def _schema(kind: type, title: str) -> Schema:
-    """Schema of a kind of record, with the meaning of each field."""
-    schema = {"$schema": DIALECT, "title": title, **msgspec.json.schema(kind)}
-    for definition in schema["$defs"].values():
-        properties = definition.get("properties", {})
-        meanings = _meanings(definition.get("description", ""), set(properties))
-        for name, meaning in meanings.items():
-            properties[name]["description"] = meaning
-    return schema
-
-
-def _meanings(docstring: str, names: set[str]) -> dict[str, str]:
-    """Meaning of each field that a docstring lists, by its name."""
-    meanings: dict[str, str] = {}
-    fields: list[str] = []
-    for line in inspect.cleandoc(docstring).splitlines():
-        match = FIELD.match(line)
-        if match and names.issuperset(match[1].split(", ")):
-            fields = match[1].split(", ")
-            meanings |= dict.fromkeys(fields, match[2])
-        elif line.startswith(" "):
-            meanings |= {name: f"{meanings[name]} {line.strip()}" for name in fields}
-        else:
-            fields = []
-    return meanings
-
-
-def _subclasses(base: type[StudyTable]) -> Iterator[type[StudyTable]]:
-    for table in base.__subclasses__():
-        yield table
-        yield from _subclasses(table)
-
-
-def _inherit(definitions: Schema, table: type[StudyTable]) -> None:
-    """Describe fields that a table has from another one as they are described there."""
-    names = [kind.__name__ for kind in table.__mro__ if kind.__name__ in definitions]
-    for name in names[1:]:
-        for field, inherited in definitions[name]["properties"].items():
-            described = definitions[names[0]]["properties"][field]
-            described.setdefault("description", inherited["description"])
-
-
-def _open(schema: Schema, free_keys: str) -> None:
-    """Allow keys of free name in the table, in place of the field that collects them."""
-    field = schema["properties"].pop(free_keys)
-    schema["additionalProperties"] = field["additionalProperties"]

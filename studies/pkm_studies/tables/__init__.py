@@ -14,43 +14,25 @@ from pkm_studies.tables.base import (
     Triple,
 )
 from pkm_studies.tables.design import (
-    ConeTable,
     DesignTable,
     HowManyTable,
-    LimitsTable,
-    MeasuredTable,
     OrderTable,
-    PlanTable,
     PolishTable,
     QuotaTable,
     RobustTable,
 )
-from pkm_studies.tables.file import (
-    ClaimTable,
+from pkm_studies.tables.file import ClaimTable, StudyFile
+from pkm_studies.tables.fit import (
     ForecastTable,
     PosteriorTable,
     PredictionReference,
     PredictionTable,
     ReadingsTable,
-    StudyFile,
 )
-from pkm_studies.tables.gap import (
-    PLAN,
-    ActingTable,
-    ConditionsTable,
-    GapDesignTable,
-    GapTable,
-    RunCondition,
-)
-from pkm_studies.tables.grids import (
-    CIRCLE_PLANES,
-    Axis,
-    CircleTable,
-    CubeTable,
-    GridTable,
-    KappaTable,
-    Span,
-)
+from pkm_studies.tables.gap import ActingTable, ConditionsTable, GapTable
+from pkm_studies.tables.gap_design import PLAN, GapDesignTable, RunCondition
+from pkm_studies.tables.grids import Axis, GridTable, KappaTable, Span
+from pkm_studies.tables.limits import ConeTable, LimitsTable
 from pkm_studies.tables.machine import (
     NOT_KNOWN,
     AdjustTable,
@@ -61,3 +43,5 @@ from pkm_studies.tables.machine import (
     SetupTable,
     ToleranceTable,
 )
+from pkm_studies.tables.plan import MeasuredTable, PlanTable
+from pkm_studies.tables.poses import CIRCLE_PLANES, CircleTable, CubeTable

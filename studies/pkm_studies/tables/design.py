@@ -15,85 +15,15 @@ from pkm_studies.tables.base import (
     Positive,
     Share,
     StudyTable,
-    Triple,
     Whole,
 )
-from pkm_studies.tables.grids import Axis, GridTable, OpenRange, Range, ReferenceTable
-
-# Tables of [design.limits]: joint travel, singularity, cones and obstacles.
-
-
-class ConeTable(StudyTable, frozen=True, kw_only=True):
-    """Directions within a cone.
-
-    axis            of the cone, of any length
-    half_angle_deg  largest angle from the axis
-    """
-
-    axis: Triple
-    half_angle_deg: Positive
-
-
-class SphereTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: a sphere.
-
-    at_mm      centre, base frame
-    radius_mm  of the sphere
-    """
-
-    at_mm: Triple
-    radius_mm: Positive
-
-
-class RodTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: all points near a line segment.
-
-    from_mm    one end of the segment, base frame
-    to_mm      the other end
-    radius_mm  distance from the segment within which the obstacle is
-    """
-
-    from_mm: Triple
-    to_mm: Triple
-    radius_mm: Positive
-
-
-class LimitsTable(StudyTable, frozen=True, kw_only=True):
-    """[design.limits]: candidates outside a limit are left out, and counted.
-
-    joints         travel of joints, `{ q1_mm = { from = 350, to = 800 } }`, within that
-                   of the machine
-    singularity    least reciprocal condition number of the closure's slopes over the
-                   pose, between 0 and 1
-    travel_mm      largest difference of a held reading from what the instrument holds,
-                   such as a ball bar's travel
-    travel_chance  least probability that it stays within the travel on a machine with
-                   errors of the size of its tolerances; needs `travel_mm`
-    cup_cone       directions from the cup to the tool point, in the base frame
-    tool_cone      directions from the tool point to the cup, in the platform's frame
-    spheres        obstacles; they need `links_mm` or `bar_mm`
-    rods           obstacles likewise
-    links_mm       radius of the machine's links
-    bar_mm         radius of the bar from cup to tool point
-    margin_mm      clearance to keep
-    ignore         numbers, from 0, of lines of the machine's skeleton that may touch
-
-    Travel applies to instruments that hold a reading; cones and bar to those whose other
-    end has a place.
-    """
-
-    joints: dict[str, Range] = {}
-    singularity: Positive | None = None
-    travel_mm: NotNegative | None = None
-    travel_chance: Positive | None = None
-    cup_cone: ConeTable | None = None
-    tool_cone: ConeTable | None = None
-    spheres: list[SphereTable] = []
-    rods: list[RodTable] = []
-    links_mm: Positive | None = None
-    bar_mm: Positive | None = None
-    margin_mm: NotNegative = 0.0
-    ignore: list[int] = []
+from pkm_studies.tables.grids import (
+    Axis,
+    GridTable,
+    OpenRange,
+    ReferenceTable,
+)
+from pkm_studies.tables.limits import LimitsTable
 
 
 class PolishTable(StudyTable, frozen=True, kw_only=True):
@@ -302,77 +232,3 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     def judged_by(self) -> str:
         """The criterion's name: "D", or "compound"."""
         return "compound" if self.compound else self.criterion
-
-
-# Tables of [plan]: measurements to choose from, and the time for them.
-
-
-class MeasuredTable(StudyTable, frozen=True, kw_only=True):
-    """[[plan.measurement]]: a measurement that can be ordered.
-
-    name       of the measurement
-    setup      set-up to mount
-    setups     further set-ups of the same measurement, with the same grid
-    counts     numbers of readings (or whole runs) worth trying; no plan takes more than
-               the highest
-    setup_min  time to mount all its set-ups; by default the instruments'
-    reading_s  time of one pass
-    travel_mm  a reading that differs more from the expected one is lost (a ball bar's
-               travel); by default none is lost
-    whole_runs whether to choose whole runs
-    price      of the measurement, besides its time
-    operator   who can do it
-    runs_by    as in [[design.candidates]]
-    pairs_mm   likewise
-    further    coordinates of the grid, as in [[design.candidates]]
-    """
-
-    free_keys = "coordinates"
-    name: Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
-    setup: str | None = None
-    setups: list[str] = []
-    counts: Annotated[list[Count], msgspec.Meta(min_length=1)]
-    setup_min: NotNegative | None = None
-    reading_s: Positive | None = None
-    travel_mm: Positive | None = None
-    whole_runs: bool = False
-    price: NotNegative = 0.0
-    operator: str = ""
-    runs_by: str | None = None
-    pairs_mm: list[tuple[Triple, Triple]] | None = None
-    coordinates: dict[str, Axis] = {}
-
-    @property
-    def mounted(self) -> list[str]:
-        """Names of its set-ups."""
-        if self.setup is None:
-            return self.setups
-        return [self.setup, *self.setups]
-
-
-class PlanTable(StudyTable, frozen=True, kw_only=True):
-    """[plan]: which measurements to do, in which order.
-
-    budget_min        time there is
-    stages            most stages of the plan
-    wanted            accuracy, as in `{ z_um = 30 }`: the plan reaches it in the least
-                      time; without it, the plan is the most accurate within the budget
-    worth             least share by which a last stage has to improve the accuracy
-    compare           sequences of measurements to show with the best plan of their time;
-                      each takes all its readings, or the best that the budget pays for
-    virtual_machines  number carried through all stages of the plan
-    effects           effects that the plan allows for beside the geometry, at the sizes
-                      expected of them: by name, or "catalogue"
-    measurement       [[plan.measurement]] tables: what can be ordered
-
-    Accuracy is that over the workspace of [prediction].
-    """
-
-    budget_min: Annotated[float, msgspec.Meta(gt=0)] | None = None
-    stages: Annotated[int, msgspec.Meta(ge=1, le=12)] = 4
-    wanted: dict[str, Positive] = {}
-    worth: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
-    compare: list[Annotated[list[str], msgspec.Meta(min_length=1)]] = []
-    virtual_machines: Whole = 0
-    effects: Literal["none", "catalogue"] | list[str] = "none"
-    measurement: list[MeasuredTable] = []

@@ -1,31 +1,15 @@
-"""What the whole package rests on: refusals of bad input, names, progress, random streams.
-
-InputError         bad input: what, where (file, field, value), and the remedy
-Location           a file and a field in it, which make such an error
-SourceAbsentError  published readings that are not on this computer
-Name               the name of a study or campaign, as a type of its files
-NAME_PATTERN       what such a name is
-check_name         refuses what is none
-Progress           what long work reports to
-Silent             progress that nobody watches
-Stream             the stream of random numbers of each purpose
-"""
+"""Names of studies and campaigns: they become names of files, and so are no paths."""
 
 from __future__ import annotations
 
 import dataclasses
-import enum
 import math
 import re
-from typing import Annotated, Final, Protocol
+from typing import Annotated, Final
 
 import msgspec
-import numpy as np
 
 from oed.text import shorten
-
-# Names of studies and campaigns: they become names of files, and so are no paths.
-
 
 # Errors about bad input: one paragraph with file, field, value and remedy.
 #
@@ -120,73 +104,3 @@ def check_name(name: str, location: Location) -> None:
     if not re.search(NAME_PATTERN, name):
         problem, remedy = "this is no name for a study", "use letters, digits, _ and -"
         raise location.error(problem, remedy, name)
-
-
-# How long work reports its progress.
-
-
-class Progress(Protocol):
-    """What a pipeline reports: the stage that begins, and the share that is done."""
-
-    def stage(self, name: str) -> None:
-        """A stage begins."""
-
-    def share(self, done: float) -> None:
-        """The share (0..1) of the present stage that is done."""
-
-
-class Silent:
-    """Progress that nobody watches."""
-
-    def stage(self, name: str) -> None:
-        """Ignore the stage."""
-
-    def share(self, done: float) -> None:
-        """Ignore the share."""
-
-
-# Random numbers of a study: one stream for each purpose, all from the study's seed.
-
-
-@enum.unique
-class Stream(enum.IntEnum):
-    """Independent random streams: more draws in one leave the others as they are.
-
-    A seed alone gives the numbers of stream 0, for NumPy takes (seed,) and (seed, 0) as
-    one: so whatever draws has a stream of its own.
-    """
-
-    DESIGN = 0
-    TRUTH = 1
-    NOISE = 2
-    SAMPLER = 3
-    PREDICT = 4
-    MACHINES = 5
-    HELD_OUT = 6
-    PLAN = 7
-    CAMPAIGN = 8
-    EFFECTS = 9
-    GAP = 10
-    BEFORE = 11
-    CHECKS = 12
-    CORRECTED = 13
-    ACCEPTANCE = 14
-    HISTORY = 15
-    PREDICTIVE = 16
-    UNMODELLED = 17
-    TOOLS = 19
-    LAPLACE = 20
-    FORECAST = 22
-    MIXTURE = 23
-    VISIT = 24
-    MIXTURE_ACCURACY = 25
-    PLANNED_COURSES = 26
-    HOW_MANY = 27
-
-    def key(self, seed: int) -> list[int]:
-        """What determines the random numbers of this stream."""
-        return [seed, int(self)]
-
-    def rng(self, seed: int) -> np.random.Generator:
-        """Random numbers of this stream."""
-        return np.random.default_rng(self.key(seed))
