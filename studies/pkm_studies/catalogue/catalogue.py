@@ -126,9 +126,14 @@ def function(reference: str, origin: Origin, location: Location) -> Callable[...
     there = [n for n, v in vars(module).items() if inspect.isfunction(v)]
     raise location.error(
         f"there is no function {name} in it",
-        suggest(name, there, "there is"),
+        _remedy(name, there),
         reference,
     )
+
+
+def _remedy(name: str, there: list[str]) -> str:
+    """Remedy for a file of a user that lacks a name, where others of its kind are there."""
+    return suggest(name, there, "there is") if there else f"define {name} in it"
 
 
 @functools.cache
@@ -195,7 +200,7 @@ def lookup(
         if item is not None
         else f"there is no {attribute} in it"
     )
-    raise location.error(problem, suggest(attribute, there, "there is"), reference)
+    raise location.error(problem, _remedy(attribute, there), reference)
 
 
 def _named_shortly(name: str, kind: str, location: Location) -> Any:

@@ -154,7 +154,7 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     counts = {
         "set-up": len(resolved.setups),
         "candidate": sum(len(s) for s in resolved.candidates),
-        "reading": len(resolved.dataset) if resolved.dataset else 0,
+        "reading": _n_readings(resolved.dataset) if resolved.dataset else 0,
         "claim": len(study.expect),
     }
     parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
@@ -162,6 +162,11 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     if resolved.has_own_numbers:
         sentences += _doubts(resolved.measurement.kinematics)
     return "; ".join(sentences)
+
+
+def _n_readings(data: Dataset) -> int:
+    """Number of readings, rows of the readings file: each has a value a channel."""
+    return sum(len(series) for series in data.series)
 
 
 def _check_readings(
@@ -186,7 +191,7 @@ def _check_readings(
     for study in naming or resolved:
         measurement = study.measurement_with(study.setups)
         data = sources.read_files([path], measurement)
-        content = f"{len(data)} readings fit the columns of {study.study.name}"
+        content = f"{_n_readings(data)} readings fit the columns of {study.study.name}"
         verdict = _add_findings(content, study, data)
         contents.append(verdict.content)
         findings += verdict.findings

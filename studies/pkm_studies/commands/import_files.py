@@ -18,7 +18,7 @@ def import_files(
         str,
         typer.Argument(
             metavar="KIND",
-            help=f"{', '.join(project_plugins('importers'))}, or other.",
+            help=f"{', '.join(project_plugins('importers'))}, or MY.py.",
             show_default=False,
         ),
     ],

@@ -6,9 +6,11 @@ import warnings
 from importlib.metadata import EntryPoint
 
 from oed.text import shorten, suggest
-from pkm_studies.base import InputError
+from pkm_studies.base import InputError, Location
+from pkm_studies.catalogue import lookup
 from pkm_studies.importers.base import Importer
 from pkm_studies.plugins import plugins
+from pkm_studies.user_code import Consent, Origin, is_file
 
 KIND = "importers"
 
@@ -26,12 +28,20 @@ def importers() -> dict[str, Importer]:
     return by_name
 
 
-def importer(name: str) -> Importer:
-    """The importer of this name; no other one is loaded. Raises InputError."""
+def importer(name: str, consent: Consent) -> Importer:
+    """The importer of this name, or in a user's file; no other one is loaded.
+
+    Raises InputError.
+    """
+    if is_file(name):
+        origin = Origin.command(consent)
+        user_importer: Importer = lookup(name, KIND, Importer, origin, Location("KIND"))
+        return user_importer
     entries = plugins(KIND)
     entry = next((entry for entry in entries if entry.name == name), None)
     if entry is None:
         remedy = suggest(name, [entry.name for entry in entries], "known")
+        remedy += ", or a file of your own: path/to/file.py"
         raise InputError("no such kind of file", remedy, field="KIND", value=name)
     return _load(entry)
 

@@ -32,7 +32,7 @@ def import_files(
 
     Raises InputError, also where one of the files to write exists already.
     """
-    importer = registry.importer(kind)
+    importer = registry.importer(kind, consent)
     stated = {"--machine": machine is not None, "--map": column_map is not None}
     stated["--mesh"] = mesh != "hold-out"
     for option in base.unused_options(importer):

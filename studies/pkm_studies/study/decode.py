@@ -180,11 +180,11 @@ def _plain(kind: Any, value: object, location: Location) -> Any:
         message, _, path = str(error).partition(" - at `$")
     for index in re.findall(r"\[(\d+)\]", path):
         value, location = value[int(index)], location.item(int(index))  # type: ignore[index]
-    choices = [] if path.strip("`") else _choices(kind)
-    if choices and isinstance(value, str):
-        raise location.error(
-            "not one of the allowed values", suggest(value, choices), value
-        )
+    unknown = re.match(r"Invalid enum value '?([^']*)", message)
+    if unknown:
+        shown = unknown.group(1) if isinstance(value, dict) else value
+        remedy = suggest(unknown.group(1), _choices(kind))
+        raise location.error("not one of the allowed values", remedy, shown)
     raise location.error(
         _plain_message(message), "see `oed schema study` for what is allowed", value
     )

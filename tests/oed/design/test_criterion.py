@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from oed.design import CRITERIA, Criterion
-from oed.design.criteria.c import CombinationVariance
-from oed.design.criteria.o5 import HarmonicSum
 from oed.design.forms import PowerMean
 from oed.design.forms.compound import Compound
 from oed.design.forms.determinant import Determinant
-from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.protocol import weight_gradient
 from oed.design.forms.variance import LargestVariance, Variance
 
@@ -17,23 +14,21 @@ N = 5
 _rng = np.random.default_rng(11)
 FACTOR, FACTORS = _rng.standard_normal((3, N)), _rng.standard_normal((4, 2, N))
 INTEREST = np.linalg.qr(_rng.standard_normal((N, 2)))[0]
-SMOOTH: dict[str, Criterion] = {
-    "D": Determinant(N),
-    "Ds": Determinant(N, INTEREST, "Ds"),
-    "A": Variance(np.eye(N), "A"),
-    "c": CombinationVariance(FACTOR[:1]),
-    "I": Variance(FACTOR),
+INGREDIENTS = {"interest": INTEREST, "combination": FACTOR[:1], "accuracy": FACTORS}
+#: every criterion of the catalogue by itself, so that a new file is held to all of this
+LISTED = {
+    name: CRITERIA.build(name, N, INGREDIENTS.get(CRITERIA[name].needs))
+    for name in CRITERIA.plan_names
+}
+FORMS: dict[str, Criterion] = {
     "G smoothed": LargestVariance(FACTORS, 6.0),
-    "O5": HarmonicSum(directions=N),
     "phi_3": PowerMean(3.0, N),
     "compound": Compound((Determinant(N), Variance(FACTOR)), (0.3, 0.7)),
 }
-NOT_SMOOTH: dict[str, Criterion] = {
-    "G": LargestVariance(FACTORS),
-    "E": ExtremeEigenvalues(),
-    "kappa": ExtremeEigenvalues(0.5, 0.5, name="kappa"),
-    "O4": ExtremeEigenvalues(1.0, 0.5, name="O4"),
-}
+ALL = LISTED | FORMS
+#: information functions; O3 is the root of one, E, which bounds its plans
+CONCAVE = [name for name, c in ALL.items() if c.concave and name != "O3"]
+SMOOTH = {name: criterion for name, criterion in ALL.items() if criterion.smooth}
 
 
 def matrix(rng: np.random.Generator) -> np.ndarray:
@@ -76,7 +71,7 @@ def test_slopes_and_curvatures_by_differences(
     assert np.linalg.eigvalsh(criterion.curvature(m, blocks))[0] >= -1e-9 * scale
 
 
-@pytest.mark.parametrize("name", [*SMOOTH, *NOT_SMOOTH])
+@pytest.mark.parametrize("name", ALL)
 @pytest.mark.parametrize("k", [1, 3])
 def test_values_after_adding_are_exact(
     name: str, k: int, rng: np.random.Generator
@@ -84,7 +79,7 @@ def test_values_after_adding_are_exact(
     """Against the value of the sum itself; a shortlist may leave candidates out, never
     the best one by far.
     """
-    criterion, m = (SMOOTH | NOT_SMOOTH)[name], matrix(rng)
+    criterion, m = ALL[name], matrix(rng)
     blocks = rng.standard_normal((40, k, N))
     values = criterion.values_after_adding(m, blocks)
     exact = np.array([criterion.value(m + x.T @ x) for x in blocks])
@@ -94,13 +89,11 @@ def test_values_after_adding_are_exact(
     assert values.max() >= np.quantile(exact, 0.9)
 
 
-@pytest.mark.parametrize(
-    "name", [n for n, c in (SMOOTH | NOT_SMOOTH).items() if c.concave]
-)
+@pytest.mark.parametrize("name", CONCAVE)
 def test_no_matrix_crosses_a_supporting_line(
     name: str, rng: np.random.Generator
 ) -> None:
-    criterion = (SMOOTH | NOT_SMOOTH)[name]
+    criterion = ALL[name]
     for _ in range(30):
         m = matrix(rng)
         value, root = criterion.support(m)
@@ -116,16 +109,28 @@ def test_no_matrix_crosses_a_supporting_line(
             )
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in SMOOTH | NOT_SMOOTH if n not in ("kappa", "O4")]
-)
+@pytest.mark.parametrize("name", CONCAVE)
 def test_twice_the_readings_are_twice_the_information(
     name: str, rng: np.random.Generator
 ) -> None:
-    criterion, m = (SMOOTH | NOT_SMOOTH)[name], matrix(rng)
+    criterion, m = ALL[name], matrix(rng)
     assert criterion.value(2.0 * m) == pytest.approx(
         criterion.value(m) + np.log(2.0), abs=1e-9
     )
+
+
+@pytest.mark.parametrize("name", CONCAVE)
+def test_one_more_reading_never_makes_it_worse(
+    name: str, rng: np.random.Generator
+) -> None:
+    criterion, m = ALL[name], matrix(rng)
+    for row in rng.standard_normal((20, N)):
+        assert criterion.value(m + np.outer(row, row)) >= criterion.value(m) - 1e-9
+
+
+@pytest.mark.parametrize("name", LISTED)
+def test_no_reading_at_all_is_worth_nothing(name: str) -> None:
+    assert ALL[name].value(np.zeros((N, N))) == -np.inf
 
 
 def test_conventional_values(rng: np.random.Generator) -> None:

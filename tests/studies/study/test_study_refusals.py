@@ -17,6 +17,7 @@ BROKEN = {
     "no reading": (("readings = 21", "readings = 0"), "design.readings", ">= 1"),
     "name with a slash": (('name = "small"', 'name = "a/b"'), "name", "letters, digits"),
     "criterion": (('criterion = "D"', 'criterion = "F"'), "design.criterion", "allowed: A, c, D, Ds, E, G"),
+    "index": (('criterion = "D"', 'indices = ["D"]'), "design.indices[1]", "allowed: kappa"),
     "version": (("schema = 1", "schema = 2"), "schema", "schema = 1"),
     "no version": (("schema = 1\n", ""), "schema", "missing"),
     "one bracket": (("[[setup]]", "[setup]"), "setup", "two brackets"),
