@@ -28,6 +28,7 @@ effect = Effect(
     about="eccentric pinions",
     columns=columns,
     constants={"ratio": (6.0, 8.0, 10.0)},  # the supplier's; the readings decide
+    units={"*": "rad"},  # of its coefficients; m by default
     remedy="replace the pinion, or correct the motor's angle by a table over its turn",
     exposed_by="circles read every few degrees",
     unfit=unfit,
