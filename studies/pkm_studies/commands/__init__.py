@@ -14,12 +14,12 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.commands.cli import main
-    from pkm_studies.commands.display import (
+    from pkm_studies.commands.display import progress
+    from pkm_studies.commands.options import (
         AllowCode,
         MachineStudy,
         ResultFolder,
         Wanted,
-        progress,
     )
 else:
     __getattr__ = door(__name__)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from pkm_studies.commands.display import AllowCode
+from pkm_studies.commands.options import AllowCode
 from pkm_studies.plugins import project_plugins
 from pkm_studies.user_code import consent
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from pkm_studies.base import InputError
-from pkm_studies.commands.display import AllowCode
+from pkm_studies.commands.options import AllowCode
 from pkm_studies.user_code import Origin, consent
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.commands.display import (
+from pkm_studies.commands.options import (
     AllowCode,
     MachineStudy,
     ResultFolder,

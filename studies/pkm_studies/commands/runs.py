@@ -10,8 +10,7 @@ import typer
 from oed import safe_files
 from pkm_studies import console
 from pkm_studies.base import InputError
-from pkm_studies.commands import display
-from pkm_studies.commands.display import (
+from pkm_studies.commands.options import (
     AllowCode,
     OptionalStudy,
     OutFolder,
@@ -23,7 +22,6 @@ from pkm_studies.commands.display import (
     Verbose,
 )
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.stages import report_outcome
 from pkm_studies.user_code import consent
 
 if TYPE_CHECKING:
@@ -42,13 +40,14 @@ def run(
     allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import stages  # only now: errors of input come at once
 
     with display.progress(quiet=quiet) as progress:
         result = stages.run_study(loaded, folder, seed=seed, progress=progress)
-    return report_outcome(result, folder, quiet, verbose=verbose)
+    return stages.report_outcome(result, folder, quiet, verbose=verbose)
 
 
 def simulate(
@@ -101,6 +100,7 @@ def identify(
     allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings: of a study, or of a machine by name."""
+    from pkm_studies.commands import display
 
     if (study is None) == (machine is None) or (numbers and machine is None):
         raise InputError(
@@ -132,7 +132,7 @@ def identify(
 
         print(calibration_answer(loaded, result, folder))
         print(parameter_sentence(loaded, result))
-    return report_outcome(result, folder, quiet, verbose=verbose)
+    return stages.report_outcome(result, folder, quiet, verbose=verbose)
 
 
 def diagnose(
@@ -160,6 +160,7 @@ def diagnose(
     allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import stages
@@ -168,7 +169,7 @@ def diagnose(
         result = stages.diagnose_study(
             loaded, readings or None, folder, after=after, seed=seed, progress=progress
         )
-    return report_outcome(result, folder, quiet, verbose=verbose)
+    return stages.report_outcome(result, folder, quiet, verbose=verbose)
 
 
 def plan(
@@ -190,6 +191,7 @@ def plan(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out, "-plan")
     from pkm_studies import stages
@@ -201,7 +203,7 @@ def plan(
     lines = []
     if not quiet and result.plan is not None:
         lines = display.plan_lines(result.plan, verbose=verbose)
-    return report_outcome(result, folder, quiet, verbose=verbose, above=lines)
+    return stages.report_outcome(result, folder, quiet, verbose=verbose, above=lines)
 
 
 def forecast(

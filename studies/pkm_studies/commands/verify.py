@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pkm_studies.base import InputError
-from pkm_studies.commands.display import AllowCode, MachineStudy, StoredResult
+from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
 from pkm_studies.console import DONE, FAILED
 from pkm_studies.user_code import Consent, consent
 
