@@ -7,6 +7,7 @@ the toolkit gives.
 import numpy as np
 import pytest
 from reference import tian_2016 as paper
+from scipy import stats
 
 from kernel import a3_plans
 from kernel.a3_machines import Realised, against_home, measured, realise
@@ -179,6 +180,15 @@ def ratios(realised: Realised, predicted: Prediction) -> dict[str, dict[str, flo
     return table
 
 
+def chance(machines: int) -> tuple[float, float]:
+    """Limits of a ratio where one direction of the parameters makes most of the error.
+
+    Each machine is one draw of it; beyond lies one of 500.
+    """
+    tails = stats.chi2.ppf([0.001, 0.999], machines) / machines
+    return float(np.sqrt(tails[0])), float(np.sqrt(tails[1]))
+
+
 @pytest.fixture(scope="module")
 def plan(taught: Measurement, grid: np.ndarray, d_optimal: Choice) -> Series:
     return taught.series("cup", grid[d_optimal.indices])
@@ -221,9 +231,10 @@ def test_machines_from_the_tolerances_end_as_the_plan_predicts(
     rng = np.random.default_rng(1)
     truths = taught.nominal + taught.tolerance * rng.standard_normal((machines, 27))
     table = ratios(realise(taught, plan, truths, seed=2), planned(taught, plan))
+    low, high = chance(machines)
     for kind in ("before", "after", "fully_corrected"):
         for name, ratio in table[kind].items():
-            assert 0.8 < ratio < 1.25, (kind, name)
+            assert low < ratio < high, (kind, name)
 
 
 @MACHINES
