@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 #: names of the mathematics and where they are, imported when first used: the command
 #: starts quickly

@@ -867,7 +867,7 @@ def _scope_doubt(result: StudyResult) -> str:
         return ""
     return (
         "the figures are of the geometry alone; heat, load, play and other effects come on"
-        " top. What removes it: a test of the compensated machine, which oed verify plans."
+        " top. What removes it: a test of the compensated machine, which `oed verify` plans."
     )
 
 
@@ -898,7 +898,7 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
         conditions = "; ".join(result.corrected.conditions)
         yield (
             f"The corrected accuracy rests on these conditions: {conditions}. What removes"
-            " this: a test of the compensated machine, which oed verify plans"
+            " this: a test of the compensated machine, which `oed verify` plans"
         )
     if result.corrected is not None:
         yield from result.corrected.warnings
