@@ -83,7 +83,7 @@ def test_a_next_plan_knows_the_parameters_over_all_answers(
     )
     assert value == pytest.approx([1e-3, 1e-3])
     assert np.sqrt(np.diag(covariance)) == pytest.approx([0.2e-3, 0.2e-3])
-    assert "all answers" in source
+    assert "all hypotheses" in source
 
 
 def test_words_name_answers_disagreement_and_each_compensation(
