@@ -215,7 +215,7 @@ class LogDensity:
         return self._interpolated(self.coordinates.null_basis)
 
     def _interpolated(self, null: Array) -> Readings:
-        """Readings of long sessions from a few of them (`oed.posterior.log_density`).
+        """Readings of long sessions, interpolated from a few of them.
 
         null  (n, k) directions that move by their prior
         """

@@ -366,6 +366,6 @@ def residuals_of_readings(
     return [[next(listed) for _ in range(n)] for n in channels]
 
 
-def points_mm(points: Sequence[Sequence[float]]) -> Array:
+def points_mm(points: Sequence[Sequence[float]] | Array) -> Array:
     """Points (n, 3) given in m, in mm."""
     return units.from_si(np.array(points, dtype=float).reshape(-1, 3), "mm")

@@ -20,7 +20,7 @@ from oed.mechanism import Kinematics
 from oed.model import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.text import unit_symbol
-from pkm_reports.view import PageView, ViewLabel, ViewLine
+from pkm_reports.view import PageView, ViewLabel, ViewLine, points_mm
 from pkm_studies import catalogue, describe, files, shipped
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import (
@@ -133,10 +133,7 @@ class StudyForm:
         kinematics = Kinematics(machine)
         x, q = kinematics.inverse(machine.home_command)
         skeleton = kinematics.skeleton(x[0], q[0], machine.nominal)
-        lines = [
-            ViewLine("machine", [[1e3 * float(v) for v in point] for point in line])
-            for line in skeleton
-        ]
+        lines = [ViewLine("machine", points_mm(line).tolist()) for line in skeleton]
         return PageView(lines, _labels(kinematics, x[0], q[0]), [], [], [])
 
     def write(self, form: NewStudy) -> Path:
@@ -265,7 +262,7 @@ def _same(key: str, value: str, usual: str) -> bool:
 def _labels(kinematics: Kinematics, x: Array, q: Array) -> list[ViewLabel]:
     """Names of the parameters where they act, at a pose (nx,), (nq,)."""
     return [
-        ViewLabel([1e3 * v for v in label.at], label.text)
+        ViewLabel(points_mm([label.at])[0].tolist(), label.text)
         for label in describe.parameter_labels(kinematics, x, q)
     ]
 

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from oed.base import Array
+from oed.text import format_p_value
 from pkm_printers.delta_geometry import DeltaGeometry
 from pkm_printers.delta_study import SPARE
 from pkm_printers.probed_point import ProbedPoint
@@ -113,5 +114,5 @@ def lean_sentence(lean: Lean | None, count: int, *, is_fitted: bool) -> str:
     return (
         f"Bed: it rises by {shown}. Heights scatter by {1e3 * lean.scatter:.3g} um with this"
         f" lean, by {1e3 * lean.plain:.3g} um with the one that the firmware has (probability"
-        f" by chance {lean.probability:.1g}); it is {end}."
+        f" by chance {format_p_value(lean.probability)}); it is {end}."
     )

@@ -179,7 +179,7 @@ def _write(compensation: Compensation) -> Texts:
     """M669 with four decimals of mm and five of degrees."""
 
     def read(stem: str, unit: str) -> list[float]:
-        values = [compensation.parameter(f"{stem.format(i)}") for i in (1, 2)]
+        values = [compensation.parameter(stem.format(i)) for i in (1, 2)]
         return list(units.from_si(np.array(values), unit))
 
     retained = retained_words(compensation, "rrf", "M669")

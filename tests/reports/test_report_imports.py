@@ -9,6 +9,18 @@ import report_fixture
 import result_sample
 
 
+def printed_by(code: str, folder: Path) -> list[str]:
+    """Lines that a program prints in a process of its own, which loads nothing before."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
+    )
+    return done.stdout.splitlines()
+
+
 def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:
     result = report_fixture.bare() | {"gap": result_sample.gap()}
     (tmp_path / "result.json").write_text(json.dumps(result), encoding="utf-8")
@@ -18,15 +30,9 @@ def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:
         " print(cli.main(['report', '.']));"
         f" print(sorted(set({heavy}) & set(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=tmp_path,
-    )
-    assert "report.html" in done.stdout
-    assert done.stdout.splitlines()[-2:] == ["0", "[]"]
+    printed = printed_by(code, tmp_path)
+    assert "report.html" in "\n".join(printed)
+    assert printed[-2:] == ["0", "[]"]
 
 
 def test_the_lines_of_a_terminal_load_no_figures(tmp_path: Path) -> None:
@@ -40,11 +46,4 @@ def test_the_lines_of_a_terminal_load_no_figures(tmp_path: Path) -> None:
         " print(len(lines.sentences) > 0, lines.table is not None,"
         " sorted({'matplotlib', 'jinja2', 'typst'} & set(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=tmp_path,
-    )
-    assert done.stdout.splitlines() == ["True True []"]
+    assert printed_by(code, tmp_path) == ["True True []"]

@@ -194,8 +194,8 @@ def _prior(machine: Machine) -> str:
 
 def _design(machine: Machine, instrument: Instrument, share: float) -> str:
     grid = grid_lines(machine, instrument, share)
-    counts = [int(n) for n in re.findall(r"count = (\d+)", "\n".join(grid))]
-    readings = min(READINGS, math.prod(counts) // 2)  # fewer than there are candidates
+    # fewer than there are candidates
+    readings = min(READINGS, grid_size("\n".join(grid)) // 2)
     lines = [
         "[design]",
         'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: `oed schema study`',
@@ -269,6 +269,11 @@ def grid_lines(machine: Machine, instrument: Instrument, share: float) -> list[s
         else:
             lines.append(axis(c, machine, share, free))
     return lines
+
+
+def grid_size(lines: str) -> int:
+    """Poses of a grid, from its lines."""
+    return math.prod(int(n) for n in re.findall(r"count = (\d+)", lines))
 
 
 def _led_coordinate(

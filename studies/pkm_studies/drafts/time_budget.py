@@ -9,6 +9,7 @@ from typing import Final
 from oed import units
 from oed.instrument import Instrument
 from pkm_studies.base import InputError
+from pkm_studies.drafts.template import grid_size
 
 #: a day at a machine, s: one shift
 DAY: Final = 8.0 * units.HOUR
@@ -71,11 +72,6 @@ def with_time(draft: str, seconds: float, tool: Instrument) -> str:
             field="time",
             value=f"{seconds / units.MINUTE:g} min",
         )
-    count = min(count, MOST, candidates(draft))
+    grid = draft.partition("[[design.candidates]]")[2].partition("\n\n")[0]
+    count = min(count, MOST, grid_size(grid))
     return re.sub(r"^readings = \d+$", f"readings = {count}", draft, flags=re.M)
-
-
-def candidates(draft: str) -> int:
-    """Poses of the grid of a draft's design."""
-    table = draft.partition("[[design.candidates]]")[2].partition("\n\n")[0]
-    return math.prod(int(n) for n in re.findall(r"count = (\d+)", table))
