@@ -25,13 +25,6 @@ from oed.planning.prediction import (
     profiled_information,
 )
 
-# Plans as sequences of stages: their value, their comparison, their Pareto front.
-#
-# Stages that a search has predicted are computed once. Refined and verified plans draw
-# the same machines for a stage at each use. A stage after the same stages, with the same
-# readings, is therefore the same. Plans on trial differ in one or two stages, and
-# searches with fewer measurements meet earlier plans again.
-
 # Random streams of a plan search: one for each question that drawn machines answer.
 #
 # Most streams start anew at each use (common random numbers). Two plans then differ by
@@ -81,6 +74,14 @@ class PlanStreams:
 
 #: identities of the stage before and of the option, machines drawn, readings
 Key = tuple[int, int, int, bytes]
+
+
+# Plans as sequences of stages: their value, their comparison, their Pareto front.
+#
+# Stages that a search has predicted are computed once. Refined and verified plans draw
+# the same machines for a stage at each use. A stage after the same stages, with the same
+# readings, is therefore the same. Plans on trial differ in one or two stages, and
+# searches with fewer measurements meet earlier plans again.
 
 
 class StageMemory:

@@ -231,11 +231,6 @@ def glance_blocks(results: Results) -> list[Block]:
     return [Table(columns, rows, f"{len(results)} results side by side.")]
 
 
-# The plans of several results: where their readings lie, and how they score.
-
-
-# Predicted accuracy of several results, component by component.
-
 # Predicted accuracy of several results as bars side by side.
 
 #: share of the distance between two components that their bars take
@@ -276,6 +271,9 @@ def _side_panel(axes: Axes, group: Mapping[str, Sizes], names: Sequence[str]) ->
         axes.bar(places + shift, shown, 0.92 * width, color=colour, label=label)
     style.log_axis(axes, "y")
     style.fixed_ticks(axes, "x", places.tolist(), list(group))
+
+
+# Predicted accuracy of several results, component by component.
 
 
 def accuracy_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
@@ -406,6 +404,9 @@ def _cause_row(name: str, gap: GapSection) -> list[str]:
 def _rms(gap: GapSection, rms: Mapping[str, float]) -> str:
     sizes = [f"{n} {text.channel_value(n, v, gap.units)}" for n, v in rms.items()]
     return text.listing(sizes) or text.MISSING
+
+
+# The plans of several results: where their readings lie, and how they score.
 
 
 def plan_blocks(results: Mapping[str, StudyResult]) -> list[Block]:

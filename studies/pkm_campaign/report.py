@@ -29,8 +29,6 @@ from pkm_reports.report import write_document
 if TYPE_CHECKING:
     import pandas as pd
 
-# What virtual machines show: coverage and accuracy by combination, with figures.
-
 # Figures of campaigns: coverage by combination.
 
 #: what 95 % intervals should hold
@@ -63,6 +61,9 @@ def draw_coverage(rows: Mapping[str, Coverage]) -> Figure:
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xlabel("share of 95 % intervals that hold the truth")
     return drawn
+
+
+# What virtual machines show: coverage and accuracy by combination, with figures.
 
 
 def machine_chapters(campaign: Campaign, rows: Rows) -> list[Section]:

@@ -221,9 +221,6 @@ def _positioning(verification: VerificationSection) -> Table:
 CHAPTER: Final = Chapter("acceptance", "Acceptance test", blocks, printed)
 
 
-# Chapter: readings held out of the fit, and how well the fit predicts them.
-
-
 # Residuals of held-out readings, with their predictive intervals.
 
 
@@ -262,6 +259,8 @@ def _residual_panel(axes: Axes, entry: HeldOutSection) -> None:
     unit = text.unit_symbol(entry.unit)
     axes.set(xlabel="reading", ylabel=f"residual [{unit}]")
 
+
+# Chapter: readings held out of the fit, and how well the fit predicts them.
 
 LEAST_COVERAGE: Final = 0.85
 CAPTION: Final = (

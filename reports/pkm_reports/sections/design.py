@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Chapter: how good the plan is: its certificate, and comparisons with other plans.
-
-
 # The robust and the nominal plan over the scenarios, as cumulative distributions.
 
 #: factor between the limits from which the axis is logarithmic
@@ -194,6 +191,9 @@ def _ticks(sizes: Array) -> Sequence[float]:
     places = np.geomspace(sizes[0], sizes[-1], MOST_TICKS)
     nearest = [int(np.argmin(np.abs(np.log(sizes / size)))) for size in places]
     return sorted({float(sizes[k]) for k in nearest})
+
+
+# Chapter: how good the plan is: its certificate, and comparisons with other plans.
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -570,9 +570,6 @@ def _refusals(design: DesignSection) -> list[Block]:
     return [Table(columns, rows, caption)]
 
 
-# Plans for several criteria: what the plan for one is worth by the others.
-
-
 # Efficiency of the design for each criterion by all others, as a shaded table.
 
 #: share of the colour scale above which letters are white
@@ -749,6 +746,9 @@ def _one_table(compared: Sequence[CriterionComparison], names: Sequence[str]) ->
     return Table(columns, rows, caption)
 
 
+# Plans for several criteria: what the plan for one is worth by the others.
+
+
 def _certificates(
     compared: Sequence[CriterionComparison], names: Sequence[str]
 ) -> Table:
@@ -803,9 +803,6 @@ def _value_row(entry: CriterionComparison, names: Sequence[str]) -> list[str]:
     return [
         criterion_value(entry.name, missing.entry(entry.values, name)) for name in names
     ]
-
-
-# The chosen plan against reference plans: by the criterion, and by accuracy.
 
 
 # Predicted accuracy of each component, plan by plan, as marks on a log scale.
@@ -891,6 +888,9 @@ def plan_blocks(design: DesignSection) -> list[Block]:
         content.append(Picture("predicted", lambda: draw_predicted(plans), caption))
         content.append(_accuracies(design))
     return content
+
+
+# The chosen plan against reference plans: by the criterion, and by accuracy.
 
 
 def is_chosen(plan: PlanScore, design: DesignSection) -> bool:

@@ -47,9 +47,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Chapter: the gap between model and machine: its causes, its places, its remedy.
-
-
 # Circles as a ball bar shows them: residuals magnified about the circle.
 
 MAX_CIRCLES: Final = 3
@@ -302,6 +299,9 @@ def _panel(
     style.few_ticks(axes.xaxis, 4)
     style.few_ticks(axes.yaxis, 4)
     return image
+
+
+# Chapter: the gap between model and machine: its causes, its places, its remedy.
 
 
 def blocks(result: StudyResult) -> list[Block]:

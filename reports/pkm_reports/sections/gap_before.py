@@ -32,14 +32,11 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.sections.gap_figures import spoken
+from pkm_reports.sections.gap_figures import VISIBLE, spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-# Chapter: what planned readings could detect, and runs that tell effects apart.
 
 
 # Which effects can be distinguished from which others: a matrix of sqrt(lambda).
@@ -137,12 +134,12 @@ def _set_labels(axes: Axes, names: Sequence[str]) -> None:
         spine.set_visible(False)
 
 
+# Chapter: what planned readings could detect, and runs that tell effects apart.
+
 #: rows of the table of imitated combinations
 MOST: Final = 16
 #: weight of the detectability in the order of these rows, where separations are equal
 TIE_BREAK: Final = 1e-3
-#: rms, in the unit of its channel, from which an effect shows in a channel
-VISIBLE: Final = 1e-9
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -372,9 +369,6 @@ CHAPTER: Final = Chapter(
 )
 
 
-# Table of runs to take, each under its condition.
-
-
 # Chapter: a second visit, and what its readings are expected to decide.
 
 
@@ -397,6 +391,8 @@ VISIT_CHAPTER: Final = Chapter(
     "second_visit", "A second visit", visit_blocks, visit_blocks
 )
 
+
+# Table of runs to take, each under its condition.
 
 DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
 

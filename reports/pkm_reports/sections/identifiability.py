@@ -283,9 +283,6 @@ def _values(section: IdentifiabilitySection, names: Iterable[str]) -> list[str]:
 CHAPTER: Final = Chapter("identifiability", "What the readings can determine", blocks)
 
 
-# Chapter: the condition number over circles and points, for each parametrisation.
-
-
 # Condition number over the number of circles and of points on each circle.
 
 #: kappa above so many times the smallest leaves the panel, so that the minimum shows
@@ -350,6 +347,8 @@ def _smallest_of_line(n: Array, kappa: Array) -> str:
     smallest = int(np.nanargmin(kappa))
     return f"{text.number(kappa[smallest], 4)} at n = {n[smallest]:.0f}"
 
+
+# Chapter: the condition number over circles and points, for each parametrisation.
 
 MOST_COLUMNS: Final = 8
 

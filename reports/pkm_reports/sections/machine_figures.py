@@ -147,9 +147,6 @@ def _outline(axes: Any, box: Box) -> Bbox:
     return Bbox([pixels.min(axis=0), pixels.max(axis=0)])
 
 
-# The machine at home with all readings, small, for the first page.
-
-
 # The machine at its home pose with the planned tool points, in 3-D, axes in mm.
 
 LINES: Final = {
@@ -398,6 +395,8 @@ def legend_entries(shown: Scene) -> list[Line2D]:
 
 #: inches: readable at the width of a telephone
 WIDTH, HEIGHT = 3.4, 3.0
+# The machine at home with all readings, small, for the first page.
+
 #: legend entries side by side
 COLUMNS: Final = 2
 

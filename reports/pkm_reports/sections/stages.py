@@ -53,9 +53,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Chapter: which measurement at which stage, and why this plan.
-
-
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 
 #: parameters named for each stage, those that improve most
@@ -345,6 +342,9 @@ def measurements(plan: AlternativePlan) -> str:
 def cells(table: Mapping[str, float], keys: Iterable[str]) -> list[str]:
     """Numbers of a table row."""
     return [text.number(missing.entry(table, key)) for key in keys]
+
+
+# Chapter: which measurement at which stage, and why this plan.
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -656,9 +656,6 @@ def _row(
 ) -> list[str]:
     head = [name, text.number(plan.minutes), text.number(plan.value), bound]
     return [*head, *cells(plan.accuracy, keys)]
-
-
-# Figures of a plan: accuracy after each stage, stages over time, accuracy against time.
 
 
 # Accuracy of each pose component after each stage of a plan, on a log scale.

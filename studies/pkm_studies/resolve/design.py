@@ -42,9 +42,6 @@ from pkm_studies.tables import (
     QuotaTable,
 )
 
-# Candidates of [design], given reference plans, and circles of [[kappa]].
-
-
 # Applies [design.limits]: which candidates can be read, and why the others cannot.
 
 UNLIKELY = "leave the travel of the instrument on too many machines within tolerances"
@@ -195,6 +192,9 @@ def _metres_of(mm: Point) -> Point:
 
 def _point(values: Array) -> Point:
     return float(values[0]), float(values[1]), float(values[2])
+
+
+# Candidates of [design], given reference plans, and circles of [[kappa]].
 
 
 #: largest share by which a reading may differ from what the instrument holds

@@ -377,9 +377,6 @@ def _usual_constants(effect: Effect) -> dict[str, float]:
     return usual
 
 
-# What [gap.design] requests: effects to separate, candidate runs, rules of choice.
-
-
 # Covariates of planned readings under [gap.conditions]: time, direction, feed, load.
 
 #: how `Series.passes` ends the name of a run's pass
@@ -586,6 +583,9 @@ def _condition_si(condition: RunCondition) -> dict[str, float]:
     if condition.start_min is not None:
         covariates["time"] = condition.start_min * MINUTE
     return covariates
+
+
+# What [gap.design] requests: effects to separate, candidate runs, rules of choice.
 
 
 @dataclasses.dataclass(frozen=True)

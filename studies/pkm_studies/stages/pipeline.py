@@ -41,9 +41,6 @@ from pkm_studies.stages.readings import planned_series, simulate_readings
 from pkm_studies.stages.run_state import Fitted, RunState, Scheduled, start
 from pkm_studies.study import Study
 
-# Writes what a run ends in into the folder of its result.
-
-
 # Files of a plan: stages as CSV, commanded poses with their joints as JSON.
 
 HEADER = [
@@ -116,6 +113,8 @@ def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str,
         for pose, row in zip(poses, joints, strict=True)
     ]
 
+
+# Writes what a run ends in into the folder of its result.
 
 #: folder of an unfinished posterior
 UNFINISHED = "posterior.unfinished"

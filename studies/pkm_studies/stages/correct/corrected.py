@@ -84,9 +84,6 @@ from pkm_studies.stages.predict.prediction import (
 )
 from pkm_studies.stages.run_state import Fitted
 
-# Reports parameters and effects estimated together: the section `corrected`.
-
-
 # Coefficients of the joint estimate, for the diagnosis and its sentences.
 
 
@@ -227,6 +224,9 @@ def effect_table(
         table=(table.joints / factors).tolist(),
         interpolation=dict(interpolation),
     )
+
+
+# Reports parameters and effects estimated together: the section `corrected`.
 
 
 #: what a controller must know, by the covariate that an effect needs
@@ -492,9 +492,6 @@ def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[st
     return sentences
 
 
-# The step that estimates parameters and effects together.
-
-
 # What the alarms of a bad fit become where the fit with effects is good.
 #
 # The check looked at a fit without effects. Where parameters and effects together fit, the
@@ -591,6 +588,9 @@ def is_about_the_fit(finding: CheckFinding) -> bool:
     return finding.severity <= Severity.BAD_FIT and finding.kind in kinds
 
 
+# The step that estimates parameters and effects together.
+
+
 def correct_for_effects(state: Fitted) -> Fitted:
     """Estimate the parameters together with the effects that are named or diagnosed."""
     request, gap = state.resolved.diagnosed, state.result.gap
@@ -601,6 +601,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
     effect_readings = readings_with_covariates(state, request)
     if state.with_effects:
         _refuse_untestable(state, effect_readings, effects)
+    refusal = f"nothing is corrected for {', '.join(e.name for e in effects)}, because"
     try:
         corrected = estimate_with_effects(
             effect_readings,
@@ -613,10 +614,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
     except IdentificationError as error:
         if state.with_effects:
             raise
-        names = ", ".join(effect.name for effect in effects)
-        return state.add_warnings(
-            f"nothing is corrected for {names}, because with them in the model {error}"
-        )
+        return state.add_warnings(f"{refusal} with them in the model {error}")
     if corrected is None:
         return state.add_warnings("no effect that was named changes these readings")
     # the noise without what the effects explain
@@ -628,10 +626,9 @@ def correct_for_effects(state: Fitted) -> Fitted:
     except AssemblyError as error:
         if state.with_effects:
             raise
-        names = ", ".join(effect.name for effect in effects)
         return state.add_warnings(
-            f"nothing is corrected for {names}, because the machine that these readings"
-            f" then give does not reach its workspace: {error}"
+            f"{refusal} the machine that these readings then give does not reach its"
+            f" workspace: {error}"
         )
 
 

@@ -356,9 +356,6 @@ def _robust_certificate(robust: RobustSummary, what: str) -> str:
     )
 
 
-# Steps that plan readings: design, plan of stages, identifiability, drawing.
-
-
 # Reports which parameters the readings identify: the section `identifiability`.
 
 SeriesWithMeasurement = tuple[Measurement, Sequence[Series]]
@@ -435,6 +432,8 @@ def identifiable_variants(
         )
     return sections
 
+
+# Steps that plan readings: design, plan of stages, identifiability, drawing.
 
 #: of a study with both tables: which file and which number belong to which
 PLAN_AND_DESIGN = (

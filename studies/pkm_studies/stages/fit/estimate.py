@@ -159,9 +159,6 @@ def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list
     return [f"The noise departs from the {stated_as} one: {'; '.join(phrases)}."]
 
 
-# Readings with what effects are functions of, states in which they act, what is sent.
-
-
 # States in which a machine is used: as the study states them, else as recorded.
 
 #: beginnings of the names of a machine's own bodies; a bar is none
@@ -220,6 +217,8 @@ def displayed_states(states: Mapping[str, Array]) -> dict[str, list[float]]:
             shown[column.name] = [float(value) / column.factor for value in values]
     return shown
 
+
+# Readings with what effects are functions of, states in which they act, what is sent.
 
 Section = TypeVar("Section", CorrectedSection, MixtureSection)
 
@@ -557,9 +556,6 @@ def _widest(
     return names, [[float(v) for v in row] for row in draws]
 
 
-# Steps that fit the readings: least squares, then the posterior.
-
-
 # The step that checks recorded readings before anything is fitted to them.
 
 
@@ -594,6 +590,9 @@ def _drop_readings(
     return dataclasses.replace(
         readings, series=rest.series, y=rest.y, covariates=covariates
     )
+
+
+# Steps that fit the readings: least squares, then the posterior.
 
 
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:

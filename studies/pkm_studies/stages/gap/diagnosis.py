@@ -202,9 +202,6 @@ def _truth_entry(
     }
 
 
-# Steps about the gap: what readings could find, and the diagnosis of what remains.
-
-
 # Chooses the runs of [gap.design], which separate the wanted effects best.
 
 
@@ -642,6 +639,8 @@ def _findings(readings: str, table: DetectabilityTable) -> list[str]:
         sentences.append(f"They cannot test {join_words(untestable)}.")
     return sentences
 
+
+# Steps about the gap: what readings could find, and the diagnosis of what remains.
 
 #: the only advice after a fit that failed its check, where no effect explains it
 AFTER_BAD_FIT = (

@@ -300,9 +300,6 @@ def _expected_size(expected: ExpectedEffect) -> str:
     return ", ".join(parts)
 
 
-# Steps that predict: accuracy over the workspace, and held-out readings.
-
-
 # Compares held-out readings with their predictive intervals: the section `held_out`.
 #
 # A new mounting adds unknowns of its own, such as a probe's offset, which no earlier
@@ -627,6 +624,8 @@ def _draw_machines(
     exact = measurement.readings(series, np.array(truth))
     return np.array(truth), exact + np.array(errors)
 
+
+# Steps that predict: accuracy over the workspace, and held-out readings.
 
 #: draws used for predictive intervals
 PREDICTIVE_DRAWS = 2000
