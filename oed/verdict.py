@@ -77,15 +77,14 @@ def accuracy_verdicts(
         section = mixture.prediction
     if section is None:
         return {}
-    scope, effects = _scope(result, section), _usual_effects(section)
+    components = section.judged_components
     added = added or {}
     objection, verdicts = _objection(result), {}
     for name, limit in (section.wanted if wanted is None else wanted).items():
-        spread = section.components[name].judged
-        rms = math.hypot(max(effects.get(name, 0.0), spread.rms), added.get(name, 0.0))
+        spread = components[name].judged
+        rms = math.hypot(spread.rms, added.get(name, 0.0))
         factor = rms / spread.rms if spread.rms > 0.0 else 1.0
-        is_bare = section.mode == "plan" and name not in effects
-        holds = GEOMETRY_ALONE if is_bare else scope
+        holds = _scope(section, name)
         probability = spread.probability_within(limit / factor)
         doubt = objection
         if not doubt and holds == GEOMETRY_ALONE:
@@ -115,20 +114,11 @@ def sentence(name: str, verdict: WantedVerdict, rms: str, wanted: str) -> str:
     )
 
 
-def _scope(result: StudyResult, section: PredictionSection) -> str:
-    if section.mode == "plan":
+def _scope(section: PredictionSection, name: str) -> str:
+    """What the errors of a component hold."""
+    if section.judged_components[name] is not section.components[name]:
         return WITH_USUAL_EFFECTS
-    if section.mode in SCOPE_WORDS:
-        return SCOPE_WORDS[section.mode]
-    return GEOMETRY_ALONE
-
-
-def _usual_effects(section: PredictionSection) -> dict[str, float]:
-    """Rms errors of a planned machine with usual effects, by component."""
-    if section.mode != "plan" or section.budget is None:
-        return {}
-    usual = section.budget.usual
-    return {} if usual is None else usual.unmodelled
+    return SCOPE_WORDS.get(section.mode, GEOMETRY_ALONE)
 
 
 def _objection(result: StudyResult) -> str:

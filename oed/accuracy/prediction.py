@@ -142,6 +142,7 @@ def predict(
     known: Array | None = None,
     before: Array | None = None,
     draws: Array | None = None,
+    estimates: Array | None = None,
     worth: float | None = None,
     reference: Reference = "home",
     variance: Array | None = None,
@@ -156,6 +157,8 @@ def predict(
              default those under one with nominal parameters, A dp_hat
     draws    (m, np) draws of delta from the posterior of the parameters, SI, of which
              `posterior` is the second moment; normal draws by default
+    estimates  (m, np) of p_hat - p_nominal before measuring, one for each of the draws,
+             all of which are taken then; normal draws by default
     worth    number of independent draws that these are worth; m by default
     variance (n, k) of the errors that delta causes, where it is known better than by
              the maps (`oed.accuracy.budget`); draws are scaled to it
@@ -176,18 +179,19 @@ def predict(
     if mean is not None or centre is None:
         centre = np.zeros(len(prior)) if mean is None else mean
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
-    delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
-    estimate = centre + _draw(unknown_estimate, rng, len(delta))
+    if draws is not None and estimates is not None:
+        delta, estimate = draws, estimates
+    else:
+        delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
+        estimate = centre + _draw(unknown_estimate, rng, len(delta))
     linear = _rms(maps.raw, posterior, 0.0)
     rms_undetermined = linear if variance is None else np.sqrt(variance)
     scale = _ratio(rms_undetermined, linear)
     uncorrected = maps.raw @ centre
     start = uncorrected if before is None else before
-    rms_known = (
-        _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
-        if known is None
-        else np.abs(known)
-    )
+    rms_known = _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
+    if known is not None:
+        rms_known = np.abs(known)
     rms = {
         "before": _rms(maps.raw, posterior if measured else prior, start),
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
@@ -197,9 +201,7 @@ def predict(
     for k, name in enumerate(maps.names):
         raw = maps.raw[:, k]
         undetermined = scale[:, k] * (delta @ raw.T)
-        remaining = (
-            known[:, k] if known is not None else estimate @ maps.remaining[:, k].T
-        )
+        remaining = estimate @ maps.remaining[:, k].T if known is None else known[:, k]
         uncompensated = (estimate + delta) @ raw.T + (start - uncorrected)[:, k]
         corrected = _spread(undetermined, rms_undetermined[:, k], worth)
         spreads["before"][name] = _spread(uncompensated, rms["before"][:, k], worth)

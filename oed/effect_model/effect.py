@@ -230,6 +230,8 @@ class Effect:
                          m where none does
     textbook_share       prior probability of its textbook form, where it has columns
                          that adapt the shape
+    incident             whether it is an event (a knocked mount) that a diagnosis looks for
+                         and no plan counts on
 
     >>> from pkm_models.effects.backlash import effect
     >>> effect.needs
@@ -255,6 +257,7 @@ class Effect:
     unfit: Callable[[Machine], str | None] = lambda machine: None
     common_to_limbs: bool = False
     textbook_share: float = 0.5
+    incident: bool = False
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property

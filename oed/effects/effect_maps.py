@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 RIDGE_SHARE = 1e-3
 
 
-def absorbing_shift(maps: ErrorMaps, error: Array, tolerance: Array) -> Array:
-    """Shift (np,) of the parameters sent, SI, that takes up errors (n, k), SI.
+def absorbing_shift(maps: ErrorMaps, errors: Array, tolerance: Array) -> Array:
+    """Shifts (np, m) of the parameters sent, SI, that take up errors (n, k, m), SI.
 
     maps       over the machine's np parameters
     tolerance  (np,) prior standard deviations, SI; those of 0 do not move
@@ -46,15 +46,17 @@ def absorbing_shift(maps: ErrorMaps, error: Array, tolerance: Array) -> Array:
     scaled = (maps.raw * tolerance)[:, :, free]
     size = np.sqrt((scaled**2).sum(axis=2).mean(axis=0))
     weight = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
-    weight /= np.sqrt(len(error))
+    weight /= np.sqrt(len(errors))
     change = ((maps.raw - maps.remaining) * tolerance)[:, :, free]
     rows = (change * weight[:, None]).reshape(-1, int(free.sum()))
-    target = (error * weight).ravel()
+    count = errors.shape[2]
+    target = (errors * weight[:, None]).reshape(-1, count)
     ridge = RIDGE_SHARE * np.eye(rows.shape[1])
     stacked = np.vstack([rows, ridge])
-    solution = np.linalg.lstsq(stacked, np.append(target, np.zeros(len(ridge))))[0]
-    shift = np.zeros(len(tolerance))
-    shift[free] = solution * tolerance[free]
+    padded = np.vstack([target, np.zeros((len(ridge), count))])
+    solution = np.linalg.lstsq(stacked, padded)[0]
+    shift = np.zeros((len(tolerance), count))
+    shift[free] = solution * tolerance[free, None]
     return shift
 
 

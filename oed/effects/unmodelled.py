@@ -7,7 +7,13 @@ part for parameters, so that the compensated machine errs by
     e = (E - A K G) beta,        K = S H^T C^-1.
 
 One that fits all effects with the parameters, and takes back what it then knows of both,
-leaves what the joint posterior of z and beta leaves, each effect's constants unknown.
+leaves what the joint posterior P of z and beta leaves, each effect's constants unknown. A
+controller that is sent parameters alone has them moved by D beta_hat, so that they take
+up what they can of the effects, and leaves as well
+
+    (E - C D) beta_hat,        beta_hat ~ N(0, I - P_bb),
+
+with C what compensation changes per unit of a parameter.
 """
 
 from __future__ import annotations
@@ -18,19 +24,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.accuracy import BudgetModel, ErrorMaps, Reference
-from oed.base import Array
+from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference, predict
+from oed.base import Array, Mask
 from oed.effect_model import Effect, State
 from oed.effects.effect_maps import (
     ActingForm,
     SessionStates,
+    absorbing_shift,
     effect_maps,
     workspace_state,
 )
 from oed.gap import GapProblem, untestable
+from oed.linear_algebra import covariance_root
 
 #: points of an effect's constants that are tried
 N_CONSTANTS = 5
+#: machines drawn for intervals and percentiles
+N_MACHINES = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,15 +48,18 @@ class ExpectedEffect:
     """Expected errors by one effect that the model lacks.
 
     effect        the effect
-    sizes         {coefficient: prior standard deviation, in its SI unit}
-    variance      (n, k) of the pose components at the workspace poses, SI; median over
-                  its constants
+    sizes         {coefficient: prior standard deviation at each of its constants, in its
+                  SI unit}
+    variance      (n, k) of the pose components at the workspace poses, SI, where the
+                  calibration knows none; median over its constants
+    without       (n, k) of the machine without it, where all others act and are fitted
     not_testable  why the readings cannot test it; None where they can
     """
 
     effect: Effect
-    sizes: Mapping[str, float]
+    sizes: Mapping[str, list[float]]
     variance: Array
+    without: Array
     not_testable: str | None
 
 
@@ -54,16 +67,19 @@ class ExpectedEffect:
 class ExpectedEffects:
     """Expected errors by effects that the model lacks.
 
-    Variances (n, k) of the pose components, SI, are means over the constants.
+    The variance (n, k) of the pose components, SI, is the mean over the constants.
 
     effects  those that have any
-    added    variance by all of them together, beside the geometry's
-    fitted   variance of all, where effects are fitted and corrected with the parameters
+    added       variance by all of them together, beside the geometry's, where the
+                calibration knows none
+    prediction  of machines with all of them, fitted with the parameters: the parameters
+                sent take up of them what they can; fully corrected, effects are
+                compensated too
     """
 
     effects: list[ExpectedEffect]
     added: Array
-    fitted: Array
+    prediction: Prediction
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,13 +95,17 @@ class _Form:
 
 
 class _FormErrors(NamedTuple):
-    """A form, what it does to the tool (n, k, m), and the variance (n, k) of the errors.
+    """A form, what it does to the tool, and the variance (n, k) of the errors.
 
     The errors are those of the compensated machine.
+
+    tool      (n, k, m) in the states that are judged
+    absorbed  (n, k, m) in those for which the parameters sent take it up
     """
 
     form: _Form
     tool: Array
+    absorbed: Array
     variance: Array
 
 
@@ -101,76 +121,165 @@ def expected_effects(
     """Expected errors at the commands of `maps`; None where no effect makes any.
 
     model  of the problem's readings, linearised where the problem is. Effects that
-           depend on what the plan does not state (a payload) are left out
+           depend on what the plan does not state (a payload), and incidents, are left out
     """
-    state = workspace_state(session, problem.theta, maps.command, rng)
-    machine = session.measurement.machine
-    forms = [
-        form
-        for effect in effects
-        if effect.unfit(machine) is None
-        for form in _forms(problem, effect, state)
-    ]
-    if not forms:
+    by_effect = _acting(problem, session, model, maps, effects, reference, rng)
+    if not by_effect:
         return None
-    parameters = problem.theta[: len(machine.parameters)]
-    in_workspace = effect_maps(
-        session.measurement.kinematics,
-        [form.acting for form in forms],
-        state,
-        parameters,
-        maps.command,
-        reference,
-    )
-    changes = np.hstack([form.changes for form in forms])
-    errors = in_workspace.raw - maps.raw @ model.response(changes)
-    ends = np.cumsum([form.changes.shape[1] for form in forms])[:-1]
-    parts = (np.split(values, ends, axis=2) for values in (in_workspace.raw, errors))
-    acting: dict[str, list[_FormErrors]] = {}
-    for form, tool, error in zip(forms, *parts, strict=True):
-        if np.isfinite(error).all() and error.any():
-            of_effect = acting.setdefault(form.acting.effect.name, [])
-            of_effect.append(_FormErrors(form, tool, np.sum(error**2, axis=2)))
-    if not acting:
-        return None
-    by_effect = list(acting.values())
     # An effect has one set of constants: its coefficients at several share its variance.
     added = sum(np.mean([f.variance for f in some], axis=0) for some in by_effect)
     shared = [(f, len(some) ** -0.5) for some in by_effect for f in some]
     changes = np.hstack([share * f.form.changes for f, share in shared])
     tool = np.concatenate([share * f.tool for f, share in shared], axis=2)
+    absorbed = np.concatenate([share * f.absorbed for f, share in shared], axis=2)
+    machine = session.measurement.machine
+    tolerance = session.measurement.tolerance[: len(machine.parameters)]
+    shift = absorbing_shift(maps, absorbed, tolerance)
+    joint = _joint_maps(model, maps, tool, shift)
+    information = _joint_information(model, changes)
+    widths = [[f.tool.shape[2] for f in some] for some in by_effect]
+    owner = np.repeat(
+        np.arange(-1, len(by_effect)), [len(model.names), *map(sum, widths)]
+    )
+    expected = [
+        _expected(problem, some, _variance_of(joint, information, owner != number))
+        for number, some in enumerate(by_effect)
+    ]
     return ExpectedEffects(
-        effects=[_expected(problem, some) for some in by_effect],
+        effects=expected,
         added=np.asarray(added),
-        fitted=_fitted(model, maps.raw, changes, tool),
+        prediction=_prediction(joint, information, widths, rng, reference),
     )
 
 
-def _expected(problem: GapProblem, forms: Sequence[_FormErrors]) -> ExpectedEffect:
-    """One effect's errors, by its forms."""
-    first = forms[0].form
-    effect = first.acting.effect
+def _acting(
+    problem: GapProblem,
+    session: SessionStates,
+    model: BudgetModel,
+    maps: ErrorMaps,
+    effects: Sequence[Effect],
+    reference: Reference,
+    rng: np.random.Generator,
+) -> list[list[_FormErrors]]:
+    """The forms of each effect that makes errors, as in `expected_effects`."""
+    machine = session.measurement.machine
+    parameters = problem.theta[: len(machine.parameters)]
+    states = [
+        workspace_state(session, problem.theta, maps.command, rng) for _ in range(2)
+    ]
+    forms = [
+        form
+        for effect in effects
+        if not effect.incident and effect.unfit(machine) is None
+        for form in _forms(problem, effect, states[0])
+    ]
+    if not forms:
+        return []
+    acting_forms = [form.acting for form in forms]
+    kinematics, command = session.measurement.kinematics, maps.command
+    tool, absorbed = (
+        effect_maps(kinematics, acting_forms, state, parameters, command, reference).raw
+        for state in states
+    )
+    changes = np.hstack([form.changes for form in forms])
+    errors = tool - maps.raw @ model.response(changes)
+    ends = np.cumsum([form.changes.shape[1] for form in forms])[:-1]
+    parts = (np.split(values, ends, axis=2) for values in (tool, absorbed, errors))
+    acting: dict[str, list[_FormErrors]] = {}
+    for form, at_tool, taken_up, error in zip(forms, *parts, strict=True):
+        if np.isfinite(error).all() and error.any():
+            variance = np.sum(error**2, axis=2)
+            of_effect = acting.setdefault(form.acting.effect.name, [])
+            of_effect.append(_FormErrors(form, at_tool, taken_up, variance))
+    return list(acting.values())
+
+
+def _prediction(
+    joint: ErrorMaps,
+    information: Array,
+    widths: Sequence[Sequence[int]],
+    rng: np.random.Generator,
+    reference: Reference,
+) -> Prediction:
+    """Errors of machines, each with one set of constants an effect.
+
+    With w = (z, beta) and eta ~ N(0, P (I - P)) from the noise, w_hat = (I - P) w + eta.
+
+    widths  coefficients at each of the constants, by effect
+    """
+    prior = np.eye(len(information))
+    covariance = np.asarray(np.linalg.inv(prior + information))
+    machines = rng.standard_normal((N_MACHINES, len(prior)))
+    start = len(prior) - sum(map(sum, widths))
+    for of_constants in widths:
+        count = len(of_constants)
+        acts = rng.integers(count, size=(N_MACHINES, 1)) == np.arange(count)
+        shares = np.repeat(np.sqrt(count) * acts, of_constants, axis=1)
+        machines[:, start : start + shares.shape[1]] *= shares
+        start += shares.shape[1]
+    root = covariance_root(np.asarray(covariance - covariance @ covariance))
+    scatter = rng.standard_normal(machines.shape) @ root.T
+    estimates = machines @ (prior - covariance) + scatter
+    return predict(
+        joint,
+        prior,
+        covariance,
+        rng,
+        draws=machines - estimates,
+        estimates=estimates,
+        reference=reference,
+    )
+
+
+def _variance_of(joint: ErrorMaps, information: Array, acting: Mask) -> Array:
+    """Variance (n, k), SI, after compensation where some unknowns (n + m,) act alone."""
+    raw, remaining = joint.raw[:, :, acting], joint.remaining[:, :, acting]
+    prior = np.eye(int(acting.sum()))
+    covariance = np.linalg.inv(prior + information[np.ix_(acting, acting)])
+    undetermined = np.sum((raw @ covariance) * raw, axis=2)
+    known = np.sum((remaining @ (prior - covariance)) * remaining, axis=2)
+    return np.asarray(undetermined + known)
+
+
+def _joint_maps(
+    model: BudgetModel, maps: ErrorMaps, tool: Array, shift: Array
+) -> ErrorMaps:
+    """Maps over z and beta; with compensation, parameters are moved by `shift` (np, m)."""
+    root = model.root[model.used]
+    uncorrected = tool - (maps.raw - maps.remaining) @ shift
+    return dataclasses.replace(
+        maps,
+        raw=np.concatenate([maps.raw @ root, tool], axis=2),
+        remaining=np.concatenate([maps.remaining @ root, uncorrected], axis=2),
+    )
+
+
+def _expected(
+    problem: GapProblem, forms: Sequence[_FormErrors], without: Array
+) -> ExpectedEffect:
+    """One effect's errors, by its forms; `without`: those of all others together."""
+    effect = forms[0].form.acting.effect
+    sizes: dict[str, list[float]] = {}
+    for of_constants in forms:
+        for name, size in of_constants.form.sizes.items():
+            sizes.setdefault(name, []).append(size)
     return ExpectedEffect(
         effect=effect,
-        sizes=first.sizes,
+        sizes=sizes,
         variance=np.median([f.variance for f in forms], axis=0),
+        without=without,
         not_testable=untestable(effect, problem.states),
     )
 
 
-def _fitted(model: BudgetModel, gradients: Array, changes: Array, tool: Array) -> Array:
-    """Variance (n, k), SI, by the joint posterior of parameters and effects.
+def _joint_information(model: BudgetModel, changes: Array) -> Array:
+    """Information (n + m, n + m) of the readings on z and beta.
 
-    gradients  (n, k, p) of the pose over the parameters that move it, SI
-    changes    (N, m) of the readings per prior standard deviation of each coefficient, SI
-    tool       (n, k, m) of the pose likewise
+    changes  (N, m) of the readings per prior standard deviation of each coefficient, SI
     """
     columns = np.hstack([model.slopes, model.structure.standardise(changes)])
     white = model.readings.whiten(columns, {})
-    covariance = np.linalg.inv(np.eye(columns.shape[1]) + white.T @ white)
-    by_parameter = gradients @ model.root[model.used]
-    by_unknown = np.concatenate([by_parameter, tool], axis=2)
-    return np.asarray(np.sum((by_unknown @ covariance) * by_unknown, axis=2))
+    return np.asarray(white.T @ white)
 
 
 def _forms(problem: GapProblem, effect: Effect, state: State) -> list[_Form]:

@@ -266,6 +266,8 @@ class UnmodelledLine(Record, frozen=True):
     with_it       rms error of the compensated machine with it
     expected      its expected size, in words
     far           rms error with it at 30 times that size, the largest usual one
+    without       rms error of `usual.components` without it; absent from results of
+                  earlier versions
     not_testable  why the readings cannot find it; null where they can
     """
 
@@ -277,6 +279,7 @@ class UnmodelledLine(Record, frozen=True):
     remedy: str
     not_testable: str | None = None
     far: dict[str, float] = {}
+    without: dict[str, float] = {}
 
 
 class UsualEffects(Record, frozen=True):
@@ -288,11 +291,14 @@ class UsualEffects(Record, frozen=True):
     effects     their names
     unmodelled  where the calibration knows none of them
     fitted      where all are fitted with the parameters, and corrected with them
+    components  where all are fitted so, and a controller is sent parameters alone; `known`:
+                corrected with them. Absent from results of earlier versions
     """
 
     effects: list[str]
     unmodelled: dict[str, float]
     fitted: dict[str, float]
+    components: dict[str, ComponentAccuracy] = {}
 
 
 class BudgetSection(Record, frozen=True):
@@ -303,7 +309,7 @@ class BudgetSection(Record, frozen=True):
     no_axes     rms error of what no drive corrects, without additional axes
     lines       of what the prediction contains
     unmodelled  effects that it does not contain, at their expected sizes, the one that
-                adds most first
+                costs `usual` most first
     usual       the machine with all of these; null where none are listed
     advice      what to improve first, in sentences
     """
@@ -441,6 +447,19 @@ class PredictionSection(Record, frozen=True):
     # there is as in the session
     states: dict[str, list[float]] = {}
     states_from: str = ""  # "study", or "readings" where the study states none
+
+    @property
+    def judged_components(self) -> dict[str, ComponentAccuracy]:
+        """The accuracy that is compared with the wanted one: usual effects counted.
+
+        A plan counts them where the drives correct a component; a fit to readings has
+        its own.
+        """
+        usual = None if self.budget is None else self.budget.usual
+        if self.mode != "plan" or usual is None:
+            return self.components
+        counted = {n: c for n, c in usual.components.items() if n in usual.fitted}
+        return self.components | counted
 
 
 class HeldOutSection(Record, frozen=True):

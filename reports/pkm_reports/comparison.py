@@ -141,7 +141,7 @@ def rms_by_component(results: Results) -> dict[str, dict[str, tuple[float, str]]
         prediction = result.judged_prediction
         if prediction is None:
             continue
-        for name, c in prediction.components.items():
+        for name, c in prediction.judged_components.items():
             sizes.setdefault(name, {})[label] = (c.judged.rms, c.judged.unit)
     return sizes
 

@@ -244,27 +244,21 @@ def unmodelled_sentence(
     if not section.unmodelled:
         return None
     worst = section.unmodelled[0]
-    geometry = error_quantities(after, driven)
-    opening = f"This is geometry alone ({geometry})."
-    effect = f"{worst.effect} of its expected size ({worst.expected})"
     usual = section.usual
-    if usual is None or len(usual.effects) == 1:
-        whole = error_quantities(worst.with_it, driven)
-        added = f"{effect} would bring {whole}, as calibration takes a part of it for"
-        cause = "geometry"
-    else:
-        whole = error_quantities(usual.unmodelled, driven)
-        added = f"All {len(usual.effects)} usual effects would bring {whole}, as"
-        cause = f"calibration takes a part of them for geometry; most is {effect}"
-    corrected = ""
-    if usual is not None:
-        corrected = (
-            ". Fitted with the geometry and corrected they would leave"
-            f" {error_quantities(usual.fitted, driven)}"
+    opening = f"This is geometry alone ({error_quantities(after, driven)})."
+    counted = ""
+    if usual is not None and usual.components:
+        errors = {name: usual.components[name].after.rms for name in driven}
+        number = len(usual.effects)
+        acting = f"all {number} usual effects" if number > 1 else "the usual effect"
+        counted = (
+            f" With {acting} at the expected size, fitted beside the geometry, the"
+            f" parameters sent leave {error_quantities(errors, driven)}; with effects"
+            f" corrected too {error_quantities(usual.fitted, driven)}."
         )
     return (
-        f"{opening} {added} {cause}{corrected}. Sizes vary by decades. Remedy:"
-        f" {worst.remedy}."
+        f"{opening}{counted} Most is {worst.effect} of its expected size"
+        f" ({worst.expected}); sizes vary by decades. Remedy: {worst.remedy}."
     )
 
 

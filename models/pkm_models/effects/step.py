@@ -99,5 +99,6 @@ effect = Effect(
         " drop the readings on one side"
     ),
     nature=natures.SESSION,
+    incident=True,
     exposed_by="a reference circle repeated before and after",
 )

@@ -633,7 +633,7 @@ def remaining_errors(
 def _predicted_accuracy(
     result: StudyResult, prediction: PredictionSection
 ) -> list[Block]:
-    components = prediction.components
+    components = prediction.judged_components
     judged = verdicts(result, components)
     errors = remaining_errors(result, components)
     columns = [

@@ -1,15 +1,17 @@
 """What an effect outside the model does, through calibration, on the oracle's A3 head."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
-from shipped_models import gravity, leg_thermal, servo_lag
+from shipped_models import gravity, leg_thermal, servo_lag, step
 
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import budget_model, error_maps
-from oed.effect_model import State
+from oed.accuracy import Prediction, budget_model, error_maps
+from oed.effect_model import Column, Effect, State
 from oed.effects import SessionStates, expected_effects, workspace_state
 from oed.estimation import identify
 from oed.gap import DOWN, assemble
@@ -35,7 +37,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     )
     (expected,) = first.effects
     assert expected.not_testable is None
-    assert expected.sizes["leg 2 per kelvin"] == PER_KELVIN
+    assert set(expected.sizes["leg 2 per kelvin"]) == {PER_KELVIN}
     q = series.q[series.index[:, 0]].copy()
     q[:, WARM_LEG] *= 1.0 + PER_KELVIN * rows["temp_leg2"].to_numpy()
     cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
@@ -60,7 +62,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
         np.random.default_rng(3),
     )
     (quarter,) = second.effects
-    assert quarter.sizes["leg 2 per kelvin"] == pytest.approx(PER_KELVIN / 4.0)
+    assert quarter.sizes["leg 2 per kelvin"][0] == pytest.approx(PER_KELVIN / 4.0)
     assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
 
 
@@ -100,11 +102,75 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     by_parameter[:, :24] = maps.raw[:, z]
     unit = np.column_stack([by_parameter * m.tolerance, moved])
     wanted = np.einsum("ni,ij,nj->n", unit, covariance, unit)
-    assert all_of_it.fitted[:, z] == pytest.approx(wanted, rel=0.02)
+    corrected = all_of_it.prediction.fully_corrected["z"].rms ** 2
+    assert corrected == pytest.approx(wanted.mean(), rel=0.02)
     parameters = covariance_of_parameters(h[:, :-1])
     geometry = np.einsum("ni,ij,nj->n", unit[:, :-1], parameters, unit[:, :-1])
     assert np.all(geometry <= wanted * (1.0 + 1e-6))
-    assert np.all(all_of_it.fitted[:, z] <= geometry + all_of_it.added[:, z])
+    assert corrected <= np.mean(geometry + all_of_it.added[:, z])
+    # parameters alone: what is known of the effect stays, but for what they take up
+    sent = all_of_it.prediction.after["z"].rms ** 2
+    known = 1.0 - covariance[-1, -1]
+    assert corrected < sent <= (wanted + known * moved**2).mean() * 1.01
+    # without the only effect, geometry stays alone
+    (leg,) = all_of_it.effects
+    assert leg.without[:, z] == pytest.approx(geometry, rel=0.02)
+
+
+def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent() -> (
+    None
+):
+    """A leg that is too long is its zero offset; what no parameter is stays whole."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    maps = error_maps(m.kinematics, a3_plans.workspace()[::17], "absolute")
+    model = budget_model(m, problem.series, m.nominal)
+
+    def of(change: Callable[[State], np.ndarray]) -> Prediction:
+        """The accuracy where leg 1 errs by a change (m,), unit size 1 mm."""
+        effect = Effect(
+            name="made",
+            source="",
+            about="",
+            columns=lambda state: [Column("leg 1", 1e-3, joints={0: change(state)})],
+        )
+        expected = expected_effects(
+            problem,
+            SessionStates(m, rows, problem.states, DOWN),
+            model,
+            maps,
+            [effect],
+            "absolute",
+            np.random.default_rng(3),
+        )
+        assert expected is not None
+        return expected.prediction
+
+    offset = of(lambda state: np.ones(len(state)))
+    assert offset.after["z"].rms == pytest.approx(
+        offset.fully_corrected["z"].rms, rel=1e-3
+    )
+    ripple = of(lambda state: np.sin(state.joints[:, 0] / 1e-5))
+    added = ripple.after["z"].rms ** 2 - ripple.fully_corrected["z"].rms ** 2
+    assert added > 30e-6**2
+
+
+def test_an_incident_is_looked_for_but_not_counted_on() -> None:
+    assert step.effect.incident
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    expected = expected_effects(
+        problem,
+        SessionStates(m, rows, problem.states, DOWN),
+        budget_model(m, problem.series, m.nominal),
+        error_maps(m.kinematics, a3_plans.workspace()[::30]),
+        [step.effect],
+        "home",
+        np.random.default_rng(3),
+    )
+    assert expected is None
 
 
 def covariance_of_parameters(h: np.ndarray) -> np.ndarray:

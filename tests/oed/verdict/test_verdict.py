@@ -76,9 +76,10 @@ def test_geometry_alone_never_passes() -> None:
 def test_a_file_adds_to_the_usual_effects() -> None:
     """Mean squares add up: 30 um with usual effects and 40 um of a file's digits are 50."""
     raw = report_fixture.sample()
-    names = list(raw["prediction"]["components"])
-    usual = {"effects": ["e"], "unmodelled": dict.fromkeys(names, 0.0), "fitted": {}}
-    usual["unmodelled"]["z"] = 3e4
+    z = raw["prediction"]["components"]["z"]
+    counted = z | {"after": z["after"] | {"rms": 3e4}}
+    usual = {"effects": ["e"], "unmodelled": {"z": 4e4}, "fitted": {"z": 2e4}}
+    usual["components"] = {"z": counted}
     budget = {"predicted": {}, "lines": [], "usual": usual}
     raw["prediction"] |= {"mode": "plan", "wanted": {}, "budget": budget}
     raw |= {"corrected": None, "gap": None}

@@ -186,9 +186,14 @@ def test_usual_effects_count_as_on_the_first_page(
     assert section is not None
     assert section.budget is not None
     errors = dict.fromkeys(NAMES, 30.0)
-    budget = msgspec.structs.replace(
-        section.budget, usual=UsualEffects(["home_reference"], errors, errors)
-    )
+    whole = {
+        name: msgspec.structs.replace(
+            component, after=msgspec.structs.replace(component.after, rms=30.0)
+        )
+        for name, component in section.components.items()
+    }
+    usual = UsualEffects(["home_reference"], errors, errors, whole)
+    budget = msgspec.structs.replace(section.budget, usual=usual)
     section = msgspec.structs.replace(section, mode="plan", budget=budget)
     sample.save(folder, msgspec.structs.replace(result, prediction=section))
     capsys.readouterr()

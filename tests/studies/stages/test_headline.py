@@ -45,7 +45,11 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
     usual = {
         "effects": ["pitch_accumulation", "backlash"],
         "unmodelled": {"z": 1300.0, "psi": 240.0, "theta": 15.2},
-        "fitted": {"z": 300.0, "psi": 90.0, "theta": 7.1},
+        "fitted": dict.fromkeys(after, 7.1),
+    }
+    counted = {
+        name: component | {"after": spread(usual["unmodelled"][name], units[name])}
+        for name, component in components.items()
     }
     line = {
         "source": "noise of ball_bar",
@@ -65,12 +69,7 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
             "predicted": after,
             "lines": [line],
             "unmodelled": [unmodelled],
-            "usual": {
-                part: values
-                if part == "effects"
-                else {name: values[name] for name in after}
-                for part, values in usual.items()
-            },
+            "usual": usual | {"components": counted},
         },
     }
     return report_fixture.result_of(raw)

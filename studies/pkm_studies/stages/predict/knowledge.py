@@ -289,9 +289,9 @@ def absorb_effects(
     machine = knowledge.measurement.machine
     maps = error_maps(knowledge.measurement.kinematics, command, reference)
     acting = effects.maps(command, reference, rng)
-    error = acting.raw @ effects.draws.mean(axis=0)
+    error = acting.raw @ effects.draws.mean(axis=0)[:, None]
     tolerance = knowledge.measurement.tolerance[: len(machine.parameters)]
-    shift = absorbing_shift(maps, error, tolerance)
+    shift = absorbing_shift(maps, error, tolerance)[:, 0]
     return dataclasses.replace(knowledge, sent=machine.nominal + mean + shift)
 
 

@@ -85,17 +85,7 @@ def accuracy_section(
     machine = kinematics.machine
     of_sources = {} if budget is None else budget.shares()
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    compensatable = {c.name: c.compensatable for c in machine.components}
-    components = {
-        name: ComponentAccuracy(
-            compensatable=compensatable[name],
-            before=spread_record(prediction.before[name], fine[name]),
-            after=spread_record(prediction.after[name], fine[name]),
-            known=spread_record(prediction.fully_corrected[name], fine[name]),
-            budget=of_sources.get(name, {}),
-        )
-        for name in prediction.names
-    }
+    components = component_accuracies(machine, prediction, of_sources)
     points = []
     poses = kinematics.inverse(prediction.command)[0]
     _, tips, _ = kinematics.frames(poses, np.zeros(3))
@@ -118,6 +108,28 @@ def accuracy_section(
             for k, name in enumerate(prediction.names)
         },
     )
+
+
+def component_accuracies(
+    machine: Machine,
+    prediction: Prediction,
+    of_sources: Mapping[str, dict[str, float]],
+) -> dict[str, ComponentAccuracy]:
+    """A prediction by component, in its fine unit.
+
+    of_sources  {component: share of its variance by source}
+    """
+    records = {}
+    for component in machine.components:
+        name, fine = component.name, units.FINE[component.unit]
+        records[name] = ComponentAccuracy(
+            compensatable=component.compensatable,
+            before=spread_record(prediction.before[name], fine),
+            after=spread_record(prediction.after[name], fine),
+            known=spread_record(prediction.fully_corrected[name], fine),
+            budget=of_sources.get(name, {}),
+        )
+    return records
 
 
 def add_wanted(
@@ -201,12 +213,12 @@ def budget_section(
     effects = [] if expected is None else expected.effects
     unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in effects]
     geometry = _displayed_shares(budget.names, after, fine)
-    unmodelled.sort(key=lambda line: -error_ratio(line.with_it, geometry, driven))
+    unmodelled.sort(key=lambda line: error_ratio(line.without, geometry, driven))
     return BudgetSection(
         predicted=dict(predicted),
         lines=lines,
         unmodelled=unmodelled,
-        usual=_usual(expected, budget.names, after, driven or fine),
+        usual=_usual(machine, expected, after, driven or fine),
         advice=advice_on(lines, predicted, driven or fine),
         no_axes={n: v for n, v in geometry.items() if n not in driven},
     )
@@ -245,6 +257,7 @@ def _unmodelled(
     fine: Mapping[str, str],
 ) -> UnmodelledLine:
     variance = expected.variance.mean(axis=0)
+    without = expected.without.mean(axis=0)
     effect = expected.effect
     return UnmodelledLine(
         effect=effect.name,
@@ -255,43 +268,41 @@ def _unmodelled(
         remedy=effect.remedy,
         not_testable=expected.not_testable,
         far=dict(_displayed_shares(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
+        without=dict(_displayed_shares(names, np.sqrt(without), fine)),
     )
 
 
 def _usual(
+    machine: Machine,
     expected: ExpectedEffects | None,
-    names: Sequence[str],
     after: Array,
     shown: Mapping[str, str],
 ) -> UsualEffects | None:
     """The machine with all effects; None where none are expected.
 
+    after  (k,) rms error of each component with geometry alone, SI
     shown  {component: fine unit} of those that compensation corrects
     """
     if expected is None:
         return None
-    added = expected.added.mean(axis=0)
-    fitted = expected.fitted.mean(axis=0)
+    prediction = expected.prediction
+    unmodelled = np.sqrt(after**2 + expected.added.mean(axis=0))
+    values = dict(zip(prediction.names, unmodelled, strict=True))
+    records = component_accuracies(machine, prediction, {})
     return UsualEffects(
         effects=[effect.effect.name for effect in expected.effects],
-        unmodelled=_shown_shares(names, np.sqrt(after**2 + added), shown),
-        fitted=_shown_shares(names, np.sqrt(fitted), shown),
+        unmodelled={n: units.number(values[n], unit) for n, unit in shown.items()},
+        fitted={name: records[name].known.rms for name in shown},
+        components=records,
     )
-
-
-def _shown_shares(
-    names: Sequence[str], values: Array, shown: Mapping[str, str]
-) -> dict[str, float]:
-    pairs = dict(zip(names, values, strict=True))
-    return {name: units.number(pairs[name], unit) for name, unit in shown.items()}
 
 
 def _expected_size(expected: ExpectedEffect) -> str:
     """Prior standard deviations of the coefficients: `3 C`, or the range of several."""
     sizes: dict[str, list[float]] = {}
-    for name, scale in expected.sizes.items():
+    for name, scales in expected.sizes.items():
         unit, factor = units.coefficient_unit(expected.effect.unit(name))
-        sizes.setdefault(unit, []).append(scale / factor)
+        sizes.setdefault(unit, []).extend(scale / factor for scale in scales)
     parts = []
     for unit, values in sizes.items():
         low, high = f"{min(values):.3g}", f"{max(values):.3g}"
