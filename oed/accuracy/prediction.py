@@ -193,9 +193,7 @@ def predict(
     if known is not None:
         rms_known = np.abs(known)
     rms = {
-        "before": np.hypot(linear, start)
-        if measured
-        else _rms(maps.raw, prior, start),
+        "before": np.hypot(linear, start) if measured else _rms(maps.raw, prior, start),
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }

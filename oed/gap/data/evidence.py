@@ -86,17 +86,6 @@ class Grams:
         ratio = self.log_ratio(gain, log_det).item()
         return dataclasses.replace(selected, base=self.base + ratio)
 
-    def select_in_order(
-        self, columns: Sequence[Index], sizes: Sequence[float]
-    ) -> Grams:
-        """Grams whose columns are those of some forms, with these in the model."""
-        grams, start = self, 0
-        for form, size in zip(columns, sizes, strict=True):
-            stop = start + len(form)
-            grams = grams.select(np.arange(start, stop), size)
-            start = stop
-        return grams
-
     def taken_by(
         self, forms: Sequence[Index], sizes: Sequence[float]
     ) -> tuple[Array, Array]:
