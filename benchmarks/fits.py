@@ -26,7 +26,11 @@ from pkm_studies import commands
 COMMANDS = {"cranks": "diagnose", "cables": "identify"}
 HEIGHT, REACH = {"cranks": 400.0, "cables": 1000.0}, {"cranks": 40.0, "cables": 220.0}
 PLAY = {"cranks": 0.2e-3, "cables": 0.02}  # half of it, rad or mm
-TILT, CRANK, STRUT, JOINT_SD, NOISE = 6.0, 100.0, 420.0, 0.15, 0.012  # deg, mm
+TILT, CRANK, STRUT, JOINT_SD, NOISE = 6.0, 100.0, 420.0, 0.15, 0.01  # deg, mm
+COLUMNS = (
+    "setup,run,order,x_mm,y_mm,z_mm,rx_deg,ry_deg,spin_deg,time_s,"
+    "read_x_mm,read_y_mm,read_z_mm"
+)
 NESTS = np.array([[150.0, 0.0, 30.0], [-75.0, 130.0, 30.0], [-75.0, -130.0, 30.0]])
 ANGLES = np.radians([-18, 18, 102, 138, 222, 258])
 OUTWARD = np.column_stack([np.cos(ANGLES), np.sin(ANGLES), 0.0 * ANGLES])
@@ -49,16 +53,17 @@ first = {OUTWARD.tolist()}
 axis = {ASIDE.tolist()}
 crank_mm = {CRANK}
 strut_mm = {STRUT}
-platform_mm = {ENDS["cranks"].tolist()}
-reach_mm = 80
-tilt_deg = 12""",
+platform_mm = {ENDS["cranks"].tolist()}""",
     "cables": f"""model = "cables_spatial"
 [machine.geometry]
 anchor_mm = {BASE["cables"].tolist()}
-attach_mm = {ENDS["cables"].tolist()}
-reach_mm = 600
-turn_deg = 12""",
+attach_mm = {ENDS["cables"].tolist()}""",
 }
+STUDY = """schema = 1\nname = "fits"\nseed = 1\n[machine]\n{0}
+home_mm = [0, 0, {1}]\ntolerance_mm = {2}\n{3}[posterior]\nenabled = false
+[prediction]\nx_mm = [-{4}, {4}]\ny_mm = [-{4}, {4}]\nz_mm = {1}
+rx_deg = [-5, 5]\nry_deg = [-5, 5]\nspin_deg = 0\n"""
+NEST = """[[setup]]\nname = "nest{}"\ninstrument = "pose_tracker_position"\ntool_mm = {}\n"""
 
 
 def rotation(rx: float, ry: float, spin: float) -> np.ndarray:
@@ -94,12 +99,9 @@ def write(job: str, study: Path, readings: Path) -> None:
     """A study and its readings."""
     rng, last, drawn = np.random.default_rng(7), 0.0, (BASE[job], ENDS[job])
     real = [p + JOINT_SD * rng.standard_normal(p.shape) for p in drawn]
-    columns = [f"{kind}{k}_mm" for kind in ("", "read_") for k in "xyz"]
-    columns[3:3] = ["rx_deg", "ry_deg", "spin_deg", "time_s"]
-    rows = ["setup,run,order," + ",".join(columns)]
+    rows = [COLUMNS]
     for k in range(54):
-        span = np.array([REACH[job]] * 3 + [TILT] * 3)
-        pose = rng.uniform(-span, span)
+        pose = rng.uniform(-1.0, 1.0, 6) * ([REACH[job]] * 3 + [TILT] * 3)
         pose[2] += HEIGHT[job]
         start = np.full(len(real[0]), 0.3 if job == "cranks" else 1000.0)
         q = solved(functools.partial(misfit, job, drawn, pose), start)
@@ -107,38 +109,26 @@ def write(job: str, study: Path, readings: Path) -> None:
         q[0] += sense * PLAY[job]
         reached = solved(lambda x, q=q: misfit(job, real, x, q), pose)
         tips = [x[:3] + rotation(*x[3:]) @ NESTS[k // 18] for x in (pose, reached)]
-        read = tips[1] + NOISE * rng.standard_normal(3)
-        values = [*tips[0], *pose[3:], 20 * k, *read]
+        noise = NOISE * rng.standard_normal(3)
+        values = [*tips[0], *pose[3:], 20 * k, *(tips[1] + noise)]
         rows.append(f"nest{k // 18},{k // 6},{k}," + ",".join(map(str, values)))
     readings.write_text("\n".join(rows), encoding="utf-8")
-    text = f"""schema = 1\nname = "fits"\nseed = 1\n[machine]\n{MODEL[job]}
-home_mm = [0, 0, {HEIGHT[job]}]\ntolerance_mm = {JOINT_SD}\n"""
-    for k, nest in enumerate(NESTS.tolist()):
-        text += f"""[[setup]]\nname = "nest{k}"\ninstrument = "pose_tracker_position"
-tool_mm = {nest}\n"""
-    text += f"[noise]\nread_x_um = {1e3 * NOISE}\nread_y_um = {1e3 * NOISE}\n"
-    text += f"read_z_um = {1e3 * NOISE}\n[posterior]\nenabled = false\n[prediction]\n"
-    text += f"""x_mm = [-{REACH[job]}, {REACH[job]}]\ny_mm = [-{REACH[job]}, {REACH[job]}]
-z_mm = {HEIGHT[job]}\nrx_deg = [-5, 5]\nry_deg = [-5, 5]\nspin_deg = 0\n"""
+    nests = "".join(NEST.format(k, nest) for k, nest in enumerate(NESTS.tolist()))
+    text = STUDY.format(MODEL[job], HEIGHT[job], JOINT_SD, nests, REACH[job])
     study.write_text(text, encoding="utf-8")
 
 
-if __name__ == "__main__" and len(sys.argv) < 2:
+if len(sys.argv) < 2:
     print("| machine | command | s | MiB |\n| --- | --- | --: | --: |", flush=True)
     for name in COMMANDS:
-        subprocess.run([sys.executable, "-m", "benchmarks.fits", name], check=True)
-elif __name__ == "__main__":
+        subprocess.run([sys.executable, __file__, name], check=True)
+else:
     job = sys.argv[1]
     with tempfile.TemporaryDirectory() as folder:
         files = Path(folder, "fits.study.toml"), Path(folder, "readings.csv")
         write(job, *files)
-        start, arguments = (
-            time.process_time(),
-            [COMMANDS[job], str(files[0]), "--quiet"],
-        )
-        commands.main(
-            [*arguments, "--readings", str(files[1]), "--out", f"{folder}/out"]
-        )
+        start, given = time.process_time(), [str(files[0]), "--readings", str(files[1])]
+        commands.main([COMMANDS[job], *given, "--quiet", "--out", f"{folder}/out"])
     seconds = time.process_time() - start
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"| {job} | {COMMANDS[job]} | {seconds:.1f} | {memory:.0f} |")
