@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from oed import estimation
 from oed.base import Index
-from oed.design import Choice, DesignProblem
-from oed.effects import PlannedEffects
-from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
@@ -27,8 +26,11 @@ from pkm_studies.resolve import (
     pose_error_slopes,
 )
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.stages.recording import PlanToRecord, recording_section
 from pkm_studies.tables import DesignTable
+
+if TYPE_CHECKING:
+    from oed.design import Choice, DesignProblem
+    from oed.effects import PlannedEffects
 
 
 def allowed_effects(
@@ -73,7 +75,7 @@ def chosen_size(table: DesignTable) -> float:
     few that are: its effects have the typical size that a fit expects of a healthy
     machine. A plan for these loses little on a machine without effects or with large ones.
     """
-    return Discrepancy.HEALTHY if isinstance(table.effects, str) else 1.0
+    return estimation.Discrepancy.HEALTHY if isinstance(table.effects, str) else 1.0
 
 
 def check_allowed(
@@ -150,6 +152,8 @@ def recording(
         return None
     gap = resolved.gap_or_default
     location = resolved.study.location.key("design").key("effects")
+    from pkm_studies.stages.recording import PlanToRecord, recording_section
+
     return recording_section(
         PlanToRecord(
             measurement=measurement,
