@@ -40,8 +40,6 @@ MAX_SWEEPS = 50
 STEPS_PER_PLACE = 4
 #: the same for all places, at the most: tables of all pairs grow with the places
 MAX_STEPS_PER_ROUND = 120
-#: steps that a plan needs for each of its places until it is near a local optimum
-STEPS_OF_DESCENT = 5
 #: number of readings that one restart replaces, at the most: more would be a new plan
 MAX_REPLACED = 6
 #: probability that a restart replaces a whole set-up instead
@@ -261,11 +259,10 @@ class _Restarts:
     def _search_pairs(
         self, weights: Array, rounds: int, starts: Sequence[Index]
     ) -> Index:
-        """The best plan of a tabu search from given and drawn plans."""
+        """The best plan of a search from given and drawn plans."""
         evaluator, places = self.exchange.evaluator, len(starts[0])
         steps = rounds * min(STEPS_PER_PLACE * places, MAX_STEPS_PER_ROUND)
-        plans = min(tabu.MAX_PLANS, steps // (STEPS_OF_DESCENT * places))
-        drawn = [self._draw(weights) for _ in range(len(starts), plans)]
+        drawn = [self._draw(weights) for _ in range(len(starts), tabu.MAX_PLANS)]
         best = evaluator.search_pairs(np.array([*starts, *drawn]), steps, self.rng)
         return self.exchange.sweep_until_stable(best, evaluator.levels - 1)
 

@@ -4,9 +4,10 @@ An exchange takes a candidate out of the plan and another one in. Formulas of lo
 pairs at once (`oed.design.pairs`); the information of each plan is summed anew, and plans are
 compared by it: an exchange counts where the criterion itself rises.
 
-In the tabu search each plan takes its best exchange even where it lowers the criterion. The
-candidate that leaves, and the place that is filled, rest for a few steps, so that the search
-climbs out of a local optimum and does not return to it (Glover 1989, ORSA J. Comput. 1,
+Plans by D and by a mean variance are searched at once (`oed.design.oscillation`), by other
+criteria one after the other, by tabu search. Each plan takes its best exchange even where it
+lowers the criterion. The candidate that leaves, and the place that is filled, rest for a few
+steps, so that the search climbs out of a local optimum (Glover 1989, ORSA J. Comput. 1,
 190-206). Stage by stage, the half of the plans that has come less far is given up
 (successive halving; Jamieson and Talwalkar 2016, AISTATS).
 
@@ -26,11 +27,14 @@ from oed.design.blocks import information
 from oed.design.copies import find_copies
 from oed.design.forms import Criterion
 from oed.design.forms.variance import variance_reduction
+from oed.design.oscillation import Oscillation
 from oed.design.pairs import Pairs
 from oed.linear_algebra import symmetric_inverse
 
-#: plans that are searched at first
-MAX_PLANS = 16
+#: plans that are searched at first: at once, and one after the other
+MAX_PLANS, MAX_TRAILS = 32, 16
+#: steps that a plan needs for each of its places until it is near a local optimum
+STEPS_OF_DESCENT = 5
 #: rows of the candidates that a plan exchanges with, at the least
 NEAR_ROWS = 200
 #: candidates that a plan exchanges with, for each of its places
@@ -42,6 +46,8 @@ STEPS_NEAR = 5
 MAX_RESTS = (2, 3, 4, 6, 10, 15)
 #: gain in log phi below which a plan counts as no better
 MIN_GAIN = 1e-10
+#: steps of plans at once, of rows and of blocks, that take the time of a step by pairs
+STEPS_OF_ROWS, STEPS_OF_BLOCKS = 8, 5
 #: numbers in the products of all pairs that are in memory at once
 NUMBERS_AT_ONCE = 2_000_000
 
@@ -105,9 +111,18 @@ def search_plans(
     steps   of all plans together
     """
     copies = find_copies(blocks)
-    problem = _TabuProblem(blocks[copies.first], base, criterion, copies.number)
+    different, starts = blocks[copies.first], copies.label[starts]
+    steps_of_descent = STEPS_OF_DESCENT * starts.shape[1]
+    if criterion.has_move_formulas:
+        steps *= STEPS_OF_ROWS if blocks.shape[1] == 1 else STEPS_OF_BLOCKS
+        starts = starts[: max(1, steps // steps_of_descent)]
+        plans = Oscillation(different, copies.number, starts, base, criterion)
+        plans.run(steps // len(starts), rng)
+        return copies.different(plans.best[plans.best_value.argmax()])
+    starts = starts[: max(1, min(MAX_TRAILS, steps // steps_of_descent))]
+    problem = _TabuProblem(different, base, criterion, copies.number)
     rests = itertools.cycle(MAX_RESTS)
-    trails = [_Trail.at(copies.label[s], problem, next(rests)) for s in starts]
+    trails = [_Trail.at(s, problem, next(rests)) for s in starts]
     guides = criterion.guides
     stages = int(np.log2(len(trails))) + 1
     for stage in range(stages):

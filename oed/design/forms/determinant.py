@@ -62,6 +62,11 @@ class Determinant(Criterion):
         """D is the same plan in any coordinates."""
         return self.interest is None
 
+    @property
+    def has_move_formulas(self) -> bool:
+        """For D: by the factor of det M."""
+        return self.interest is None
+
     def value(self, m: Array) -> float:
         """log det(P) / -s."""
         sign, log_det = np.linalg.slogdet(m)

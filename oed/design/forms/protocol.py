@@ -74,6 +74,11 @@ class Criterion(abc.ABC):
         return False
 
     @property
+    def has_move_formulas(self) -> bool:
+        """Whether it is det M or a mean variance: moves change it by low rank, exactly."""
+        return False
+
+    @property
     def starts_from_own_plan(self) -> bool:
         """Whether a greedy plan by the criterion begins a search, beside one by D."""
         return True

@@ -54,6 +54,7 @@ class Variance(Criterion):
 
     factor: Array
     name: str = "I"
+    has_move_formulas = True
 
     def value(self, m: Array) -> float:
         """-log tr(W M^-1)."""
