@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 from types import ModuleType
 
 import pytest
+from fresh_process import printed_by
 
 from pkm_campaign import jobs
 
@@ -115,14 +115,8 @@ print(faults(), int(keep_freed_memory()), faults())
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the GNU C library's")
 def test_freed_memory_stays_in_a_process_that_dask_has_started() -> None:
     environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
-    done = subprocess.run(
-        [sys.executable, "-c", ARRAYS],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    before, is_set, after = map(int, done.stdout.split())
+    [line] = printed_by(ARRAYS, environment=environment)
+    before, is_set, after = map(int, line.split())
     assert is_set
     assert before > 400 * 50
     assert after < 0.05 * before

@@ -1,24 +1,11 @@
 """What writing a report loads: nothing that models or solves."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import report_fixture
 import result_sample
-
-
-def printed_by(code: str, folder: Path) -> list[str]:
-    """Lines that a program prints in a process of its own, which loads nothing before."""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=folder,
-    )
-    return done.stdout.splitlines()
+from fresh_process import printed_by
 
 
 def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:

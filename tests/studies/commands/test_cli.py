@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import sample
 from few_poses import PLAN, write
+from fresh_process import printed_by
 
 from pkm_studies import catalogue, files
 from pkm_studies.base import InputError
@@ -49,10 +50,7 @@ def test_a_command_of_its_own_process_leaves_no_garbage_to_look_for() -> None:
         " sys.argv = ['oed', '--help']; cli.main();"
         " print(before, gc.get_freeze_count() > 10_000)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines()[-1] == "0 True"
+    assert printed_by(code)[-1] == "0 True"
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -71,10 +69,7 @@ def test_lists_load_nothing_that_computes() -> None:
         " print([cli.main(['list', kind]) for kind in kinds]);"
         f" print(sorted(set({heavy}) & set(sys.modules)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines()[-2:] == ["[0, 0, 0, 0]", "[]"]
+    assert printed_by(code)[-2:] == ["[0, 0, 0, 0]", "[]"]
 
 
 def test_checks_load_no_statistics_and_no_searches() -> None:
@@ -82,10 +77,7 @@ def test_checks_load_no_statistics_and_no_searches() -> None:
     heavy = {"scipy.stats", "scipy.interpolate", "oed.gap.procedure", "oed.posterior"}
     heavy |= {"oed.planning.search", "pkm_models.effects"}
     code = f"import sys, pkm_studies.commands.checks; print({heavy} & set(sys.modules))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "set()"
+    assert printed_by(code) == ["set()"]
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,13 @@
 """The public face: what `import oed` offers, and results that show themselves."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import sample
+from fresh_process import printed_by
 
 import oed
 
@@ -53,10 +52,7 @@ def test_importing_the_face_imports_nothing_heavy() -> None:
     code = (
         "import sys, oed; print(sorted({'casadi', 'pandas', 'scipy'} & {*sys.modules}))"
     )
-    printed = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert printed.stdout.strip() == "[]"
+    assert printed_by(code) == ["[]"]
 
 
 def test_the_stub_names_the_same(tmp_path: Path) -> None:
