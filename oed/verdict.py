@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from oed import trust
-from oed.result import Judgement, PredictionSection, StudyResult, WantedVerdict
+from oed.result import Judgement, StudyResult, WantedVerdict
 from oed.text import format_probability
 
 #: probability from which a pass or a fail is stated
@@ -77,14 +77,15 @@ def accuracy_verdicts(
         section = mixture.prediction
     if section is None:
         return {}
-    components = section.judged_components
+    components, counted = section.judged_components, section.with_usual_effects
+    scope = SCOPE_WORDS.get(section.mode, GEOMETRY_ALONE)
     added = added or {}
     objection, verdicts = _objection(result), {}
     for name, limit in (section.wanted if wanted is None else wanted).items():
         spread = components[name].judged
         rms = math.hypot(spread.rms, added.get(name, 0.0))
         factor = rms / spread.rms if spread.rms > 0.0 else 1.0
-        holds = _scope(section, name)
+        holds = WITH_USUAL_EFFECTS if name in counted else scope
         probability = spread.probability_within(limit / factor)
         doubt = objection
         if not doubt and holds == GEOMETRY_ALONE:
@@ -112,13 +113,6 @@ def sentence(name: str, verdict: WantedVerdict, rms: str, wanted: str) -> str:
         f"{name} {rms} of {wanted} {verdict.unit}, {stated}"
         f" (probability {format_probability(verdict.probability)})"
     )
-
-
-def _scope(section: PredictionSection, name: str) -> str:
-    """What the errors of a component hold."""
-    if section.judged_components[name] is not section.components[name]:
-        return WITH_USUAL_EFFECTS
-    return SCOPE_WORDS.get(section.mode, GEOMETRY_ALONE)
 
 
 def _objection(result: StudyResult) -> str:

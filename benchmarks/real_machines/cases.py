@@ -116,9 +116,9 @@ def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
         bench, mean, sampled.theta + lost, drawn, drawn.mean(axis=0)
     )
     known = drawn.mean(axis=0)
-    tolerance = bench.measurement.tolerance[: len(mean)]
-    shift = absorbing_shift(slopes(bench, mean), known[:, :, None], tolerance)
-    sent = mean + shift[:, 0]
+    sent = mean + absorbing_shift(
+        slopes(bench, mean), known, bench.measurement.tolerance[: len(mean)]
+    )
     record["sent"] = judge(bench, sent, sampled.theta + lost, drawn)
     return record
 
@@ -348,8 +348,8 @@ def _shifts(
 def _absorbing(bench: world.Bench, mean: Array, known: Known) -> Array:
     """Parameters sent: the mean, shifted so that it takes up what effects are known to do."""
     tolerance = bench.measurement.tolerance[: len(mean)]
-    error = known.shifts.mean(axis=0)[:, :, None]
-    return mean + absorbing_shift(slopes(bench, mean), error, tolerance)[:, 0]
+    error = known.shifts.mean(axis=0)
+    return mean + absorbing_shift(slopes(bench, mean), error, tolerance)
 
 
 # -- table -----------------------------------------------------------------------------

@@ -189,9 +189,11 @@ def predict(
     scale = _ratio(rms_undetermined, linear)
     uncorrected = maps.raw @ centre
     start = uncorrected if before is None else before
-    rms_known = _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
-    if known is not None:
-        rms_known = np.abs(known)
+    rms_known = (
+        _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
+        if known is None
+        else np.abs(known)
+    )
     rms = {
         "before": _rms(maps.raw, posterior if measured else prior, start),
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),

@@ -37,7 +37,7 @@ RIDGE_SHARE = 1e-3
 
 
 def absorbing_shift(maps: ErrorMaps, errors: Array, tolerance: Array) -> Array:
-    """Shifts (np, m) of the parameters sent, SI, that take up errors (n, k, m), SI.
+    """Shifts (np, ...) of the parameters sent, SI, that take up errors (n, k, ...), SI.
 
     maps       over the machine's np parameters
     tolerance  (np,) prior standard deviations, SI; those of 0 do not move
@@ -49,14 +49,14 @@ def absorbing_shift(maps: ErrorMaps, errors: Array, tolerance: Array) -> Array:
     weight /= np.sqrt(len(errors))
     change = ((maps.raw - maps.remaining) * tolerance)[:, :, free]
     rows = (change * weight[:, None]).reshape(-1, int(free.sum()))
-    count = errors.shape[2]
-    target = (errors * weight[:, None]).reshape(-1, count)
+    several = errors.shape[2:]
+    target = (errors.T * weight[:, None]).T.reshape(-1, *several)
     ridge = RIDGE_SHARE * np.eye(rows.shape[1])
     stacked = np.vstack([rows, ridge])
-    padded = np.vstack([target, np.zeros((len(ridge), count))])
+    padded = np.concatenate([target, np.zeros((len(ridge), *several))])
     solution = np.linalg.lstsq(stacked, padded)[0]
-    shift = np.zeros((len(tolerance), count))
-    shift[free] = solution * tolerance[free, None]
+    shift = np.zeros((len(tolerance), *several))
+    shift[free] = (solution.T * tolerance[free]).T
     return shift
 
 

@@ -69,7 +69,7 @@ class ExpectedEffects:
 
     The variance (n, k) of the pose components, SI, is the mean over the constants.
 
-    effects  those that have any
+    effects     those that have any
     added       variance by all of them together, beside the geometry's, where the
                 calibration knows none
     prediction  of machines with all of them, fitted with the parameters: the parameters
@@ -123,7 +123,26 @@ def expected_effects(
     model  of the problem's readings, linearised where the problem is. Effects that
            depend on what the plan does not state (a payload), and incidents, are left out
     """
-    by_effect = _acting(problem, session, model, maps, effects, reference, rng)
+    machine = session.measurement.machine
+    states = [
+        workspace_state(session, problem.theta, maps.command, rng) for _ in range(2)
+    ]
+    forms = [
+        form
+        for effect in effects
+        if not effect.incident and effect.unfit(machine) is None
+        for form in _forms(problem, effect, states[0])
+    ]
+    if not forms:
+        return None
+    acting_forms = [form.acting for form in forms]
+    kinematics, command = session.measurement.kinematics, maps.command
+    parameters = problem.theta[: len(machine.parameters)]
+    judged, absorbed = (
+        effect_maps(kinematics, acting_forms, state, parameters, command, reference).raw
+        for state in states
+    )
+    by_effect = _errors_by_effect(model, maps, forms, judged, absorbed)
     if not by_effect:
         return None
     # An effect has one set of constants: its coefficients at several share its variance.
@@ -132,7 +151,6 @@ def expected_effects(
     changes = np.hstack([share * f.form.changes for f, share in shared])
     tool = np.concatenate([share * f.tool for f, share in shared], axis=2)
     absorbed = np.concatenate([share * f.absorbed for f, share in shared], axis=2)
-    machine = session.measurement.machine
     tolerance = session.measurement.tolerance[: len(machine.parameters)]
     shift = absorbing_shift(maps, absorbed, tolerance)
     joint = _joint_maps(model, maps, tool, shift)
@@ -152,35 +170,14 @@ def expected_effects(
     )
 
 
-def _acting(
-    problem: GapProblem,
-    session: SessionStates,
+def _errors_by_effect(
     model: BudgetModel,
     maps: ErrorMaps,
-    effects: Sequence[Effect],
-    reference: Reference,
-    rng: np.random.Generator,
+    forms: Sequence[_Form],
+    tool: Array,
+    absorbed: Array,
 ) -> list[list[_FormErrors]]:
-    """The forms of each effect that makes errors, as in `expected_effects`."""
-    machine = session.measurement.machine
-    parameters = problem.theta[: len(machine.parameters)]
-    states = [
-        workspace_state(session, problem.theta, maps.command, rng) for _ in range(2)
-    ]
-    forms = [
-        form
-        for effect in effects
-        if not effect.incident and effect.unfit(machine) is None
-        for form in _forms(problem, effect, states[0])
-    ]
-    if not forms:
-        return []
-    acting_forms = [form.acting for form in forms]
-    kinematics, command = session.measurement.kinematics, maps.command
-    tool, absorbed = (
-        effect_maps(kinematics, acting_forms, state, parameters, command, reference).raw
-        for state in states
-    )
+    """The forms of each effect that makes errors, from maps (n, k, m) of all forms."""
     changes = np.hstack([form.changes for form in forms])
     errors = tool - maps.raw @ model.response(changes)
     ends = np.cumsum([form.changes.shape[1] for form in forms])[:-1]

@@ -449,17 +449,17 @@ class PredictionSection(Record, frozen=True):
     states_from: str = ""  # "study", or "readings" where the study states none
 
     @property
-    def judged_components(self) -> dict[str, ComponentAccuracy]:
-        """The accuracy that is compared with the wanted one: usual effects counted.
-
-        A plan counts them where the drives correct a component; a fit to readings has
-        its own.
-        """
+    def with_usual_effects(self) -> dict[str, ComponentAccuracy]:
+        """The accuracy of a plan's driven components, usual effects counted."""
         usual = None if self.budget is None else self.budget.usual
         if self.mode != "plan" or usual is None:
-            return self.components
-        counted = {n: c for n, c in usual.components.items() if n in usual.fitted}
-        return self.components | counted
+            return {}
+        return {n: c for n, c in usual.components.items() if n in usual.fitted}
+
+    @property
+    def judged_components(self) -> dict[str, ComponentAccuracy]:
+        """The accuracy that is compared with the wanted one."""
+        return self.components | self.with_usual_effects
 
 
 class HeldOutSection(Record, frozen=True):

@@ -1,6 +1,6 @@
 """What an effect outside the model does, through calibration, on the oracle's A3 head."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -10,11 +10,34 @@ from shipped_models import gravity, leg_thermal, servo_lag, step
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import Prediction, budget_model, error_maps
+from oed.accuracy import Prediction, Reference, budget_model, error_maps
 from oed.effect_model import Column, Effect, State
-from oed.effects import SessionStates, expected_effects, workspace_state
+from oed.effects import (
+    ExpectedEffects,
+    SessionStates,
+    expected_effects,
+    workspace_state,
+)
 from oed.estimation import identify
 from oed.gap import DOWN, assemble
+
+
+def expected_of(
+    effects: Sequence[Effect], command: np.ndarray, reference: Reference = "home"
+) -> ExpectedEffects | None:
+    """What effects do to the plan of the warm head, at commands of its workspace."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    return expected_effects(
+        problem,
+        SessionStates(m, rows, problem.states, DOWN),
+        budget_model(m, problem.series, m.nominal),
+        error_maps(m.kinematics, command, reference),
+        effects,
+        reference,
+        np.random.default_rng(3),
+    )
 
 
 def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -> None:
@@ -22,19 +45,12 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     m = a3_plans.measurement()
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
-    model = budget_model(m, problem.series, m.nominal)
     command = a3_plans.workspace()[::9]
     maps = error_maps(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
-    first = expected_effects(
-        problem,
-        session,
-        model,
-        maps,
-        [leg_thermal.effect, servo_lag.effect],  # no feed is stated
-        "absolute",
-        np.random.default_rng(3),
-    )
+    # no feed is stated
+    first = expected_of([leg_thermal.effect, servo_lag.effect], command, "absolute")
+    assert first is not None
     (expected,) = first.effects
     assert expected.not_testable is None
     assert set(expected.sizes["leg 2 per kelvin"]) == {PER_KELVIN}
@@ -52,15 +68,8 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     assert np.abs(z) == pytest.approx(wanted, rel=0.05, abs=0.02 * wanted.max())
     assert np.sqrt(np.mean(z**2)) > 1e-6
     smaller = leg_thermal.effect.with_expected_size("1/K", PER_KELVIN / 4.0)
-    second = expected_effects(
-        problem,
-        session,
-        model,
-        maps,
-        [smaller],
-        "absolute",
-        np.random.default_rng(3),
-    )
+    second = expected_of([smaller], command, "absolute")
+    assert second is not None
     (quarter,) = second.effects
     assert quarter.sizes["leg 2 per kelvin"][0] == pytest.approx(PER_KELVIN / 4.0)
     assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
@@ -76,15 +85,8 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     command = a3_plans.workspace()[::17]
     maps = error_maps(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
-    all_of_it = expected_effects(
-        problem,
-        session,
-        budget_model(m, problem.series, m.nominal),
-        maps,
-        [leg_thermal.effect],
-        "absolute",
-        np.random.default_rng(3),
-    )
+    all_of_it = expected_of([leg_thermal.effect], command, "absolute")
+    assert all_of_it is not None
     q = series.q[series.index[:, 0]].copy()
     cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
     cold = a3.ball_bar_reading(np.zeros(24), q, cup)
@@ -121,11 +123,6 @@ def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent()
     None
 ):
     """A leg that is too long is its zero offset; what no parameter is stays whole."""
-    m = a3_plans.measurement()
-    series, rows = planned(m)
-    problem = assemble(m, (series,), rows)
-    maps = error_maps(m.kinematics, a3_plans.workspace()[::17], "absolute")
-    model = budget_model(m, problem.series, m.nominal)
 
     def of(change: Callable[[State], np.ndarray]) -> Prediction:
         """The accuracy where leg 1 errs by a change (m,), unit size 1 mm."""
@@ -135,15 +132,7 @@ def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent()
             about="",
             columns=lambda state: [Column("leg 1", 1e-3, joints={0: change(state)})],
         )
-        expected = expected_effects(
-            problem,
-            SessionStates(m, rows, problem.states, DOWN),
-            model,
-            maps,
-            [effect],
-            "absolute",
-            np.random.default_rng(3),
-        )
+        expected = expected_of([effect], a3_plans.workspace()[::17], "absolute")
         assert expected is not None
         return expected.prediction
 
@@ -158,19 +147,7 @@ def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent()
 
 def test_an_incident_is_looked_for_but_not_counted_on() -> None:
     assert step.effect.incident
-    m = a3_plans.measurement()
-    series, rows = planned(m)
-    problem = assemble(m, (series,), rows)
-    expected = expected_effects(
-        problem,
-        SessionStates(m, rows, problem.states, DOWN),
-        budget_model(m, problem.series, m.nominal),
-        error_maps(m.kinematics, a3_plans.workspace()[::30]),
-        [step.effect],
-        "home",
-        np.random.default_rng(3),
-    )
-    assert expected is None
+    assert expected_of([step.effect], a3_plans.workspace()[::30]) is None
 
 
 def covariance_of_parameters(h: np.ndarray) -> np.ndarray:
@@ -207,38 +184,13 @@ def test_an_effect_acts_in_the_states_of_use() -> None:
 
 
 def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
-    m = a3_plans.measurement()
-    series, rows = planned(m)
-    problem = assemble(m, (series,), rows)
-    model = budget_model(m, problem.series, m.nominal)
-    maps = error_maps(m.kinematics, a3_plans.workspace()[::30])
-    session = SessionStates(m, rows, problem.states, DOWN)
-    expected = expected_effects(
-        problem,
-        session,
-        model,
-        maps,
-        [gravity.effect, servo_lag.effect],
-        "home",
-        np.random.default_rng(3),
+    expected = expected_of(
+        [gravity.effect, servo_lag.effect], a3_plans.workspace()[::30]
     )
+    assert expected is not None
     assert [e.effect.name for e in expected.effects] == ["gravity"]
 
 
 def test_nothing_is_expected_of_effects_that_need_what_no_plan_states() -> None:
     """One machine's only effect depends on the feed, which the rows do not have."""
-    m = a3_plans.measurement()
-    series, rows = planned(m)
-    problem = assemble(m, (series,), rows)
-    maps = error_maps(m.kinematics, a3_plans.workspace()[::30])
-    session = SessionStates(m, rows, problem.states, DOWN)
-    expected = expected_effects(
-        problem,
-        session,
-        budget_model(m, problem.series, m.nominal),
-        maps,
-        [servo_lag.effect],
-        "home",
-        np.random.default_rng(3),
-    )
-    assert expected is None
+    assert expected_of([servo_lag.effect], a3_plans.workspace()[::30]) is None

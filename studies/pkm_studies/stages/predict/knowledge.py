@@ -289,9 +289,9 @@ def absorb_effects(
     machine = knowledge.measurement.machine
     maps = error_maps(knowledge.measurement.kinematics, command, reference)
     acting = effects.maps(command, reference, rng)
-    error = acting.raw @ effects.draws.mean(axis=0)[:, None]
+    error = acting.raw @ effects.draws.mean(axis=0)
     tolerance = knowledge.measurement.tolerance[: len(machine.parameters)]
-    shift = absorbing_shift(maps, error, tolerance)[:, 0]
+    shift = absorbing_shift(maps, error, tolerance)
     return dataclasses.replace(knowledge, sent=machine.nominal + mean + shift)
 
 
