@@ -700,8 +700,8 @@ def _usual_effects(prediction: PredictionSection) -> str:
     budget = prediction.budget
     if prediction.mode != "plan" or budget is None or budget.usual is None:
         return ""
-    largest = [line.effect.replace("_", " ") for line in budget.unmodelled]
-    return f" Effects, the largest first: {text.listing(largest, MAX_EFFECTS)}."
+    effects = [line.effect.replace("_", " ") for line in budget.unmodelled]
+    return f" Effects, the one that costs most first: {text.listing(effects, MAX_EFFECTS)}."
 
 
 def _undriven(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
