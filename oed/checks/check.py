@@ -139,9 +139,12 @@ class CheckedSession:
                 fitted, law_p_low=checked.law_p_low, law_p_high=checked.law_p_high
             )
         findings = [f for f in self.findings if f.kind not in FIT_KINDS]
-        findings += _fit_findings(
+        of_fit = _fit_findings(
             self.session, self.search, fitted, self.explanations, noise_is_a_guess
         )
+        # at other parameters the stated noise may explain them
+        is_stated = checked is not None and checked.p_high >= ALARM_PROBABILITY
+        findings += [f for f in of_fit if not (is_stated and f.kind == "law")]
         findings.sort(key=lambda finding: finding.severity)
         return dataclasses.replace(self, findings=tuple(findings), goodness=fitted)
 

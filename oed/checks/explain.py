@@ -284,6 +284,10 @@ MIN_LOG_ODDS = 10.0
 NAMED_SHARE = 0.007
 #: misfit over the noise that may remain where a mistake explains readings
 MAX_EXPLAINED_RATIO = 3.0
+#: misfit over the noise that is none
+MIN_MISFIT = 1e-9
+#: standard deviations of a misfit by which undoing a mistake must bring it nearer to the noise
+MIN_IMPROVEMENT = 2.0
 #: kinds that may explain what a specific mistake explains as well, and misfit that is
 #: noise: a specific mistake that leaves no more ends the search
 GENERAL_KINDS = ("contradiction", "change", "disorder", "size", "run")
@@ -335,6 +339,8 @@ def explain(
     screening = Screening(data)
     nearest = fit_of_any_misfit(data.session, screening.as_given().scale)
     nothing = as_given(nearest)
+    if nothing is not None and solution is not None and solution.session.law:
+        before = nothing.after  # misfits are by the stated noise
     if (
         nearest is not None
         and np.abs(nearest.departure).max() < MAX_PARAMETER_DEPARTURE
@@ -346,7 +352,7 @@ def explain(
         fitted += [one for c in some if (one := undone(data, c)) is not None]
         if any(_settles(one, nothing) for one in fitted):
             break
-    return _explanations(_distinct(fitted), nothing, before)
+    return _explanations(_distinct(fitted), nothing, before, len(data.session))
 
 
 def _better(one: Screening, other: Screening) -> Screening:
@@ -371,9 +377,15 @@ def _distinct(fitted: Sequence[Explanation]) -> list[Explanation]:
 
 
 def _explanations(
-    ranked: Sequence[Explanation], nothing: Explanation | None, before: float
+    ranked: Sequence[Explanation],
+    nothing: Explanation | None,
+    before: float,
+    count: int,
 ) -> list[Explanation]:
-    """Mistakes that are as likely as must be and explain, of those from the likeliest on."""
+    """Mistakes that are as likely as must be and explain, of those from the likeliest on.
+
+    before, count  misfit of the readings as given, and number of their values
+    """
     if not ranked:
         return []
     alone = (
@@ -388,7 +400,20 @@ def _explanations(
         for one, weight in zip(ranked, weights, strict=True)
         if weight >= NAMED_SHARE * weights[0]
     ]
-    return explanations if _explains(explanations[0]) else []
+    if not (_explains(explanations[0]) and _improves(explanations[0], count)):
+        return []
+    return [one for one in explanations if _improves(one, count)]
+
+
+def _improves(one: Explanation, count: int) -> bool:
+    """Whether undoing a mistake brings the misfit of `count` values nearer to the noise.
+
+    The logarithm of a misfit has the standard deviation 1 / sqrt(2 count).
+    """
+    if not np.isfinite([one.before, one.after]).all():
+        return True
+    before, after = np.abs(np.log(np.maximum([one.before, one.after], MIN_MISFIT)))
+    return bool(before - after > MIN_IMPROVEMENT / np.sqrt(2.0 * count))
 
 
 def _explains(one: Explanation) -> bool:
@@ -491,17 +516,22 @@ def _log_of_poses_read(
 ) -> float:
     """Log of the densities' ratio where poses are what was read, as with a printer.
 
-    Its readings are all the same, and the noise is in its poses: in a smaller unit of
-    these it is as much smaller.
+    All readings of such a set-up are the same, and the noise is in its poses: in a
+    smaller unit, that of the poses which change is as much smaller.
     """
-    if np.ptp(session.y) > 0.0:
-        return 0.0
-    before, after = (
-        np.vstack([series.command for s in some for series in s.series]).std(axis=0)
-        for some in ([session], sessions)
-    )
-    varied = (before > 0.0) & (after > 0.0)
-    return float(len(session) * np.log(after[varied] / before[varied]).sum())
+    total = 0.0
+    # machines apart have fewer series, of poses that do not change
+    pairs = zip(session.series, sessions[0].series, session.spans, strict=False)
+    for before, after, span in pairs:
+        if len(before) != len(after) or np.ptp(session.y[span]) > 0.0:
+            continue
+        changed = before.command != after.command
+        for k in np.flatnonzero(changed.any(axis=0)):
+            rows = changed[:, k] | (before.command[:, k] == 0.0)  # 0 in any unit
+            spreads = before.command[rows, k].std(), after.command[rows, k].std()
+            if min(spreads) > 0.0:
+                total += float(rows.sum() * np.log(spreads[1] / spreads[0]))
+    return total
 
 
 def _evidence(solution: Fit) -> tuple[Fit, float]:

@@ -164,8 +164,13 @@ class Estimate:
         return np.asarray(np.divide(sd, self.prior_sd, out=ratio, where=free))
 
 
-def add_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
-    """The estimate with sentences that a user must read; none where the fit is sound."""
+def add_warnings(
+    measurement: Measurement, estimate: Estimate, *, is_judged: bool = False
+) -> Estimate:
+    """The estimate with sentences that a user must read; none where the fit is sound.
+
+    is_judged  whether a check of the readings says already how large the residuals are
+    """
     sentences = []
     unchanged = _wide_parameters(measurement, estimate, Estimate.AT_PRIOR, np.inf)
     if unchanged:
@@ -191,7 +196,8 @@ def add_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
             "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
             f" posterior and predictions keep to it: {', '.join(near)}"
         )
-    sentences += [*contradicted_law(estimate), *large_residuals(estimate)]
+    sentences += contradicted_law(estimate)
+    sentences += [] if is_judged else large_residuals(estimate)
     return dataclasses.replace(estimate, warnings=tuple(sentences))
 
 

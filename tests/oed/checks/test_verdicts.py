@@ -113,7 +113,7 @@ def test_mistakes_and_none_share_the_probability() -> None:
     """By Bayes' rule, with the prior of no mistake."""
     nothing = candidate("", -400.0, ratio=90.0)
     one, two = candidate("in um", -100.0), candidate("in inch", -102.0)
-    told = explain._explanations([one, two], nothing, before=90.0)
+    told = explain._explanations([one, two], nothing, before=90.0, count=50)
     assert [e.what for e in told] == ["in um", "in inch"]
     odds = np.exp([0.0, -2.0])
     assert [e.probability for e in told] == pytest.approx(odds / odds.sum())
@@ -124,13 +124,18 @@ def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
     prior = np.log1p(-explain.MISTAKE_PROBABILITY)
     for gain, count in ((-0.1, 0), (0.1, 1)):
         one = candidate("in um", -100.0 + prior + explain.MIN_LOG_ODDS + gain)
-        assert len(explain._explanations([one], nothing, before=90.0)) == count
-    assert explain._explanations([], nothing, before=90.0) == []
+        assert (
+            len(explain._explanations([one], nothing, before=90.0, count=50)) == count
+        )
+    assert explain._explanations([], nothing, before=90.0, count=50) == []
     left = candidate("in um", -10.0, ratio=50.0)
-    assert explain._explanations([left], nothing, before=90.0) == []
-    assert explain._explanations([left], None, before=np.inf) == []
+    assert explain._explanations([left], nothing, before=90.0, count=50) == []
+    assert explain._explanations([left], None, before=np.inf, count=50) == []
+    for before, after in ((0.94, 0.9), (0.94, 0.2), (1.8, 1.75)):
+        no_better = candidate("in um", -10.0, ratio=after)
+        assert explain._explanations([no_better], nothing, before, count=50) == []
     small = candidate("in um", -10.0, ratio=1.5)
-    assert len(explain._explanations([small], None, before=np.inf)) == 1
+    assert len(explain._explanations([small], None, before=np.inf, count=50)) == 1
 
 
 def test_of_one_mistake_the_likeliest_form_counts() -> None:

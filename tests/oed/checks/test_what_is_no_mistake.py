@@ -10,6 +10,10 @@ from oed.checks.explain import _log_of_poses_read
 from oed.checks.mistakes.noise import _trend_p_value
 
 
+#: readings of two parts of a set-up
+HALF, OTHER = np.arange(20), np.arange(20, 30)
+
+
 def test_residuals_that_follow_the_pose_are_no_noise(
     rng: np.random.Generator,
 ) -> None:
@@ -33,6 +37,13 @@ def test_poses_in_a_smaller_unit_are_as_much_denser_where_they_were_read() -> No
         for s in same.series
     )
     squeezed = dataclasses.replace(same, series=moved)
-    varied = np.ptp(np.vstack([s.command for s in same.series])[:, 2]) > 0.0
-    expected = len(same) * np.log(1e-3) if varied else 0.0
+    varied = sum(len(s) for s in same.series if np.ptp(s.command[:, 2]) > 0.0)
+    assert varied > 20
+    expected = varied * np.log(1e-3)
     assert _log_of_poses_read(same, [squeezed]) == pytest.approx(expected)
+    # of one set-up among others, its own readings alone
+    first, *rest = same.series
+    two = dataclasses.replace(same, series=(first.take(HALF), first.take(OTHER), *rest))
+    part = dataclasses.replace(two, series=(moved[0].take(HALF), *two.series[1:]))
+    expected = len(HALF) * np.log(1e-3)
+    assert _log_of_poses_read(two, [part]) == pytest.approx(expected)

@@ -613,7 +613,8 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         measurement, readings.series, readings.y, estimate, state.doubtful_values
     )
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
-    estimate = add_warnings(measurement, estimate)
+    is_judged = state.checked is not None
+    estimate = add_warnings(measurement, estimate, is_judged=is_judged)
     state = add_delivered(state, fitted_as)
     fixed = []
     if readings.truth is None:
