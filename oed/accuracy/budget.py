@@ -42,11 +42,11 @@ from oed.noise import Errors, Laws, LinearFactor, ReadingStructure, SharedError
 
 #: names of the errors of readings
 BEYOND = "noise beyond the stated one"
-COURSE = "course of the session"
+COURSE = "drift through the session"
 LEVELS = "run-to-run level"
 SHARED = "error shared by a run"
 SEAT = "set-up seated anew"
-CARRIED = "error carried along a run"
+CARRIED = "correlated noise of a run"
 #: kinds of the errors that a run shares, by name
 SHARED_KINDS = {
     LEVELS: (SharedError.LEVEL,),

@@ -284,6 +284,8 @@ MIN_LOG_ODDS = 10.0
 NAMED_SHARE = 0.007
 #: misfit over the noise that may remain where a mistake explains readings
 MAX_EXPLAINED_RATIO = 3.0
+#: the largest probability that is stated: no evidence is certain
+MAX_PROBABILITY = 0.9999
 #: misfit over the noise that is none
 MIN_MISFIT = 1e-9
 #: standard deviations of a misfit by which undoing a mistake must bring it nearer to the noise
@@ -396,7 +398,9 @@ def _explanations(
         return []
     weights = special.softmax(np.append(posterior, alone))[:-1]
     explanations = [
-        dataclasses.replace(one, before=before, probability=float(weight))
+        dataclasses.replace(
+            one, before=before, probability=min(float(weight), MAX_PROBABILITY)
+        )
         for one, weight in zip(ranked, weights, strict=True)
         if weight >= NAMED_SHARE * weights[0]
     ]

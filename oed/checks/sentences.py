@@ -140,10 +140,9 @@ def explained_by_law(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     """Residuals above the stated noise that a noise law from the readings explains."""
     misfit = _misfit(fitted, outliers)
     sentence = (
-        f"{capitalised(misfit)}: more than it explains. A larger noise, carried along a run or"
-        " shared by it, explains them as well as an effect or a mistake that is not a"
-        " usual one: read some poses again on the spot. If these readings agree, it is"
-        " no noise."
+        f"{capitalised(misfit)}: more than it explains. A larger or correlated noise explains"
+        " them, and so would an effect or an unusual mistake: read some poses again on the"
+        " spot. If these readings agree, it is no noise."
     )
     return CheckFinding(Severity.REMARK, "law", sentence)
 
@@ -153,8 +152,8 @@ def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     sentence = (
         f"The residuals are only {_times(fitted.ratio or 0.0)} the stated noise"
         f"{_without(outliers)} (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of"
-        f" freedom, p {format_p_value(fitted.p_low)}): the noise is overstated, an error is"
-        " carried along each run, or the readings were smoothed, averaged or computed."
+        f" freedom, p {format_p_value(fitted.p_low)}): the noise is overstated or"
+        " correlated along each run, or the readings were smoothed, averaged or computed."
     )
     return CheckFinding(Severity.REMARK, "too_small", sentence)
 

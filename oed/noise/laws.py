@@ -267,7 +267,7 @@ class NoiseLaw:
         )
         if run > DESCRIBED_SIZE:
             sentences.append(
-                f"a run repeats to {self.level * run:.2g} times the stated noise"
+                f"runs differ by {self.level * run:.2g} times the stated noise"
             )
         if seat > DESCRIBED_SIZE:
             sentences.append(
@@ -276,8 +276,8 @@ class NoiseLaw:
             )
         if correlated > DESCRIBED_SIZE:
             sentences.append(
-                f"an error of {self.level * correlated:.2g} times the stated noise is"
-                f" carried along {reach_phrase(reach, longest)}"
+                f"noise of {self.level * correlated:.2g} times the stated one is"
+                f" correlated {reach_phrase(reach, longest)}"
             )
         if np.isfinite(self.student_dof):
             sentences.append(

@@ -9,7 +9,7 @@ from typing import Final
 from oed.result import StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph, Table
-from pkm_reports.sections import answer_parts
+from pkm_reports.sections import answer_parts, is_plan
 
 #: sentences of a diagnosis, the verdict among them
 MOST_FINDINGS: Final = 3
@@ -24,6 +24,7 @@ class FirstLines:
     findings     of a diagnosis: how large the causes are, and where
     actions      what to do next
     warnings     those beside the main doubt
+    is_plan      whether readings are to be taken, not evaluated
     """
 
     sentences: list[str]
@@ -31,6 +32,7 @@ class FirstLines:
     findings: list[str]
     actions: list[str]
     warnings: list[str]
+    is_plan: bool
 
 
 def first_lines(result: StudyResult) -> FirstLines:
@@ -49,6 +51,7 @@ def first_lines(result: StudyResult) -> FirstLines:
         findings=[] if gap is None else _plain(gap.words[1:MOST_FINDINGS]),
         actions=[] if gap is None else _plain(gap.next[:1]),
         warnings=_sentences(b for b in parts["warnings"] if isinstance(b, Notice)),
+        is_plan=is_plan(result),
     )
 
 

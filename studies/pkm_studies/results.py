@@ -258,7 +258,7 @@ def unmodelled_sentence(
         )
     return (
         f"{opening}{counted} Most is {worst.effect} of its expected size"
-        f" ({worst.expected}); sizes vary by decades. Remedy: {worst.remedy}."
+        f" ({worst.expected}), which can be ten times larger or smaller. Remedy: {worst.remedy}."
     )
 
 

@@ -229,8 +229,8 @@ def _between(
         )
         chance = f"{100.0 * second.probability:.0f} %"
         return [
-            f"Noise alone has a probability of {chance}: read again before acting on"
-            f" the gap.{more}"
+            f"Noise alone has a probability of {chance}: read again before you"
+            f" correct anything.{more}"
         ]
     many = {
         names[0] for names in second.classes if len(names) > GapSection.MAX_CLASS_NAMES

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from oed import trust
+from oed import trust, units
 from oed.result import (
     ComponentAccuracy,
     CorrectedSection,
@@ -201,7 +201,7 @@ def _cause_table(
         # of one channel a number, of six a list
         wide_column("In the readings, rms"),
         wide_column("After calibration, rms"),
-        wide_column("Size of its own"),
+        wide_column("Own size"),
     ]
     sizes = {size.effect: size for size in gap.sizes}
     rows = []
@@ -221,9 +221,9 @@ def _cause_table(
             ]
         )
     caption = (
-        "Causes by their size in the readings, what calibration leaves of it, and the"
-        " probability that each acts. Size of its own: its clearest coefficients with"
-        " standard deviations."
+        "Causes: the size of each in the readings, what calibration leaves of it, and the"
+        " probability that it acts. Effects that look alike share their probability. Own"
+        " size: the clearest coefficients, ± one standard deviation."
     )
     marks = ["chosen" if name in gap.selected else "" for name in ranked]
     return Table(columns, rows, caption, marks)
@@ -279,6 +279,51 @@ def _remains(gap: GapSection) -> str:
         parts.append(change)
     phrase = f"What remains with these causes in the model, rms: {'; '.join(parts)}."
     return " ".join([phrase, *text.sentences(gap.noise)])
+
+
+# A printer: the numbers of its configuration, before and after.
+
+
+#: machines whose parameters are the numbers of a configuration file
+PRINTERS: Final = ("delta_printer", "rotary_delta_printer")
+
+
+def numbers_title(result: StudyResult) -> str:
+    """What a user of a printer changes."""
+    return "Old and new numbers"
+
+
+def number_blocks(result: StudyResult) -> list[Block]:
+    """Each number that is fitted of a printer's configuration; none of other machines."""
+    section = result.corrected or result.estimate
+    if section is None or result.machine.name not in PRINTERS or is_plan(result):
+        return []
+    mixture = None if result.gap is None else result.gap.mixture
+    sent = {} if mixture is None else mixture.controller
+    rows = []
+    for name, p in section.parameters.items():
+        if "." in name:  # of a set-up
+            continue
+        unit, factor = p.unit, 1.0
+        if unit == "mrad":  # as firmware has angles
+            unit, factor = "deg", units.to_si(1.0, "mrad") / units.DEG
+        old, new = p.nominal * factor, sent.get(name, p.value) * factor
+        decimals = text.decimals_for(p.sd * factor)
+        row = [text.fixed(value, decimals) for value in (old, new, new - old)]
+        rows.append(
+            [f"{name} [{text.unit_symbol(unit)}]", *row, text.number(p.sd * factor, 2)]
+        )
+    caption = (
+        "Numbers of the configuration, before and after this fit; sd: standard deviation"
+        " of the new one. `oed compensate` writes them for the firmware."
+    )
+    return [
+        Table(
+            [TableColumn("Number"), *number_columns("Old", "New", "Change", "sd")],
+            rows,
+            caption,
+        )
+    ]
 
 
 # What to measure: instrument, set-ups, number of readings, and a picture of them.
@@ -883,6 +928,8 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
     fit or a correction rests on.
     """
     objections = trust.objections(result)
+    if fits_with_effects(result):
+        yield from _conditions(result)
     if result.goodness is not None:
         yield from result.goodness.findings
         if result.goodness.bad_fit and result.goodness.findings:
@@ -894,23 +941,37 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
     if failed:
         noun = "a claim" if len(failed) == 1 else f"{len(failed)} claims"
         yield f"The study misses {noun}: {text.listing(failed)}"
-    if result.corrected is not None and result.corrected.conditions:
-        conditions = "; ".join(result.corrected.conditions)
-        yield (
-            f"The corrected accuracy rests on these conditions: {conditions}. What removes"
-            " this: a test of the compensated machine, which `oed verify` plans"
-        )
-    if result.corrected is not None:
+    if result.corrected is not None and not fits_with_effects(result):
+        yield from _conditions(result)
         yield from result.corrected.warnings
     if result.estimate is not None and not fits_with_effects(result):
         yield from result.estimate.warnings
     yield from result.warnings
 
 
+def _conditions(result: StudyResult) -> Iterator[str]:
+    """What the accuracy of the first page rests on beside the readings."""
+    section, gap = result.corrected, result.gap
+    if section is None or not section.conditions:
+        return
+    mixture = None if gap is None else gap.mixture
+    if mixture is not None and mixture.with_effects is None:
+        yield (
+            "The controller corrects no effect, and the accuracy is an average over all"
+            " explanations. What removes this: the readings that the diagnosis advises"
+        )
+        return
+    yield (
+        f"The accuracy rests on these conditions: {'; '.join(section.conditions)}. What"
+        " removes this: a test of the compensated machine, which `oed verify` plans"
+    )
+
+
 #: anchor, title and content of each part, in order
 Part = tuple[str, Callable[[StudyResult], str], Callable[[StudyResult], list[Block]]]
 PARTS: Final[tuple[Part, ...]] = (
     ("short", lead_title, lead_blocks),
+    ("numbers", numbers_title, number_blocks),
     ("causes", causes_title, cause_blocks),
     ("measure", measure_title, measure_blocks),
     ("how-accurate", accuracy_title, accuracy_blocks),

@@ -366,7 +366,7 @@ def _rms_of(gap: GapSection, channel: str, rms: Mapping[str, float]) -> str:
     return text.channel_value(channel, missing.entry(rms, channel), gap.units)
 
 
-CHAPTER: Final = Chapter("gap", "The gap: causes, place, remedy", blocks, printed)
+CHAPTER: Final = Chapter("gap", "Diagnosis: causes, location, remedy", blocks, printed)
 
 
 # -- where the gap lies: legs, set-ups, runs, times, directions ------------------------
@@ -384,16 +384,15 @@ def _places(gap: GapSection) -> list[Block]:
         return []
     columns = [
         wide_column("Where"),
-        *number_columns("Share of the gap", "Not more than its share"),
+        *number_columns("Share of the residual error", "p"),
     ]
     rows = [
         [_place(p), text.percent(p.strength), text.number(p.p_value, 2)] for p in places
     ]
     caption = (
-        "Where the gap lies, first the place that confines it best. Share: how much of the"
-        " gap that calibration leaves lies there. Not more than its share: probability that"
-        " the place holds no more of the gap than of the readings, or of the legs; a small"
-        " one singles the place out. One gap lies in several places at once."
+        "Where the residual error lies: the smallest part that holds most of it comes first."
+        " p: probability that the part holds no more than an even share; a small p singles"
+        " it out. The parts overlap."
     )
     marks = ["chosen" if record.p_value < SIGNIFICANT else "" for record in places]
     return [Table(columns, rows, caption, marks)]
@@ -432,7 +431,7 @@ def _closure(gap: GapSection) -> list[Block]:
         return []
     columns = [
         wide_column("Held out"),
-        *number_columns("Readings", "Gap closed", "95 % interval", "Chance of harm"),
+        *number_columns("Readings", "Removed", "95 % interval", "Probability of harm"),
         *number_columns("Before", "After", "Noise alone"),
     ]
     rows = [
@@ -441,7 +440,7 @@ def _closure(gap: GapSection) -> list[Block]:
             str(closure.n),
             _closed(closure.value),
             _interval(closure),
-            text.percent(closure.p_worse),
+            text.MISSING if closure.p_worse is None else _of_draws(closure.p_worse),
             text.number(closure.s0),
             text.number(closure.s1),
             text.number(closure.s_noise),
@@ -449,14 +448,17 @@ def _closure(gap: GapSection) -> list[Block]:
         for closure in gap.closure
     ]
     caption = (
-        "How far what calibration leaves shrinks, beyond the noise and in its mean"
-        " square, on readings that were held out of the fit. Before,"
-        " after and noise alone are mean squared residuals in units of their expected"
-        " value; the gap closed is (before − after) / (before − noise alone), all of it"
-        " where no more than the noise is left. Whole"
-        " held-out runs also show what the geometry cannot learn from the other runs."
+        "What the effects remove of the mean squared residual beyond the noise, on readings"
+        " that were held out of the fit. Before, After and Noise alone: mean squared"
+        " residuals over their expected value. Removed: (before − after) / (before − noise"
+        " alone). Whole held-out runs also test what the geometry learns from other runs."
     )
     return [Table(columns, rows, caption)]
+
+
+def _of_draws(probability: float) -> str:
+    """A probability by draws, of which a few hundred exclude no more than 1 %."""
+    return text.percent(probability) if probability >= 0.01 else "under 1 %"
 
 
 def _closed(value: float | None) -> str:
@@ -655,8 +657,8 @@ MANY: Final = 6
 MUCH: Final = 0.1
 #: what the probability of one effect is of
 MARGINALS: Final = (
-    "Sizes that these readings cannot show do not count; effects that look alike are"
-    " counted one by one."
+    "Only sizes that these readings can show count. Effects that look alike share their"
+    " probability."
 )
 
 
@@ -708,19 +710,19 @@ def _explanation_columns() -> list[TableColumn]:
 def _answers(gap: GapSection) -> Table:
     rows = [explanation_row(answer) for answer in gap.answers[:MAX_ANSWERS]]
     caption = (
-        "Explanations of the gap. An effect beside a named one that could be any of"
-        " many is reported as an effect of unknown form. " + _decision()
+        "Explanations of the residual error. Beside a named effect, one that could be any"
+        " of many counts as an effect of unknown form. " + _decision()
     )
     return Table(_explanation_columns(), rows, caption)
 
 
 def _decision() -> str:
-    """When no gap is reported."""
+    """When no effect is reported."""
     sure = text.percent(GapSection.NO_GAP_PROBABILITY)
     return (
-        "No gap is reported where noise alone, or effects too small for these readings to"
-        f" show, have a probability of {sure} or more. What is less likely than noise is a"
-        " reason to read again, and is not corrected."
+        "No effect is reported where noise alone, or effects too small for these readings"
+        f" to show, have a probability of {sure} or more. An effect less likely than noise"
+        " alone is a reason to read again; nothing is corrected for it."
     )
 
 
@@ -753,7 +755,7 @@ def _explanation(answer: AnswerRecord) -> str:
         return f"an effect {hidden}"
     sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
     names = [_effect_name(name, sizes) for name in answer.effects]
-    explanation = text.listing(names) or "no gap: noise alone"
+    explanation = text.listing(names) or "no effect: noise alone"
     if answer.unseen < MUCH * answer.probability or answer.unseen <= 0.0:
         return explanation
     part = "" if answer.unseen >= answer.probability else "in part "
@@ -820,7 +822,7 @@ def _effect_constants(gap: GapSection, effect: str) -> Mapping[str, float]:
 #: compensations that a controller can be sent, as a reader knows them
 COMPENSATIONS: Final = {
     CompensationName.MIXTURE: "Geometry, over all hypotheses",
-    CompensationName.BEST: "Geometry, best answer alone",
+    CompensationName.BEST: "Geometry, best hypothesis alone",
     CompensationName.PLAIN: "Geometry, fit without effects",
     CompensationName.BEST_WITH_EFFECTS: "Best answer with its effects corrected",
     CompensationName.NOTHING: "Nothing corrected",
@@ -859,7 +861,7 @@ def _compensation_choices(
     ]
     caption = (
         "Rms error over the workspace that is expected after each compensation, as the"
-        " mean over the answers by their probabilities."
+        " mean over the hypotheses by their probabilities."
     )
     return Table([TableColumn("Compensation"), *number_columns(*heads)], rows, caption)
 
@@ -898,14 +900,19 @@ def _interval_text(ends: Sequence[float] | None) -> str:
     return f"{low} to {high}"
 
 
+#: standard deviation over the value below which a parameter is fixed but for rounding
+FIXED: Final = 1e-12
+
+
 def _mixture_parameters(section: MixtureSection) -> Table:
     columns = [
         TableColumn("Parameter"),
-        *number_columns("Value", "sd", "Within the answers", "95 % interval"),
+        *number_columns("Value", "sd", "Within hypotheses", "95 % interval"),
         *number_columns("For the controller"),
     ]
     rows = []
-    for name, p in section.parameters.items():
+    free = {n: p for n, p in section.parameters.items() if p.sd > FIXED * abs(p.value)}
+    for name, p in free.items():
         decimals = text.decimals_for(p.sd)
         sent = section.controller.get(name)
         rows.append(
@@ -919,9 +926,10 @@ def _mixture_parameters(section: MixtureSection) -> Table:
             ]
         )
     caption = (
-        "Parameters over all hypotheses. What the standard deviation has beyond that within"
-        " the answers is between them. A controller that corrects geometry alone takes"
-        " the last column: those of the least expected error."
+        "Parameters over all hypotheses. Within hypotheses: standard deviation if the cause"
+        " were known; what the sd has beyond it comes from not knowing the cause. A"
+        " controller that corrects the geometry alone takes the last column, which has the"
+        " least expected error."
     )
     return Table(columns, rows, caption)
 

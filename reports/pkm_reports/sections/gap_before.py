@@ -279,8 +279,8 @@ def _sizes(
     marks = ["good" if record.visible else "bad" for record in testable]
     readings = text.count(table.readings, "reading")
     caption = (
-        f"What {of} ({readings}) could detect. Absorbed: share that calibration takes"
-        " for geometry. Detectability: what remains, in units of the noise. Chance: of"
+        f"What {of} ({readings}) could detect. Absorbed: share that calibration"
+        " mistakes for geometry. Detectability: what remains, in units of the noise. Chance: of"
         " detection at 1 % false alarm. Smallest rms: size that is detected 9 times in"
         " 10, typically. Hardest rival: the effect that explains most of it, and the"
         " detectability that then remains. The noise is that stated in the study."

@@ -49,10 +49,10 @@ UNLIKELY: Final = 0.01
 MEANING: Final = {
     "reading": "Scatter of single readings",
     "run": "Error that a run shares",
-    "seat": "What a run seats anew",
-    "course": "Course through the session, at its end",
-    "carried": "Share of the variance carried along",
-    "reach": "Reach of what is carried along",
+    "seat": "Set-up seated anew for a run",
+    "course": "Drift through the session",
+    "carried": "Correlated share of the variance",
+    "reach": "Length of the correlation",
 }
 
 

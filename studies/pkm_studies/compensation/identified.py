@@ -233,7 +233,7 @@ def _if_not_best(mixture: MixtureSection | None) -> tuple[str, ...]:
         return ()
     rms = _rms_of(mixture.with_effects)
     return (
-        "these figures take the diagnosis' best answer as true; over all of its hypotheses"
+        "these figures take the diagnosis' best hypothesis as true; over all of its hypotheses"
         f" the predicted rms with this compensation is {rms}",
     )
 

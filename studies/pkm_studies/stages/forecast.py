@@ -64,9 +64,9 @@ def forecast_sentences(section: ForecastSection | None) -> Iterator[str]:
         if c.checked is not None and c.checked_max is not None:
             yield (
                 f"{name}, at nodes that were not fitted: rms {c.checked:.3g} {c.unit}"
-                f" (predicted {c.checked_predicted:.3g}), largest"
+                f" (predicted {c.checked_predicted:.3g} {c.unit}), largest"
                 f" {c.checked_max:.3g} {c.unit} (without the table"
-                f" {c.checked_max_before:.3g})."
+                f" {c.checked_max_before:.3g} {c.unit})."
             )
     for sentence in section.sentences:
         yield f"{sentence[0].upper()}{sentence[1:]}."
@@ -92,9 +92,9 @@ def _residual(name: str, c: ForecastComponent) -> str:
         return f"{name}: not measured; {c.predicted:.3g} {c.unit} rms are predicted."
     return (
         f"{name}: of {c.measured:.3g} {c.unit} rms at the nodes, the table is predicted"
-        f" to leave {c.predicted:.3g} {c.unit} (95 %: {c.low:.3g} to {c.high:.3g})."
-        f" Nodes left out: {c.left_out:.3g} {c.unit}, predicted"
-        f" {c.left_out_predicted:.3g}."
+        f" to leave {c.predicted:.3g} {c.unit} (95 %: {c.low:.3g} to {c.high:.3g} {c.unit})."
+        f" Each node, predicted by all others: {c.left_out:.3g} {c.unit} off; expected are"
+        f" {c.left_out_predicted:.3g} {c.unit}."
     )
 
 

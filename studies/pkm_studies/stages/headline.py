@@ -311,8 +311,8 @@ def _rank(section: IdentifiabilitySection | None) -> list[str]:
         return [f"{verdict}."]
     directions = "1 direction stays" if lost == 1 else f"{lost} directions stay"
     return [
-        f"{verdict}; {directions} undetermined, and the identifiability section names"
-        " readings that would determine them."
+        f"{verdict}; {directions} undetermined. The report names readings that would"
+        " determine them."
     ]
 
 

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from oed.result import Claim, StudyResult
     from pkm_reports.blocks import Table
 
+#: lines of a summary, which a terminal shows without scrolling
+MOST_LINES: Final = 12
 #: sentences of a result that has no first lines
 MOST_SENTENCES: Final = 3
 #: verdicts of held-out readings that raise no doubt of the fit
@@ -30,14 +32,15 @@ def lines(
 ) -> list[str]:
     """The first lines of the report, what speaks against them, files and claims.
 
-    A summary has some twelve lines; `verbose` prints every sentence, warning and claim.
+    At most MOST_LINES lines, but for what speaks against the result; `verbose` prints
+    every sentence, warning and claim.
     """
     from pkm_reports import first_lines
 
     page = first_lines(result)
     table = [] if page.table is None else _table(page.table)
     shown = [*above, *(page.sentences or result.headline[:MOST_SENTENCES]), *table]
-    files = _files(result, folder)
+    files = _files(result, folder, page.is_plan)
     if verbose:
         warnings = _warnings(result, folder)
         claims = [f"Claim {verdict(claim)}" for claim in result.claims]
@@ -46,29 +49,29 @@ def lines(
     contradictions = [
         f"{s.words}." for s in result.held_out if s.verdict == CONTRADICTS
     ]
+    failing = [f"Claim {verdict(claim)}" for claim in result.claims if not claim.met]
     warnings = [*page.warnings, *result_folder.changed_files(folder)]
-    return [
-        *shown,
+    # the most useful first, where not all have room
+    ranked = [
+        *[f"Next: {action}" for action in page.actions],
+        *page.findings[:1],
+        *headline.lost_directions(result.identifiability),
         *headline.noise_sentences(result),
         *headline.earlier_sentences(result.machine),
-        *page.findings,
-        *headline.lost_directions(result.identifiability),
-        *[f"Next: {action}" for action in page.actions],
-        *contradictions,
         *_held_out(result),
         *[f"Warning: {_sentence(warning)}" for warning in warnings],
-        *files,
-        *_claims(result),
-        "--verbose prints every sentence, warning and claim.",
+        *page.findings[1:],
     ]
+    needed = [*contradictions, *files, *failing]
+    room = max(0, MOST_LINES - len(shown) - len(needed) - 1)
+    return [*shown, *ranked[:room], *needed, _last_line(result, len(ranked[room:]))]
 
 
 def _table(table: Table) -> list[str]:
     """A table of the report as lines; the sentence above says what it is of."""
-    from rich import box
     from rich.table import Table as Lines
 
-    drawn = Lines(box=box.SIMPLE, show_edge=False, show_header=True, padding=(0, 1))
+    drawn = Lines(box=None, show_header=True, padding=(0, 1))
     for column in table.columns:
         drawn.add_column(column.title, justify="right" if column.number else "left")
     for row in table.rows:
@@ -83,12 +86,11 @@ def _held_out(result: StudyResult) -> list[str]:
         return []
     confirming = sum(section.verdict == "confirms" for section in sections)
     inside = sorted(round(100.0 * section.coverage) for section in sections)
-    phrase = f"{len(sections)} of {len(result.held_out)} channels agree with the fit"
-    phrase += f", {confirming or 'none'} of them better than with the nominal numbers"
-    ends = dict.fromkeys((inside[0], inside[-1]))
-    shares = " to ".join(map(str, ends))
+    shares = " to ".join(map(str, dict.fromkeys((inside[0], inside[-1]))))
     return [
-        f"Held-out readings: {phrase}; {shares} % of each are inside the predicted 95 %."
+        f"Held-out readings agree with the fit in {len(sections)} of"
+        f" {len(result.held_out)} channels, in {confirming or 'none'} better than with the"
+        f" nominal numbers; {shares} % lie inside the predicted 95 %."
     ]
 
 
@@ -101,26 +103,24 @@ def _warnings(result: StudyResult, folder: Path) -> list[str]:
     return [f"Warning: {_sentence(sentence)}" for sentence in sentences]
 
 
-def _files(result: StudyResult, folder: Path) -> list[str]:
-    """The files that a user opens, and those to fill in."""
+def _files(result: StudyResult, folder: Path, is_plan: bool) -> list[str]:
+    """The files that a user opens, and those of a plan to fill in."""
     paths = [safe_files.latest(folder / name) for name in PAGES]
-    sheets = [name for name in result.written if name.startswith("poses")]
+    sheets = [name for name in result.written if name.startswith("poses") and is_plan]
     return [
         f"Report: {', '.join(str(p) for p in paths if p.is_file())}",
         *[f"To fill in: {folder / name}" for name in sheets],
     ]
 
 
-def _claims(result: StudyResult) -> list[str]:
-    """How many claims are met, and each that is not."""
-    if not result.claims:
-        return []
-    failing = [claim for claim in result.claims if not claim.met]
-    met = len(result.claims) - len(failing)
-    return [
-        f"Claims: {met} of {len(result.claims)} met.",
-        *[f"Claim {verdict(claim)}" for claim in failing],
-    ]
+def _last_line(result: StudyResult, more: int) -> str:
+    """How many claims are met, and where the lines are that have no room."""
+    claims = ""
+    if result.claims:
+        met = sum(claim.met for claim in result.claims)
+        claims = f"Claims: {met} of {len(result.claims)} met. "
+    rest = f" ({more} more line{'s' * (more > 1)})" if more else ""
+    return f"{claims}--verbose prints every sentence, warning and claim{rest}."
 
 
 def _sentence(text: str) -> str:

@@ -132,6 +132,6 @@ def test_what_would_show_an_effect_names_it_beside_noise_alone() -> None:
     effects = (dataclasses.replace(BOW, exposed_by="a straightedge"), SLIP, DRIFT)
     words = " ".join(advise([_answer(0.6, "bow"), _answer(0.3)], effects, {}))
     assert (
-        "Noise alone has a probability of 30 %: read again before acting on the gap. What"
+        "Noise alone has a probability of 30 %: read again before you correct anything. What"
         " would show bow: a straightedge."
     ) in words

@@ -60,7 +60,7 @@ def test_lists_and_combinations() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("a run repeats to a third", "A run repeats to a third."),
+        ("runs differ by a third", "Runs differ by a third."),
         ("noise is as stated", "Noise is as stated."),
         ("x is lost", "x is lost."),
     ],

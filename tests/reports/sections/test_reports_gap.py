@@ -69,7 +69,7 @@ def test_the_page_has_findings_causes_places_and_closure(
     source = page.read_text(encoding="utf-8")
     shown = " ".join(text_of(source).replace("\N{NO-BREAK SPACE}", " ").split())
     for words in (
-        "The gap comes from backlash or friction (probability 98 %)",
+        "The residual error comes from backlash or friction (probability 98 %)",
         "If it is backlash: preload the screws",
         "96 % 91 % to 99 %",  # closure within runs, with its interval
         "stretches of runs",
@@ -91,7 +91,7 @@ def test_every_verdict_has_a_page(gap: GapSection, verdict: str) -> None:
     page = render_html(report)
     assert page.rstrip().endswith(b"</html>")
     assert render_pdf(report).startswith(b"%PDF")
-    explained_by_noise = "no gap: noise alone" in text_of(page.decode())
+    explained_by_noise = "no effect: noise alone" in text_of(page.decode())
     assert explained_by_noise == (verdict in ("none", "class", "mixture"))
 
 

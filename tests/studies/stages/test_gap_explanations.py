@@ -25,7 +25,7 @@ def test_what_is_more_likely_than_noise_alone_is_not_the_next_most_likely() -> N
     ]
     gap = add_sentences(_gap("none", answers))
     assert gap.words[0] == (
-        "No gap is found: noise alone may explain what calibration leaves (probability"
+        "No effect is found: noise alone may explain what calibration leaves (probability"
         " 36 %)."
     )
     assert second_explanation(gap) == [
@@ -50,9 +50,9 @@ def test_a_gap_that_is_less_likely_than_noise_says_so_at_once() -> None:
     ]
     gap = add_sentences(_gap("effect", answers))
     assert gap.words[0] == (
-        "The gap may come from gravity (probability 30 %; noise alone 45 %)."
+        "The residual error may come from gravity (probability 30 %; noise alone 45 %)."
     )
     assert second_explanation(gap) == [
-        "Noise alone is more likely, but not enough to report no gap."
+        "Noise alone is more likely, but not enough to exclude an effect."
     ]
     assert not gap.effect_likely

@@ -66,7 +66,7 @@ def _gap(
 def test_no_gap_in_words() -> None:
     words = _gap("none", [], []).words
     assert (
-        words[0] == "No gap is found: noise alone explains what calibration leaves"
+        words[0] == "No effect is found: noise alone explains what calibration leaves"
         " (probability 90 %)."
     )
     assert len(words) == 2  # the other one is about what could not be tested
@@ -75,7 +75,7 @@ def test_no_gap_in_words() -> None:
 def test_an_effect_in_words() -> None:
     section = _gap("effect", ["gravity"], [["gravity"]])
     assert section.words == [
-        "The gap comes from gravity (probability 90 %).",
+        "The residual error comes from gravity (probability 90 %).",
         (
             "Gravity changes length by 12.3 um rms; calibration leaves 1.1 um (9 %) of"
             " that."
@@ -96,7 +96,7 @@ def test_an_effect_in_words() -> None:
 def test_a_class_in_words() -> None:
     section = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
     assert section.words[0].startswith(
-        "The gap comes from gravity or encoder scale; these readings cannot tell which"
+        "The residual error comes from gravity or encoder scale; these readings cannot tell which"
     )
     assert "To tell encoder scale from the others: two bars." in section.next
     assert "If it is gravity: stiffen the legs." in section.next
@@ -114,11 +114,11 @@ def test_a_class_of_many_is_told_by_what_its_effects_have_in_common() -> None:
 
     alike = words(["something that warms"] * 5)
     assert alike.startswith(
-        "The gap comes from something that warms: any of 5 effects; these readings"
+        "The residual error comes from something that warms: any of 5 effects; these readings"
         " cannot tell which"
     )
     assert words([*["something that warms"] * 4, "a sudden change"]).startswith(
-        "The gap comes from one of 5 effects: something that warms (4) or a sudden"
+        "The residual error comes from one of 5 effects: something that warms (4) or a sudden"
         " change (1); these readings"
     )
     assert "leg thermal, frame thermal" in words([""] * 5)
@@ -128,9 +128,11 @@ def test_mixtures_and_unknowns_in_words() -> None:
     both = _gap(
         "mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]
     ).words[0]
-    assert both.startswith("The gap comes from gravity and encoder scale together")
+    assert both.startswith(
+        "The residual error comes from gravity and encoder scale together"
+    )
     with_unknown = _gap("mixture", ["gravity", "unknown"], [["gravity"]]).words[0]
-    assert with_unknown.startswith("Part of the gap comes from gravity")
+    assert with_unknown.startswith("Part of the residual error comes from gravity")
     assert with_unknown.endswith("a remainder has a form that no known effect has.")
     unknown = _gap("unknown", ["unknown"], []).words[0]
     assert "no known effect explains" in unknown
@@ -146,7 +148,9 @@ def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
         AnswerRecord(("gravity",), 0.1, (("gravity", "servo_lag"),), unseen=0.1),
     ]
     words = _gap("effect", ["gravity"], [], answers=answers).words
-    assert words[0] == "The gap probably comes from gravity (probability 79 %)."
+    assert (
+        words[0] == "The residual error probably comes from gravity (probability 79 %)."
+    )
     beside = words.index(
         "An effect of unknown form may act beside it (probability 25 %)."
     )
@@ -155,7 +159,7 @@ def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
     )
     mixed = _gap("mixture", ["gravity"], [], answers=[answers[1], answers[0]]).words
     assert mixed[0] == (
-        "Part of the gap probably comes from gravity (probability 79 %); a remainder has a form"
+        "Part of the residual error probably comes from gravity (probability 79 %); a remainder has a form"
         " that no known effect has (probability 25 %)."
     )
     assert not any("beside it" in sentence for sentence in mixed)
@@ -171,14 +175,16 @@ def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
     ]
     section = _gap("unknown", ["unknown"], [], answers=answers)
     assert section.words[0].startswith(
-        "There is a gap that no known effect explains (probability 88 %)"
+        "There is a residual error that no known effect explains (probability 88 %)"
     )
     assert section.words[1:3] == [
         "Any of 7 effects may act beside it (probability 31 %).",
-        "The next most likely explanation is no gap at all (probability 12 %).",
+        "The next most likely explanation is noise alone (probability 12 %).",
     ]
     unsure = _gap("unknown", ["unknown"], [], answers=[AnswerRecord(("unknown",), 0.4)])
-    assert unsure.words[0].startswith("There may be a gap that no known effect")
+    assert unsure.words[0].startswith(
+        "There may be a residual error that no known effect"
+    )
     assert "Look first at the time from 10 min to 20 min." in section.next
     spread = _gap("unknown", ["unknown"], [], where=[PlaceRecord("leg 1", 0.3)]).next
     assert not any("Look first" in step for step in spread)
@@ -188,7 +194,7 @@ def test_a_clear_effect_stands_before_a_class() -> None:
     classes = [["gravity", "encoder_scale"], ["servo_lag"]]
     section = _gap("class", ["gravity", "servo_lag"], classes)
     assert section.words[0].startswith(
-        "The gap comes from servo lag, and gravity or encoder scale; these readings"
+        "The residual error comes from servo lag, and gravity or encoder scale; these readings"
     )
     answers = [
         AnswerRecord(("gravity", "servo_lag"), 0.52, classes),
@@ -196,7 +202,7 @@ def test_a_clear_effect_stands_before_a_class() -> None:
     ]
     parts = _gap("class", ["gravity", "servo_lag"], classes, answers=answers).words
     assert parts[0] == (
-        "The gap probably comes from servo lag (probability 52 %), and gravity or encoder scale"
+        "The residual error probably comes from servo lag (probability 52 %), and gravity or encoder scale"
         " (probability 93 %); these readings cannot tell which (probability 52 %)."
     )
     assert any("explanation is gravity or encoder scale (pro" in w for w in parts)

@@ -101,7 +101,7 @@ def test_words_name_answers_disagreement_and_each_compensation(
     assert "disagree most on da1y: 75 %" in parameter
     assert "1 arcsec by the parameters over all hypotheses" in choices
     assert choices.startswith("Expected rms error over all hypotheses: ")
-    assert "best answer alone" not in choices
+    assert "best hypothesis alone" not in choices
 
 
 def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
@@ -111,7 +111,7 @@ def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
         for name, p in mixture.parameters.items()
     }
     agreed = msgspec.structs.replace(mixture, parameters=parameters)
-    assert mixture_sentences(agreed)[1] == "The answers agree on all parameters."
+    assert mixture_sentences(agreed)[1] == "The hypotheses agree on all parameters."
 
 
 def test_one_answer_agrees_with_no_other(result: StudyResult) -> None:
@@ -132,7 +132,7 @@ def test_a_file_with_effects_says_what_all_answers_expect(result: StudyResult) -
     assert mixture.prediction is not None
     rms = mixture.prediction.components["z"].after.rms
     assert identified.origin == "corrected"
-    assert "take the diagnosis' best answer as true" in identified.conditions[-1]
+    assert "take the diagnosis' best hypothesis as true" in identified.conditions[-1]
     assert f"z {rms:.3g} um" in identified.conditions[-1]
 
 

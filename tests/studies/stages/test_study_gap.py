@@ -169,7 +169,9 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     code, out, err = oed("diagnose", study, "--readings", "r.csv", "--out", "out")
     assert (code, err) == (0, "")
-    assert "The gap comes from backlash or friction (probability 98 %)." in out
+    assert (
+        "The residual error comes from backlash or friction (probability 98 %)." in out
+    )
     assert "If it is backlash, it changes length by 9." in out
     text = (tmp_path / "out/result.json").read_text()
     assert "NaN" not in text

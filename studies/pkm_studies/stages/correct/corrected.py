@@ -486,7 +486,7 @@ def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[st
             )
     if gap.answers and UNKNOWN in gap.answers[0].effects:
         sentences.append(
-            "a part of the gap of unknown form is not in the model: it stays, and the"
+            "a part of the residual error has an unknown form and is not in the model: it stays, and the"
             " predicted accuracy does not contain it"
         )
     return sentences
@@ -526,7 +526,7 @@ def resolved_sentences(
 ) -> dict[str, str]:
     """Alarms of the fit without effects, and what is true with them."""
     ratio = noise_ratio(corrected.chi2, corrected.dof)
-    effects = " and ".join(corrected.constants)
+    effects = join_words([plain_name(name) for name in corrected.constants])
     opening = (
         f"With {effects} in the model {_fit(ratio)}, and the corrected values count."
     )
@@ -536,13 +536,13 @@ def resolved_sentences(
 def _fit(ratio: float | None) -> str:
     if ratio is None:
         return "the readings fit"
-    return f"the residuals are {rounded(ratio)} times the stated noise"
+    return f"the residuals are {ratio:.1f} times the stated noise"
 
 
 def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
     """Alarms of the fit without effects, each after what is true with them."""
     return {
-        f.sentence: f"{opening} Without: {f.sentence[:1].lower()}{f.sentence[1:]}"
+        f.sentence: f"{opening} A fit without would say: {f.sentence}"
         for f in findings
         if is_about_the_fit(f)
     }

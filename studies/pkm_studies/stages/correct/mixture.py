@@ -49,9 +49,9 @@ from pkm_studies.stages.run_state import Fitted
 INTERVAL = (0.025, 0.975)
 PHRASES = {
     CompensationName.MIXTURE: "by the parameters over all hypotheses",
-    CompensationName.BEST: "by those of the best answer alone",
+    CompensationName.BEST: "by those of the best hypothesis alone",
     CompensationName.PLAIN: "by those of the fit without effects",
-    CompensationName.BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
+    CompensationName.BEST_WITH_EFFECTS: "by the best hypothesis with its effects corrected",
     CompensationName.NOTHING: "with nothing corrected",
 }
 #: probability that what stays after compensation is within its bound
@@ -257,7 +257,7 @@ def add_bound(gap: GapSection) -> GapSection:
         if c.compensatable
     ]
     sentence = (
-        f"{GapSection.GO_AHEAD} With all that may still hide, the rms error that stays is at most"
+        f"{GapSection.GO_AHEAD} With effects too small to show counted, the rms error that stays is at most"
         f" {join_words(bounds)} with {100.0 * BOUND:.0f} %."
     )
     return msgspec.structs.replace(gap, next=[sentence, *gap.next[1:]])
@@ -316,7 +316,7 @@ def _answers_text(section: MixtureSection) -> str:
     sentence = f"Over all hypotheses of the diagnosis: {', '.join(named)}"
     if section.rest > ROUNDED:
         rest = format_probability(section.rest)
-        sentence += f"; other answers, {rest} together, are left out"
+        sentence += f"; others, {rest} together, are left out"
     return f"{sentence}."
 
 
@@ -324,7 +324,7 @@ def _name(answer: MixedAnswer) -> str:
     named = join_words([plain_name(name) for name in answer.effects])
     if answer.unseen:
         return f"{named} beside small effects" if named else "small effects alone"
-    return named or "no gap"
+    return named or "noise alone"
 
 
 def _parameters_text(section: MixtureSection) -> list[str]:
@@ -336,9 +336,9 @@ def _parameters_text(section: MixtureSection) -> list[str]:
         return []
     name = max(between, key=lambda n: between[n])
     if between[name] < DISAGREE:
-        return ["The answers agree on all parameters."]
+        return ["The hypotheses agree on all parameters."]
     return [
-        f"The answers disagree most on {name}: {100.0 * between[name]:.0f} % of its"
+        f"The hypotheses disagree most on {name}: {100.0 * between[name]:.0f} % of its"
         " variance is between them."
     ]
 

@@ -124,7 +124,7 @@ _ERRORS = {
     "reading": "single readings of {} scatter by",
     "run": "the readings of one run of {} share an error of",
     "seat": "what each run of {} seats anew moves by",
-    "course": "through the session the readings of {} share a course that ends off by",
+    "course": "through the session the readings of {} drift by",
 }
 
 
@@ -143,8 +143,8 @@ def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list
         of = f" of {number.of}" if number.of else ""
         if number.kind == "carried":
             phrases.append(
-                f"a share of {size} of the variance of single readings{of} is carried"
-                f" along a run, {reach_phrase(reach[0], longest)}"
+                f"a share of {size} of the variance of single readings{of} is"
+                f" correlated along a run, {reach_phrase(reach[0], longest)}"
             )
             continue
         stated = (

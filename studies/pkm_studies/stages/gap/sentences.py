@@ -131,7 +131,7 @@ def place_sentences(gap: GapSection) -> list[str]:
     places = named_places(gap.where)
     if not places:
         return [
-            "No leg, set-up, run, time, direction or part of a run stands out: the gap"
+            "No leg, set-up, run, time, direction or part of a run stands out: the residual error"
             " is spread over all readings."
         ]
     return [f"It shows most in {join_words([_place(p) for p in places])}."]
@@ -243,9 +243,9 @@ def second_explanation(gap: GapSection) -> list[str]:
     if not second.effects and second.probability > probability_of_causes(gap):
         return [
             *phrases,
-            "Noise alone is more likely, but not enough to report no gap.",
+            "Noise alone is more likely, but not enough to exclude an effect.",
         ]
-    causes, chance = _spoken(second) or "no gap at all", chance_of(second.visible)
+    causes, chance = _spoken(second) or "noise alone", chance_of(second.visible)
     if gap.verdict == "none" and second.visible > best.probability:
         phrases.append(
             f"More likely than noise alone is {causes}{chance}, but not than noise and what"
@@ -436,7 +436,7 @@ def _verdict(gap: GapSection) -> list[str]:
         is_there = "is" if unknown >= GapSection.EVEN_PROBABILITY else "may be"
         testable = len(gap.tried) - len(gap.not_testable)
         return [
-            f"There {is_there} a gap that no known effect explains {chance}: it has the form of"
+            f"There {is_there} a residual error that no known effect explains {chance}: it has the form of"
             f" none of the {testable} effects that these readings can test."
         ]
     probability = probability_of_causes(gap)
@@ -448,17 +448,17 @@ def _verdict(gap: GapSection) -> list[str]:
         comes = "probably comes"
     if gap.verdict == "class":
         return [
-            f"The gap {comes} from {_classes(gap)}; these readings cannot tell which"
+            f"The residual error {comes} from {_classes(gap)}; these readings cannot tell which"
             f" {chance}."
         ]
     if UNKNOWN in best.effects:
         sure = "" if best.probability == probability else chance_of(best.probability)
         return [
-            f"Part of the gap {comes} from {_classes(gap)} {chance}; a remainder has a"
+            f"Part of the residual error {comes} from {_classes(gap)} {chance}; a remainder has a"
             f" form that no known effect has{sure}."
         ]
     together = " together" if len(gap.selected) > 1 else ""
-    return [f"The gap {comes} from {_classes(gap)}{together} {chance}."]
+    return [f"The residual error {comes} from {_classes(gap)}{together} {chance}."]
 
 
 def _chance(gap: GapSection, probability: float) -> str:
@@ -477,7 +477,7 @@ def _no_gap(gap: GapSection) -> list[str]:
     chance = f"(probability {format_probability(nothing)})"
     explains = "explains" if nothing >= GapSection.EVEN_PROBABILITY else "may explain"
     phrases = [
-        f"No gap is found: noise alone {explains} what calibration leaves {chance}."
+        f"No effect is found: noise alone {explains} what calibration leaves {chance}."
     ]
     if unseen >= CONSIDERABLE:
         part = format_probability(unseen)
