@@ -650,7 +650,8 @@ def _realised(
         *number_columns("Rms", "p95", "max", "Predicted rms", "Realised / predicted"),
     ]
     caption = (
-        "Errors of a virtual machine after compensation; its true parameters are known."
+        "Errors of virtual machines drawn from the tolerances, after their readings of this"
+        " plan identified them and they were compensated."
     )
     finite = [ratio for ratio in ratios if math.isfinite(ratio)]
     if finite:
@@ -795,8 +796,8 @@ def _tools(tools: Sequence[ToolAccuracy]) -> Table:
 # Blocks on the uncertainty budget: its lines, what to improve, effects outside it.
 
 
-#: decimals of a share that count
-NEGLIGIBLE: Final = 5
+#: size of a share below which it is no more than that
+TINY: Final = 1e-3
 Component_ = Mapping[str, ComponentAccuracy]
 #: what each kind of line is
 LINE_KINDS: Final = {
@@ -822,7 +823,7 @@ def budget_blocks(section: BudgetSection, components: Component_) -> list[Block]
     if section.no_axes:
         content.append(_axes(section, components))
     if section.advice:
-        content.append(Paragraph(" ".join(section.advice)))
+        content.append(Paragraph(text.replace_symbols(" ".join(section.advice))))
     if section.unmodelled:
         after = {name: components[name].after.rms for name in shown}
         content.append(_unmodelled(section.unmodelled, after, units))
@@ -861,8 +862,13 @@ def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:
     for line in section.lines:
         row = [line.source, LINE_KINDS.get(line.kind, line.kind)]
         for name in units:
-            share = round(line.share[name], NEGLIGIBLE)
-            row += [text.number(line.size[name]), text.percent(share)]
+            share = line.share[name]
+            shown = (
+                f"under 0.1{text.NO_BREAK}%"
+                if 0 < abs(share) < TINY
+                else text.percent(share)
+            )
+            row += [text.number(line.size[name]), shown]
         rows.append(row)
     total = ["all", "predicted rms error"]
     for name in units:
@@ -888,7 +894,7 @@ def _improvements(section: BudgetSection, units: Mapping[str, str]) -> Table:
     ]
     caption = (
         "Rms error that would remain with half of one source's standard deviation, and"
-        " without that source."
+        " without that source. Tolerances are halved all together, in both of their lines."
     )
     return Table(columns, rows, caption)
 
@@ -917,8 +923,7 @@ def _unmodelled(
     caption = (
         "What usually goes unmodelled: rms error of the compensated machine if one"
         " effect has its expected size and the calibration does not know of it. What an"
-        " effect adds grows in proportion to its size, and 30 times the expected size is"
-        " usual."
+        " effect adds grows in proportion to its size, which may be 30 times as large."
     )
     return Table(columns, rows, caption)
 

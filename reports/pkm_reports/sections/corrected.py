@@ -27,6 +27,7 @@ from pkm_reports.blocks import (
 )
 from pkm_reports.sections import accuracy
 from pkm_reports.sections.accuracy import spread_figures
+from pkm_reports.sections.gap_figures import spoken
 
 #: coefficients in standard deviations from which on they are listed
 CLEAR: Final = 2.0
@@ -57,9 +58,9 @@ def _introduction(corrected: CorrectedSection) -> str:
         else "that were named"
     )
     return (
-        f"Parameters and the effects {source} ({text.listing(corrected.constants)}) are"
+        f"Parameters and the effects {source} ({text.listing(map(spoken, corrected.constants))}) are"
         " estimated together, so that the effects do not bend the parameters."
-        " Compensation, verification and comparison take these values."
+        " Verification, comparison and tables of effects take these values."
     )
 
 
@@ -104,7 +105,7 @@ def _effects(effects: Mapping[str, EffectEstimate]) -> Table:
     columns = [TableColumn("Coefficient"), *number_columns("Value", "sd", "Expected")]
     rows = [
         [
-            f"{name} [{text.unit_symbol(e.unit)}]",
+            f"{name.replace(e.effect, spoken(e.effect))} [{text.unit_symbol(e.unit)}]",
             text.number(e.value),
             text.number(e.sd, 2),
             text.number(e.prior_sd, 2),

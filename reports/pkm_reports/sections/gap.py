@@ -427,7 +427,8 @@ NEARLY_WHOLE: Final = 0.99
 
 def _closure(gap: GapSection) -> list[Block]:
     """One row for each way of holding readings out; none where no effect is reported."""
-    if not gap.closure or not gap.effect_reported:
+    closures = [closure for closure in gap.closure if closure.value is not None]
+    if not closures or not gap.effect_reported:
         return []
     columns = [
         wide_column("Held out"),
@@ -445,7 +446,7 @@ def _closure(gap: GapSection) -> list[Block]:
             text.number(closure.s1),
             text.number(closure.s_noise),
         ]
-        for closure in gap.closure
+        for closure in closures
     ]
     caption = (
         "What the effects remove of the mean squared residual beyond the noise, on readings"

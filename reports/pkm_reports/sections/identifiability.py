@@ -179,16 +179,13 @@ def _findings(findings: Sequence[IdentifiabilityFinding]) -> Table:
         wide_column("What"),
         wide_column("What would determine it"),
     ]
-    rows, marks, verdicts = [], [], []
+    rows, marks = [], []
     for finding in findings:
         verdict, mark = VERDICTS.get(finding.kind, (finding.kind, ""))
         remedies = "; ".join(finding.remedies) or text.MISSING
         rows.append([verdict, text.sentence(finding.text), remedies])
         marks.append(mark)
-        verdicts.append(verdict)
-    counts = [f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts)]
-    caption = f"Identifiability by groups of parameters: {text.listing(counts)}."
-    return Table(columns, rows, caption, marks)
+    return Table(columns, rows, "Identifiability by groups of parameters.", marks)
 
 
 def _directions(

@@ -67,6 +67,8 @@ def goodness_blocks(checked: GoodnessSection) -> str:
     verdict = goodness_judgement(
         or_nan(checked.dof), is_large=high < UNLIKELY, is_small=low < ALARM_PROBABILITY
     )
+    if high < UNLIKELY <= (checked.law_p_high or 0.0):
+        verdict = "more than the stated noise leaves at these parameters"
     return (
         f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} by the stated"
         f" noise ({chance}): {verdict}.{_law_judgement(checked)}"
@@ -530,7 +532,9 @@ def _iterations(iterations: Sequence[Mapping[str, float]]) -> list[Block]:
         [text.trimmed(missing.entry(row, key)) for key in keys] for row in iterations
     ]
     columns = number_columns(*[text.heading(key) for key in keys])
-    return [Table(columns, rows, "The fit, stage by stage.")]
+    return [
+        Table(columns, rows, "The fit, stage by stage, in units of the stated noise.")
+    ]
 
 
 CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)

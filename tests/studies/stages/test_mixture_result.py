@@ -96,7 +96,7 @@ def test_words_name_answers_disagreement_and_each_compensation(
         mixture, parameters={**parameters, "da1z": agreed}
     )
     answers, parameter, choices = mixture_sentences(mixture)
-    assert "backlash (90 %), no gap (5 %)" in answers
+    assert "backlash (90 %), noise alone (5 %)" in answers
     assert "5 % together, are left out" in answers
     assert "disagree most on da1y: 75 %" in parameter
     assert "1 arcsec by the parameters over all hypotheses" in choices

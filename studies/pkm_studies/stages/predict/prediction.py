@@ -677,7 +677,9 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
 def _realised(
     state: Scheduled, table: PredictionTable, command: Array
 ) -> Mapping[str, Spread] | None:
-    """Accuracy of virtual machines; None where the study asks for none."""
+    """Accuracy of virtual machines; None where the study asks for none, or is measured."""
+    if isinstance(state, Fitted) and state.readings.truth is None:
+        return None
     return realised_accuracy(
         state.measurement,
         state.readings.series,
