@@ -971,8 +971,8 @@ def _conditions(result: StudyResult) -> Iterator[str]:
 Part = tuple[str, Callable[[StudyResult], str], Callable[[StudyResult], list[Block]]]
 PARTS: Final[tuple[Part, ...]] = (
     ("short", lead_title, lead_blocks),
-    ("numbers", numbers_title, number_blocks),
     ("causes", causes_title, cause_blocks),
+    ("numbers", numbers_title, number_blocks),
     ("measure", measure_title, measure_blocks),
     ("how-accurate", accuracy_title, accuracy_blocks),
     ("unknown", unknown_title, unknown_blocks),

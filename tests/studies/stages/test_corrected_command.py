@@ -193,7 +193,7 @@ def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
     lines = (folder / "printed.txt").read_text(encoding="utf-8").splitlines()
     model = "With gravity and frame bending in the model the residuals"
     (first,) = (line for line in lines if model in line)
-    assert "A fit without would say: The " in first
+    assert "Without them the check says: The " in first
     assert "the fit is bad" not in (folder / "errors.txt").read_text(encoding="utf-8")
     assert not any(line.startswith("The fit is bad") for line in lines)
     result = json.loads((folder / "out/result.json").read_text(encoding="utf-8"))

@@ -542,7 +542,7 @@ def _fit(ratio: float | None) -> str:
 def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
     """Alarms of the fit without effects, each after what is true with them."""
     return {
-        f.sentence: f"{opening} A fit without would say: {f.sentence}"
+        f.sentence: f"{opening} Without them the check says: {f.sentence}"
         for f in findings
         if is_about_the_fit(f)
     }
