@@ -11,7 +11,6 @@ import numpy as np
 
 from oed.base import Array, Mask
 from oed.result import (
-    BudgetLine,
     BudgetSection,
     ComponentAccuracy,
     MapPoint,
@@ -816,10 +815,10 @@ LINE_KINDS: Final = {
 
 
 def budget_blocks(section: BudgetSection, components: Component_) -> list[Block]:
-    """The lines, the accuracy without each, advice, and effects that are not modelled."""
+    """The lines, advice, and effects that are not modelled."""
     shown = [n for n, c in components.items() if c.compensatable] or list(components)
     units = {name: components[name].after.unit for name in shown}
-    content: list[Block] = [_lines(section, units), _improvements(section, units)]
+    content: list[Block] = [_lines(section, units)]
     if section.no_axes:
         content.append(_axes(section, components))
     if section.advice:
@@ -879,32 +878,6 @@ def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:
         " that other lines count part of it as well."
     )
     return Table(columns, [*rows, total], caption)
-
-
-def _improvements(section: BudgetSection, units: Mapping[str, str]) -> Table:
-    columns = [TableColumn("Source")]
-    for name, unit in units.items():
-        columns += number_columns(
-            f"{name} halved [{text.unit_symbol(unit)}]", "without"
-        )
-    rows = [
-        _improvement_row(line, list(units))
-        for line in section.lines
-        if line.without is not None
-    ]
-    caption = (
-        "Rms error that would remain with half of one source's standard deviation, and"
-        " without that source. Tolerances are halved all together, in both of their lines."
-    )
-    return Table(columns, rows, caption)
-
-
-def _improvement_row(line: BudgetLine, names: Sequence[str]) -> list[str]:
-    row = [line.source]
-    for name in names:
-        for values in (line.halved, line.without):
-            row.append("" if values is None else text.number(values[name]))
-    return row
 
 
 def _unmodelled(

@@ -56,11 +56,6 @@ from pkm_reports.sections.plan_words import has_schedule, is_missed
 # The first lines of a report: what was read or is to be, how accurate, the main doubt.
 
 
-def lead_title(result: StudyResult) -> str:
-    """The heading of the lines."""
-    return "In short"
-
-
 def lead_blocks(result: StudyResult) -> list[Block]:
     """One paragraph, and the main doubt with what removes it; a bad fit before all."""
     sentences = [
@@ -155,11 +150,6 @@ MAX_COEFFICIENTS: Final = 3
 UNLIKELY: Final = 0.05
 #: standard deviations from which a coefficient counts as a size
 CLEAR: Final = 2.0
-
-
-def causes_title(result: StudyResult) -> str:
-    """The question that the part answers."""
-    return "What causes the error"
 
 
 def cause_blocks(result: StudyResult) -> list[Block]:
@@ -288,11 +278,6 @@ def _remains(gap: GapSection) -> str:
 PRINTERS: Final = ("delta_printer", "rotary_delta_printer")
 
 
-def numbers_title(result: StudyResult) -> str:
-    """What a user of a printer changes."""
-    return "Old and new numbers"
-
-
 def number_blocks(result: StudyResult) -> list[Block]:
     """Each number that is fitted of a printer's configuration; none of other machines."""
     section = result.corrected or result.estimate
@@ -306,7 +291,7 @@ def number_blocks(result: StudyResult) -> list[Block]:
             continue
         unit, factor = p.unit, 1.0
         if unit == "mrad":  # as firmware has angles
-            unit, factor = "deg", units.to_si(1.0, "mrad") / units.DEG
+            unit, factor = "deg", float(units.to_si(1.0, "mrad")) / units.DEG
         old, new = p.nominal * factor, sent.get(name, p.value) * factor
         decimals = text.decimals_for(p.sd * factor)
         row = [text.fixed(value, decimals) for value in (old, new, new - old)]
@@ -559,11 +544,6 @@ LIMIT_COLUMNS: Final = (
 )
 
 
-def accuracy_title(result: StudyResult) -> str:
-    """The question that the part answers."""
-    return "How accurate it is afterwards"
-
-
 def accuracy_blocks(result: StudyResult) -> list[Block]:
     """Acceptance test, the predicted components, and held-out readings."""
     content: list[Block] = []
@@ -796,11 +776,6 @@ def _planned_accuracy(plan: PlanSection) -> Table:
 MAX_REMEDIES: Final = 4
 
 
-def unknown_title(result: StudyResult) -> str:
-    """The question that the part answers."""
-    return "What stays unknown"
-
-
 def unknown_blocks(result: StudyResult) -> list[Block]:
     """Lost and weak directions, each with its remedies; where nothing is, that."""
     section = result.identifiability
@@ -968,14 +943,15 @@ def _conditions(result: StudyResult) -> Iterator[str]:
 
 
 #: anchor, title and content of each part, in order
-Part = tuple[str, Callable[[StudyResult], str], Callable[[StudyResult], list[Block]]]
+Title = str | Callable[[StudyResult], str]
+Part = tuple[str, Title, Callable[[StudyResult], list[Block]]]
 PARTS: Final[tuple[Part, ...]] = (
-    ("short", lead_title, lead_blocks),
-    ("causes", causes_title, cause_blocks),
-    ("numbers", numbers_title, number_blocks),
+    ("short", "In short", lead_blocks),
+    ("causes", "What causes the error", cause_blocks),
+    ("numbers", "Old and new numbers", number_blocks),
     ("measure", measure_title, measure_blocks),
-    ("how-accurate", accuracy_title, accuracy_blocks),
-    ("unknown", unknown_title, unknown_blocks),
+    ("how-accurate", "How accurate it is afterwards", accuracy_blocks),
+    ("unknown", "What stays unknown", unknown_blocks),
     ("warnings", warnings_title, warning_blocks),
 )
 
@@ -983,7 +959,9 @@ PARTS: Final[tuple[Part, ...]] = (
 def answer_parts(result: StudyResult) -> list[Section]:
     """The parts of the first page that this result can answer."""
     content = [
-        Section(anchor, title(result), blocks(result))
+        Section(
+            anchor, title if isinstance(title, str) else title(result), blocks(result)
+        )
         for anchor, title, blocks in PARTS
     ]
     return [part for part in content if part.blocks]

@@ -315,7 +315,6 @@ def blocks(result: StudyResult) -> list[Block]:
         *explanation_blocks(gap),
         *_places(gap),
         *_closure(gap),
-        *_residuals(gap),
         *_pictures(gap),
         *_open_questions(gap),
         *_coefficients(gap),
@@ -338,32 +337,6 @@ def printed(result: StudyResult) -> list[Block]:
 def _causes(gap: GapSection) -> Picture:
     caption = probabilities_caption(gap)
     return Picture("gap_causes", lambda: gap_figures.draw_effects(gap), caption)
-
-
-def _residuals(gap: GapSection) -> list[Block]:
-    """The rms residual before and after, and what the noise is."""
-    sentences = text.sentences(gap.noise)
-    if gap.rms_before:
-        sentences = [_rms(gap), *sentences]
-    return [Paragraph(" ".join(sentences))] if sentences else []
-
-
-def _rms(gap: GapSection) -> str:
-    before, after = gap.rms_before, gap.rms_after
-    if before == after:
-        sizes = [f"{_rms_of(gap, n, before)} ({n})" for n in before]
-        return f"The rms residual of all readings is {text.listing(sizes)}."
-    changes = [
-        f"from {_rms_of(gap, name, before)} to {_rms_of(gap, name, after)} ({name})"
-        for name in before
-    ]
-    falls = all(missing.entry(after, name) <= rms for name, rms in before.items())
-    verb = "falls" if falls else "changes"
-    return f"The rms residual of all readings {verb} {text.listing(changes)}."
-
-
-def _rms_of(gap: GapSection, channel: str, rms: Mapping[str, float]) -> str:
-    return text.channel_value(channel, missing.entry(rms, channel), gap.units)
 
 
 CHAPTER: Final = Chapter("gap", "Diagnosis: causes, location, remedy", blocks, printed)

@@ -351,7 +351,7 @@ def blocks(result: StudyResult) -> list[Block]:
         picture = Picture("parameters", lambda: draw_parameters(values), caption)
         chapter += [_table(values), picture]
     chapter += _combinations(estimate.combinations)
-    return chapter + _iterations(estimate.iterations)
+    return chapter
 
 
 def _warnings(result: StudyResult, estimate: EstimateSection) -> list[Block]:
@@ -522,19 +522,6 @@ def _combinations(combinations: Sequence[CombinationEstimate]) -> list[Block]:
         " departure from nominal."
     )
     return [Table(columns, rows, caption)]
-
-
-def _iterations(iterations: Sequence[Mapping[str, float]]) -> list[Block]:
-    if not iterations:
-        return []
-    keys = list(dict.fromkeys(key for row in iterations for key in row))
-    rows = [
-        [text.trimmed(missing.entry(row, key)) for key in keys] for row in iterations
-    ]
-    columns = number_columns(*[text.heading(key) for key in keys])
-    return [
-        Table(columns, rows, "The fit, stage by stage, in units of the stated noise.")
-    ]
 
 
 CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)
