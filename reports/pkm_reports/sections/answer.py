@@ -284,7 +284,8 @@ def number_blocks(result: StudyResult) -> list[Block]:
     if section is None or result.machine.name not in PRINTERS or is_plan(result):
         return []
     mixture = None if result.gap is None else result.gap.mixture
-    sent = {} if mixture is None else mixture.controller
+    sent = {name: p.value for name, p in section.parameters.items()}
+    sent |= {} if mixture is None else mixture.controller
     rows = []
     for name, p in section.parameters.items():
         if "." in name:  # of a set-up
@@ -292,7 +293,8 @@ def number_blocks(result: StudyResult) -> list[Block]:
         unit, factor = p.unit, 1.0
         if unit == "mrad":  # as firmware has angles
             unit, factor = "deg", float(units.to_si(1.0, "mrad")) / units.DEG
-        old, new = p.nominal * factor, sent.get(name, p.value) * factor
+        new = sent[name] * factor
+        old = p.nominal * factor
         decimals = text.decimals_for(p.sd * factor)
         row = [text.fixed(value, decimals) for value in (old, new, new - old)]
         rows.append(
