@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from oed.base import Array
-from pkm_printers import gcode, klipper_config, klipper_mesh, klipper_rotary
+from pkm_printers import gcode, klipper_config, klipper_rotary
 from pkm_printers.bed_mesh import distinct, explanations
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import ASSUMED, tilt_sentences
@@ -90,12 +90,12 @@ class KlipperImporter:
         geometry: PrinterGeometry = read_geometry(config)
         check_positions(_positions(config, steps), geometry)
         count, height = len(distances) // 2, float(heights[0]["height_mm"])
-        meshes, mesh_notes = distinct(klipper_mesh.meshes(config))
+        meshes, mesh_notes = distinct(klipper_config.meshes(config))
         mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
         mesh_notes += explanations(meshes, GEOMETRY_WORDS)
         noise_notes = [ASSUMED if spread is None else spread.sentence()]
         setups = {row["setup"] for row in heights}
-        offsets = {PROBE: klipper_mesh.probe_offset(config), NOZZLE: (0.0, 0.0)}
+        offsets = {PROBE: klipper_config.probe_offset(config), NOZZLE: (0.0, 0.0)}
         probes = {name: offsets[name] for name in offsets if name in setups}
         free = (*geometry.of_heights, *(geometry.lengths if distances else ()))
         tilts = free_tilts(probes.values(), free, len(heights) + count, geometry)
@@ -223,7 +223,7 @@ def linear_geometry(config: KlipperConfig) -> DeltaGeometry:
 def _heights(config: KlipperConfig, steps: list[float], unit: str) -> Iterator[Row]:
     """Rows of probed heights, then of those typed by hand, which are of the nozzle."""
     order = 0
-    is_beside = any(klipper_mesh.probe_offset(config))
+    is_beside = any(klipper_config.probe_offset(config))
     setups = {"height": PROBE, "manual_height": NOZZLE if is_beside else PROBE}
     for prefix, setup in setups.items():
         for i in config.indices(SAVED, rf"{prefix}(\d+)"):
@@ -301,7 +301,7 @@ def _noise(
     A saved height is the mean or median of the probe's samples.
     """
     if spread is not None and spread.is_known:
-        touches = max(1.0, klipper_mesh.of_probe(config, "samples", 1.0))
+        touches = max(1.0, klipper_config.of_probe(config, "samples", 1.0))
         height = 1e3 * spread.sigma / math.sqrt(touches)
         distance = 1e3 * DISTANCE_SIGMA if distances else None
         return noise_table("", round(height, 3), distance, spread.freedom)

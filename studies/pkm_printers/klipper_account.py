@@ -10,8 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from pkm_printers.klipper_config import KlipperConfig
-from pkm_printers.klipper_mesh import PREFIX, PROBES, other_probes
+from pkm_printers.klipper_config import PREFIX, PROBES, KlipperConfig, other_probes
 from pkm_printers.words import (
     HARMLESS,
     OTHERS,

@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 
 from pkm_printers import gcode
+from pkm_printers.bed_mesh import ProbedPoint
 from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import NUMBER, TextLine
-from pkm_printers.probed_point import ProbedPoint
 
 #: degrees of freedom from which on a spread is known to a third
 LEAST_FREEDOM: Final = 4

@@ -21,8 +21,7 @@ from pkm_printers.delta_numbers import retained_words
 from pkm_printers.delta_study import controller_text
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_rotary import OF_DELTAS
-from pkm_printers.rrf_sequence import execution_order
-from pkm_printers.rrf_words import WORDS
+from pkm_printers.rrf_sequence import WORDS, execution_order
 from pkm_printers.words import HARMLESS, READ, WordTable, same
 from pkm_studies.base import InputError, Location
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts

@@ -21,7 +21,7 @@ from pkm_printers.delta_numbers import (
     trim_notes,
     trims,
 )
-from pkm_printers.hangprinter_format import hangprinter_format
+from pkm_printers.hangprinter import hangprinter_format
 from pkm_printers.machine_formats import by_machine
 from pkm_printers.rrf import linear_geometry
 from pkm_printers.rrf_rotary import rotary_format

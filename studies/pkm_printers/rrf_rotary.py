@@ -22,7 +22,7 @@ from pkm_printers.rotary_delta import (
     identified_geometry,
     rotary_joints,
 )
-from pkm_printers.rrf_words import WORDS
+from pkm_printers.rrf_sequence import WORDS
 from pkm_printers.words import HARMLESS, READ, WordTable, refused, same
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 

@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from pkm_printers import facts, gcode
+from pkm_printers.bed_mesh import ProbedPoint
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_probe import delta_session
 from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
-from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.repeated import repeated_in_log
 from pkm_printers.words import HARMLESS, READ, WordTable, costs, refused, same
 from pkm_studies.base import InputError

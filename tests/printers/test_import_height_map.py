@@ -8,8 +8,7 @@ from oracles.firmware import rrf
 from oracles.firmware.geometry import delta
 
 import oed
-from pkm_printers.bed_mesh import BedMesh, distinct
-from pkm_printers.probed_point import ProbedPoint
+from pkm_printers.bed_mesh import BedMesh, ProbedPoint, distinct
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 from printers.delta_printer import take
