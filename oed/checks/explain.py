@@ -72,11 +72,7 @@ class Candidate:
 
 
 def candidates(
-    data: Suspect,
-    screening: Screening,
-    *,
-    thorough: bool,
-    of_noise: bool = False,
+    data: Suspect, screening: Screening, *, thorough: bool, of_noise: bool = False
 ) -> tuple[list[Candidate], list[Candidate]]:
     """Mistakes of the readings to fit; see `explain` for `thorough` and `of_noise`.
 

@@ -19,8 +19,7 @@ def campaign(
         ),
     ],
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the cases [out/NAME]."),
+        Path | None, typer.Option(metavar="DIR", help="Folder of the cases [out/NAME].")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes [one for each core].")

@@ -207,10 +207,7 @@ def function_chapters(campaign: Campaign, rows: Rows) -> list[Section]:
 
 
 def _table(campaign: Campaign, rows: Rows, names: list[str]) -> Table:
-    columns = [
-        TableColumn("Combination"),
-        *number_columns("cases", "failed", *names),
-    ]
+    columns = [TableColumn("Combination"), *number_columns("cases", "failed", *names)]
     cells = []
     for row in rows:
         counts = [str(row["cases"]), str(row["failed"])]

@@ -25,11 +25,7 @@ from pkm_page.readings_log import StaleError
 from pkm_page.session import DoubtfulError
 from pkm_page.shelf import Shelf, study_files
 from pkm_studies import files
-from pkm_studies.acceptance import (
-    ACCEPTANCE_FILE,
-    judge_folder,
-    verdict_sentences,
-)
+from pkm_studies.acceptance import ACCEPTANCE_FILE, judge_folder, verdict_sentences
 from pkm_studies.base import InputError
 from pkm_studies.results import BadFitError
 

@@ -132,9 +132,7 @@ def delta_session(
         "The geometry must be the one that the printer had while it probed.",
     ]
     return ImportedSession(
-        study=study.text(),
-        rows=rows,
-        statements=[*statements, *notes, *accounts],
+        study=study.text(), rows=rows, statements=[*statements, *notes, *accounts]
     )
 
 

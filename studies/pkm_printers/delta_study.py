@@ -200,10 +200,7 @@ tolerance = {{ offset_mm = {level_mm} }}  # {why}
 
 
 def free_tilts(
-    probes: Iterable[Offset],
-    free: Sequence[str],
-    count: int,
-    geometry: PrinterGeometry,
+    probes: Iterable[Offset], free: Sequence[str], count: int, geometry: PrinterGeometry
 ) -> tuple[str, ...]:
     """Tilts that are fitted beside what is free: of probes beside the nozzle, many heights."""
     tilting = geometry.tilting

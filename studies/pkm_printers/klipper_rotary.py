@@ -17,11 +17,7 @@ from oed.base import Array
 from pkm_printers import klipper_config
 from pkm_printers.klipper_account import PRINTER, STEPPER, WORDS
 from pkm_printers.klipper_config import KlipperConfig
-from pkm_printers.rotary_delta import (
-    RotaryGeometry,
-    identified_geometry,
-    rotary_joints,
-)
+from pkm_printers.rotary_delta import RotaryGeometry, identified_geometry, rotary_joints
 from pkm_printers.words import READ, Word, WordTable, refused, same
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 

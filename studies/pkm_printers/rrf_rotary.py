@@ -17,11 +17,7 @@ from pkm_printers import gcode
 from pkm_printers.delta_geometry import TOWER_ANGLES
 from pkm_printers.delta_numbers import SLACK, retained_words
 from pkm_printers.gcode import Command, TextLine
-from pkm_printers.rotary_delta import (
-    RotaryGeometry,
-    identified_geometry,
-    rotary_joints,
-)
+from pkm_printers.rotary_delta import RotaryGeometry, identified_geometry, rotary_joints
 from pkm_printers.rrf_sequence import WORDS
 from pkm_printers.words import HARMLESS, READ, WordTable, refused, same
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts

@@ -20,13 +20,7 @@ from oed.base import Array, Index, Mask
 from oed.checks.findings import rounded
 from oed.checks.mistakes.moved import AGAIN_SUFFIX, mounted_again, with_moved
 from oed.checks.mistakes.suspect import MIN_PART, Scope, Suspect, rows_scope
-from oed.checks.mistakes.trial import (
-    MistakeTrial,
-    Words,
-    amount,
-    in_scopes,
-    in_values,
-)
+from oed.checks.mistakes.trial import MistakeTrial, Words, amount, in_scopes, in_values
 from oed.checks.session import SessionReadings
 from oed.instrument import InnerReading
 from oed.measurement import Series, source_gradients
@@ -68,12 +62,7 @@ def _has_one(data: Suspect, scope: Scope, values: Mask) -> bool:
 
 
 def _off_by(
-    data: Suspect,
-    kind: str,
-    scope: Scope,
-    text: Words,
-    columns: Array,
-    family: str,
+    data: Suspect, kind: str, scope: Scope, text: Words, columns: Array, family: str
 ) -> MistakeTrial:
     """Values that are off by columns (N, k) times amounts."""
     session = data.session

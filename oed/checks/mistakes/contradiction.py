@@ -69,12 +69,7 @@ def _copied(data: Suspect, one: Scope, other: Scope) -> MistakeTrial:
     log_missing = log_density_of_known(data, missing, missing)
     sentence = f"the readings{one.of} are those{other.of}, copied"
     return value_trial(
-        data.session,
-        "copied",
-        one,
-        sentence,
-        missing=missing,
-        log_missing=log_missing,
+        data.session, "copied", one, sentence, missing=missing, log_missing=log_missing
     )
 
 

@@ -176,8 +176,7 @@ def _axes_mistakes(turn: Array) -> Iterator[FrameMistake]:
     if is_left:
         return
     yield FrameMistake(
-        f"are in a frame that is turned: {axes}",
-        lambda p, r: (p @ turn, turn.T @ r),
+        f"are in a frame that is turned: {axes}", lambda p, r: (p @ turn, turn.T @ r)
     )
     yield FrameMistake(
         f"are of a target that is turned: {axes}", lambda p, r: (p, r @ turn.T)
@@ -208,10 +207,7 @@ def _read(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 def _read_otherwise(
-    data: Suspect,
-    orientation: Orientation,
-    mistake: FrameMistake,
-    scope: Scope,
+    data: Suspect, orientation: Orientation, mistake: FrameMistake, scope: Scope
 ) -> MistakeTrial | None:
     names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
     inside = scope.values(data.session)

@@ -86,12 +86,7 @@ def _likely_stops(data: Suspect, k: int, sign: float) -> list[float]:
 
 
 def _stop_words(
-    data: Suspect,
-    k: int,
-    sign: float,
-    scope: Scope,
-    amounts: Array,
-    sd: Array,
+    data: Suspect, k: int, sign: float, scope: Scope, amounts: Array, sd: Array
 ) -> str:
     joint = data.session.measurement.machine.joints[k]
     unit, way = "mm", "longer" if sign > 0.0 else "shorter"

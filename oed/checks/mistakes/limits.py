@@ -56,12 +56,7 @@ def _clipped(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     log_missing = log_density_of_known(data, missing, values)
     log_missing -= float(missing.sum() * np.log(2.0))
     return value_trial(
-        session,
-        "limits",
-        scope,
-        sentence,
-        missing=missing,
-        log_missing=log_missing,
+        session, "limits", scope, sentence, missing=missing, log_missing=log_missing
     )
 
 

@@ -157,10 +157,7 @@ def _try(series: Series, moved: Moved) -> Series | None:
 
 
 def pose_table(
-    data: Suspect,
-    moved: Moved,
-    near: Moved | None = None,
-    spread: float = 1.0,
+    data: Suspect, moved: Moved, near: Moved | None = None, spread: float = 1.0
 ) -> PoseTable | None:
     """What the nominal machine reads of moved series; None where no pose is reached.
 

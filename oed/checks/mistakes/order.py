@@ -220,11 +220,7 @@ def _reordered(data: Suspect, groups: Sequence[Index], turn: Turn) -> Index:
 
 
 def _reordering(
-    data: Suspect,
-    scope: Scope,
-    sentence: str,
-    order: Index,
-    lost: Index | None = None,
+    data: Suspect, scope: Scope, sentence: str, order: Index, lost: Index | None = None
 ) -> MistakeTrial | None:
     """The session with its readings in another order, poses in place.
 

@@ -93,9 +93,7 @@ def _elsewhere(
 
 
 def _table(
-    data: Suspect,
-    shift: Callable[[Array], list[SessionReadings]],
-    start: Array,
+    data: Suspect, shift: Callable[[Array], list[SessionReadings]], start: Array
 ) -> PoseTable | None:
     """Readings, and slopes over the amounts, from a start on; None where there are none."""
 

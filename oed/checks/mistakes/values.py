@@ -57,8 +57,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
             why = ": the decimal point is lost" if text in POINT_LOST_FACTORS else ""
             sentence = f"{{}} are {text} what they should be{why}"
             yield from in_values(
-                data,
-                partial(_about, data, origin, "scale", sentence, 1.0 / factor),
+                data, partial(_about, data, origin, "scale", sentence, 1.0 / factor)
             )
 
 
@@ -111,12 +110,7 @@ def _readings(data: Suspect, scope: Scope, values: Mask) -> str:
 
 
 def _other_unit_trial(
-    data: Suspect,
-    si: str,
-    name: str,
-    factor: float,
-    scope: Scope,
-    values: Mask,
+    data: Suspect, si: str, name: str, factor: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:
     """The readings of a kind, or of a column, in another unit of that kind."""
     stated = data.session.column(str(data.channel[values][0]))

@@ -244,13 +244,7 @@ def _residual_panel(axes: Axes, entry: HeldOutSection) -> None:
     inside = ~(np.abs(residuals) > half)
     bars: Any = {"color": style.LIGHT, "lw": min(7.0, 200.0 / len(number))}
     axes.vlines(number, -half, half, label="95 % predictive interval", **bars)
-    axes.plot(
-        number[inside],
-        residuals[inside],
-        "o",
-        color=style.BLUE,
-        label="inside",
-    )
+    axes.plot(number[inside], residuals[inside], "o", color=style.BLUE, label="inside")
     cross: Any = {"color": style.RED, "ms": 5, "label": "outside"}
     axes.plot(number[~inside], residuals[~inside], "X", **cross)
     axes.axhline(0.0, color=style.INK, lw=0.7)

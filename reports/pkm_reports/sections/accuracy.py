@@ -65,11 +65,7 @@ class MapLayout:
         """Whether the angle is the azimuth of the tilt and the radius the tilt."""
         return (self.across, self.up) == POLAR
 
-    def poses_at(
-        self,
-        level: float,
-        commands: Mapping[str, Array],
-    ) -> Mask:
+    def poses_at(self, level: float, commands: Mapping[str, Array]) -> Mask:
         """Which poses (n,) belong to a panel."""
         if self.panel is None:
             return np.ones(len(commands[self.across]), dtype=bool)
@@ -166,13 +162,7 @@ def _component_row(
     place: Any = {"location": "bottom" if single else "right"}
     place["pad"] = 0.03 if single else 0.02
     label = style.label(_error_label(prediction, name))
-    bar: Any = figure.colorbar(
-        image,
-        ax=list(row),
-        shrink=0.85,
-        label=label,
-        **place,
-    )
+    bar: Any = figure.colorbar(image, ax=list(row), shrink=0.85, label=label, **place)
     bar.outline.set_visible(False)
     along = "x" if single else "y"
     if isinstance(norm, LogNorm):
@@ -324,13 +314,7 @@ def draw_budget(components: Mapping[str, ComponentAccuracy]) -> Figure:
     return figure
 
 
-def _stack(
-    axes: Axes,
-    k: int,
-    source: str,
-    start: Array,
-    percent: Array,
-) -> None:
+def _stack(axes: Axes, k: int, source: str, start: Array, percent: Array) -> None:
     """The k-th source beside those before it, hatched where the colours repeat."""
     colour = style.CYCLE[k % len(style.CYCLE)]
     look: Any = {
@@ -340,12 +324,7 @@ def _stack(
         "ec": "white",
         "label": style.label(source),
     }
-    bars = axes.barh(
-        range(len(percent)),
-        percent,
-        left=start,
-        **look,
-    )
+    bars = axes.barh(range(len(percent)), percent, left=start, **look)
     written = [
         f"{share:.0f}" if share >= MIN_WRITTEN_SHARE else "" for share in percent
     ]
@@ -384,12 +363,7 @@ def draw_components(prediction: PredictionSection) -> Figure:
     bars = BARS[:2] if all_correctable(components) else BARS
     figure = style.figure(2.8)
     widths = [len(group) for group in groups]
-    grid = figure.subplots(
-        1,
-        len(units),
-        squeeze=False,
-        width_ratios=widths,
-    )
+    grid = figure.subplots(1, len(units), squeeze=False, width_ratios=widths)
     for axes, unit, group in zip(grid[0], units, groups, strict=True):
         _panel(axes, group, bars, prediction.realised or {})
         axes.set_ylabel(f"rms error [{text.unit_symbol(unit)}]")

@@ -128,12 +128,7 @@ def draw_how_many(summary: HowManySummary) -> Figure:
     return figure
 
 
-def _panel(
-    axes: Axes,
-    name: str,
-    sizes: Array,
-    summary: HowManySummary,
-) -> None:
+def _panel(axes: Axes, name: str, sizes: Array, summary: HowManySummary) -> None:
     reached = missing.array(summary.accuracy[name])
     bound = _bound(summary.bound, name, len(sizes))
     wanted = missing.entry(summary.wanted, name)
@@ -142,24 +137,11 @@ def _panel(
     low, high = float(values.min()) / 1.3, 1.3 * float(values.max())
     if np.isfinite(bound).any():
         label = "no plan of as many readings is better"
-        axes.fill_between(
-            sizes,
-            low,
-            bound,
-            color=style.LIGHT,
-            lw=0,
-            label=label,
-        )
+        axes.fill_between(sizes, low, bound, color=style.LIGHT, lw=0, label=label)
         axes.plot(sizes, bound, color=style.GREY, lw=0.8)
     axes.plot(sizes, reached, "o-", color=style.BLUE, label="plans found")
     if np.isfinite(wanted):
-        axes.axhline(
-            wanted,
-            color=style.RED,
-            ls="--",
-            lw=1.0,
-            label="wanted",
-        )
+        axes.axhline(wanted, color=style.RED, ls="--", lw=1.0, label="wanted")
     if summary.fewest is not None:
         label = f"fewest that reach all wanted: {summary.fewest}"
         line: Any = {"color": style.GREEN, "ls": ":", "lw": 1.3}
@@ -174,9 +156,7 @@ def _panel(
 
 
 def _bound(
-    bounds: Mapping[str, Sequence[float | None]],
-    name: str,
-    count: int,
+    bounds: Mapping[str, Sequence[float | None]], name: str, count: int
 ) -> Array:
     """The bound at each number of readings, NaN where it is not known."""
     if name not in bounds or len(bounds[name]) != count:
@@ -600,12 +580,7 @@ def draw_efficiencies(design: DesignSection) -> Figure:
     style.fixed_ticks(axes, "y", range(len(names)), names)
     axes.grid(False)
     axes.set(xlabel="plan designed for …", ylabel="… judged by")
-    bar: Any = figure.colorbar(
-        image,
-        ax=axes,
-        label="efficiency",
-        pad=0.02,
-    )
+    bar: Any = figure.colorbar(image, ax=axes, label="efficiency", pad=0.02)
     bar.outline.set_visible(False)
     return figure
 
@@ -627,22 +602,14 @@ def efficiencies(compared: Sequence[CriterionComparison], directions: int = 0) -
     return table
 
 
-def _ratio(
-    criterion: str,
-    value: float,
-    best: float,
-    directions: float,
-) -> float:
+def _ratio(criterion: str, value: float, best: float, directions: float) -> float:
     """phi of a design over phi of the best one; NaN for a criterion of another version."""
     known = CRITERIA.entry(criterion)
     return math.nan if known is None else known.phi_ratio(value, best, directions)
 
 
 def _counted_directions(
-    entry: CriterionComparison,
-    values: Mapping[str, float],
-    main: str,
-    directions: int,
+    entry: CriterionComparison, values: Mapping[str, float], main: str, directions: int
 ) -> float:
     """What log det is divided by: the number of directions that count.
 
@@ -851,24 +818,13 @@ def _error_panel(
     finite = np.isfinite(rms).any(axis=0)
     least = np.nanmin(rms[:, finite], axis=0)
     most = np.nanmax(rms[:, finite], axis=0)
-    axes.hlines(
-        rows[finite],
-        least,
-        most,
-        color=style.LIGHT,
-        lw=1.0,
-    )
+    axes.hlines(rows[finite], least, most, color=style.LIGHT, lw=1.0)
     # The chosen plan is the first: drawn last, it lies on top.
     for k in reversed(range(len(plans))):
         look: Any = {"color": style.CYCLE[k % len(style.CYCLE)], "ls": ""}
         look |= {"marker": style.marker(k), "ms": 6 if k == 0 else 5}
         look |= {"mec": "white", "mew": 0.4, "zorder": 4.0 - 0.1 * k}
-        axes.plot(
-            rms[k],
-            rows,
-            label=labels[k],
-            **look,
-        )
+        axes.plot(rms[k], rows, label=labels[k], **look)
     if finite.any():
         axes.set_xlim(float(least.min()) / 1.35, 1.35 * float(most.max()))
     style.log_axis(axes, "x")

@@ -133,19 +133,9 @@ def _circle_rms(runs: Sequence[Trace], when: When) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _circle_panel(
-    axes: Any,
-    runs: Sequence[Trace],
-    when: When,
-    largest: float,
-) -> None:
+def _circle_panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) -> None:
     around = np.linspace(0.0, 2.0 * math.pi, 181)
-    axes.plot(
-        around,
-        np.ones_like(around),
-        color=style.INK,
-        lw=0.6,
-    )
+    axes.plot(around, np.ones_like(around), color=style.INK, lw=0.6)
     for run in runs:
         angle, residuals = (
             np.radians(missing.array(run.at)),
@@ -238,12 +228,7 @@ def draw_map(spots: Sequence[Spot], unit: str) -> Figure:
     bar_look: Any = {"shrink": 0.8, "pad": 0.02}
     bar_look["extend"] = "max" if beyond else "neither"
     panels = grid.ravel().tolist()
-    bar: Any = figure.colorbar(
-        image,
-        ax=panels,
-        label=_scale_label(unit),
-        **bar_look,
-    )
+    bar: Any = figure.colorbar(image, ax=panels, label=_scale_label(unit), **bar_look)
     bar.outline.set_visible(False)
     style.few_ticks(bar.ax.yaxis, 5)
     return figure
@@ -326,12 +311,7 @@ def printed(result: StudyResult) -> list[Block]:
     gap = result.gap
     if gap is None:
         return []
-    return [
-        _causes(gap),
-        *answers(gap),
-        *_places(gap),
-        *_closure(gap),
-    ]
+    return [_causes(gap), *answers(gap), *_places(gap), *_closure(gap)]
 
 
 def _causes(gap: GapSection) -> Picture:

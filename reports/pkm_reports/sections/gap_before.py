@@ -100,14 +100,7 @@ def _write_numbers(axes: Axes, values: Array, size: float) -> None:
     for (row, column), value in np.ndenumerate(values):
         weight = "bold" if row == column else "normal"
         number = short_label(value)
-        axes.text(
-            column,
-            row,
-            number,
-            color=style.INK,
-            fontweight=weight,
-            **letters,
-        )
+        axes.text(column, row, number, color=style.INK, fontweight=weight, **letters)
     for k in range(len(values)):
         frame: Any = {"fill": False, "edgecolor": style.INK, "linewidth": 0.9}
         axes.add_patch(Rectangle((k - 0.5, k - 0.5), 1.0, 1.0, **frame))

@@ -121,32 +121,17 @@ def _panel(axes: Axes, trace: Trace, limit: float) -> None:
     }
 
     def plot(values: Array, label: str, **look: Any) -> None:
-        axes.plot(
-            along,
-            np.clip(values, -limit, limit),
-            label=label,
-            **look,
-        )
+        axes.plot(along, np.clip(values, -limit, limit), label=label, **look)
 
     axes.axhline(0.0, color=style.INK, lw=0.6)
-    plot(
-        missing.array(trace.before),
-        "before",
-        color=style.GREY,
-        **marks,
-    )
+    plot(missing.array(trace.before), "before", color=style.GREY, **marks)
     if np.any(explained):
         label = "explained by the effects"
         plot(explained, label, lw=1.2, color=style.ORANGE, **lines)
     if np.any(unexplained):
         plot(unexplained, "unknown form", color=style.PINK, **lines)
     if np.any(explained):
-        plot(
-            missing.array(trace.after),
-            "after",
-            color=style.BLUE,
-            **marks,
-        )
+        plot(missing.array(trace.after), "after", color=style.BLUE, **marks)
     axes.set_ylim(-limit, limit)
     style.few_ticks(axes.yaxis, 4)
     if trace.kind == "circle":
@@ -219,11 +204,7 @@ def spoken(name: str) -> str:
     return "unknown form" if name == "unknown" else name.replace("_", " ")
 
 
-def _draw_probabilities(
-    axes: Axes,
-    names: Sequence[str],
-    gap: GapSection,
-) -> None:
+def _draw_probabilities(axes: Axes, names: Sequence[str], gap: GapSection) -> None:
     rivals = _indistinguishable(gap)
     percent = np.array([100.0 * gap.marginal[name] for name in names])
     rows = np.arange(float(len(names)))
@@ -231,13 +212,7 @@ def _draw_probabilities(
     axes.barh(rows, percent, color=colours, height=0.7)
     for y, name in zip(rows, names, strict=True):
         share = gap.marginal[name]
-        axes.text(
-            100.0 * share + 1.5,
-            y,
-            _chance(share),
-            va="center",
-            fontsize=7,
-        )
+        axes.text(100.0 * share + 1.5, y, _chance(share), va="center", fontsize=7)
     style.fixed_ticks(axes, "y", rows.tolist(), [spoken(name) for name in names])
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(0.0, 115.0)
@@ -248,11 +223,7 @@ def _draw_probabilities(
     axes.set_xlabel("probability that it acts [%]")
 
 
-def _colour(
-    name: str,
-    selected: Sequence[str],
-    rivals: set[str],
-) -> str:
+def _colour(name: str, selected: Sequence[str], rivals: set[str]) -> str:
     if name in selected:
         return style.BLUE
     return style.SKY if name in rivals else style.LIGHT
@@ -268,23 +239,12 @@ def _chance(share: float) -> str:
 def _draw_sizes(axes: Axes, rms: Array, unit: str) -> None:
     """Rms of each effect in the readings, over its channels."""
     rows = np.arange(float(len(rms)))
-    axes.barh(
-        rows,
-        np.nan_to_num(rms),
-        color=style.ORANGE,
-        height=0.7,
-    )
+    axes.barh(rows, np.nan_to_num(rms), color=style.ORANGE, height=0.7)
     largest = float(np.nanmax(rms, initial=0.0)) or 1.0
     for y, size in zip(rows, rms, strict=True):
         if np.isfinite(size):
             label_at = size + 0.02 * largest
-            axes.text(
-                label_at,
-                y,
-                text.number(size),
-                va="center",
-                fontsize=7,
-            )
+            axes.text(label_at, y, text.number(size), va="center", fontsize=7)
     axes.set_xlim(0.0, 1.2 * largest)
     style.few_ticks(axes.xaxis, 4)
     axes.grid(False, axis="y")

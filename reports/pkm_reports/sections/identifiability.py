@@ -57,21 +57,9 @@ def draw_singular_values(section: IdentifiabilitySection) -> Figure:
     if len(lost):
         hollow: Any = {"mfc": "white", "mec": style.RED}
         label = f"lost (zero): {len(lost)}"
-        axes.plot(
-            lost,
-            np.full(len(lost), floor),
-            "v",
-            label=label,
-            **hollow,
-        )
+        axes.plot(lost, np.full(len(lost), floor), "v", label=label, **hollow)
     label = f"tolerance {text.number(limit, 2)}"
-    axes.axhline(
-        limit,
-        ls="--",
-        lw=0.9,
-        color=style.GREY,
-        label=label,
-    )
+    axes.axhline(limit, ls="--", lw=0.9, color=style.GREY, label=label)
     axes.set_ylim(floor / 4.0, 6.0 * largest)
     style.log_axis(axes, "y")
     axes.set_xlabel("direction in parameter space, best determined first")
@@ -79,11 +67,7 @@ def draw_singular_values(section: IdentifiabilitySection) -> Figure:
     axes.set_xlim(0.3, n + 0.7)
     style.few_ticks(axes.xaxis, 14, integer=True)
     axes.set_title(f"Rank {section.rank} of {section.n}")
-    axes.legend(
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.22),
-        ncols=3,
-    )
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3)
     return figure
 
 
@@ -209,8 +193,7 @@ def _directions(
 
 
 def _variants(
-    variants: Mapping[str, IdentifiabilitySection],
-    plan: IdentifiabilitySection | None,
+    variants: Mapping[str, IdentifiabilitySection], plan: IdentifiabilitySection | None
 ) -> Table:
     entries = dict(variants)
     if plan is not None:
@@ -310,14 +293,7 @@ def _kappa_panel(axes: Axes, entry: KappaMap) -> None:
     for k, (m, kappa) in enumerate(zip(entry.circles, table, strict=True)):
         colour = style.CYCLE[k % len(style.CYCLE)]
         label = f"m = {m}: {_smallest_of_line(n, kappa)}"
-        axes.plot(
-            n,
-            kappa,
-            marker=style.marker(k),
-            ms=3,
-            color=colour,
-            label=label,
-        )
+        axes.plot(n, kappa, marker=style.marker(k), ms=3, color=colour, label=label)
         if np.isfinite(kappa).any():
             smallest = int(np.nanargmin(kappa))
             ring: Any = {

@@ -198,21 +198,9 @@ def draw_residuals(estimate: EstimateSection) -> Figure:
     return figure
 
 
-def _panel(
-    axes: Axes,
-    title: str,
-    values: Array,
-    colour: str,
-) -> None:
+def _panel(axes: Axes, title: str, values: Array, colour: str) -> None:
     number = np.arange(1, len(values) + 1)
-    axes.vlines(
-        number,
-        0.0,
-        values,
-        color=colour,
-        lw=0.7,
-        alpha=0.6,
-    )
+    axes.vlines(number, 0.0, values, color=colour, lw=0.7, alpha=0.6)
     axes.plot(
         number,
         values,
@@ -251,12 +239,7 @@ def draw_parameters(parameters: Mapping[str, ParameterEstimate]) -> Figure:
     if not rows:
         return style.empty("No parameter with a tolerance is stored in this result.")
     figure = style.figure(0.9 + 0.155 * max(len(rows), 4))
-    deviations, ratios = figure.subplots(
-        1,
-        2,
-        sharey=True,
-        width_ratios=(2, 1),
-    )
+    deviations, ratios = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))
     for k, estimate in enumerate(rows.values()):
         _interval(deviations, ratios, k, estimate)
     _set_axes(deviations, ratios, list(rows), [shrinkage(p) for p in rows.values()])
@@ -270,10 +253,7 @@ def shrinkage(estimate: ParameterEstimate) -> float:
 
 
 def _interval(
-    deviations: Axes,
-    ratios: Axes,
-    k: int,
-    estimate: ParameterEstimate,
+    deviations: Axes, ratios: Axes, k: int, estimate: ParameterEstimate
 ) -> None:
     deviation = (estimate.value - estimate.nominal) / estimate.prior_sd
     truth = (or_nan(estimate.truth) - estimate.nominal) / estimate.prior_sd
@@ -283,14 +263,7 @@ def _interval(
     bar: Any = {"color": colour, "lw": 2.2, "solid_capstyle": "butt"}
     deviations.plot([deviation - half, deviation + half], [k, k], **bar)
     label = text.meaning(verdict, TYPE_MEANINGS)
-    deviations.plot(
-        deviation,
-        k,
-        "o",
-        color=colour,
-        ms=3.5,
-        label=label,
-    )
+    deviations.plot(deviation, k, "o", color=colour, ms=3.5, label=label)
     if math.isfinite(truth):
         cross: Any = {
             "color": style.INK,
@@ -306,12 +279,7 @@ def _set_axes(
     deviations: Axes, ratios: Axes, names: Sequence[str], shrinkages: Sequence[float]
 ) -> None:
     deviations.axvspan(
-        -1.0,
-        1.0,
-        color=style.SHADE,
-        lw=0,
-        zorder=0,
-        label="± 1 tolerance",
+        -1.0, 1.0, color=style.SHADE, lw=0, zorder=0, label="± 1 tolerance"
     )
     deviations.set(xlabel="deviation from nominal [tolerances], 95 % interval")
     ratios.axvline(1.0, color=style.GREY, ls="--", lw=0.9)

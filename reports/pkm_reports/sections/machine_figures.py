@@ -93,12 +93,7 @@ def set_axes(axes: Any, box: Box, azimuth: float = VIEW["azim"]) -> None:
     axes.view_init(elev=VIEW["elev"], azim=azimuth)
 
 
-def fit_to(
-    figure: Figure,
-    axes: Any,
-    box: Box,
-    room: Rectangle,
-) -> None:
+def fit_to(figure: Figure, axes: Any, box: Box, room: Rectangle) -> None:
     """Move and scale the axes until box, ticks and labels fill the rectangle.
 
     How much of its rectangle a 3-D box fills depends on its shape and on the view.
@@ -119,12 +114,7 @@ def fit_to(
         axes.set_position((*corner, scale * bounds.width, scale * bounds.height))
 
 
-def _extent(
-    figure: Figure,
-    axes: Any,
-    box: Box,
-    renderer: Any,
-) -> Array:
+def _extent(figure: Figure, axes: Any, box: Box, renderer: Any) -> Array:
     """Corners (2, 2) of what the axes cover, as shares of the figure."""
     from matplotlib.transforms import Bbox
 
@@ -281,12 +271,7 @@ def panel(
     colours = style.colours(shown.setups)
     for setup, bar in zip(shown.setups, shown.bars, strict=False):
         ends = _inside(bar, box)
-        axes.plot(
-            *ends.T,
-            color=colours[setup],
-            lw=0.6,
-            alpha=0.45,
-        )
+        axes.plot(*ends.T, color=colours[setup], lw=0.6, alpha=0.45)
     for kind, line in shown.lines:
         _line(axes, kind, line, box)
     for k, (setup, colour) in enumerate(colours.items()):
@@ -297,23 +282,13 @@ def panel(
             "lw": 0.3,
             "ec": "white",
         }
-        axes.scatter(
-            *tips.T,
-            color=colour,
-            marker=style.marker(k),
-            **look,
-        )
+        axes.scatter(*tips.T, color=colour, marker=style.marker(k), **look)
     set_axes(axes, box, azimuth)
     fit_to(figure, axes, box, room)
     return axes
 
 
-def _line(
-    axes: Any,
-    kind: str,
-    line: Array,
-    box: Box,
-) -> None:
+def _line(axes: Any, kind: str, line: Array, box: Box) -> None:
     """A polyline; a cup given as one point is drawn as a cross."""
     inside = _inside(line, box).T
     if len(line) == 1:
@@ -349,44 +324,14 @@ def legend_entries(shown: Scene) -> list[Line2D]:
             "marker": style.marker(k),
             "color": colour,
         }
-        entries.append(
-            Line2D(
-                [],
-                [],
-                label=style.label(setup, 24),
-                **look,
-            )
-        )
+        entries.append(Line2D([], [], label=style.label(setup, 24), **look))
     more = len(colours) - MOST_NAMES
     if more > 0:
-        entries.append(
-            Line2D(
-                [],
-                [],
-                ls="",
-                label=f"and {more} more",
-            )
-        )
-    entries.append(
-        Line2D(
-            [],
-            [],
-            color=style.INK,
-            lw=1.8,
-            label="machine",
-        )
-    )
+        entries.append(Line2D([], [], ls="", label=f"and {more} more"))
+    entries.append(Line2D([], [], color=style.INK, lw=1.8, label="machine"))
     if any(map(len, shown.bars)):
         label = "bar or line of sight"
-        entries.append(
-            Line2D(
-                [],
-                [],
-                color=style.GREY,
-                lw=0.7,
-                label=label,
-            )
-        )
+        entries.append(Line2D([], [], color=style.GREY, lw=0.7, label=label))
     if any(kind == "cup" for kind, _ in shown.lines):
         cross: Any = {"ls": "", "marker": "x", "color": style.INK}
         entries.append(Line2D([], [], label="cup or fixed end", **cross))
@@ -463,10 +408,7 @@ def _drawing(figure: Figure, closure: ClosestClosure, joints: list[str]) -> None
     x, y, right, top = DRAWING
     bounds = (x, y, right - x, top - y)
     axes: Any = figure.add_axes(bounds, projection="3d", proj_type="ortho")
-    for shape, look in (
-        (closure.guess, GUESS_LOOK),
-        (closure.nearest, NEAREST_LOOK),
-    ):
+    for shape, look in ((closure.guess, GUESS_LOOK), (closure.nearest, NEAREST_LOOK)):
         for line in shape.lines or tuple(shape.struts):
             axes.plot(*units.from_si(line, "mm").T, **look)
     _open_lines(axes, closure)

@@ -50,17 +50,7 @@ if TYPE_CHECKING:
 
 #: where a number may stand about its place, in its own widths and heights
 OFFSETS: Final = np.array(
-    [
-        [0, 0],
-        [1, 0],
-        [-1, 0],
-        [0, 1],
-        [0, -1],
-        [1, 1],
-        [-1, 1],
-        [1, -1],
-        [-1, -1],
-    ],
+    [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, 1], [1, -1], [-1, -1]],
     dtype=float,
 )
 #: numbers of readings written at one place
@@ -110,12 +100,7 @@ def draw_path(poses: Sequence[PlannedReading]) -> Figure:
     rows = math.ceil(len(setups) / columns)
     figure = style.figure(0.2 + (3.2 if columns == 1 else 2.35) * rows)
     shared: Any = {"sharex": True, "sharey": True}
-    grid = figure.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        **shared,
-    ).ravel()
+    grid = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
     for k, (axes, setup, group) in enumerate(zip(grid, setups, groups, strict=False)):
         _panel(axes, plane, group, style.CYCLE[k % len(style.CYCLE)])
         axes.tick_params(labelbottom=k + columns >= len(setups))
@@ -204,12 +189,7 @@ def _turn_back(plane: Plane, start: Array, end: Array) -> Array:
     return np.where(far, np.copysign(FULL_TURN, end - start), 0.0)
 
 
-def _panel(
-    axes: Axes,
-    plane: Plane,
-    group: Index,
-    colour: str,
-) -> None:
+def _panel(axes: Axes, plane: Plane, group: Index, colour: str) -> None:
     look: Any = {"color": colour, "lw": 0.7, "zorder": 1}
     look["alpha"] = 0.55 if len(group) < MANY_POSES else 0.2
     for start, end in itertools.pairwise(plane.at[group]):
@@ -252,13 +232,7 @@ def write_numbers(
     corners = axes.bbox.get_points() * points
     taken: list[tuple[Array, Array]] = []
     for point, readings in numbers.items():
-        axes.plot(
-            *point,
-            "o",
-            color=colour,
-            ms=2.4,
-            zorder=2,
-        )
+        axes.plot(*point, "o", color=colour, ms=2.4, zorder=2)
         phrase = _joined(readings)
         half = LETTER_SIZE * np.array([FRAME + LETTER * len(phrase), HALF_HEIGHT])
         pixel = np.asarray(axes.transData.transform(point)) * points
@@ -289,11 +263,7 @@ def _free_centre(
     return None
 
 
-def _covered(
-    centre: Array,
-    half: Array,
-    taken: Sequence[tuple[Array, Array]],
-) -> bool:
+def _covered(centre: Array, half: Array, taken: Sequence[tuple[Array, Array]]) -> bool:
     return any(
         (np.abs(centre - other) < half + other_half).all()
         for other, other_half in taken

@@ -96,13 +96,7 @@ def _limits(x: Array) -> Limits:
     return min(-PRIOR_RANGE, lower), max(PRIOR_RANGE, upper)
 
 
-def _cell(
-    axes: Axes,
-    draws: Array,
-    limits: Sequence[Limits],
-    i: int,
-    j: int,
-) -> None:
+def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) -> None:
     axes.grid(False)
     if i == j:
         _histogram(axes, draws[:, i], limits[i])
@@ -117,13 +111,7 @@ def _cell(
 
 def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
     look: Any = {"color": style.SKY, "histtype": "stepfilled", "lw": 0}
-    axes.hist(
-        x,
-        bins=36,
-        range=limits,
-        density=True,
-        **look,
-    )
+    axes.hist(x, bins=36, range=limits, density=True, **look)
     grid = np.linspace(*limits, 120)
     prior = np.exp(-(grid**2) / 2.0) / np.sqrt(2.0 * np.pi)
     axes.plot(grid, prior, color=style.GREY, lw=1.1)
@@ -132,19 +120,8 @@ def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
     axes.spines["left"].set_visible(False)
 
 
-def _pair(
-    axes: Axes,
-    x: Array,
-    y: Array,
-    xlim: Limits,
-    ylim: Limits,
-) -> None:
-    counts, xs, ys = np.histogram2d(
-        x,
-        y,
-        bins=34,
-        range=(xlim, ylim),
-    )
+def _pair(axes: Axes, x: Array, y: Array, xlim: Limits, ylim: Limits) -> None:
+    counts, xs, ys = np.histogram2d(x, y, bins=34, range=(xlim, ylim))
     density = np.ma.masked_equal(counts.T, 0.0)
     shade: Any = {"cmap": style.AMOUNT, "vmin": -0.1 * counts.max()}
     axes.pcolormesh(xs, ys, density, rasterized=True, **shade)

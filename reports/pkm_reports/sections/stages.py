@@ -375,16 +375,8 @@ def printed(result: StudyResult) -> list[Block]:
 
 def _pictures(plan: PlanSection) -> list[Block]:
     return [
-        Picture(
-            "plan_stages",
-            lambda: draw_accuracies(plan),
-            _accuracy_caption(plan),
-        ),
-        Picture(
-            "plan_timeline",
-            lambda: draw_timeline(plan),
-            _schedule_caption(plan),
-        ),
+        Picture("plan_stages", lambda: draw_accuracies(plan), _accuracy_caption(plan)),
+        Picture("plan_timeline", lambda: draw_timeline(plan), _schedule_caption(plan)),
         Picture("plan_front", lambda: draw_front(plan), _front_caption(plan)),
     ]
 
@@ -439,7 +431,7 @@ def _virtual_machines(plan: PlanSection) -> list[Block]:
     low, high = text.number(min(ratios)), text.number(max(ratios))
     sentences = [
         f"{machines} went through all stages: their errors are {low} to {high} of the"
-        " predicted ones.",
+        " predicted ones."
     ]
     coverage = missing.finite(stage.coverage for stage in stages)
     if coverage:
@@ -731,14 +723,7 @@ def _component(
     wanted = missing.entry(plan.goal, key)
     if wanted > 0.0:
         axes.axhline(wanted, color=colour, ls=":", lw=1.0)
-        axes.plot(
-            [],
-            [],
-            color=style.GREY,
-            ls=":",
-            lw=1.0,
-            label=WANTED,
-        )
+        axes.plot([], [], color=style.GREY, ls=":", lw=1.0, label=WANTED)
 
 
 def _positive(values: Array) -> Array:
@@ -788,12 +773,7 @@ def draw_timeline(plan: PlanSection) -> Figure:
     return figure
 
 
-def _bar(
-    axes: Axes,
-    k: int,
-    stage: StageRecord,
-    right: float,
-) -> None:
+def _bar(axes: Axes, k: int, stage: StageRecord, right: float) -> None:
     """One stage, with its readings and minutes written where there is room."""
     begin = or_nan(stage.begin_min)
     end = begin + stage.cost if stage.end_min is None else stage.end_min
@@ -835,13 +815,7 @@ def draw_front(plan: PlanSection) -> Figure:
     _set_limits(axes, plans, plan)
     _draw_limits(axes, plan)
     if len(rejected):
-        axes.plot(
-            *rejected.T,
-            "x",
-            color=style.GREY,
-            ms=5,
-            label="considered",
-        )
+        axes.plot(*rejected.T, "x", color=style.GREY, ms=5, label="considered")
     if len(front):
         line: Any = {"color": style.BLUE, "drawstyle": "steps-post"}
         axes.plot(*front.T, "o-", label="best plan found for the time", **line)
@@ -853,13 +827,7 @@ def draw_front(plan: PlanSection) -> Figure:
             "mew": 0.6,
             "ms": 12,
         }
-        axes.plot(
-            *chosen.T,
-            "*",
-            label="the plan",
-            zorder=5,
-            **star,
-        )
+        axes.plot(*chosen.T, "*", label="the plan", zorder=5, **star)
     style.log_axis(axes, "y")
     axes.set(xlabel="minutes", ylabel=GOAL_LABEL if plan.goal else NO_GOAL_LABEL)
     entries = style.legend_entries([axes])
@@ -908,37 +876,14 @@ def _draw_limits(axes: Axes, plan: PlanSection) -> None:
         span = [start, budget if math.isfinite(budget) else end]
         shade: Any = {"color": style.LIGHT, "lw": 0, "zorder": 0}
         label = "no plan within the budget is better"
-        axes.fill_between(
-            span,
-            axes.get_ylim()[0],
-            bound,
-            label=label,
-            **shade,
-        )
-        axes.plot(
-            span,
-            [bound, bound],
-            color=style.GREY,
-            lw=0.8,
-        )
+        axes.fill_between(span, axes.get_ylim()[0], bound, label=label, **shade)
+        axes.plot(span, [bound, bound], color=style.GREY, lw=0.8)
     if math.isfinite(budget):
         label = f"budget: {text.trimmed(budget)} min"
-        axes.axvline(
-            budget,
-            color=style.RED,
-            ls="--",
-            lw=1.0,
-            label=label,
-        )
+        axes.axvline(budget, color=style.RED, ls="--", lw=1.0, label=label)
     if plan.goal:
         label = "below: the goal is reached"
-        axes.axhline(
-            1.0,
-            color=style.GREEN,
-            ls=":",
-            lw=1.3,
-            label=label,
-        )
+        axes.axhline(1.0, color=style.GREEN, ls=":", lw=1.3, label=label)
 
 
 def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
@@ -952,21 +897,11 @@ def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
             "mew": 0.5,
         }
         look |= {"color": style.CYCLE[(k + 2) % len(style.CYCLE)], "mec": style.INK}
-        axes.plot(
-            *point.T,
-            label=style.label(f"sequence {record.name}", 48),
-            **look,
-        )
+        axes.plot(*point.T, label=style.label(f"sequence {record.name}", 48), **look)
         if record.bound > 0.0:
             label = "bound of a sequence's time" if k == len(compared) - 1 else None
             dash: Any = {"color": style.INK, "ms": 10, "mew": 1.4}
-            axes.plot(
-                point[:, 0],
-                [record.bound],
-                "_",
-                label=label,
-                **dash,
-            )
+            axes.plot(point[:, 0], [record.bound], "_", label=label, **dash)
 
 
 # Table of what else to record: what each covariate or choice is worth to a plan.

@@ -125,9 +125,7 @@ def function(reference: str, origin: Origin, location: Location) -> Callable[...
         return item
     there = [n for n, v in vars(module).items() if inspect.isfunction(v)]
     raise location.error(
-        f"there is no function {name} in it",
-        _remedy(name, there),
-        reference,
+        f"there is no function {name} in it", _remedy(name, there), reference
     )
 
 

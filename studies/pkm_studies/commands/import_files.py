@@ -33,8 +33,7 @@ def import_files(
         ),
     ],
     name: Annotated[
-        str | None,
-        typer.Option(help="Name of the study [that of the first file]."),
+        str | None, typer.Option(help="Name of the study [that of the first file].")
     ] = None,
     machine: Annotated[
         str | None,

@@ -99,12 +99,7 @@ def _drafted(
             "it is not said what to start from",
             "give --machine, a name or a file of your own, or --from STUDY",
         )
-    from pkm_studies.drafts import (
-        default_instrument,
-        model_of,
-        read_time,
-        write_draft,
-    )
+    from pkm_studies.drafts import default_instrument, model_of, read_time, write_draft
 
     seconds = None if time is None else read_time(time)
     model = model_of(machine, origin, loops)

@@ -31,8 +31,7 @@ def report(
         typer.Option(metavar="DIR", help="Folder for a comparison of several results."),
     ] = Path("out/comparison"),
     full: Annotated[
-        bool,
-        typer.Option("--full", help="A PDF with all that the HTML has."),
+        bool, typer.Option("--full", help="A PDF with all that the HTML has.")
     ] = False,
 ) -> int:
     """Write HTML and PDF again from result.json, or a comparison of several results."""

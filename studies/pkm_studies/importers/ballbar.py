@@ -23,11 +23,7 @@ from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import column_map
 from pkm_studies.importers.ballbar_circles import MeasuredCircle, measured_circles
 from pkm_studies.importers.ballbar_traces import BarTrace, trace_columns
-from pkm_studies.importers.base import (
-    ImportedSession,
-    ImportRequest,
-    Row,
-)
+from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import CircleFacts, ColumnMap

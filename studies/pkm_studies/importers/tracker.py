@@ -39,12 +39,7 @@ from pkm_studies.importers import (
     orientations,
     targets,
 )
-from pkm_studies.importers.base import (
-    ImportedSession,
-    ImportRequest,
-    Row,
-    line_field,
-)
+from pkm_studies.importers.base import ImportedSession, ImportRequest, Row, line_field
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 

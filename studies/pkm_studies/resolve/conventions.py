@@ -104,9 +104,7 @@ def readings_comments(
     return lines
 
 
-def comments_of(
-    measurement: Measurement,
-) -> Callable[[Sequence[str]], Sequence[str]]:
+def comments_of(measurement: Measurement) -> Callable[[Sequence[str]], Sequence[str]]:
     """`readings_comments` of a measurement, over the names of the columns."""
     setups = {name: s.instrument for name, s in measurement.setups.items()}
     return lambda header: readings_comments(measurement.machine, setups, header)

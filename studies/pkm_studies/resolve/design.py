@@ -722,8 +722,7 @@ def _check_criteria(study: Study, table: DesignTable, location: Location) -> Non
         )
     if table.prior and table.scaling != "tolerance":
         raise location.key("prior").error(
-            "tolerances enter in their own unit",
-            'write scaling = "tolerance" as well',
+            "tolerances enter in their own unit", 'write scaling = "tolerance" as well'
         )
     field = "compound" if table.compound else "criterion"
     for name in table.criteria:

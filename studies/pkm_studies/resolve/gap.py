@@ -617,10 +617,7 @@ class GapDesignRequest:
         return self.rules is None
 
     def with_plan(
-        self,
-        series: Sequence[Series],
-        remaining: float,
-        measurement: Measurement,
+        self, series: Sequence[Series], remaining: float, measurement: Measurement
     ) -> GapDesignRequest:
         """The request with the readings of [plan] retained.
 

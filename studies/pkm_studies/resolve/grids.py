@@ -49,10 +49,7 @@ def command_units(machine: Machine) -> dict[str, str]:
 
 
 def check_workspace(
-    machine: Machine,
-    command: Array,
-    keys: Mapping[str, str],
-    location: Location,
+    machine: Machine, command: Array, keys: Mapping[str, str], location: Location
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command)[:1]:

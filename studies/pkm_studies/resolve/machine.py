@@ -405,11 +405,7 @@ def _replace_ranges(table: MachineTable, model: Machine, location: Location) -> 
     stated = quantities.read_values(table.home, unit_of, location.key("home"))
     home = dict(model.home) | stated
     machine = dataclasses.replace(
-        model,
-        command=command,
-        joints=joints,
-        home=home,
-        drawn=model.drawn or model,
+        model, command=command, joints=joints, home=home, drawn=model.drawn or model
     )
     keys = {quantities.split_key(key, unit_of, location)[0]: key for key in table.home}
     for _, name, _, *ends in machine.out_of_range(machine.home_command[None]):

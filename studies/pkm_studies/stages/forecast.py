@@ -228,10 +228,7 @@ def forecast_task(
         sigma=_sigma(model, study.forecast, setup, location.key("sigma")),
         wanted=wanted,
         setup=setup.name,
-        seconds=(
-            setup.instrument.cost.setup,
-            measurement.reading_seconds(setup.name),
-        ),
+        seconds=(setup.instrument.cost.setup, measurement.reading_seconds(setup.name)),
         knowledge=knowledge,
     )
 

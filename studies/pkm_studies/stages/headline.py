@@ -63,7 +63,7 @@ def design_sentences(section: DesignSection | None) -> list[str]:
     return [
         f"The {criterion}-optimal {section.n} readings reach {reached}{against};"
         f" the condition number is {format_number(section.kappa)}"
-        f" ({section.scaling} scaling).",
+        f" ({section.scaling} scaling)."
     ]
 
 
@@ -104,7 +104,7 @@ def effects_sentences(section: DesignSection | None) -> list[str]:
     return [
         f"The plan allows for {allowed.groups} groups of effects. With these at the sizes expected"
         " of them it leaves rms errors, in brackets those of the plan for a machine without"
-        f" effects: {', '.join(parts)}.",
+        f" effects: {', '.join(parts)}."
     ]
 
 
@@ -335,7 +335,7 @@ def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> li
     ]
     return [
         f"The fit of {section.readings} readings{_aside(checked)} changes their rms residual:"
-        f" {'; '.join(changes)}.",
+        f" {'; '.join(changes)}."
     ]
 
 

@@ -515,11 +515,7 @@ def _write_before(error: Exception, state: RunState, out: Path) -> None:
 
 
 def _finish(
-    state: RunState,
-    out: Path,
-    *,
-    report: bool,
-    sections: tuple[str, ...] | None = None,
+    state: RunState, out: Path, *, report: bool, sections: tuple[str, ...] | None = None
 ) -> StudyResult:
     """Check claims, and write result and report. `sections` limits the claims."""
     study_result = order.assemble_result(state)

@@ -32,11 +32,7 @@ from oed.recording import (
     thermometer_scatter,
 )
 from oed.result import RecordedChoice, RecordingSection
-from pkm_studies.resolve import (
-    GapRequest,
-    PredictionRequest,
-    planned_courses,
-)
+from pkm_studies.resolve import GapRequest, PredictionRequest, planned_courses
 
 #: readings of a reference run that is repeated at the end, at most
 REFERENCE = 8
@@ -191,13 +187,7 @@ def _courses(
 ) -> tuple[GapProblem, list[Course]]:
     rng = np.random.default_rng(plan.seed)
     return planned_courses(
-        measurement,
-        series,
-        plan.request,
-        rng,
-        plan.seconds,
-        bodies,
-        last,
+        measurement, series, plan.request, rng, plan.seconds, bodies, last
     )
 
 

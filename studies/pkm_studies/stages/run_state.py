@@ -21,10 +21,7 @@ from oed.noise_law import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies import describe
 from pkm_studies.base import Progress, Stream
-from pkm_studies.resolve import (
-    ResolvedStudy,
-    resolve,
-)
+from pkm_studies.resolve import ResolvedStudy, resolve
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:
@@ -253,10 +250,7 @@ def promote(stage: type[StateT], state: RunState, **values: Any) -> StateT:
 
 
 def start(
-    study: Study,
-    seed: int | None,
-    progress: Progress,
-    readings: Sequence[Path] | None,
+    study: Study, seed: int | None, progress: Progress, readings: Sequence[Path] | None
 ) -> RunState:
     """The state before the first step. Raises InputError for what the study misstates.
 

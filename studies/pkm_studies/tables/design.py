@@ -17,12 +17,7 @@ from pkm_studies.tables.base import (
     StudyTable,
     Whole,
 )
-from pkm_studies.tables.grids import (
-    Axis,
-    GridTable,
-    OpenRange,
-    ReferenceTable,
-)
+from pkm_studies.tables.grids import Axis, GridTable, OpenRange, ReferenceTable
 from pkm_studies.tables.limits import LimitsTable
 
 

@@ -7,12 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from pkm_studies.base import Name
-from pkm_studies.tables.base import (
-    Count,
-    Positive,
-    StudyTable,
-    Whole,
-)
+from pkm_studies.tables.base import Count, Positive, StudyTable, Whole
 from pkm_studies.tables.design import DesignTable
 from pkm_studies.tables.fit import (
     ForecastTable,

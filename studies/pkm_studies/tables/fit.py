@@ -6,11 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.tables.base import (
-    Count,
-    Positive,
-    StudyTable,
-)
+from pkm_studies.tables.base import Count, Positive, StudyTable
 from pkm_studies.tables.grids import Axis
 
 

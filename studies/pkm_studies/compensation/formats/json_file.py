@@ -10,11 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.compensate import (
-    commands_of_added,
-    compensated_joints,
-    joint_corrections,
-)
+from oed.compensate import commands_of_added, compensated_joints, joint_corrections
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.quantities import column, display_unit
 

@@ -24,11 +24,7 @@ from pkm_studies.drafts.bodies.tree import (
     rotation_of_quaternion,
     turn,
 )
-from pkm_studies.drafts.bodies.xml_file import (
-    read_direction,
-    read_numbers,
-    read_root,
-)
+from pkm_studies.drafts.bodies.xml_file import read_direction, read_numbers, read_root
 
 #: sections and elements of bodies that say nothing of the geometry
 APART = (

@@ -60,11 +60,7 @@ from pkm_studies import describe
 from pkm_studies.base import Stream
 from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.resolve import (
-    GapRequest,
-    regular_commands,
-    workspace_axes,
-)
+from pkm_studies.resolve import GapRequest, regular_commands, workspace_axes
 from pkm_studies.stages.fit.estimate import (
     add_controller,
     estimate_section,
@@ -363,9 +359,7 @@ def misfit_warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
     return [f"{misfit} even with the effects in the model"]
 
 
-def _coefficients(
-    corrected: CorrectedEstimate,
-) -> Iterator[tuple[str, EffectEstimate]]:
+def _coefficients(corrected: CorrectedEstimate) -> Iterator[tuple[str, EffectEstimate]]:
     """Each coefficient in a unit that a person reads."""
     records = coefficient_records(corrected)
     names, scales = corrected.coefficient_names, corrected.scales

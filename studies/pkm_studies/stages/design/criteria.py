@@ -81,10 +81,7 @@ class StudyCriteria:
         return CRITERIA.build(name, count, self.ingredient(name, measurement))
 
     def ingredient(
-        self,
-        name: str,
-        measurement: Measurement,
-        effects: PlannedEffects | None = None,
+        self, name: str, measurement: Measurement, effects: PlannedEffects | None = None
     ) -> Array | None:
         """What the criterion needs besides its name, over the free parameters.
 

@@ -11,13 +11,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.design import CRITERIA, Criterion
-from oed.identifiability import (
-    Assessment,
-    Scaling,
-    assess,
-    explain,
-    prior_information,
-)
+from oed.identifiability import Assessment, Scaling, assess, explain, prior_information
 from oed.measurement import Measurement, Series
 from oed.result import (
     AllowedEffects,

@@ -55,9 +55,7 @@ def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:
 
 
 def single_stage_plan(
-    resolved: ResolvedStudy,
-    identifiability: Assessment,
-    predicted: Mapping[str, float],
+    resolved: ResolvedStudy, identifiability: Assessment, predicted: Mapping[str, float]
 ) -> PlanSection:
     """The readings as one stage, with their cost in minutes."""
     measurement, series = identifiability.measurement, identifiability.series
@@ -265,11 +263,7 @@ def _fewest_sentences(
             " can."
         )
     return msgspec.structs.replace(
-        summary,
-        fewest=fewest.size,
-        at_least=fewest.at_least,
-        most=most,
-        words=phrase,
+        summary, fewest=fewest.size, at_least=fewest.at_least, most=most, words=phrase
     )
 
 

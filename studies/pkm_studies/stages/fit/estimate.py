@@ -434,10 +434,7 @@ def sampler_options(table: PosteriorTable) -> dict[str, Any]:
 
 
 def posterior_section(
-    measurement: Measurement,
-    estimate: Estimate,
-    posterior: Posterior,
-    corner: int,
+    measurement: Measurement, estimate: Estimate, posterior: Posterior, corner: int
 ) -> PosteriorSection:
     """Marginals in display units, and draws along the `corner` widest directions."""
     marginals = {}
@@ -532,10 +529,7 @@ def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal
 
 
 def _widest(
-    measurement: Measurement,
-    estimate: Estimate,
-    posterior: Posterior,
-    count: int,
+    measurement: Measurement, estimate: Estimate, posterior: Posterior, count: int
 ) -> tuple[list[str], list[list[float]]]:
     """The directions with the widest posterior, and draws along them, thinned.
 

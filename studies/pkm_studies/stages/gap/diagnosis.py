@@ -585,10 +585,7 @@ def detectability_sentences(section: GapBeforeSection) -> list[str]:
     """The gain of the chosen runs, and what they or the planned readings can find."""
     if section.chosen is None:
         return _findings("The planned readings", section.table)
-    return [
-        _gain(section.chosen),
-        *_findings("The chosen runs", section.chosen.table),
-    ]
+    return [_gain(section.chosen), *_findings("The chosen runs", section.chosen.table)]
 
 
 def _gain(chosen: ChosenRuns) -> str:
@@ -671,9 +668,7 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     return state.add_sections(gap_before=preview.section)
 
 
-def _gap_design(
-    state: RunState,
-) -> tuple[Measurement, GapDesignRequest, Rules] | None:
+def _gap_design(state: RunState) -> tuple[Measurement, GapDesignRequest, Rules] | None:
     """[gap.design] with a measurement of its set-ups, and the rules of the choice.
 
     None without the table, and where it waits for a plan that was not made.

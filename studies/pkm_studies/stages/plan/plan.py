@@ -228,11 +228,7 @@ def _gain(task: PlanTask, sequence: StagePlan, best: StagePlan) -> dict[str, flo
 
 
 def _sentence(
-    task: PlanTask,
-    sequence: StagePlan,
-    best: StagePlan,
-    bound: float,
-    seconds: float,
+    task: PlanTask, sequence: StagePlan, best: StagePlan, bound: float, seconds: float
 ) -> str:
     time = minutes(seconds)
     if best is sequence or sequence.value < best.value * (1.0 + SAME_VALUE):
@@ -377,11 +373,7 @@ def search_without(task: PlanTask, best: StagePlan, option: Option) -> StagePlan
         return None
     try:
         search = task.search(
-            best.seconds,
-            options=others,
-            stages=len(others),
-            beam=NARROW,
-            loss=ANY_LOSS,
+            best.seconds, options=others, stages=len(others), beam=NARROW, loss=ANY_LOSS
         )
     except ValueError:  # mounting alone takes longer
         return None

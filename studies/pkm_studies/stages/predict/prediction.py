@@ -726,9 +726,7 @@ def _section(
     """The section with its budget."""
     machine, planned = state.measurement.machine, known.mean is None
     budget = known.model.budget(
-        main.maps,
-        estimated=known.estimated,
-        predicted=main.variance,
+        main.maps, estimated=known.estimated, predicted=main.variance
     )
     mode = "plan" if planned else "identified"
     section = accuracy_section(
@@ -752,10 +750,7 @@ def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | Non
 
 
 def _tools(
-    state: Scheduled,
-    table: PredictionTable,
-    known: ParameterKnowledge,
-    command: Array,
+    state: Scheduled, table: PredictionTable, known: ParameterKnowledge, command: Array
 ) -> list[ToolAccuracy]:
     """Accuracy after compensation at tools of the lengths that the study names."""
     machine = state.measurement.machine
