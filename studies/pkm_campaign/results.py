@@ -13,8 +13,7 @@ import numpy as np
 from oed import csv_text
 from oed.safe_files import write_own
 from pkm_campaign import jobs
-from pkm_campaign.case import COLUMNS, ERROR, PROCESSOR_TIME
-from pkm_campaign.interval import mean_interval
+from pkm_campaign.case import COLUMNS, ERROR, PROCESSOR_TIME, mean_interval
 from pkm_campaign.runner import case_paths
 from pkm_campaign.tables import Campaign
 

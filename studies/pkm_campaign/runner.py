@@ -8,8 +8,7 @@ from pathlib import Path
 
 from oed import safe_files
 from pkm_campaign import jobs
-from pkm_campaign.case import ERROR, SEED, Case, evaluate
-from pkm_campaign.case_function import CaseFunctionError
+from pkm_campaign.case import ERROR, SEED, Case, CaseFunctionError, evaluate
 from pkm_campaign.jobs import Job
 from pkm_campaign.tables import Campaign
 from pkm_studies import files

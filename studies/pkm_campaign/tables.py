@@ -10,8 +10,7 @@ import msgspec
 
 from oed.mechanism import AssemblyError
 from oed.text import shorten
-from pkm_campaign.case import COLUMNS, Figures
-from pkm_campaign.case_function import CaseFunction, UserFunction
+from pkm_campaign.case import COLUMNS, CaseFunction, Figures, UserFunction
 from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies import files, shipped
 from pkm_studies.base import InputError, Location, Name

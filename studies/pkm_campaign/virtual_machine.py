@@ -14,7 +14,7 @@ from oed import trust, units
 from oed.accuracy import driven_errors, error_maps
 from oed.base import Array
 from oed.identifiability import assess
-from pkm_campaign.interval import HALF_WIDTH
+from pkm_campaign.case import HALF_WIDTH
 from pkm_studies.resolve import PredictionRequest
 from pkm_studies.stages import (
     Fitted,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_certificate.certify import certify_folder, sentences
+    from pkm_certificate.build import certify_folder, sentences
 else:
     # imported when first used: `oed --help` imports the subcommand
     __getattr__ = door(__name__)

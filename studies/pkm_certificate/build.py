@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import units
+from oed import safe_files, units
 from oed.acceptance import Promise, measured_rms_within, parameter_within, rms_within
 from oed.base import Array
 from oed.certificate import (
@@ -23,11 +23,15 @@ from oed.linear_algebra import covariance_root
 from oed.model import Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
+from pkm_certificate import dcc, head
 from pkm_studies import quantities
 from pkm_studies.acceptance import PromisedAccuracy, covariances, promised_accuracy
 from pkm_studies.base import InputError, Location
+from pkm_studies.compensation import result_study
 from pkm_studies.earlier_result import corrects_effects, mixture_of
+from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.study import Study
+from pkm_studies.user_code import Consent
 
 #: of a parameter's value, by how the readings see it
 SOURCES = {
@@ -318,3 +322,50 @@ def _parameter_conformity(
 def tolerance_place(path: Path) -> Location:
     """Where tolerances stand."""
     return Location(str(path), "tolerance")
+
+
+# Writes the certificate of a result's folder: Digital Calibration Certificate and PDF.
+
+
+XML = "certificate.xml"
+
+
+def certify_folder(
+    folder: Path,
+    *,
+    head_file: Path | None = None,
+    study_file: Path | None = None,
+    consent: Consent = Consent.RECORDED,
+) -> tuple[Certificate, tuple[Path, ...]]:
+    """Write the certificate of a result; what it states, and the written files.
+
+    head_file   what no calibration knows: certificate.toml of the folder by default
+    study_file  study, where it names a machine in a file of its own
+    consent     to run that file
+
+    Raises InputError, and BadFitError where nothing should rest on the fit.
+    """
+    from pkm_reports import write_certificate_page
+
+    result = load_result(folder)
+    refuse_bad_fit(result)
+    path = folder / head.FILE if head_file is None else head_file
+    stated, tolerance = head.read(path)
+    study = result_study(result, folder, study_file, consent)
+    file, place = str(folder / "result.json"), tolerance_place(path)
+    record = certificate(result, study, stated, tolerance, file, place)
+    written = safe_files.write_own(folder / XML, dcc.write_xml(record))
+    return record, (written, write_certificate_page(record, folder))
+
+
+def sentences(certificate: Certificate) -> Iterator[str]:
+    """Conformity, for a terminal."""
+    entries = zip(certificate.conformity, certificate.verdicts, strict=True)
+    for c, verdict in entries:
+        unit = units.FINE[c.unit]
+        yield (
+            f"{c.quantity}, {c.basis}: within {units.number(c.tolerance, unit):.4g} {unit}"
+            f" with probability {c.probability:.3f}{f': {verdict}' if verdict else ''}."
+        )
+    if not certificate.conformity:
+        yield "No tolerance is stated, so the certificate states no conformity."

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_page.job import BackgroundCommand
-    from pkm_page.machine_page import MachinePage
-    from pkm_page.server import Switch
-    from pkm_page.serving import PageOptions, open_page, serve
+    from pkm_page.machine_page import BackgroundCommand, MachinePage
+    from pkm_page.server import PageOptions, Switch, open_page, serve
 else:
     # imported when first used: `oed --help` imports the subcommand
     __getattr__ = door(__name__)

@@ -18,7 +18,7 @@ from scipy import stats
 from oed.acceptance import measured_rms_within, parameter_within, rms_within
 from oed.certificate import Certificate
 from oed.result import StudyResult, VerdictRecord, VerificationSection
-from pkm_certificate import certify
+from pkm_certificate import build
 from pkm_certificate.dcc import product
 from pkm_studies.commands import main
 
@@ -117,7 +117,7 @@ def state(folder: Path, tolerance: str = "", head: str = HEAD) -> None:
 
 def certified(folder: Path, tolerance: str) -> Certificate:
     state(folder, tolerance)
-    return certify.certify_folder(folder)[0]
+    return build.certify_folder(folder)[0]
 
 
 def with_acceptance(folder: Path, oed: Run) -> None:
@@ -272,7 +272,7 @@ def test_verdicts_follow_the_stated_rule(folder: Path, oed: Run) -> None:
     verdicts = certified(folder, tolerance).verdicts
     assert verdicts[:2] == ["pass", "pass"]
     state(folder, "z_um = 1000.0\n", HEAD.replace("decision = 0.95\n", ""))
-    assert set(certify.certify_folder(folder)[0].verdicts) == {None}
+    assert set(build.certify_folder(folder)[0].verdicts) == {None}
 
 
 def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:

@@ -17,7 +17,7 @@ import uvicorn
 
 from oed.base import Array
 from oed.measurement import draw_parameters
-from pkm_page import serving as page
+from pkm_page import server
 from pkm_page.guard import Guard, hosts_of
 from pkm_page.machine_page import MachinePage
 from pkm_page.server import Switch
@@ -33,14 +33,14 @@ STUDY = sample.changed(
 
 @contextlib.contextmanager
 def served(
-    target: Path, options: page.PageOptions, token: str = ""
+    target: Path, options: server.PageOptions, token: str = ""
 ) -> Iterator[tuple[MachinePage | None, int]]:
     """The page of a target in a thread of this process, and its port."""
-    opened, shelf = page.open_page(target, options)
-    listening = page._listen("127.0.0.1", 0)
+    opened, shelf = server.open_page(target, options)
+    listening = server._listen("127.0.0.1", 0)
     port = listening.getsockname()[1]
     app = Guard(
-        Switch(opened, shelf, None if opened is not None else page.starter(options)),
+        Switch(opened, shelf, None if opened is not None else server.starter(options)),
         hosts_of(["127.0.0.1"], port),
         token,
     )
@@ -51,13 +51,13 @@ def served(
         ws="none",
         timeout_graceful_shutdown=1,
     )
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, args=([listening],), daemon=True)
+    listener = uvicorn.Server(config)
+    thread = threading.Thread(target=listener.run, args=([listening],), daemon=True)
     thread.start()
-    while not server.started:
+    while not listener.started:
         time.sleep(0.01)
     yield opened, port
-    server.should_exit = True
+    listener.should_exit = True
     thread.join()
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from page.page_server import rows, take
 from pkm_page import readings_log, typed
-from pkm_page.job import BackgroundCommand
+from pkm_page.machine_page import BackgroundCommand
 from pkm_page.readings_log import ReadingsLog, StaleError
 from pkm_studies.sessions import Adviser
 from pkm_studies.sessions import advice_sentences as sentences

@@ -8,7 +8,7 @@ import sample
 
 from page import page_server
 from page.page_server import rows, take
-from pkm_page import serving
+from pkm_page import server
 
 
 def page_of(tmp_path: Path, lines: str) -> Any:
@@ -16,7 +16,7 @@ def page_of(tmp_path: Path, lines: str) -> Any:
     study = tmp_path / "mine.study.toml"
     stated = ("length_mm = 300.0\n", f"length_mm = 300.0\n{lines}")
     study.write_text(sample.changed(page_server.STUDY, stated), encoding="utf-8")
-    return page_server.served(study, serving.PageOptions(tmp_path / "poses.csv"))
+    return page_server.served(study, server.PageOptions(tmp_path / "poses.csv"))
 
 
 def chosen(part: str) -> str:

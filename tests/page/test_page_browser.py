@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from page.page_server import Client, Operator, rows, served
-from pkm_page import serving
+from pkm_page import server
 from pkm_studies import shipped
 from pkm_studies.sessions import Adviser
 from pkm_studies.study import load
@@ -106,7 +106,7 @@ def test_a_session_of_30_readings(opened: Any, tmp_path: Path) -> None:
     study = Path("a3_ball_bar")
     adviser = Adviser(load(shipped.study_path(study)))
     path = tmp_path / "poses.csv"
-    with served(study, serving.PageOptions(path)) as (machine, port):
+    with served(study, server.PageOptions(path)) as (machine, port):
         operator, page = Operator(machine), opened(port)
         seconds = []
         for number in range(1, 31):
@@ -128,7 +128,7 @@ def test_a_session_with_everything_that_goes_wrong(opened: Any, tmp_path: Path) 
     study = Path("hexapod_ball_bar")
     adviser = Adviser(load(shipped.study_path(study)))
     path = tmp_path / "poses.csv"
-    with served(study, serving.PageOptions(path)) as (machine, port):
+    with served(study, server.PageOptions(path)) as (machine, port):
         operator, page = Operator(machine), opened(port, 820)
         seconds, number = [], 1
         while number <= 40:
@@ -166,7 +166,7 @@ def test_everyone_can_read_the_page(
     opened: Any, page_study: Path, tmp_path: Path
 ) -> None:
     """No fault of accessibility, nothing wider than the window, at any size and theme."""
-    options = serving.PageOptions(tmp_path / "poses.csv", wanted="z_um=50")
+    options = server.PageOptions(tmp_path / "poses.csv", wanted="z_um=50")
     with served(page_study, options) as (machine, port):
         operator = Operator(machine)
         page = opened(port)
@@ -189,7 +189,7 @@ def test_everyone_can_read_the_page(
 def test_two_browsers_show_one_state(
     opened: Any, page_study: Path, tmp_path: Path
 ) -> None:
-    with served(page_study, serving.PageOptions(tmp_path / "poses.csv")) as (
+    with served(page_study, server.PageOptions(tmp_path / "poses.csv")) as (
         machine,
         port,
     ):
@@ -208,7 +208,7 @@ def test_from_readings_to_the_controller(
     opened: Any, page_study: Path, tmp_path: Path
 ) -> None:
     """With the page alone: fit, result, compensation file."""
-    with served(page_study, serving.PageOptions(tmp_path / "poses.csv")) as (
+    with served(page_study, server.PageOptions(tmp_path / "poses.csv")) as (
         machine,
         port,
     ):
@@ -231,7 +231,7 @@ def test_from_readings_to_the_controller(
 @pytest.mark.slow
 def test_from_sizes_to_the_first_reading(opened: Any, tmp_path: Path) -> None:
     """With the page alone: a family's sizes, an error at its field, the machine's page."""
-    with served(tmp_path, serving.PageOptions()) as (_, port):
+    with served(tmp_path, server.PageOptions()) as (_, port):
         page = opened(port)
         page.get_by_role("link", name="New study").first.click()
         page.locator("#scene").wait_for()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from page.page_server import Client, rows, served, take
-from pkm_page import serving
+from pkm_page import server
 
 Request = Mapping[str, Any]
 SCRIPT = "<script>alert(1)</script>"
@@ -165,7 +165,7 @@ def test_a_script_in_a_remark_is_text(machine: Any) -> None:
 
 def test_other_computers_need_the_token(page_study: Path, tmp_path: Path) -> None:
     with served(
-        page_study, serving.PageOptions(tmp_path / "poses.csv"), token="right"
+        page_study, server.PageOptions(tmp_path / "poses.csv"), token="right"
     ) as (
         _,
         port,

@@ -9,7 +9,7 @@ import report_fixture
 
 from oed.result import AcceptanceSection, PromiseRecord
 from page.page_server import Client, served
-from pkm_page import serving
+from pkm_page import server
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.base import InputError
 from pkm_studies.study import load
@@ -101,7 +101,7 @@ def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
         folder.mkdir(parents=True)
         (folder / "result.json").write_bytes(result)
     (shelf / "link").symlink_to(outside)
-    with served(shelf, serving.PageOptions()) as (opened, port):
+    with served(shelf, server.PageOptions()) as (opened, port):
         assert opened is None
         client = Client(port)
         text = client.ask("GET", "/results")[1].decode()
@@ -133,7 +133,7 @@ def test_an_acceptance_test_is_judged(tmp_path: Path) -> None:
     folder = tmp_path / "a"
     folder.mkdir()
     (folder / "result.json").write_bytes(msgspec.json.encode(result))
-    with served(tmp_path, serving.PageOptions()) as (_, port):
+    with served(tmp_path, server.PageOptions()) as (_, port):
         client = Client(port)
         text = client.ask("GET", "/results")[1].decode()
         key = text.partition('data-result="')[2].partition('"')[0]
