@@ -34,13 +34,13 @@ def check(
     allow_code: AllowCode = False,
 ) -> int:
     """Check studies, and readings against what they predict; run nothing."""
-    from pkm_studies.commands import checks, closure_picture
+    from pkm_studies.commands import checks
     from pkm_studies.user_code import consent
 
     permission = consent(allow_code=allow_code)
     code = DONE
     if picture is not None:
-        print(f"Picture: {closure_picture.draw(paths[0], picture, permission)}")
+        print(f"Picture: {checks.draw_machine(paths[0], picture, permission)}")
     for path, verdict in checks.check(paths, permission):
         if isinstance(verdict, InputError):
             console.print_error(str(verdict))

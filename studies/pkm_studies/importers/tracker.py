@@ -28,7 +28,7 @@ from oed import units
 from oed.base import Array
 from oed.dataset import SIGMA
 from oed.instrument import Instrument
-from oed.mechanism import Kinematics
+from oed.mechanism import NO_TOOL, Kinematics
 from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
@@ -37,7 +37,6 @@ from pkm_studies.importers import (
     columns,
     nominal_poses,
     orientations,
-    targets,
 )
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row, line_field
 from pkm_studies.importers.line_times import read_tables
@@ -110,9 +109,9 @@ class TrackerImporter:
         rows = columns.rows(table, mapped, mapping, tool, location)
         rows, left_out = columns.drop_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
-        rows = targets.at_targets(rows, mapping, kinematics, location)
+        rows = at_targets(rows, mapping, kinematics, location)
         rows, sentence = _registered(rows, mapping, kinematics, tool, table, location)
-        rows, channels = targets.split_by_channels(rows, tool)
+        rows, channels = split_by_channels(rows, tool)
         return columns.session(
             request,
             complete,
@@ -274,14 +273,14 @@ def _setups(
     tables = []
     for name, read in channels.items():
         table: dict[str, object] = {"name": name, "instrument": reference}
-        place = units.from_si(targets.tool_of(name, mapping), "mm").tolist()
+        place = units.from_si(tool_of(name, mapping), "mm").tolist()
         table |= {"tolerance": tolerance, **mapping.settings}
         if len(read) < len(tool.channels):
             table["channels"] = list(read)
         if any(place):
             table["tool_mm"] = place
         if len(channels) > 1:
-            table["station"] = targets.STATION
+            table["station"] = STATION
         tables.append(table)
     return tables
 
@@ -386,3 +385,78 @@ def _check_deleted(table: CsvTable) -> None:
         if cell.lower() not in ("", "false", "0"):
             remedy = "take the line out, or write a map that names the columns"
             raise table.error(k, DELETED, "the point was deleted", remedy)
+
+
+# Several targets of one tracker: set-ups of one station, with what each of them read.
+#
+# A map's [targets] has the place of each on the platform, by its name in the column `setup`.
+# Commands of a file are those of the machine's own tool point; a set-up's are those of its
+# target. Readings of a target without its orientation are a set-up of their own, so that an
+# orientation that was not measured stays out and costs no point.
+
+
+STATION = "tracker"
+#: end of the name of a target's readings without orientation
+POINTS = "_points"
+
+
+def at_targets(
+    rows: Sequence[Row], mapping: ColumnMap, kinematics: Kinematics, location: Location
+) -> list[Row]:
+    """Rows whose commands are those of their target. Raises InputError.
+
+    A target that the map does not have is refused.
+    """
+    if not mapping.targets:
+        return list(rows)
+    moved = [dict(row) for row in rows]
+    stems = {name.rpartition("_")[0]: name for name in rows[0]}
+    columns = [stems.get(c.name, "") for c in kinematics.machine.command]
+    for target, members in nominal_poses.members_by_setup(rows).items():
+        if target not in mapping.targets:
+            remedy = f"give its place on the platform: {target} = [x, y, z]"
+            raise location.key("targets").error("no such target", remedy, target)
+        if not all(columns):
+            continue  # joints were recorded
+        command = nominal_poses.si_numbers([rows[k] for k in members], columns)
+        tool = units.to_si(np.array(mapping.targets[target]), "mm")
+        pose = kinematics.inverse(command, None, NO_TOOL)[0]
+        start = kinematics.machine.with_tool(command, tool)
+        command = kinematics.command_of_pose(pose, start, tool)
+        for k, values in zip(members, command, strict=True):
+            for name, value in zip(columns, values, strict=True):
+                unit = name.rpartition("_")[2]
+                moved[k][name] = repr(units.number(float(value), unit))
+    return list(moved)
+
+
+def split_by_channels(
+    rows: Sequence[Row], tool: Instrument
+) -> tuple[list[Row], dict[str, list[str]]]:
+    """Rows, those without some channels in a set-up of their own; channels by set-up."""
+    stems = {name.rpartition("_")[0]: name for name in rows[0]}
+    columns = {c.name: stems[c.name] for c in tool.channels if c.name in stems}
+    read_by_row = [[n for n, column in columns.items() if row[column]] for row in rows]
+    channels: dict[str, list[str]] = {}
+    for name, members in nominal_poses.members_by_setup(rows).items():
+        channels[name] = max((read_by_row[k] for k in members), key=len)
+    split: list[Row] = []
+    for row, read in zip(rows, read_by_row, strict=True):
+        name = row["setup"]
+        if read and channels[name] != read:
+            name = f"{name}{POINTS}"
+            if channels.setdefault(name, read) != read:
+                raise InputError(
+                    f"{row['setup']} has readings of more than two sets of channels",
+                    "leave out rows in which a coordinate or an angle is missing alone",
+                    file="--map",
+                    field="columns",
+                )
+        split.append({**row, "setup": name})
+    return split, channels
+
+
+def tool_of(setup: str, mapping: ColumnMap) -> Array:
+    """The tool point (3,) of a set-up, m."""
+    place = mapping.targets.get(setup.removesuffix(POINTS), mapping.tool_mm)
+    return np.asarray(units.to_si(np.array(place), "mm"))

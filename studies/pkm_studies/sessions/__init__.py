@@ -24,15 +24,13 @@ if TYPE_CHECKING:
     from pkm_studies.sessions.adjustment import adjust_folder, adjustment_sentences
     from pkm_studies.sessions.history import compare, machine_history, write_comparison
     from pkm_studies.sessions.next_reading import (
+        SKIPPED,
         Advice,
         Adviser,
         FittedReadings,
         advice_sentences,
-        reading_of,
-    )
-    from pkm_studies.sessions.next_visit import (
-        SKIPPED,
         is_skipped,
+        reading_of,
         skipped_in_rows,
         visit_lines,
     )

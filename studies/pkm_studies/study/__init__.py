@@ -21,15 +21,22 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_studies.study.data_sources.tables import (
+    from pkm_studies.study.data_sources import (
         AS_PUBLISHED,
         Row,
         read_csv,
         read_json,
     )
     from pkm_studies.study.decode import decode_table, tables_of
-    from pkm_studies.study.loader import SUFFIX, Study, from_tables, load, parse
+    from pkm_studies.study.loader import (
+        SUFFIX,
+        Study,
+        combinations,
+        from_tables,
+        load,
+        parse,
+        vary_setting,
+    )
     from pkm_studies.study.schemas import SCHEMAS
-    from pkm_studies.study.vary import combinations, vary_setting
 else:
     __getattr__ = door(__name__)

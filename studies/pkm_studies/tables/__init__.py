@@ -14,8 +14,10 @@ from pkm_studies.tables.base import (
     Triple,
 )
 from pkm_studies.tables.design import (
+    ConeTable,
     DesignTable,
     HowManyTable,
+    LimitsTable,
     OrderTable,
     PolishTable,
     QuotaTable,
@@ -29,10 +31,23 @@ from pkm_studies.tables.fit import (
     PredictionTable,
     ReadingsTable,
 )
-from pkm_studies.tables.gap import ActingTable, ConditionsTable, GapTable
-from pkm_studies.tables.gap_design import PLAN, GapDesignTable, RunCondition
-from pkm_studies.tables.grids import Axis, GridTable, KappaTable, Span
-from pkm_studies.tables.limits import ConeTable, LimitsTable
+from pkm_studies.tables.gap import (
+    PLAN,
+    ActingTable,
+    ConditionsTable,
+    GapDesignTable,
+    GapTable,
+    RunCondition,
+)
+from pkm_studies.tables.grids import (
+    CIRCLE_PLANES,
+    Axis,
+    CircleTable,
+    CubeTable,
+    GridTable,
+    KappaTable,
+    Span,
+)
 from pkm_studies.tables.machine import (
     NOT_KNOWN,
     AdjustTable,
@@ -44,4 +59,3 @@ from pkm_studies.tables.machine import (
     ToleranceTable,
 )
 from pkm_studies.tables.plan import MeasuredTable, PlanTable
-from pkm_studies.tables.poses import CIRCLE_PLANES, CircleTable, CubeTable

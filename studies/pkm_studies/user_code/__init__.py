@@ -7,16 +7,23 @@ in folders that he trusts. It lies in the folder of the study that names it, or 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import enum
 import hashlib
+import os
 import sys
+import tomllib
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
 
+import platformdirs
+
+from oed.safe_files import is_private, make_private
 from oed.text import shorten
+from pkm_studies import files
 from pkm_studies.base import InputError, Location
-from pkm_studies.user_code import permissions
 
 SUFFIX = ".py"
 #: bytes of the largest file that is run
@@ -115,7 +122,7 @@ def _permitted_path(name: str, origin: Origin, location: Location) -> Path:
     absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
     inside = path.resolve().is_relative_to(origin.folder.resolve())
     # a file that both ends of a shared folder trust may lie beside the study's folder
-    if absolute or not (inside or permissions.is_trusted(origin.folder, path)):
+    if absolute or not (inside or is_trusted(origin.folder, path)):
         raise location.error(
             "this file does not lie in the folder of the study that names it",
             "put it there and name it from there; a study runs no other Python file",
@@ -141,18 +148,18 @@ def _source(path: Path, location: Location) -> bytes:
 
 def _check_consent(path: Path, digest: str, origin: Origin, location: Location) -> None:
     if origin.consent is Consent.GIVEN:
-        permissions.allow(path, digest)
+        allow(path, digest)
         return
-    if permissions.is_allowed(digest):
+    if is_allowed(digest):
         return
     folder = path.parent if origin.typed else origin.folder
-    if permissions.is_trusted(folder, path):
+    if is_trusted(folder, path):
         return
     raise location.error(
         f"Python code runs once you allow it: SHA-256 {digest} of {path.name}",
         "read the file; then add --allow-code to the command (allow_code=True in"
-        f" Python), or trust its folder: {permissions.FIELD} in"
-        f" {permissions.settings_file()}",
+        f" Python), or trust its folder: {FIELD} in"
+        f" {settings_file()}",
         str(path),
     )
 
@@ -182,3 +189,118 @@ def _failure(error: BaseException, name: str, location: Location) -> InputError:
         "mend the file, or run it alone with Python to see where",
         name,
     )
+
+
+# Which Python files of other people's studies the user allows to run.
+#
+# Two things allow a file. Its digest stands in the list of files that were allowed
+# before, in the user's state folder. Or it lies in a folder that the user trusts: in his
+# settings, or in the environment variable `OED_TRUSTED_FOLDERS`.
+
+
+APP = "pkm-oed"
+#: trusted folders, separated as in PATH
+VARIABLE = "OED_TRUSTED_FOLDERS"
+#: field of the settings with the trusted folders
+FIELD = "trusted_folders"
+#: bytes of the largest file of settings, and of the list of allowed files
+SETTINGS_LIMIT = 1_000_000
+
+
+def settings_file() -> Path:
+    """The user's settings."""
+    return platformdirs.user_config_path(APP, appauthor=False) / "config.toml"
+
+
+def allowed_file() -> Path:
+    """The list of allowed files: a digest and a path a line, as `sha256sum` writes."""
+    return platformdirs.user_state_path(APP, appauthor=False) / "allowed-code.txt"
+
+
+def is_allowed(digest: str) -> bool:
+    """Whether the user allowed a file of this SHA-256 before."""
+    return digest in _allowed_digests()
+
+
+def allow(path: Path, digest: str) -> None:
+    """Record that the user allows this file as it is.
+
+    Where the list cannot be written, the permission ends with this process.
+    """
+    if is_allowed(digest):
+        return
+    file = allowed_file()
+    with contextlib.suppress(OSError):
+        make_private(file.parent)
+        file.touch(mode=0o600)
+        with file.open("a", encoding="utf-8") as lines:
+            lines.write(f"{digest}  {shorten(str(path.resolve()), 400)}\n")
+
+
+def is_trusted(*paths: Path) -> bool:
+    """Whether each path lies in some folder that the user trusts.
+
+    Raises InputError for settings that cannot be read.
+    """
+    folders = list(trusted_folders())
+    return all(_lies_in(path, folders) for path in paths)
+
+
+def trusted_folders() -> Iterator[Path]:
+    """The folders of the environment variable, then those of the settings.
+
+    Raises InputError for settings that cannot be read, and for relative folders: these
+    would follow the user to every folder he works in.
+    """
+    listed = os.environ.get(VARIABLE, "").split(os.pathsep)
+    yield from _absolute([name for name in listed if name], Location(VARIABLE))
+    file = settings_file()
+    if not file.is_file():
+        return
+    location = Location(str(file))
+    if not _is_own(file):
+        problem = "other users can change this file, or the path to it"
+        raise location.error(
+            problem, "take their permission to write away, or remove it"
+        )
+    try:
+        table = tomllib.loads(
+            files.read_text(file, limit=SETTINGS_LIMIT, what="settings file")
+        )
+    except (ValueError, RecursionError) as error:
+        problem = f"this is no TOML: {shorten(str(error), 100)}"
+        raise location.error(problem, "mend it there, or remove the file") from None
+    names = table.get(FIELD, [])
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        remedy = f'write {FIELD} = ["/path/of/a/folder"]'
+        raise location.key(FIELD).error("a list of folders is wanted", remedy, names)
+    yield from _absolute(names, location.key(FIELD))
+
+
+def _is_own(file: Path) -> bool:
+    """Whether what a file allows comes from this user; Windows itself sees to that."""
+    return os.name != "posix" or is_private(file)
+
+
+def _absolute(names: Iterable[str], location: Location) -> Iterator[Path]:
+    for name in names:
+        folder = Path(name).expanduser()
+        if not folder.is_absolute():
+            raise location.error("this folder is relative", "give its whole path", name)
+        yield folder.resolve()
+
+
+def _lies_in(path: Path, folders: Iterable[Path]) -> bool:
+    resolved = path.resolve()
+    return any(resolved.is_relative_to(folder) for folder in folders)
+
+
+def _allowed_digests() -> set[str]:
+    file = allowed_file()
+    try:
+        text = file.read_text(encoding="utf-8", errors="replace")
+        if not _is_own(file):
+            return set()
+    except OSError:
+        return set()
+    return {line.split(maxsplit=1)[0] for line in text.splitlines() if line.strip()}

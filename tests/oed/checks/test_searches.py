@@ -16,7 +16,7 @@ from oed.checks.judgement import probability_of_strain
 from oed.checks.outlier_odds import FarReading, LeaveOneOut, alike_readings
 from oed.checks.outliers import far_readings, find_outliers
 from oed.checks.screening import linear_readings, log_evidence
-from oed.checks.senses import contradictions
+from oed.checks.sentences import contradictions
 from oed.checks.session import SessionReadings, predict_ranges
 from oed.noise import Noise
 

@@ -10,7 +10,7 @@ from shipped_models import backlash, leg_thermal
 from kernel import a3_plans, warm_head
 from kernel.warm_head import turned
 from oed import checks
-from oed.checks.senses import contradictions
+from oed.checks.sentences import contradictions
 from oed.corrected import (
     CorrectedEstimate,
     EffectReadings,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pkm_studies.base import InputError
-from pkm_studies.drafts.bodies import mjcf_file, urdf_file
+from pkm_studies.drafts.bodies import xml_file
 
 Run = Callable[..., tuple[int, str, str]]
 LOOPS = "loop,link_a,a_x_m,a_y_m,a_z_m,link_b,b_x_m,b_y_m,b_z_m\n1,l1,0,0,0,l2,0,0,0\n"
@@ -45,7 +45,7 @@ def test_bodies_within_the_bound_are_read(tmp_path: Path) -> None:
     (tmp_path / "m.xml").write_text(
         f"<mujoco>{text}<equality>{loop * 2}</equality></mujoco>"
     )
-    tree = mjcf_file.read(tmp_path / "m.xml")
+    tree = xml_file.read_mjcf(tmp_path / "m.xml")
     assert len(tree.joints("body95")) == 95
     # steps east, north, west, south sum to 0 over each four; three are left
     assert tree.frame("body95")[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
@@ -67,8 +67,8 @@ def test_time_grows_with_the_number_of_links(
     files = tmp_path / "r.urdf", tmp_path / "l.csv"
     start = time.perf_counter()
     if words is None:
-        assert len(urdf_file.read(*files).bodies) == 4_001
+        assert len(xml_file.read_urdf(*files).bodies) == 4_001
     else:
         with pytest.raises(InputError, match=words):
-            urdf_file.read(*files)
+            xml_file.read_urdf(*files)
     assert time.perf_counter() - start < SOON

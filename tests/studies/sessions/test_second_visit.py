@@ -14,7 +14,7 @@ import pytest
 from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
 from pkm_reports.blocks import Paragraph, Table
 from pkm_reports.sections import gap_before
-from pkm_studies.sessions import next_visit
+from pkm_studies.sessions import next_reading
 from pkm_studies.stages.gap import diagnosis
 from pkm_studies.study import Study
 
@@ -120,12 +120,12 @@ def test_the_advised_command_can_be_typed_as_it_stands(
         GapSection("class", [], [], [], [], [], []), worded(visit(0.9))
     )
     result = SimpleNamespace(study="mine", gap=gap)
-    monkeypatch.setattr(next_visit, "load_result", lambda folder: result)
+    monkeypatch.setattr(next_reading, "load_result", lambda folder: result)
     study = cast("Study", SimpleNamespace(name="mine"))
     given, folder = Path("my machines/mine.study.toml"), Path("out/first visit")
-    command = next_visit.visit_lines(study, given, folder)[-1].partition("then: oed ")[
-        2
-    ]
+    command = next_reading.visit_lines(study, given, folder)[-1].partition(
+        "then: oed "
+    )[2]
     words = shlex.split(command)
     table = str(folder / "second_visit.csv")
     assert words[:4] == ["diagnose", str(given), "--readings", table]

@@ -13,7 +13,7 @@ import sample
 from oed.result import StudyResult
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
-from pkm_studies.stages import summary
+from pkm_studies.stages import headline
 
 
 def run(*arguments: str | Path) -> int:
@@ -167,7 +167,7 @@ def test_the_terminal_says_what_the_accuracy_rests_on(
     budget = result.corrected.prediction.budget
     assert budget is not None
     assert budget.advice
-    summary.report_outcome(result, folder / "out", quiet=False)
+    headline.report_outcome(result, folder / "out", quiet=False)
     printed = capsys.readouterr().out
     assert "with the effects that are corrected" in printed
     assert "rests on these conditions: the controller corrects" in printed

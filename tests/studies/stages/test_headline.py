@@ -10,7 +10,7 @@ import report_fixture
 from oed.result import StudyResult
 from pkm_reports import sections as answer
 from pkm_reports.blocks import Table
-from pkm_studies.stages import headline, summary
+from pkm_studies.stages import headline
 
 
 def spread(rms: float, unit: str) -> dict[str, Any]:
@@ -110,7 +110,7 @@ CHANGES = {"z": (1208.0, 97.2), "psi": (3488.0, 20.6), "theta": (403.0, 1.31)}
 
 
 def test_the_terminal_and_the_report_have_one_accuracy(tmp_path: Path) -> None:
-    lines = summary.lines(result(CHANGES), tmp_path, verbose=False)
+    lines = headline.lines(result(CHANGES), tmp_path, verbose=False)
     (row,) = [line for line in lines if line.split()[:1] == ["z"]]
     assert row.split()[2:4] == ["1208", "1300"]
     printed = "\n".join(lines)
@@ -145,7 +145,7 @@ def test_the_headline_is_not_printed_twice(
             for name in StudyResult.__struct_fields__
         }
     )
-    assert summary.report_outcome(shown, tmp_path, quiet=False) == 0
+    assert headline.report_outcome(shown, tmp_path, quiet=False) == 0
     out = capsys.readouterr().out
     assert "Compensation is predicted to" not in out
     assert out.count("97.2") == 0

@@ -12,7 +12,7 @@ from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Table
 from pkm_reports.sections import answer
 from pkm_studies.commands import display
-from pkm_studies.stages import headline, summary
+from pkm_studies.stages import headline
 
 MET = {"claim": "rank", "wanted": "rank = 18", "measured": 18, "met": True}
 UNMET = {"claim": "kappa", "wanted": "kappa <= 9", "measured": 12.5, "met": False}
@@ -49,7 +49,7 @@ def held_out(channel: str, verdict: str) -> dict[str, Any]:
 def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path: Path) -> None:
     result = sample(claims=[MET, UNMET], warnings=[WARNING])
     (tmp_path / "report.html").touch()
-    short = summary.lines(result, tmp_path, verbose=False)
+    short = headline.lines(result, tmp_path, verbose=False)
     assert len(short) <= MOST_LINES
     assert "Claim kappa: not met: kappa <= 9, measured 12.5" in short
     assert f"Warning: A{WARNING[1:]}." in short
@@ -59,8 +59,8 @@ def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path: Path) ->
 
 def test_verbose_prints_every_sentence(tmp_path: Path) -> None:
     result = sample(claims=[MET])
-    short = summary.lines(result, tmp_path, verbose=False)
-    full = summary.lines(result, tmp_path, verbose=True)
+    short = headline.lines(result, tmp_path, verbose=False)
+    full = headline.lines(result, tmp_path, verbose=True)
     assert set(result.headline) <= set(full)
     assert "Claim rank: met: rank = 18, measured 18" in full
     assert not set(result.headline) <= set(short)
@@ -69,7 +69,7 @@ def test_verbose_prints_every_sentence(tmp_path: Path) -> None:
 def test_a_contradiction_is_never_summed_up(tmp_path: Path) -> None:
     sections = [held_out("x", "confirms"), held_out("y", "contradicts")]
     result = sample(held_out=sections)
-    short = summary.lines(result, tmp_path, verbose=False)
+    short = headline.lines(result, tmp_path, verbose=False)
     assert "y: contradicts." in short
     assert "x: confirms." not in short
     (line,) = [line for line in short if line.startswith("Held-out readings")]
@@ -78,7 +78,7 @@ def test_a_contradiction_is_never_summed_up(tmp_path: Path) -> None:
 
 def test_readings_that_agree_do_not_read_as_a_failure(tmp_path: Path) -> None:
     sections = [held_out(name, "agrees") for name in "xyzu"]
-    lines = summary.lines(sample(held_out=sections), tmp_path, verbose=False)
+    lines = headline.lines(sample(held_out=sections), tmp_path, verbose=False)
     (line,) = [line for line in lines if line.startswith("Held-out readings")]
     assert "agree with the fit in 4 of 4 channels, in none better" in line
     assert "0 of 4" not in line

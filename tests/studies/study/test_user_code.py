@@ -17,11 +17,11 @@ import sample
 from shipped_models import linear_delta
 
 import oed
-from pkm_studies import study
+from pkm_studies import study, user_code
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
-from pkm_studies.user_code import Consent, permissions
+from pkm_studies.user_code import Consent
 
 Run = Callable[..., tuple[int, str, str]]
 #: a machine whose file leaves a trace where it runs
@@ -89,7 +89,7 @@ def test_no_command_runs_the_file_of_a_study_by_itself(folder: Path, call: Run) 
         assert digest in error
         assert "mine.py" in error
         assert "--allow-code" in error
-        assert str(permissions.settings_file()) in error
+        assert str(user_code.settings_file()) in error
         assert error.count("\n") == 1
     assert runs(folder) == 0
     assert not (out / "result.json").exists()
@@ -127,7 +127,7 @@ def test_a_trusted_folder_needs_no_consent(
     assert call("check", path)[0] == 0
     monkeypatch.delenv("OED_TRUSTED_FOLDERS")
     assert call("check", path)[0] == 2
-    settings = permissions.settings_file()
+    settings = user_code.settings_file()
     settings.parent.mkdir(parents=True)
     settings.write_text(f"trusted_folders = [{str(folder.parent)!r}]\n", "utf-8")
     assert call("check", path)[0] == 0
@@ -182,7 +182,7 @@ def test_others_cannot_allow_a_file(folder: Path, call: Run) -> None:
     path = folder / "s.study.toml"
     assert call("check", path, "--allow-code")[0] == 0
     assert call("check", path)[0] == 0
-    allowed = permissions.allowed_file()
+    allowed = user_code.allowed_file()
     assert allowed.stat().st_mode & 0o777 == 0o600
     allowed.parent.chmod(0o777)
     assert call("check", path)[0] == 2
@@ -190,7 +190,7 @@ def test_others_cannot_allow_a_file(folder: Path, call: Run) -> None:
     allowed.chmod(0o666)
     assert call("check", path)[0] == 2
 
-    settings = permissions.settings_file()
+    settings = user_code.settings_file()
     settings.parent.mkdir(parents=True)
     settings.write_text(f"trusted_folders = [{str(folder)!r}]\n", "utf-8")
     assert call("check", path)[0] == 0

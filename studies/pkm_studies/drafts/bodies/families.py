@@ -17,7 +17,7 @@ from oed.model import Machine
 from pkm_models.rotation import across
 from pkm_studies import catalogue
 from pkm_studies.base import InputError, Location
-from pkm_studies.drafts.bodies import mjcf_file, urdf_file
+from pkm_studies.drafts.bodies import xml_file
 from pkm_studies.drafts.bodies.tree import (
     BALL,
     FREE,
@@ -295,11 +295,11 @@ def described(path: Path, loops: Path | None) -> Described:
     """The machine of a file. Raises InputError for what it does not read."""
     location = Location(str(path))
     if path.suffix.lower() == ".urdf":
-        tree = urdf_file.read(path, loops)
+        tree = xml_file.read_urdf(path, loops)
     else:
         if loops is not None:
             raise location.error("MJCF holds its own loops", "leave out --loops")
-        tree = detached(mjcf_file.read(path))
+        tree = detached(xml_file.read_mjcf(path))
     drawn = drawn_machine(tree, location)
     kinds = {limb.kind for limb in drawn.limbs}
     key = (kinds.pop() if len(kinds) == 1 else "", len(drawn.axes), drawn.turns)

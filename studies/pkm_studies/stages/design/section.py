@@ -28,7 +28,7 @@ from pkm_studies.base import Stream
 from pkm_studies.describe import displayed_command, displayed_joints, displayed_values
 from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages import headline
-from pkm_studies.stages.design import effects, select
+from pkm_studies.stages.design import select
 from pkm_studies.stages.design.criteria import StudyCriteria, improvement_factors
 from pkm_studies.stages.design.select import ChosenDesign, plan_seconds
 from pkm_studies.stages.plan.plan import PlanOutcome, compute_plan
@@ -216,7 +216,7 @@ def _effects(chosen: ChosenDesign) -> AllowedEffects | None:
     allowed = chosen.effects
     if allowed is None:
         return None
-    recording = effects.recording(chosen.criteria, chosen.measurement, chosen.series)
+    recording = select.recording(chosen.criteria, chosen.measurement, chosen.series)
     return msgspec.structs.replace(allowed, recording=recording)
 
 

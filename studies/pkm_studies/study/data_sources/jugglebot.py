@@ -14,7 +14,7 @@ from pathlib import Path
 
 from oed.text import shorten
 from pkm_studies.base import Location
-from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv
+from pkm_studies.study.data_sources import AS_PUBLISHED, Row, read_csv
 
 REVOLUTIONS = tuple(f"leg_length_{k}" for k in range(1, 7))
 POSITION = tuple(f"position_{axis}" for axis in "xyz")
