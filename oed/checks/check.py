@@ -15,7 +15,7 @@ from oed.checks.fit import Goodness, fit, goodness
 from oed.checks.judgement import Judgement, judge
 from oed.checks.mistakes import PHYSICAL_KINDS
 from oed.checks.outliers import OutlierSearch
-from oed.checks.senses import contradictions
+from oed.checks.sentences import contradictions
 from oed.checks.session import Ranges, SessionReadings, predict_ranges
 from oed.checks.times import wrong_times
 from oed.dataset import ReadingsColumn, temperature_body

@@ -47,11 +47,17 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.sections import acceptance, forecast, gap_figures, plan_words
+from pkm_reports.sections import acceptance, forecast, gap_figures
 from pkm_reports.sections.gap_figures import size_in_readings, spoken
 from pkm_reports.sections.identifiability import lost_count
 from pkm_reports.sections.machine_figures import draw_overview
-from pkm_reports.sections.plan_words import has_schedule, is_missed
+from pkm_reports.sections.plan import (
+    budget_phrase,
+    budget_share,
+    has_schedule,
+    is_missed,
+    minutes,
+)
 
 # The first lines of a report: what was read or is to be, how accurate, the main doubt.
 
@@ -509,7 +515,7 @@ def plan_minutes(result: StudyResult) -> str:
 
 
 def _scheduled(plan: PlanSection) -> str:
-    phrase = f"{plan_words.minutes(plan.cost)}{plan_words.budget_share(plan)}"
+    phrase = f"{minutes(plan.cost)}{budget_share(plan)}"
     if not plan.price:
         return phrase
     return f"{phrase}, at a price of {text.trimmed(plan.price)}"
@@ -766,7 +772,7 @@ def _planned_accuracy(plan: PlanSection) -> Table:
         limits = [text.number(missing.entry(plan.goal, key))] if plan.goal else []
         before = text.number(missing.entry(plan.start_accuracy, key))
         rows.append([text.heading(key), text.number(value), *limits, before])
-    within = plan_words.budget_phrase(plan)
+    within = budget_phrase(plan)
     caption = f"Predicted rms error over the workspace after the plan{within}."
     return Table(columns, rows, caption)
 

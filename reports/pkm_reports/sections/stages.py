@@ -40,7 +40,7 @@ from pkm_reports.blocks import (
     wide_column,
 )
 from pkm_reports.missing import or_nan
-from pkm_reports.sections.plan_words import (
+from pkm_reports.sections.plan import (
     budget_phrase,
     budget_share,
     has_schedule,
