@@ -13,10 +13,7 @@ from pkm_studies.user_code import consent
 
 def campaign(
     file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CAMPAIGN.toml", help="The campaign.", show_default=False
-        ),
+        Path, typer.Argument(metavar="CAMPAIGN.toml", help="The campaign.")
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the cases [out/NAME].")

@@ -19,7 +19,6 @@ def certificate(
         typer.Option(
             metavar="FILE",
             help="Laboratory, customer, dates, tolerances [DIR/certificate.toml].",
-            show_default=False,
         ),
     ] = None,
     study: MachineStudy = None,

@@ -18,7 +18,6 @@ def serve(
         typer.Argument(
             metavar="STUDY|DIR",
             help="A study, a result, or a folder of studies and results.",
-            show_default=False,
         ),
     ],
     readings: Annotated[

@@ -16,15 +16,12 @@ from pkm_studies.user_code import consent
 def next_reading(
     study: StudyPath,
     readings: Annotated[
-        Path | None,
-        typer.Option(metavar="CSV", help="Readings so far.", show_default=False),
+        Path | None, typer.Option(metavar="CSV", help="Readings so far.")
     ] = None,
     after: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR",
-            help="A diagnosis: the readings that separate its answers.",
-            show_default=False,
+            metavar="DIR", help="A diagnosis: the readings that separate its answers."
         ),
     ] = None,
     wanted: Wanted = "",

@@ -40,11 +40,7 @@ def list_entries(
     kind: Annotated[Kind, typer.Argument(show_default=False)],
     name: Annotated[
         str | None,
-        typer.Argument(
-            metavar="NAME",
-            help="All about one of them, with its source.",
-            show_default=False,
-        ),
+        typer.Argument(metavar="NAME", help="All about one of them, with its source."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> int:
@@ -113,9 +109,7 @@ class Schema(enum.StrEnum):
 
 
 def schema(
-    of: Annotated[
-        Schema, typer.Argument(metavar="study|result|readings", show_default=False)
-    ],
+    of: Annotated[Schema, typer.Argument(metavar="study|result|readings")],
 ) -> int:
     """Print a JSON schema, for editors and scripts."""
     from pkm_studies.study import SCHEMAS

@@ -21,7 +21,6 @@ def check(
         typer.Argument(
             metavar="FILE...",
             help="Studies, readings, and machines of your own (my.py).",
-            show_default=False,
         ),
     ],
     picture: Annotated[

@@ -17,20 +17,12 @@ def import_files(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND",
-            help=f"{', '.join(project_plugins('importers'))}, or MY.py.",
-            show_default=False,
+            metavar="KIND", help=f"{', '.join(project_plugins('importers'))}, or MY.py."
         ),
     ],
-    paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE...", help="Its files.", show_default=False),
-    ],
+    paths: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Its files.")],
     out: Annotated[
-        Path,
-        typer.Option(
-            metavar="FOLDER", help="Folder for study and readings.", show_default=False
-        ),
+        Path, typer.Option(metavar="FOLDER", help="Folder for study and readings.")
     ],
     name: Annotated[
         str | None, typer.Option(help="Name of the study [that of the first file].")

@@ -15,43 +15,33 @@ from pkm_studies.user_code import Origin, consent
 
 def new(
     name: Annotated[
-        str | None,
-        typer.Argument(help="Name of the study [the machine's].", show_default=False),
+        str | None, typer.Argument(help="Name of the study [the machine's].")
     ] = None,
     machine: Annotated[
         str | None,
         typer.Option(
-            help="A machine of `oed list machines`, MY.py, MJCF (.xml) or URDF.",
-            show_default=False,
+            help="A machine of `oed list machines`, MY.py, MJCF (.xml) or URDF."
         ),
     ] = None,
     loops: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CSV", help="Loops that close a URDF.", show_default=False
-        ),
+        Path | None, typer.Option(metavar="CSV", help="Loops that close a URDF.")
     ] = None,
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="An instrument of `oed list instruments` [one that can read it].",
-            show_default=False,
+            help="An instrument of `oed list instruments` [one that can read it]."
         ),
     ] = None,
     source: Annotated[
         str | None,
         typer.Option(
-            "--from",
-            metavar="STUDY",
-            help="A study of `oed list studies` to copy.",
-            show_default=False,
+            "--from", metavar="STUDY", help="A study of `oed list studies` to copy."
         ),
     ] = None,
     time: Annotated[
         str | None,
         typer.Option(
-            help="Time at the machine, as `two days` or `90 min`: as many readings.",
-            show_default=False,
+            help="Time at the machine, as `two days` or `90 min`: as many readings."
         ),
     ] = None,
     allow_code: AllowCode = False,

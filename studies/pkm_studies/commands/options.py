@@ -12,16 +12,13 @@ AllowCode = Annotated[
     typer.Option(
         "--allow-code",
         help="Run Python files that the study names, now and while they are unchanged.",
-        show_default=False,
     ),
 ]
 
 StudyPath = Annotated[
     Path,
     typer.Argument(
-        metavar="STUDY",
-        help="A study file, or the name of a shipped study.",
-        show_default=False,
+        metavar="STUDY", help="A study file, or the name of a shipped study."
     ),
 ]
 OptionalStudy = Annotated[
@@ -29,14 +26,12 @@ OptionalStudy = Annotated[
     typer.Argument(
         metavar="STUDY",
         help="A study file, or the name of a shipped study [--machine].",
-        show_default=False,
     ),
 ]
 OwnMachine = Annotated[
     str | None,
     typer.Option(
-        help="In place of a study: a machine of `oed list machines`, or MY.py.",
-        show_default=False,
+        help="In place of a study: a machine of `oed list machines`, or MY.py."
     ),
 ]
 OwnNumbers = Annotated[
@@ -45,7 +40,6 @@ OwnNumbers = Annotated[
         "--set",
         metavar="NAME_UNIT=NUMBER",
         help="A number of that machine, as it has it now; again for a further one.",
-        show_default=False,
     ),
 ]
 MachineStudy = Annotated[
@@ -54,18 +48,10 @@ MachineStudy = Annotated[
         metavar="STUDY", help="The study, where its machine is a file of yours."
     ),
 ]
-OutFolder = Annotated[
-    Path,
-    typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),
-]
-ResultFolder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A result.", show_default=False)
-]
+OutFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")]
+ResultFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A result.")]
 StoredResult = Annotated[
-    Path,
-    typer.Argument(
-        metavar="DIR", help="Folder with a result.json.", show_default=False
-    ),
+    Path, typer.Argument(metavar="DIR", help="Folder with a result.json.")
 ]
 Wanted = Annotated[
     str,

@@ -23,7 +23,6 @@ def report(
         typer.Argument(
             metavar="DIR...",
             help="Folder with a result.json; several are put side by side.",
-            show_default=False,
         ),
     ],
     out: Annotated[
@@ -63,9 +62,7 @@ def history(
     folders: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FOLDER...",
-            help="Results of one machine, or folders of results.",
-            show_default=False,
+            metavar="FOLDER...", help="Results of one machine, or folders of results."
         ),
     ],
     limit: Annotated[
@@ -116,18 +113,13 @@ def adjust(
 
 Commands = Annotated[
     int | None,
-    typer.Option(
-        metavar="N",
-        help="Largest number of commands of a table [5000].",
-        show_default=False,
-    ),
+    typer.Option(metavar="N", help="Largest number of commands of a table [5000]."),
 ]
 FirmwareVersion = Annotated[
     str | None,
     typer.Option(
         metavar="VERSION",
         help="Version of the controller's firmware, as in 2.0.5 [that of the import].",
-        show_default=False,
     ),
 ]
 
@@ -139,7 +131,6 @@ def compensate(
         typer.Option(
             metavar="FORMAT",
             help="A format of `oed list formats`, or path/to/file.py:attribute.",
-            show_default=False,
         ),
     ],
     out: Annotated[

@@ -53,10 +53,7 @@ def run(
 def simulate(
     study: StudyPath,
     out: Annotated[
-        Path,
-        typer.Option(
-            metavar="READINGS.csv", help="File for the readings.", show_default=False
-        ),
+        Path, typer.Option(metavar="READINGS.csv", help="File for the readings.")
     ],
     allow_code: AllowCode = False,
 ) -> int:
@@ -76,11 +73,7 @@ def simulate(
 def identify(
     readings: Annotated[
         list[Path],
-        typer.Option(
-            metavar="CSV",
-            help="The readings; again for a further file.",
-            show_default=False,
-        ),
+        typer.Option(metavar="CSV", help="The readings; again for a further file."),
     ],
     out: OutFolder,
     study: OptionalStudy = None,
@@ -143,15 +136,12 @@ def diagnose(
         typer.Option(
             metavar="CSV",
             help="The readings [those of the study]; again for a further file.",
-            show_default=False,
         ),
     ] = None,
     after: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR",
-            help="Earlier diagnosis: its readings count as well.",
-            show_default=False,
+            metavar="DIR", help="Earlier diagnosis: its readings count as well."
         ),
     ] = None,
     seed: Seed = None,
