@@ -307,8 +307,7 @@ def _outside(
     named: Array = np.empty(0)
     if outliers is not None:
         named = np.array([one.reading for one in outliers.far])
-    reading = session.reading_of_value
-    left_over = outside[~np.isin(reading[outside], named)]
+    left_over = outside[~np.isin(session.reading_of_value[outside], named)]
     return [sentences.outside(session, ranges, left_over)] if left_over.size else []
 
 

@@ -155,7 +155,6 @@ def computed_readings(session: SessionReadings, nominal: Array, sd: Array) -> In
     Empty where chance explains them.
     """
     sigma = session.measurement.sigma(session.series)
-    reading = session.reading_of_value
     close = NOMINAL_SHARE * sigma + np.minimum(_rounding(session), sigma)
     shown = session.shown
     near = shown & (np.abs(session.y - nominal) <= close)
@@ -164,7 +163,7 @@ def computed_readings(session: SessionReadings, nominal: Array, sd: Array) -> In
     count = int(near.sum())
     if not count or count < 0.3 * shown.sum() or 3.0 * expected > count:
         return np.empty(0, dtype=np.intp)
-    return np.unique(reading[near])
+    return np.unique(session.reading_of_value[near])
 
 
 def _rounding(session: SessionReadings) -> Array:

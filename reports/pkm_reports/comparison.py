@@ -188,10 +188,9 @@ def _residual(result: StudyResult) -> str:
     estimate = result.final_estimate
     if estimate is None:
         return text.MISSING
-    rms = estimate.rms_after
     return text.listing(
         f"{name} {text.channel_value(name, value, estimate.units)}"
-        for name, value in rms.items()
+        for name, value in estimate.rms_after.items()
     )
 
 

@@ -145,9 +145,8 @@ def _possible_errors(
     resolved = resolve(study)
     assert resolved.prediction is not None  # the section comes of it
     measurement, machine = resolved.measurement, resolved.machine
-    command = resolved.prediction.command
     reference = cast(Reference, section.reference)
-    maps = error_maps(measurement.kinematics, command, reference)
+    maps = error_maps(measurement.kinematics, resolved.prediction.command, reference)
     tolerance = measurement.tolerance[: len(machine.parameters)]
     free = np.flatnonzero(tolerance > 0.0)
     names = [machine.parameters[k].name for k in free]

@@ -452,7 +452,6 @@ def _table(values: Estimates) -> Table:
 
 def _row(name: str, estimate: ParameterEstimate, *, with_truth: bool) -> list[str]:
     decimals = text.decimals_for(estimate.sd)
-    verdict = estimate.identified
     cells = [
         name,
         text.fixed(estimate.value, decimals),
@@ -460,7 +459,7 @@ def _row(name: str, estimate: ParameterEstimate, *, with_truth: bool) -> list[st
         text.trimmed(estimate.nominal, 7),
         text.trimmed(estimate.prior_sd, 3),
         text.unit_symbol(estimate.unit),
-        text.meaning(verdict, TYPE_MEANINGS),
+        text.meaning(estimate.identified, TYPE_MEANINGS),
     ]
     if with_truth:
         cells.append(text.fixed(estimate.truth, decimals))

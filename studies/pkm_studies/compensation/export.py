@@ -135,10 +135,9 @@ def _add_grid(
     largest: int | None,
 ) -> Compensation:
     """The content with the grid of its table, where its workspace is in reach."""
-    kinematics = content.kinematics
     correction = table_grid.table_correction(content)
     want = table_grid.add_offsets(
-        table_grid.table_accuracy(kinematics, result.final_prediction),
+        table_grid.table_accuracy(content.kinematics, result.final_prediction),
         content.further,
         result.final_prediction,
     )

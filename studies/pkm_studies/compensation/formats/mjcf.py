@@ -27,8 +27,7 @@ QUIET = {"contype": "0", "conaffinity": "0"}
 
 def write(compensation: Compensation) -> Texts:
     """The model, and its numbers for each draw of the posterior."""
-    values = compensation.identified.values
-    root = _model(compensation, values)
+    root = _model(compensation, compensation.identified.values)
     lines = [
         *compensation.comments,
         "SI units: m, rad; driven joints read as those of the study",

@@ -157,8 +157,7 @@ def effect_tables(
     tabled = tabled_effects(corrected, command)
     if not tabled.tables:
         return [], tabled.missing
-    readings = corrected.readings
-    kinematics = readings.measurement.kinematics
+    kinematics = corrected.readings.measurement.kinematics
     want = table_accuracy(kinematics, prediction)
 
     def correction(places: Array) -> Array:
@@ -270,11 +269,10 @@ def corrected_section(
     `warnings` those of the fit.
     """
     measurement, estimate = corrected.measurement, corrected.estimate
-    count = corrected.parameters
     if truth is not None:
         truth = np.concatenate([truth, np.full(len(corrected.scales), np.nan)])
     whole = estimate_section(measurement, corrected.series, estimate, truth)
-    names = measurement.names[:count]
+    names = measurement.names[: corrected.parameters]
     parameters = {n: p for n, p in whole.parameters.items() if n in names}
     size = len(parameters)
     predicted = None
@@ -612,8 +610,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
     if corrected is None:
         return state.add_warnings("no effect that was named changes these readings")
     # the noise without what the effects explain
-    setups = state.measurement.setups
-    noisy = with_noise(state.goodness, corrected.estimate, setups)
+    noisy = with_noise(state.goodness, corrected.estimate, state.measurement.setups)
     with_effects = state.replace(corrected=corrected).add_sections(goodness=noisy)
     try:
         return _add_section(with_effects, corrected, gap)

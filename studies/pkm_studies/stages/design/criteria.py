@@ -48,8 +48,7 @@ class StudyCriteria:
         if request is None:
             return None
         kinematics = self.resolved.measurement.kinematics
-        reference = request.table.reference
-        return accuracy.error_maps(kinematics, request.command, reference)
+        return accuracy.error_maps(kinematics, request.command, request.table.reference)
 
     @property
     def needed_maps(self) -> accuracy.ErrorMaps:

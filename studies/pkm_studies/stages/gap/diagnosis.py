@@ -458,12 +458,10 @@ def advise_second_visit(
         "feed": [v * units.MM_PER_MIN for v in _values(conditions.feed_mm_min)],
         "payload": _values(conditions.payload),
     }
-    effects = request.effects
-    visit = propose_second_visit(diagnosis, effects, rng, values, further)
+    visit = propose_second_visit(diagnosis, request.effects, rng, values, further)
     if visit is None or visit.probability_after < visit.probability_now + LEAST_GAIN:
         return None
-    measurement = diagnosis.problem.measurement
-    csv = poses_csv(measurement, visit.series, visit.covariates)
+    csv = poses_csv(diagnosis.problem.measurement, visit.series, visit.covariates)
     return VisitAdvice(_record(visit), csv)
 
 
