@@ -15,26 +15,22 @@ import numpy as np
 
 from oed import units
 from oed.base import Array
-from oed.instrument import Instrument
 from oed.mechanism import Kinematics
 from oed.model import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.text import unit_symbol
 from pkm_reports.view import PageView, ViewLabel, ViewLine, points_mm
-from pkm_studies import catalogue, describe, files, shipped
+from pkm_studies import catalogue, describe, shipped
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import (
-    SHARES,
+    StartingModel,
     default_instrument,
-    draft_text,
-    first_sound,
     format_numbers,
     read_time,
-    with_time,
+    write_draft,
 )
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import described_machine
-from pkm_studies.study import SUFFIX
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
@@ -120,7 +116,9 @@ class StudyForm:
         family = self._model(machine).family
         if family is None:
             return []
-        return [_size_field(d) for d in family.dimensions]
+        lists = [d.default for d in family.dimensions if None in d.shape]
+        count = max((len(np.atleast_1d(v)) for v in lists), default=1)
+        return [_size_field(d, count) for d in family.dimensions]
 
     def components(self, machine: str) -> dict[str, str]:
         """Errors that may be limited, `z [\u00b5m]`, by key such as `z_um`."""
@@ -145,32 +143,20 @@ class StudyForm:
             raise FieldError("name", error) from error
         if form.instrument not in self.instruments(form.machine):
             raise _error("instrument", "it cannot read this machine", "choose another")
-        tool = catalogue.instrument(
-            form.instrument, self.origin, Location("form")
-        ).for_machine(machine)
-        if tool.single:
-            tool = tool.take_channels([tool.channels[0].name])
-        study = path.name.removesuffix(SUFFIX)
-        texts = (self._draft(form, study, machine, tool, share) for share in SHARES)
-        text = first_sound(texts, path, self.origin)
-        return files.write_whole(path, text)
+        stated, allowed = self._stated(form), list(self.components(form.machine))
 
-    def _draft(
-        self,
-        form: NewStudy,
-        name: str,
-        machine: Machine,
-        tool: Instrument,
-        share: float,
-    ) -> str:
-        text = draft_text(name, form.machine, machine, form.instrument, tool, share)
-        text = _add_sizes(text, self._stated(form))
-        if form.time.strip():
-            try:
-                text = with_time(text, read_time(form.time), tool)
-            except InputError as error:
+        def complete(draft: str) -> str:
+            return _add_wanted(_add_sizes(draft, stated), form.wanted, allowed)
+
+        start = StartingModel(form.machine, machine)
+        tool, origin = form.instrument, self.origin
+        try:
+            seconds = read_time(form.time) if form.time.strip() else None
+            return write_draft(path.name, start, tool, origin, seconds, complete)
+        except InputError as error:
+            if error.field == "time":
                 raise FieldError("time", error) from error
-        return _add_wanted(text, form.wanted, list(self.components(form.machine)))
+            raise
 
     def _stated(self, form: NewStudy) -> dict[str, str]:
         """Sizes that differ from the family's, as TOML by key. Raises FieldError."""
@@ -205,11 +191,14 @@ class StudyForm:
         return model
 
 
-def _size_field(dimension: Dimension) -> SizeField:
-    """The table of a size: as many cells as it has numbers."""
+def _size_field(dimension: Dimension, count: int) -> SizeField:
+    """The table of a size: as many cells as it has numbers.
+
+    count  length of a list that may have any: that of the family's others
+    """
     unit = "" if dimension.unit == "1" else display_unit(dimension.unit)
     symbol = f" [{unit_symbol(unit)}]" if unit else ""
-    cells = _cells(dimension)
+    cells = _cells(dimension, count)
     nested = cells.ndim > 1
     rows = np.atleast_2d(cells)
     width = rows.shape[1]
@@ -227,14 +216,14 @@ def _size_field(dimension: Dimension) -> SizeField:
     )
 
 
-def _cells(dimension: Dimension) -> np.typing.NDArray[np.str_]:
+def _cells(dimension: Dimension, count: int) -> np.typing.NDArray[np.str_]:
     """The numbers of a size as texts, of its shape; empty where they are derived."""
-    shape = tuple(n or 1 for n in dimension.shape) or (1,)
+    shape = tuple(n or count for n in dimension.shape) or (1,)
     default = dimension.default
     if default is None:
         return np.full(shape, "")
     if None in dimension.shape:
-        shape = np.shape(default)
+        shape = np.shape(default) or shape
     whole = np.broadcast_to(default, shape)
     numbers = json.loads(format_numbers(whole, dimension.unit))
     return np.array([f"{n:.{DIGITS}g}" for n in np.ravel(numbers)]).reshape(shape)

@@ -40,6 +40,12 @@ def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
     assert shown["arm_mm"].label == "arm [mm]"
 
 
+def test_a_derived_list_has_a_cell_for_each_cable(tmp_path: Path) -> None:
+    shown = {field.key: field for field in StudyForm(tmp_path).sizes("cable_robot")}
+    assert shown["stiffness_N"].rows == [[""] * len(shown["anchor_mm"].rows)]
+    assert shown["gear"].rows == [shown["gear"].rows[0][:1] * 4]
+
+
 def test_one_number_for_all_is_the_same_list(tmp_path: Path) -> None:
     """The form shows three arms of 345; left as they are, the study states none."""
     path = StudyForm(tmp_path).write(form(sizes={"arm_mm": "[345, 345, 345]"}))

@@ -88,13 +88,6 @@ def _zeros(axes: str) -> tuple[Parameter, ...]:
     return tuple(Parameter(f"zero_{n}", 0.0, 0.0, "rad", about.format(n)) for n in axes)
 
 
-def _unfit(machine: Machine) -> str | None:
-    """A platform that keeps its orientation has none to read."""
-    pose = {c.name: ca.SX.sym(c.name) for c in machine.pose}
-    rotation, _ = machine.platform(pose)
-    if ca.depends_on(ca.vec(rotation), ca.vertcat(*pose.values())):
-        return None
-    return "its platform keeps its orientation"
 
 
 def _orientation(
@@ -105,6 +98,17 @@ def _orientation(
     observe: Callable[[Sequence[Frame], Values, Values], list[Expr]],
     cost: Cost,
 ) -> Instrument:
+    zeros = _zeros(TURNS[: len(channels)])
+
+    def unfit(machine: Machine) -> str | None:
+        """A platform whose turns it does not read, as a level's in a plane."""
+        pose = {c.name: ca.SX.sym(c.name) for c in machine.pose}
+        frame = Frame(*machine.platform(pose))
+        read = ca.vertcat(*observe([frame], {z.name: 0.0 for z in zeros}, {}))
+        if ca.depends_on(read, ca.vertcat(*pose.values())):
+            return None
+        return "its platform keeps the orientation that is read"
+
     return Instrument(
         name=name,
         source=SOURCE,
@@ -113,10 +117,10 @@ def _orientation(
             Channel(n, "rad", sigma, about=about) for n, about in channels.items()
         ),
         settings=(),
-        nuisances=_zeros(TURNS[: len(channels)]),
+        nuisances=zeros,
         cost=cost,
         observe=observe,
-        unfit=_unfit,
+        unfit=unfit,
     )
 
 

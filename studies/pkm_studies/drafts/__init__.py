@@ -1,14 +1,11 @@
 """Drafts of a study for a machine and an instrument, with open places for the user.
 
 write_draft         writes the draft of a study, as `oed new` does
-draft_text          its text
+StartingModel       a machine to start from, with its numbers in the study
 model_of            the machine that it starts from: of the catalogue, or a file of bodies
 default_instrument  an instrument that can read a machine as it stands, and others
-first_sound         the first of some drafts whose poses the machine can take
 prediction_table    the workspace of a draft, where accuracy counts
 read_time           seconds of a time as one says it: `two days`
-with_time           a draft with as many readings as a time has
-SHARES              shares of the workspace that drafts try, the largest first
 format_numbers      numbers in SI as a draft writes them
 """
 
@@ -17,14 +14,13 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_studies.drafts.axis_lines import SHARES, format_numbers, prediction_table
+    from pkm_studies.drafts.axis_lines import format_numbers, prediction_table
     from pkm_studies.drafts.drafts import (
+        StartingModel,
         default_instrument,
-        first_sound,
         model_of,
         write_draft,
     )
-    from pkm_studies.drafts.template import draft_text
-    from pkm_studies.drafts.time_budget import read_time, with_time
+    from pkm_studies.drafts.time_budget import read_time
 else:
     __getattr__ = door(__name__)

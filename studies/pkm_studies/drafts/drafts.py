@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from oed.mechanism import AssemblyError
@@ -84,11 +84,13 @@ def write_draft(
     instrument: str,
     origin: Origin,
     seconds: float | None = None,
+    complete: Callable[[str], str] = str,
 ) -> Path:
     """Write NAME.study.toml into a folder; its path. Without a name, the machine's.
 
-    origin   the folder, and whether the models' files may run
-    seconds  that the readings may take; None: READINGS of them
+    origin    the folder, and whether the models' files may run
+    seconds   that the readings may take; None: READINGS of them
+    complete  makes the text of the study from a draft
 
     Raises InputError for a bad name, an existing file, an instrument that cannot read
     the machine, and too short a time.
@@ -113,7 +115,7 @@ def write_draft(
         )
         for share in SHARES
     )
-    draft = first_sound(drafts, path, origin)
+    draft = first_sound(map(complete, drafts), path, origin)
     if seconds is not None:
         draft = time_budget.with_time(draft, seconds, tool)
     return files.write_whole(path, draft)

@@ -1,5 +1,9 @@
 """Level, dial gauges and autocollimator on a platform that is turned by known angles."""
 
+import dataclasses
+from typing import Any
+
+import casadi as ca
 import numpy as np
 import pytest
 from shipped_models import a3_head, hexapod, linear_delta, orientation, planar_2dof
@@ -43,9 +47,18 @@ def test_zeros_are_held_unless_freed() -> None:
     assert m.readings([series], theta) == pytest.approx([4e-5, 0.0], abs=1e-12)
 
 
-@pytest.mark.parametrize("machine", [linear_delta.machine, planar_2dof.machine])
-def test_a_platform_that_keeps_its_orientation_has_none_to_read(
-    machine: object,
-) -> None:
-    with pytest.raises(ValueError, match="its platform keeps its orientation"):
+def _about_z(pose: dict) -> tuple[ca.SX, ca.SX]:
+    c, s = ca.cos(pose["y"]), ca.sin(pose["y"])
+    rows = [ca.horzcat(c, -s, 0.0), ca.horzcat(s, c, 0.0), ca.horzcat(0.0, 0.0, 1.0)]
+    return ca.vertcat(*rows), ca.vertcat(0.0, pose["y"], pose["z"])
+
+
+SPINNING = dataclasses.replace(planar_2dof.machine, platform=_about_z)
+
+
+@pytest.mark.parametrize(
+    "machine", [linear_delta.machine, planar_2dof.machine, SPINNING]
+)
+def test_a_platform_that_does_not_tilt_has_nothing_for_a_level(machine: Any) -> None:
+    with pytest.raises(ValueError, match="its platform keeps the orientation"):
         Measurement(machine, [mount(orientation.level, "level")])
