@@ -20,7 +20,7 @@ from pkm_studies import describe
 from pkm_studies.base import Progress, Silent
 from pkm_studies.results import load_result
 from pkm_studies.stages import headline
-from pkm_studies.stages.correct.corrected import correct_for_effects
+from pkm_studies.stages.correct.corrected import correct_for_effects, refuse_untestable
 from pkm_studies.stages.correct.mixture import mix_answers
 from pkm_studies.stages.design.section import (
     analyse_identifiability,
@@ -91,7 +91,7 @@ def steps_from_readings(state: Scheduled) -> list[Step]:
     only_planned = not isinstance(state, Measured)
     fit = (fit_parameters, sample_posterior, diagnose_gap)
     return [
-        *_unless(only_planned, check_readings),
+        *_unless(only_planned, check_readings, refuse_untestable),
         analyse_identifiability,
         report_design,
         preview_gap,

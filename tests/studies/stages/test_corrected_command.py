@@ -184,6 +184,7 @@ def test_an_effect_that_the_readings_cannot_show_is_refused(
     options = ["--with", "backlash", "--out", str(folder / "no")]
     assert run("identify", study, "--readings", readings, *options) == 2
     assert "direction" in capsys.readouterr().err
+    assert not (folder / "no/result.json").exists()  # before any fit
 
 
 # -- the alarm of a bad fit ------------------------------------------------------------

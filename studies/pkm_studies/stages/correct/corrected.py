@@ -23,7 +23,6 @@ from oed.corrected import (
     ChosenForm,
     CorrectedAccuracy,
     CorrectedEstimate,
-    EffectReadings,
     StateTable,
     TabledEffects,
     TurnedRuns,
@@ -78,7 +77,7 @@ from pkm_studies.stages.predict.prediction import (
     budget_section,
     spread_record,
 )
-from pkm_studies.stages.run_state import Fitted
+from pkm_studies.stages.run_state import Fitted, Measured
 
 # Coefficients of the joint estimate, for the diagnosis and its sentences.
 
@@ -591,8 +590,6 @@ def correct_for_effects(state: Fitted) -> Fitted:
         return state
     state.progress.stage("parameters and effects together")
     effect_readings = readings_with_covariates(state, request)
-    if state.with_effects:
-        _refuse_untestable(state, effect_readings, effects)
     refusal = f"nothing is corrected for {', '.join(e.name for e in effects)}, because"
     try:
         corrected = estimate_with_effects(
@@ -624,7 +621,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
 
 
 def _effects(
-    state: Fitted, request: GapRequest, gap: GapSection | None
+    state: Measured, request: GapRequest, gap: GapSection | None
 ) -> list[Effect]:
     """The effects of the command, or those that the diagnosis holds likely."""
     if state.with_effects:
@@ -642,12 +639,14 @@ def _effects(
     ]
 
 
-def _refuse_untestable(
-    state: Fitted, effect_readings: EffectReadings, effects: Sequence[Effect]
-) -> None:
-    """Raises InputError for an effect that these readings cannot show."""
-    states = effect_readings.problem(state.estimate.theta).states
-    for effect in effects:
+def refuse_untestable(state: Measured) -> Measured:
+    """Raises InputError for an effect of the command that these readings cannot show."""
+    if not state.with_effects:
+        return state
+    request = state.resolved.diagnosed
+    effect_readings = readings_with_covariates(state, request)
+    states = effect_readings.problem(state.measurement.nominal).states
+    for effect in _effects(state, request, None):
         reason = untestable(effect, states)
         if reason is not None:
             raise state.study.location.key("--with").error(
@@ -655,6 +654,7 @@ def _refuse_untestable(
                 "record it, or name other effects",
                 effect.name,
             )
+    return state
 
 
 def _add_section(
