@@ -308,10 +308,7 @@ def test_bad_case_functions_are_refused(
     ],
 )
 def test_a_broken_case_is_set_aside_and_computed_again(
-    own: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    content: bytes | str,
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | str
 ) -> None:
     out = tmp_path / "out"
     assert run(own, out) == 0

@@ -27,7 +27,7 @@ from pkm_studies.base import InputError
         (r"^\S+,(?P<read_x_mm>[^,]+),(?P<read_y_mm>[^,]+)", "P1, 1.5,-2", {"read_x": 1.5e-3, "read_y": -2e-3}),
         (r"R=(?P<length_mm>[-\d,]+)", "R=300,125 ok", {"length": 0.300125}),
         (r"R=(?P<length_mm>[-\d.]+)", "no reading", None),
-        (r"R=(?P<length_mm>\S+)", "R=abc", None),
+        (r"R=(?P<length_mm>\S+)", "R=abc", None)
     ],
 )  # fmt: skip
 def test_a_line_becomes_numbers(

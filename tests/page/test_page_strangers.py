@@ -166,10 +166,7 @@ def test_a_script_in_a_remark_is_text(machine: Any) -> None:
 def test_other_computers_need_the_token(page_study: Path, tmp_path: Path) -> None:
     with served(
         page_study, server.PageOptions(tmp_path / "poses.csv"), token="right"
-    ) as (
-        _,
-        port,
-    ):
+    ) as (_, port):
         client = Client(port)
         for path in ("/", "/state", "/events", "/?token=wrong", "/readings.csv"):
             assert client.ask("GET", path)[0] == 401

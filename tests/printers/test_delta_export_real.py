@@ -19,10 +19,7 @@ __all__ = ["measurement", "sessions"]  # fixtures
 
 @pytest.mark.parametrize("name", ["S03", "S04"])
 def test_klippers_residuals_agree_to_the_printed_digits(
-    measurement: Measurement,
-    sessions: dict[str, Session],
-    tmp_path: Path,
-    name: str,
+    measurement: Measurement, sessions: dict[str, Session], tmp_path: Path, name: str
 ) -> None:
     """The heights that Klipper, with our file, believes in where its carriages were."""
     session = sessions[name]

@@ -68,8 +68,7 @@ def test_other_machines_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("factor", "places"),
-    [(np.pi / 180.0, True), (np.pi / 180.0, False), (-1.0, True)],
+    ("factor", "places"), [(np.pi / 180.0, True), (np.pi / 180.0, False), (-1.0, True)]
 )
 def test_motors_in_radians_or_wound_the_other_way_are_refused(
     factor: float, places: bool, shared_data: Path, tmp_path: Path

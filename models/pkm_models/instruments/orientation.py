@@ -88,8 +88,6 @@ def _zeros(axes: str) -> tuple[Parameter, ...]:
     return tuple(Parameter(f"zero_{n}", 0.0, 0.0, "rad", about.format(n)) for n in axes)
 
 
-
-
 def _orientation(
     name: str,
     about: str,

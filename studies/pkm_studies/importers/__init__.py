@@ -26,12 +26,12 @@ if TYPE_CHECKING:
         ImportRequest,
         MeshUse,
         Row,
-        importers,
         line_field,
         readings_name,
     )
     from pkm_studies.importers.column_map import Model, imported_study
     from pkm_studies.importers.line_times import Stamp, read_tables, stamp, steps
+    from pkm_studies.importers.registry import importers
     from pkm_studies.importers.session import import_files
 else:
     __getattr__ = door(__name__)

@@ -9,7 +9,7 @@ from pathlib import Path
 from oed.mechanism import AssemblyError
 from pkm_studies import files
 from pkm_studies.base import InputError
-from pkm_studies.importers import base
+from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import comments_of_study, resolve
 from pkm_studies.study import SUFFIX, load, parse
@@ -32,7 +32,7 @@ def import_files(
 
     Raises InputError, also where one of the files to write exists already.
     """
-    importer = base.importer(kind, consent)
+    importer = registry.importer(kind, consent)
     stated = {"--machine": machine is not None, "--map": column_map is not None}
     stated["--mesh"] = mesh != "hold-out"
     for option in base.unused_options(importer):

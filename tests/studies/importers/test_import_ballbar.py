@@ -197,7 +197,7 @@ def test_circles_without_names_of_files_are_one_in_each(
         ("runs = [2]", "", "run 1 of vertical.csv belongs to another circle"),
         ('plane = "yz"', 'plane = "yz"\nsetup = "setup1"', "its cup or bar elsewhere"),
         ('files = ["ccw.csv", "cw.csv"]\n', "", "3 circles are in 3 files"),
-        ("[[circles]]", "[circle]\ncentre_mm = [0, 0, 0]\nradius_mm = 9\n[[circles]]", "as well"),
+        ("[[circles]]", "[circle]\ncentre_mm = [0, 0, 0]\nradius_mm = 9\n[[circles]]", "as well")
     ],
 )  # fmt: skip
 def test_runs_that_belong_to_no_circle_or_two_are_refused(

@@ -64,9 +64,7 @@ def test_each_reading_makes_the_machine_better_known(
 
 
 def test_the_command_says_what_is_next_and_when_to_stop(
-    study: Path,
-    readings: Callable[[int], Path],
-    capsys: pytest.CaptureFixture[str],
+    study: Path, readings: Callable[[int], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["next", str(study), "--readings", str(readings(6))]
     assert main([*arguments, "--wanted", "z_um=1e7"]) == 0
@@ -89,9 +87,7 @@ def test_the_command_says_what_is_next_and_when_to_stop(
 
 
 def test_readings_that_do_not_fit_end_no_session(
-    study: Path,
-    readings: Callable[[int], Path],
-    capsys: pytest.CaptureFixture[str],
+    study: Path, readings: Callable[[int], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Every second length is off by 0.02 mm: no accuracy is reached with those."""
     path = readings(21)
