@@ -288,8 +288,7 @@ nowhere = dataclasses.replace(
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["big", "narrow", pytest.param("free", marks=pytest.mark.slow)],
+    "name", ["big", "narrow", pytest.param("free", marks=pytest.mark.slow)]
 )
 def test_a_draft_of_a_machine_that_reaches_less_than_its_ranges_is_sound(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

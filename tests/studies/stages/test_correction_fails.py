@@ -16,7 +16,6 @@ def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
     effects = [SimpleNamespace(name="step")]
     monkeypatch.setattr(corrected, "_effects", lambda *given: effects)
     monkeypatch.setattr(corrected, "readings_with_covariates", mock.MagicMock())
-    monkeypatch.setattr(corrected, "_refuse_untestable", mock.MagicMock())
     monkeypatch.setattr(
         corrected, "estimate_with_effects", mock.MagicMock(side_effect=error)
     )
