@@ -44,7 +44,7 @@ def unseen_mistakes(
         return []
     limit = plain.penalised + MAX_GAIN
     by_kind: dict[str, list[str]] = {}
-    for trial in _trials(Suspect(exact, with_amounts=False)):
+    for trial in _trials(Suspect(exact, whole=True)):
         if _fits(exact, trial, limit):
             text = trial.text(trial.amounts, trial.amounts)
             by_kind.setdefault(trial.kind, []).append(text)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from oed.base import Array, consecutive_slices
 from oed.dataset.columns import ReadingsColumn
 from oed.instrument import Channel, Setup
 from oed.measurement import Measurement, Series
 from oed.model import Coordinate, Machine
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # A digest of each reading, by which a session is known again in any order of rows and columns.
 
@@ -104,6 +107,8 @@ def named_rows(covariates: pd.DataFrame) -> Array:
     rows = covariates["row"].to_numpy()
     if FILE_COLUMN not in covariates:
         return np.asarray(rows)
+    import pandas as pd
+
     files = pd.Categorical(covariates[FILE_COLUMN])
     named = [
         FileRow(int(number), int(row), str(file))
@@ -246,6 +251,8 @@ def from_series(
     The order counts within each run. Where several series of one set-up use a run name,
     the later ones get a number.
     """
+    import pandas as pd  # digests of readings need no tables
+
     series = _distinct_runs(series)
     layouts = column_layouts(measurement, series)
     frames = []

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import pandas as pd
-
-from oed.dataset.columns import (
-    ReadingsColumn,
-)
+from oed.dataset.columns import ReadingsColumn
 from oed.text import shorten
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: column of a frame, which no file can have: the row's file
 FILE = "#file"

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pandas as pd
 
 from oed import csv_text, units
 from oed.base import Array, Index, Mask
@@ -183,6 +182,8 @@ def numbers_of(
     remedy: str,
 ) -> Array:
     """SI values (n,) of a column, NaN where the cell is empty. Raises ReadingsError."""
+    import pandas as pd  # names and limits of columns need no tables
+
     cells = pd.Series(text, dtype=object)
     parsed = pd.to_numeric(cells, errors="coerce")
     values = parsed.to_numpy(dtype=float, na_value=np.nan)
@@ -278,6 +279,8 @@ def from_rows(
         raise ReadingsError(
             "there are no readings below the header", "add one row a reading", file=file
         )
+    import pandas as pd
+
     frame = pd.DataFrame({FILE: file, ROW: cells.rows, **cells.columns})
     table = ReadingsFile(file, frame, columns)
     check_rows(table)

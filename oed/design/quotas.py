@@ -18,7 +18,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import optimize
+import scipy  # its parts load when first used
 
 from oed.base import Array, Index, Mask
 
@@ -183,19 +183,19 @@ class QuotaSet:
         total = np.repeat([1.0, 0.0], [count, 2 * count])[None]
         distance = np.hstack([one, -one, one])
         constraints = [
-            optimize.LinearConstraint(total, self.size, self.size),
-            optimize.LinearConstraint(distance, target, target),
+            scipy.optimize.LinearConstraint(total, self.size, self.size),
+            scipy.optimize.LinearConstraint(distance, target, target),
         ]
         if rows:
             limits = self.least[rows], self.most[rows]
             counts = np.hstack([pattern[rows], none])
-            constraints.append(optimize.LinearConstraint(counts, *limits))
+            constraints.append(scipy.optimize.LinearConstraint(counts, *limits))
         zeros, unlimited = np.zeros(2 * count), np.full(2 * count, np.inf)
-        solution = optimize.milp(
+        solution = scipy.optimize.milp(
             c=np.repeat([0.0, 1.0], [count, 2 * count]),
             constraints=constraints,
             integrality=np.repeat([1, 0], [count, 2 * count]),
-            bounds=optimize.Bounds(
+            bounds=scipy.optimize.Bounds(
                 np.append(taken, zeros), np.append(available, unlimited)
             ),
             options={"presolve": False},  # presolve fails in one problem of 1500

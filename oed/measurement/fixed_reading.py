@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import elementwise
 
 from oed.base import Array, Mask
 from oed.measurement import Measurement
@@ -26,6 +25,8 @@ def _solve_coordinate(
 
     Returns them, and the mask (n,) of those that have a solution within the range.
     """
+    from scipy.optimize import elementwise  # takes as long as NumPy to import
+
     solved = np.array(command, dtype=float)
 
     def excess(value: Array, row: Array) -> Array:

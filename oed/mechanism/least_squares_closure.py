@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from scipy import optimize
+import scipy  # its parts load when first used
 
 from oed.base import Array
 from oed.mechanism.expressions import MachineExpressions, machine_expressions
@@ -63,7 +63,7 @@ def _least_squares(
     )
     value = ca.Function("rows", [z], [rows])
     slope = ca.Function("slope", [z], [ca.jacobian(rows, z)])
-    solution = optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         lambda z: np.nan_to_num(np.array(value(z)).ravel(), nan=1e3),
         start,
         jac=lambda z: np.nan_to_num(np.array(slope(z))),

@@ -17,7 +17,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
@@ -56,6 +55,8 @@ def twist_between(
 
     Rotations (..., 3, 3), points (..., 3), all in the base frame.
     """
+    from scipy.spatial.transform import Rotation  # kinematics alone need none
+
     turn = other_rotation @ np.swapaxes(rotation, -1, -2)
     vector = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec()
     shift = other_point - point

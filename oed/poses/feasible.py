@@ -32,7 +32,6 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import casadi as ca
 import numpy as np
-from scipy.special import ndtr
 
 from oed.base import Array, Mask
 from oed.measurement import Measurement, Series
@@ -400,6 +399,8 @@ def travel_probability(
     travel      about the value held
     held        that value; by default what the instrument holds by design
     """
+    from scipy.special import ndtr  # takes a tenth of a second to import
+
     theta = measurement.nominal
     if covariance.shape != (len(theta), len(theta)):
         raise ValueError(

@@ -47,9 +47,9 @@ def studies() -> dict[str, ShippedStudy]:
     return listing
 
 
-def find(name: str, field: str) -> ShippedStudy:
-    """The shipped study of this name. Raises InputError about `field`."""
-    available = studies()
+def find(name: str, field: str) -> Path:
+    """The file of the shipped study of this name. Raises InputError about `field`."""
+    available = {p.name.removesuffix(SUFFIX): p for p in folder().glob(f"*{SUFFIX}")}
     if name not in available:
         remedy = suggest(name, available, "shipped")
         raise InputError("no such shipped study", remedy, field=field, value=name)
@@ -65,7 +65,7 @@ def study_path(path: Path) -> Path:
     is_name = path.name == str(path) and not path.suffix
     if path.exists() or not is_name:
         return path
-    return find(path.name, "STUDY").path
+    return find(path.name, "STUDY")
 
 
 def copy(name: str, source: str, out: Path) -> Path:
@@ -73,7 +73,7 @@ def copy(name: str, source: str, out: Path) -> Path:
 
     Raises InputError for an unknown study, and where the file exists.
     """
-    text = find(source, "--from").path.read_text(encoding="utf-8")
+    text = find(source, "--from").read_text(encoding="utf-8")
     path = new_path(name, out)
     title = path.name.removesuffix(SUFFIX)
     return files.write_whole(path, NAME_LINE.sub(f'name = "{title}"', text, count=1))

@@ -45,14 +45,22 @@ _MISTAKES = (
     contradiction,
 )
 
+#: mistakes that have an amount, concern a part, or show in the noise
+_NEVER_WHOLE = (sorting, amounts, tools, contradiction)
+
 #: kinds that an effect of the machine can mimic: a diagnosis tells them apart
 PHYSICAL_KINDS = ("offset", "run", "factor", "tool", "size", "change", "contradiction")
 
 
 def trials(data: Suspect, *, of_noise: bool = False) -> Iterator[MistakeTrial]:
-    """Every mistake of a session, undone; those of its noise alone."""
+    """Every mistake of a session, undone; those of its noise alone.
+
+    Of a suspect `whole`, at least those of the file and of set-ups that have no amount,
+    and for which no command is solved.
+    """
     if of_noise:
         yield from noise.noise_trials(data)
         return
     for mistake in _MISTAKES:
-        yield from mistake.trials(data)
+        if not (data.whole and mistake in _NEVER_WHOLE):
+            yield from mistake.trials(data)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from scipy.spatial import transform
+import scipy  # its parts load when first used
 
 from oed.base import Array, Mask, Orientation, rotation
 from oed.checks.mistakes.moved import Change, commanded, moved_trials, permuted
@@ -159,7 +159,7 @@ def _conventions(orientation: Orientation) -> list[Orientation]:
 def _vector_rotations(names: Sequence[str], angles: Mapping[str, Array]) -> Array:
     """Rotations (n, 3, 3) by the vectors that some angles are."""
     vectors = np.column_stack([angles[name] for name in names])
-    return np.asarray(transform.Rotation.from_rotvec(vectors).as_matrix())
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(vectors).as_matrix())
 
 
 def _axes_mistakes(turn: Array) -> Iterator[FrameMistake]:

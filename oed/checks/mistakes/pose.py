@@ -64,7 +64,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     for sentence, change in _changes(data):
         moved = commanded(measurement, change)
         yield from moved_trials(data, "pose", f"{sentence}{{within}}", moved)
-    if not data.with_amounts:
+    if data.whole:
         return
     for k, coordinate in enumerate(measurement.machine.command):
         for sought in sought_amounts(coordinate):

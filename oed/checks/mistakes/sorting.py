@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import optimize, special
+import scipy  # its parts load when first used
 
 from oed.base import Array, Index
 from oed.checks.mistakes.suspect import Scope, Suspect
@@ -87,7 +87,7 @@ def _ordered(
     if not np.array_equal(y, session.y):
         kind = "sorting" if sorted_by else "disorder"
         trial = value_trial(session, kind, scope, text, y)
-        orders = sum(special.gammaln(1.0 + len(table)) for table in tables)
+        orders = sum(scipy.special.gammaln(1.0 + len(table)) for table in tables)
         log_prior = 0.0 if sorted_by else -float(orders)
         yield dataclasses.replace(trial, log_prior=log_prior)
     if sorted_by and is_alone:
@@ -101,7 +101,7 @@ def _matching(expected: Array, values: Array) -> Index:
         source[np.argsort(expected[:, 0])] = np.argsort(values[:, 0])
         return source
     cost = ((expected[:, None] - values[None]) ** 2).sum(axis=2)
-    return np.asarray(optimize.linear_sum_assignment(cost)[1])
+    return np.asarray(scipy.optimize.linear_sum_assignment(cost)[1])
 
 
 def _order(data: Suspect, groups: list[Index]) -> str:
@@ -143,7 +143,7 @@ def _distribution_alone(
     for table in tables:
         y, count = data.session.y[table], len(table)
         sd = max(float(np.std(y)), float(np.median(data.sigma[table])))
-        log_density += float(special.gammaln(1.0 + count))
+        log_density += float(scipy.special.gammaln(1.0 + count))
         log_density -= count * (np.log(sd) + 0.5 * np.log(2.0 * np.pi) + 0.5)
     return value_trial(
         data.session,

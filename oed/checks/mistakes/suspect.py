@@ -158,14 +158,14 @@ Use = tuple[str, tuple[str, ...]]
 class Suspect:
     """A session whose mistakes are looked for; its measurement has all set-ups.
 
-    with_amounts  whether mistakes of an amount in the commands are looked for
-    at            fit at which readings are linear; None for the nominal machine
+    whole  whether only mistakes of the file and of set-ups, without an amount, count
+    at     fit at which readings are linear; None for the nominal machine
 
     Raises AssemblyError where the nominal machine cannot be read.
     """
 
     session: SessionReadings
-    with_amounts: bool = True
+    whole: bool = False
     at: Fit | None = None
 
     def read(self, series: Sequence[Series], theta: Array) -> tuple[Array, Array]:
@@ -272,7 +272,8 @@ class Suspect:
     @functools.cached_property
     def scopes(self) -> list[Scope]:
         """The file, set-ups and runs."""
-        return whole_scopes(self.session)
+        scopes = whole_scopes(self.session)
+        return [s for s in scopes if not (self.whole and s.is_part)]
 
     @property
     def file(self) -> Scope:
@@ -282,7 +283,7 @@ class Suspect:
     @functools.cached_property
     def parts(self) -> list[Scope]:
         """The first and the last rows of set-ups and runs."""
-        return part_scopes(self.session)
+        return [] if self.whole else part_scopes(self.session)
 
     @functools.cached_property
     def runs(self) -> list[Scope]:
@@ -296,7 +297,7 @@ class Suspect:
     @functools.cached_property
     def instruments(self) -> list[tuple[Scope, Mask]]:
         """Values (N,) that one instrument may have read in several set-ups."""
-        return shared_instruments(self.session)
+        return [] if self.whole else shared_instruments(self.session)
 
     @functools.cached_property
     def targets(self) -> list[Mask]:

@@ -7,16 +7,14 @@ import io
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed import checks
-from oed.checks import Severity, unseen_mistakes
-from oed.dataset import Dataset
 from oed.mechanism import AssemblyError, Kinematics, closest_closure
 from oed.model import Machine
-from oed.result import ClosestClosure
-from pkm_studies import catalogue, files, shipped, sources
+from pkm_studies import catalogue, files, shipped, sources, stages
 from pkm_studies.base import InputError, Location, SourceAbsentError, Stream
 from pkm_studies.resolve import (
     ResolvedStudy,
@@ -26,9 +24,12 @@ from pkm_studies.resolve import (
     study_machine,
     unreachable,
 )
-from pkm_studies.stages import check_dataset, check_inputs
 from pkm_studies.study import Study, load
 from pkm_studies.user_code import Consent, Origin
+
+if TYPE_CHECKING:
+    from oed.dataset import Dataset
+    from oed.result import ClosestClosure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +110,7 @@ def _check_study(
         without_readings.check_effect_names()
         resolved.append(without_readings)
         complete = without_readings.with_stated_readings()
-        remarks = check_inputs(complete)
+        remarks = stages.check_inputs(complete)
         content = _content(study, complete)
         if complete.dataset is not None:
             return _add_findings(content, complete, complete.dataset)
@@ -126,9 +127,10 @@ def _check_study(
 
 def _add_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
     """What a check of readings says."""
-    checked = check_dataset(study, data, _rng(study))
-    findings = [f.sentence for f in checked.findings if f.severity < Severity.REMARK]
-    remarks = [f.sentence for f in checked.findings if f.severity == Severity.REMARK]
+    checked = stages.check_dataset(study, data, _rng(study))
+    remark = checks.Severity.REMARK
+    findings = [f.sentence for f in checked.findings if f.severity < remark]
+    remarks = [f.sentence for f in checked.findings if f.severity == remark]
     return Verdict(content, findings, remarks)
 
 
@@ -142,8 +144,7 @@ def _unseen(study: ResolvedStudy) -> list[str]:
     exact = measurement.readings(series, measurement.nominal)
     session = checks.session_readings(measurement, series, exact)
     everything = study.measurement_with(study.setups)
-    measurement = everything
-    unseen = unseen_mistakes(session, measurement, _rng(study))
+    unseen = checks.unseen_mistakes(session, everything, _rng(study))
     return [
         f"Readings of {plan.name} cannot reveal this mistake: {what}."
         for what in unseen

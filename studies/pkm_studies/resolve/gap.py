@@ -12,20 +12,9 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from oed import dataset, units
+from oed import dataset, design, gap, units
 from oed.base import Array
-from oed.design import Candidates, Rules
 from oed.effect_model import Effect
-from oed.effects import (
-    Course,
-    PlannedEffects,
-    SessionStates,
-    draw_courses,
-    expected_columns,
-    over_courses,
-    planned_effects,
-)
-from oed.gap import GapProblem, Run, assemble
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 from oed.model import Machine
@@ -48,6 +37,10 @@ from pkm_studies.tables import (
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from oed.design import Candidates, Rules
+    from oed.effects import Course, PlannedEffects
+    from oed.gap import GapProblem, Run
 
 # Effects as a study states them: expected sizes ([effects], `leg_thermal_C = 1`), gears.
 
@@ -176,6 +169,13 @@ def effects_of_planned(
     The order of the readings is not known before they are chosen: what depends on sense
     of travel, time or temperatures counts as if it were not recorded.
     """
+    from oed.effects import (
+        SessionStates,
+        expected_columns,
+        over_courses,
+        planned_effects,
+    )
+
     problem, courses = planned_courses(measurement, series, request, rng, seconds)
     columns = expected_columns(problem, effects)
     if columns is None:
@@ -199,11 +199,13 @@ def planned_courses(
 
     Temperatures of `bodies` are recorded; `last` readings repeat the first ones.
     """
+    from oed.effects import draw_courses
+
     parted = [s.separate_poses() for s in series]
     empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
     rows = dataset.from_series(parted, empty, measurement, None).covariates
     courses = draw_courses(rows, seconds, DRAWN_COURSES, rng, bodies, last)
-    problem = assemble(
+    problem = gap.assemble(
         measurement, parted, courses[0].covariates, gravity=request.gravity
     )
     return courses[0].of(problem), courses
@@ -543,7 +545,7 @@ def runs_of(
             )
         for condition in conditions:
             parts = [plan, PASS_SUFFIX.sub("", label), *_condition_words(condition)]
-            run = Run(
+            run = gap.Run(
                 name=", ".join(part for part in parts if part),
                 setup=series.setup,
                 command=command,
@@ -726,7 +728,7 @@ def _rules(
     if timed:
         # runs at stated times must not overlap, whatever their set-up: mounting has to
         # fit into the gaps between them
-        return Rules.build(
+        return design.Rules.build(
             size=table.runs,
             seconds=cost,
             budget=budget,
@@ -735,7 +737,7 @@ def _rules(
         )
     setups = list(dict.fromkeys(run.setup for run in runs))
     owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
-    return Rules.build(
+    return design.Rules.build(
         size=table.runs,
         seconds=cost,
         budget=budget,

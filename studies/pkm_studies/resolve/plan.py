@@ -9,15 +9,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed import units
+from oed import planning, units
 from oed.base import Array
-from oed.design import Nuisances
-from oed.effects import PlannedEffects
 from oed.measurement import Measurement, Series
-from oed.planning import Option, build_option
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids
@@ -31,6 +29,11 @@ from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 from pkm_studies.tables import PLAN, GridTable, MeasuredTable, PlanTable
+
+if TYPE_CHECKING:
+    from oed.design import Nuisances
+    from oed.effects import PlannedEffects
+    from oed.planning import Option
 
 MeasurementWith = Callable[[Iterable[str]], Measurement]
 
@@ -275,7 +278,7 @@ def _option(
         numbers = sum(len(s) * len(setups[s.setup].sigma) for s in series)
         nuisances = nuisances.take(slice(numbers))
     try:
-        option = build_option(
+        option = planning.build_option(
             measurement.machine,
             [measurement.setups[n] for n in table.mounted],
             series,

@@ -7,12 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import special
+import scipy  # its parts load when first used
 
-from oed import trust, units
+from oed import history, trust, units
 from oed.base import Array
 from oed.dataset import is_counted
-from oed.history import MachineInformation, fleet_prior
 from oed.instrument import ParameterVector, Setup
 from oed.model import CommonTolerance, Machine, Parameter
 from oed.noise import NoiseStatement
@@ -205,7 +204,7 @@ def fleet_knowledge(
                 raise here.error(problem, "name each machine once", name)
         results[name] = result
         machines.append(_information(result, free, nominal, tolerance, here, name))
-    prior = fleet_prior(machines)
+    prior = history.fleet_prior(machines)
     covariance = prior.covariance * np.outer(tolerance, tolerance)
     return nominal + tolerance * prior.mean, covariance
 
@@ -258,7 +257,7 @@ def _information(
     tolerance: Array,
     location: Location,
     name: str,
-) -> MachineInformation:
+) -> history.MachineInformation:
     """What the readings of a result say, about these nominal values and tolerances."""
     section = result.final_estimate
     assert section is not None
@@ -282,7 +281,7 @@ def _information(
     block = np.array(section.covariance)[np.ix_(indices, indices)] * np.outer(
         scale, scale
     )
-    information = MachineInformation.of_posterior(value, block, start, prior)
+    information = history.MachineInformation.of_posterior(value, block, start, prior)
     return information.rescaled(tolerance / prior, shift)
 
 
@@ -442,7 +441,7 @@ def _share(machine: Machine, number: int) -> float:
     if parameter.tolerance == 0.0 or parameter.name in machine.frame:
         return 1.0
     ends = (np.array(parameter.bounds) - parameter.nominal) / parameter.tolerance
-    low, high = special.ndtr(ends)
+    low, high = scipy.special.ndtr(ends)
     return float(high - low)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial import KDTree
+import scipy  # its parts load when first used
 
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
@@ -103,7 +103,7 @@ class ToolPoints:
         samples, tips = self._samples[key]
         if not len(samples):
             return np.tile(home, (len(points), 1))
-        _, nearest = KDTree(tips).query(points)
+        _, nearest = scipy.spatial.KDTree(tips).query(points)
         return np.asarray(samples[nearest])
 
     def _sampled(self, home: Array, free: list[int]) -> tuple[Array, Array]:

@@ -446,7 +446,9 @@ def lines(
     contradictions = [
         f"{s.words}." for s in result.held_out if s.verdict == CONTRADICTS
     ]
-    failing = [f"Claim {claim_verdict(claim)}" for claim in result.claims if not claim.met]
+    failing = [
+        f"Claim {claim_verdict(claim)}" for claim in result.claims if not claim.met
+    ]
     kept = result_folder.changed_files(folder)
     warnings = [f"Warning: {_sentence(warning)}" for warning in page.warnings]
     # the most useful first, where not all have room

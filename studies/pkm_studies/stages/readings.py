@@ -14,9 +14,6 @@ from oed.mechanism import AssemblyError
 from oed.model import Machine
 from pkm_studies.base import Silent, Stream
 from pkm_studies.resolve import ResolvedStudy
-from pkm_studies.stages.design import order, select
-from pkm_studies.stages.gap import diagnosis
-from pkm_studies.stages.gap.diagnosis import check_coefficients
 from pkm_studies.stages.run_state import (
     HeldOut,
     Measured,
@@ -152,6 +149,8 @@ def _simulated(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
         y = draw_readings(measurement, series, truth, state.rng(Stream.NOISE))
         taken = MeasuredReadings(series=tuple(series), y=y, truth=truth)
         return SimulatedReadings(taken, truth, [])
+    from pkm_studies.stages.gap import diagnosis
+
     planned = diagnosis.empty_readings(measurement, series, request)
     exact, effects = diagnosis.exact_readings(
         measurement, planned, truth, request, state.rng(Stream.EFFECTS)
@@ -201,8 +200,11 @@ def check_inputs(resolved: ResolvedStudy) -> list[str]:
     What only a search can say, such as whether a plan fits its time, is left to the run.
     """
     state = state_of(resolved, resolved.study.seed, Silent())
-    select.check_design(resolved)
-    order.check_reference(resolved)
+    if resolved.study.design is not None:
+        from pkm_studies.stages.design import order, select
+
+        select.check_design(resolved)
+        order.check_reference(resolved)
     _check_forecast(state)
     _check_virtual_machine(state)
     return [] if _has_work(resolved) else [NOTHING_TO_RUN]
@@ -230,6 +232,8 @@ def _check_virtual_machine(state: RunState) -> None:
         return
     some = [s.take(np.arange(min(len(s), FEW))) for s in resolved.candidates[:1]]
     if some and resolved.gap is not None:
+        from pkm_studies.stages.gap.diagnosis import check_coefficients
+
         check_coefficients(resolved.measurement, some, resolved.gap)
 
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 import msgspec
 import numpy as np
 
+from oed import noise_law
 from oed.base import Array, Mask
 from oed.measurement import Measurement, Series
-from oed.noise_law import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies import describe
 from pkm_studies.base import Progress, Stream
@@ -193,9 +193,9 @@ class Measured(Scheduled):
             determined = self.identifiability.identifiability.rank
         freedom = len(self.readings.y) - determined
         assumed = self.study.noise.assumed
-        return freedom >= (
-            self.resolved.MIN_FREEDOM_OF_SCALE if assumed else LEAST_FREEDOM
-        )
+        if assumed:
+            return freedom >= self.resolved.MIN_FREEDOM_OF_SCALE
+        return freedom >= noise_law.LEAST_FREEDOM
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed import accuracy
 from oed.base import Array
-from oed.design import CRITERIA, Candidates, Criterion, compound
-from oed.effects import PlannedEffects
+from oed.design import CRITERIA, compound
 from oed.identifiability import (
     column_scale,
     parameter_covariance,
@@ -26,6 +26,10 @@ from oed.measurement import Measurement, Series
 from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import DesignRequest, ResolvedStudy
 from pkm_studies.tables import DesignTable
+
+if TYPE_CHECKING:
+    from oed.design import Candidates, Criterion
+    from oed.effects import PlannedEffects
 
 
 class StudyCriteria:
