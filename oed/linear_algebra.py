@@ -8,6 +8,7 @@ one that fixed directions choose, and roots of covariances are those that are un
 
 from __future__ import annotations
 
+import functools
 import itertools
 from typing import Final
 
@@ -51,10 +52,15 @@ def canonical_rows(vectors: Array, values: Array | None = None) -> Array:
     count, n = vectors.shape
     if values is None:
         values = np.ones(count)
-    chosen = np.empty_like(vectors)
+    chosen = vectors.copy()
     ends = [0, *_new_groups(values[:count]), count]
+    alone = np.flatnonzero(np.diff(ends) == 1)
+    rows = np.array(ends)[alone]
+    against = vectors[rows] @ _fixed_directions(n, 1)[:, 0] < 0.0
+    chosen[rows[against]] *= -1.0
     for first, stop in itertools.pairwise(ends):
-        chosen[first:stop] = _chosen_basis(vectors[first:stop], n)
+        if stop - first > 1:
+            chosen[first:stop] = _chosen_basis(vectors[first:stop], n)
     return chosen
 
 
@@ -76,12 +82,14 @@ def _chosen_basis(rows: Array, n: int) -> Array:
     These are projected onto the space one after the other, and made orthogonal: the
     result depends on the space alone.
     """
-    if not len(rows):
-        return rows
-    fixed = np.random.default_rng(DIRECTION_SEED).standard_normal((n, len(rows)))
-    turn, triangle = np.linalg.qr(rows @ fixed)
+    turn, triangle = np.linalg.qr(rows @ _fixed_directions(n, len(rows)))
     signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
     return (turn * signs).T @ rows
+
+
+@functools.lru_cache(maxsize=64)
+def _fixed_directions(n: int, count: int) -> Array:
+    return np.random.default_rng(DIRECTION_SEED).standard_normal((n, count))
 
 
 def first_largest(values: Array) -> int:

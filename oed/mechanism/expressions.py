@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import casadi as ca
@@ -139,6 +140,19 @@ def closure_misfit(phi: Expr, x: Expr) -> Expr | None:
     return ca.dot(normal, phi) / (ca.norm_2(normal) * np.sqrt(rows))
 
 
+class _PassiveValues(dict[str, Expr]):
+    """Values of a machine's passive joints by name, derived once one is asked for."""
+
+    def __init__(self, machine: Machine, by_name: tuple[Values, Values, Values]) -> None:
+        super().__init__()
+        self._derive = functools.partial(machine.passive, *by_name)
+
+    def __missing__(self, name: str) -> Expr:
+        values = {joint.name: joint.value for joint in self._derive()}
+        self.update(values)
+        return values[name]
+
+
 def machine_frame(
     machine: Machine, x: ca.SX, by_name: tuple[Values, Values, Values], tool: Expr
 ) -> Frame:
@@ -149,8 +163,7 @@ def machine_frame(
     x_by_name, q_by_name, p_by_name = by_name
     rotation, origin = machine.platform(x_by_name)
     tip = origin + rotation @ tool
-    joints = machine.passive(x_by_name, q_by_name, p_by_name)
-    passive = {joint.name: joint.value for joint in joints}
+    passive = _PassiveValues(machine, by_name)
     phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
     spare = phi.numel() - x.numel()
     if spare <= 0:

@@ -91,6 +91,22 @@ class ChainFactor:
             np.matmul(matrix[:count], stack, out=white[first : first + count])
         return white
 
+    def whiten_chains(self, values: Array) -> Array:
+        """The same of values (C, T, m) of chains of equal length; row after row where
+        they are short: all chains go together.
+        """
+        chains, length, count = values.shape
+        if length > BLOCK_ROWS:
+            return self.whiten(values.reshape(-1, count)).reshape(values.shape)
+        decay, slope = np.zeros((2, chains, length, 1))
+        decay.flat[1:], slope.flat[1:] = self._decay, self._slope
+        white = values.copy()
+        white[:, 1:] -= decay[:, 1:] * values[:, :-1]
+        for k in range(1, length):
+            white[:, k] -= slope[:, k] * white[:, k - 1]
+        white /= self._root.reshape(chains, length, 1)
+        return white
+
     @functools.cached_property
     def _blocks(self) -> Array:
         """Matrices (B, BLOCK_ROWS, BLOCK_ROWS + 2) that whiten blocks of rows."""

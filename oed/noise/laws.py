@@ -38,7 +38,7 @@ OUTLIER_SIZES = (5.0, 50.0)
 #: numbers in the largest array of one batch of laws: 8 MB
 BATCH_SIZE = 1_000_000
 #: numbers of whitened readings that are worked on together: half of a core's cache
-CACHED_NUMBERS = 64_000
+CACHED_NUMBERS = 150_000
 #: size of a part of a law, over the stated noise, from which it is described
 DESCRIBED_SIZE = 0.2
 
@@ -355,12 +355,16 @@ class Whitening:
         count = grid.shape[-1]
         size = (count + shared.shape[-1]) * math.prod(structure.shape) + count**2
         step = max(1, CACHED_NUMBERS // size)
-        if len(pairs) < len(laws):  # a pair's laws have its products in common
-            step = 1
+        of_pair = np.bincount(number, minlength=len(pairs))
+        order, ends = np.argsort(number, kind="stable"), np.cumsum(of_pair)
+        alone = np.flatnonzero(of_pair == 1)
+        batches = [alone[first : first + step] for first in range(0, len(alone), step)]
+        # a pair's laws have its products in common
+        batches += list(np.flatnonzero(of_pair > 1)[:, None])
         gram, log_determinant = np.empty((len(laws), count, count)), np.empty(len(laws))
-        for first in range(0, len(pairs), step):
-            some = slice(first, first + step)
-            rows = np.flatnonzero((number >= first) & (number < first + step))
+        for some in batches:
+            first = ends[some] - of_pair[some]
+            rows = order[first] if len(some) > 1 else order[first[0] : ends[some[0]]]
             part = grid if len(grid) == 1 else grid[some]
             gram[rows], log_determinant[rows] = self._pair_products(
                 pairs[some], laws.take(rows), part, shared
@@ -395,26 +399,30 @@ class Whitening:
         if pairs[:, 0].any():
             factor = self._factor(pairs)
             log_variances = factor.log_variances.reshape(len(pairs), -1).sum(axis=1)
-            both = factor.whiten(both.reshape(-1, both.shape[-1])).reshape(both.shape)
+            chains = both.reshape(-1, *both.shape[2:])
+            both = factor.whiten_chains(chains).reshape(both.shape)
         white, columns = both[..., :count], both[..., count:]
         factors = self._factors(laws, count)[:, structure.group_of_chain]
+        transposed = columns.swapaxes(2, 3)
         if len(pairs) == len(laws):
-            rows = (white * factors[:, :, None]).reshape(len(laws), -1, count)
+            white = white * factors[:, :, None]
+            rows = white.reshape(len(laws), -1, count)
             gram = rows.swapaxes(1, 2) @ rows
+            across = transposed @ white
         else:
             gram = self._weighted_sums(laws, white[0])
+            across = (transposed @ white) * factors[:, :, None]
         # raised by what rounds off the sums: what is left of them stays positive definite
         # where shared errors take nearly all, under noise far below the stated one
         diagonal = np.einsum("lmm->lm", gram)
         diagonal *= 1.0 + np.sqrt(math.prod(structure.shape)) * np.finfo(float).eps
-        transposed = columns.swapaxes(2, 3)
-        across = self._run_sums((transposed @ white) * factors[:, :, None])
         inner = self._run_sums(transposed @ columns)
         amounts = laws.sizes[:, structure.kinds]
-        removed, more = taken_out(inner, across, amounts)
+        removed, more = taken_out(inner, self._run_sums(across), amounts)
         counts = np.bincount(structure.group, minlength=laws.scale.shape[1])
         log_scales = np.log(laws.scale) @ counts
-        return gram - removed, log_variances + 2.0 * log_scales + more
+        gram -= removed
+        return gram, log_variances + 2.0 * log_scales + more
 
     def _factors(self, laws: Laws, count: int) -> Array:
         """Factors (l, G, m) of laws on m values, the session's course the last of them."""

@@ -184,13 +184,17 @@ class FormProducts:
         )
 
     @functools.cached_property
-    def _in_question(self) -> Grams:
+    def in_question(self) -> Grams:
         """Grams of the columns of the effects in question."""
         return self.whitened(self._needed).grams(self._needed)
 
+    def place(self, columns: Index) -> Index:
+        """Numbers of some columns among those of the effects in question."""
+        return np.searchsorted(self._needed, columns)
+
     def grams_of(self, columns: Index) -> Grams:
         """Grams of some columns of the effects in question."""
-        return self._in_question.take(np.searchsorted(self._needed, columns))
+        return self.in_question.take(self.place(columns))
 
     @functools.cached_property
     def remainders(self) -> Remainders:
@@ -252,14 +256,14 @@ class FormProducts:
         """Grams of all columns of all effects."""
         columns = np.arange(self._library.columns.shape[1])
         if len(self._needed) == len(columns):
-            return self._in_question
+            return self.in_question
         return self.whitened(columns).grams()
 
     @functools.cached_property
     def log_prior(self) -> Array:
         """Log prior (atoms, sizes) of each form of the effects in question."""
         diagonal = np.zeros(self._library.columns.shape[1])
-        diagonal[self._needed] = self._in_question.gram.diagonal()
+        diagonal[self._needed] = self.in_question.gram.diagonal()
         return self._log_prior(diagonal)
 
     @functools.cached_property
@@ -275,7 +279,7 @@ class FormProducts:
 
     def release(self) -> None:
         """Give the memory back; what is asked for again is computed again."""
-        for name in ("metric", "_in_question", "remainders", "grams"):
+        for name in ("metric", "in_question", "remainders", "grams"):
             self.__dict__.pop(name, None)
         self._cross.clear()
 
@@ -334,9 +338,8 @@ class Remainders:
         """
         table = np.empty((len(self._columns), len(REMAINDER_SIZES)))
         for numbers, rows, blocks in self._groups:
-            over = taken[:, rows]
-            gram = blocks - np.einsum("kad,kae->ade", over, over, optimize=True)
-            b = self.whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
+            b = self.whitened.b[rows]
+            gram, b = evidence.left_beside(blocks, b, taken[:, rows], projected)
             least = evidence.ENERGY_TOLERANCE * self.whitened.whole[rows].max(axis=1)
             gain, log_det = evidence.explained_energy(gram, b, REMAINDER_SIZES, least)
             table[numbers] = alone.log_ratio(gain, log_det)
@@ -409,8 +412,8 @@ class Search:
         }
         self._candidates = candidates
         names = {name for h in candidates for name in h.effects}
-        in_question = names if candidates else set(library.effects)
-        self._forms = FormProducts(problem, library, processes, law, in_question)
+        of_question = names if candidates else set(library.effects)
+        self._forms = FormProducts(problem, library, processes, law, of_question)
         self._posteriors: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
 
@@ -576,16 +579,13 @@ class Search:
         """
         key = (effect, tuple(zip(others, sizes, strict=True)))
         if key not in self._posteriors:
-            selected = [self.columns_of(k) for k in others]
-            forms = [self.columns_of(k) for k in self._atoms_of[effect]]
-            columns = np.unique(np.concatenate(forms))
-            grams = self._forms.grams_of(np.concatenate([*selected, columns]))
-            grams, start = grams.select_in_order(selected, sizes)
-            places = [start + np.searchsorted(columns, form) for form in forms]
+            grams, place = self._forms.in_question, self._forms.place
+            selected = [place(self.columns_of(k)) for k in others]
+            forms = [place(self.columns_of(k)) for k in self._atoms_of[effect]]
+            beside = grams.taken_by(selected, sizes) if selected else None
+            table = grams.log_evidences(forms, EFFECT_SIZE_VALUES, beside)
             prior = self._forms.log_prior[self._atoms_of[effect]]
-            self._posteriors[key] = (
-                grams.log_evidences(places, EFFECT_SIZE_VALUES) + prior
-            )
+            self._posteriors[key] = table + prior
         return self._posteriors[key]
 
     def _selected(self, h: Hypothesis) -> tuple[Grams, list[tuple[Index, float]]]:
@@ -593,7 +593,7 @@ class Search:
         columns = [self.columns_of(k) for k in h.atoms]
         grams = self._forms.grams_of(np.concatenate([_NONE, *columns]))
         selected = list(zip(columns, h.sizes, strict=True))
-        return grams.select_in_order(columns, h.sizes)[0], selected
+        return grams.select_in_order(columns, h.sizes), selected
 
     # -- the search --------------------------------------------------------------------
 

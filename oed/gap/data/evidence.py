@@ -88,17 +88,38 @@ class Grams:
 
     def select_in_order(
         self, columns: Sequence[Index], sizes: Sequence[float]
-    ) -> tuple[Grams, int]:
-        """Grams whose first columns are those of some forms, with these in the model.
-
-        The second result is the number of these columns.
-        """
+    ) -> Grams:
+        """Grams whose columns are those of some forms, with these in the model."""
         grams, start = self, 0
         for form, size in zip(columns, sizes, strict=True):
             stop = start + len(form)
             grams = grams.select(np.arange(start, stop), size)
             start = stop
-        return grams, start
+        return grams
+
+    def taken_by(
+        self, forms: Sequence[Index], sizes: Sequence[float]
+    ) -> tuple[Array, Array]:
+        """What forms in the model, one after the other, take of everything.
+
+        Products (k, K) of the directions that they explain with all columns, and (k,) with
+        the residual: what is left of A and b is A - T^T T and b - T^T u.
+        """
+        rows = np.concatenate([np.empty(0, dtype=np.intp), *forms])
+        gram, b = self.gram[rows], self.b[rows]
+        taken, projected, start = [gram[:0]], [b[:0]], 0
+        for form, size in zip(forms, sizes, strict=True):
+            own = slice(start, start + len(form))
+            start = own.stop
+            least = ENERGY_TOLERANCE * self.whole[form].max()
+            energy, axes = _clear_directions(gram[own, form], least)
+            root = axes * (size / np.sqrt(1.0 + size**2 * energy))
+            over, along = root.T @ gram[own], root.T @ b[own]
+            gram -= over[:, rows].T @ over
+            b -= over[:, rows].T @ along
+            taken.append(over)
+            projected.append(along)
+        return np.vstack(taken), np.concatenate(projected)
 
     def project_out(self, columns: Index, size: float = USUAL_SIZE) -> Grams:
         """Grams without what `columns` can explain, their coefficients unbounded.
@@ -120,10 +141,8 @@ class Grams:
 
         Those that nothing but rounding has left are none.
         """
-        own = self.gram[np.ix_(columns, columns)]
-        energy, axes = np.linalg.eigh(own)
-        clear = energy > ENERGY_TOLERANCE * self.whole[columns].max()
-        return energy[clear], axes[:, clear]
+        least = ENERGY_TOLERANCE * self.whole[columns].max()
+        return _clear_directions(self.gram[np.ix_(columns, columns)], least)
 
     def _without(self, columns: Index, root: Array) -> Grams:
         """Grams less what combinations `root` (k, m) of some columns take."""
@@ -146,15 +165,44 @@ class Grams:
         self,
         choices: Sequence[Index],
         sizes: Array,
+        beside: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Log evidence (choices, sizes) of each choice of columns, over no column."""
-        table = np.zeros((len(choices), len(sizes)))
+        """Log evidence (choices, sizes) of each choice of columns, over no column.
+
+        beside  what forms in the model take (`taken_by`); none by default
+        """
+        alone, table = self, np.zeros((len(choices), len(sizes)))
+        if beside is not None:
+            energy = self.energy - float(beside[1] @ beside[1])
+            alone = dataclasses.replace(self, energy=energy)
         for numbers, rows in group_by_count(choices):
-            grams = self.gram[rows[:, :, None], rows[:, None, :]]
+            gram, b = self.gram[rows[:, :, None], rows[:, None, :]], self.b[rows]
+            if beside is not None:
+                gram, b = left_beside(gram, b, beside[0][:, rows], beside[1])
             least = ENERGY_TOLERANCE * self.whole[rows].max(axis=1, initial=0.0)
-            gain, log_det = explained_energy(grams, self.b[rows], sizes, least)
-            table[numbers] = self.log_ratio(gain, log_det)
+            gain, log_det = explained_energy(gram, b, sizes, least)
+            table[numbers] = alone.log_ratio(gain, log_det)
         return table
+
+
+def left_beside(
+    gram: Array, b: Array, taken: Array, projected: Array
+) -> tuple[Array, Array]:
+    """What directions (k,) leave of Gram matrices (a, d, d) and projections b (a, d).
+
+    taken       (k, a, d) products of the directions with the columns
+    projected   (k,) with the residual
+    """
+    over = taken.transpose(1, 0, 2)
+    left = gram - over.swapaxes(1, 2) @ over
+    return left, b - projected @ over
+
+
+def _clear_directions(gram: Array, least: float) -> tuple[Array, Array]:
+    """Energies (m,) and axes (k, m) of a Gram matrix (k, k), those above the least."""
+    energy, axes = np.linalg.eigh(gram)
+    clear = energy > least
+    return energy[clear], axes[:, clear]
 
 
 def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
