@@ -137,7 +137,7 @@ def _null_space(
     lengths = measurement.length_factors
     reading_lengths = measurement.reading_length_factors(series)
     h = (jacobian * reading_lengths[:, None] / lengths)[:, free]
-    names = [measurement.names[k] for k in free]
+    names = np.array(measurement.names)[free].tolist()
     scale = 1.0 / lengths[free]
     identified = analyse(h, names, scale)
     return identified.null_space / lengths[free]

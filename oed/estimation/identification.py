@@ -287,6 +287,9 @@ class _Alternation:
         model = ResidualModel(self.structure, clean, slopes, middle)
         centre = model.solve(self.prior.laws(mode[None])).mean[0]
         residual = clean - slopes @ centre
+        if slopes.shape[1] > len(slopes):  # as many directions as readings are enough
+            turned, triangle = np.linalg.qr(slopes.T)
+            slopes, centre = triangle.T, turned.T @ centre
         return ResidualModel(self.structure, residual, slopes, centre)
 
     def _coordinates(self, gram: Array, draws: EffectDraws) -> tuple[Array, Array]:

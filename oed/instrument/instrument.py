@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +70,7 @@ class Cost:
     reading: float
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(Protocol):
     """What an instrument sees of the machine at one pose, in the base frame.
 
     rotation        orientation (3 x 3) of the tool
@@ -87,10 +86,10 @@ class Frame:
 
     rotation: Expr
     point: Expr
-    closure_misfit: Expr | None = None
-    closure_misfits: Expr | None = None
-    null_space: Expr | None = None
-    passive: Values = dataclasses.field(default_factory=dict)
+    closure_misfit: Expr | None
+    closure_misfits: Expr | None
+    null_space: Expr | None
+    passive: Values
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from oed.base import Array, Mask
 from oed.instrument import Series, Setup
-from oed.mechanism import BatchedFunction, Kinematics, machine_frame, symbols
+from oed.mechanism import BatchedFunction, Kinematics, MachineFrame, symbols
 from oed.model import Machine
 
 
@@ -41,7 +41,7 @@ class ObservationModel:
             by_name = x_by_name, q_by_name, p_by_name
             poses.append(x)
             joints.append(q)
-            frames.append(machine_frame(machine, x, by_name, ca.DM(setup.tool)))
+            frames.append(MachineFrame(machine, x, by_name, ca.DM(setup.tool)))
         y = ca.vertcat(*instrument.observe(frames, s_by_name, setup.settings))
         self.uses_closure = bool(ca.depends_on(y, ca.vertcat(*joints, p)))
         inputs, over = [*poses, s], [*poses, s]

@@ -5,12 +5,12 @@ BatchedFunction      a CasADi function over many points at once
 Controller           what a compensated controller holds of its machine
 ErrorModel           linear pose errors of a machine at commands
 Kinematics           both directions of a machine, and their derivatives
+MachineFrame         what an instrument sees of a machine, in symbols
 NO_TOOL              the reference tool
 closest_closure      where a machine that does not assemble meets its equations best
 component_errors     exact errors of the pose components that a machine states
 error_model          an ErrorModel, with the joint corrections that null what they can
 generated_functions  the kinematics of a machine as C functions
-machine_frame        what an instrument sees of a machine, in symbols
 pose_error           the exact twist error of a machine at joints
 symbols              a symbolic vector of coordinates or parameters
 twist_between        displacement from frames to others
@@ -23,7 +23,7 @@ from oed.base import door
 if TYPE_CHECKING:
     from oed.mechanism.batch import BatchedFunction
     from oed.mechanism.c_code import generated_functions
-    from oed.mechanism.expressions import machine_frame, symbols
+    from oed.mechanism.expressions import MachineFrame, symbols
     from oed.mechanism.inverse import AssemblyError
     from oed.mechanism.kinematics import Controller, Kinematics
     from oed.mechanism.least_squares_closure import closest_closure

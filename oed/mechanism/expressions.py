@@ -140,37 +140,46 @@ def closure_misfit(phi: Expr, x: Expr) -> Expr | None:
     return ca.dot(normal, phi) / (ca.norm_2(normal) * np.sqrt(rows))
 
 
-class _PassiveValues(dict[str, Expr]):
-    """Values of a machine's passive joints by name, derived once one is asked for."""
+class MachineFrame(Frame):
+    """What an instrument sees of a machine at a pose; what few ask for is derived then."""
 
-    def __init__(self, machine: Machine, by_name: tuple[Values, Values, Values]) -> None:
-        super().__init__()
-        self._derive = functools.partial(machine.passive, *by_name)
+    def __init__(
+        self,
+        machine: Machine,
+        x: ca.SX,
+        by_name: tuple[Values, Values, Values],
+        tool: Expr,
+    ) -> None:
+        """Of a pose x, with a tool (3,); by_name: pose, joints and parameters."""
+        self._machine, self._x, self._by_name = machine, x, by_name
+        self.rotation, origin = machine.platform(by_name[0])
+        self.point = origin + self.rotation @ tool
 
-    def __missing__(self, name: str) -> Expr:
-        values = {joint.name: joint.value for joint in self._derive()}
-        self.update(values)
-        return values[name]
+    @functools.cached_property
+    def passive(self) -> Values:  # type: ignore[override]
+        joints = self._machine.passive(*self._by_name)
+        return {joint.name: joint.value for joint in joints}
 
+    @functools.cached_property
+    def _phi(self) -> Expr:
+        return ca.vertcat(*self._machine.closure(*self._by_name))
 
-def machine_frame(
-    machine: Machine, x: ca.SX, by_name: tuple[Values, Values, Values], tool: Expr
-) -> Frame:
-    """What an instrument sees of a machine at a pose, with a tool (3,).
+    @functools.cached_property
+    def closure_misfit(self) -> Expr | None:  # type: ignore[override]
+        return closure_misfit(self._phi, self._x)
 
-    by_name  pose, joints and parameters
-    """
-    x_by_name, q_by_name, p_by_name = by_name
-    rotation, origin = machine.platform(x_by_name)
-    tip = origin + rotation @ tool
-    passive = _PassiveValues(machine, by_name)
-    phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
-    spare = phi.numel() - x.numel()
-    if spare <= 0:
-        return Frame(rotation, tip, passive=passive)
-    null = _null_space(ca.jacobian(phi, x), _home_null_space(machine))
-    misfits = null.T @ phi / np.sqrt(phi.numel())
-    return Frame(rotation, tip, closure_misfit(phi, x), misfits, null, passive)
+    @functools.cached_property
+    def null_space(self) -> Expr | None:  # type: ignore[override]
+        if self._phi.numel() <= self._x.numel():
+            return None
+        slope = ca.jacobian(self._phi, self._x)
+        return _null_space(slope, _home_null_space(self._machine))
+
+    @functools.cached_property
+    def closure_misfits(self) -> Expr | None:  # type: ignore[override]
+        if self.null_space is None:
+            return None
+        return self.null_space.T @ self._phi / np.sqrt(self._phi.numel())
 
 
 def _home_null_space(machine: Machine) -> Array:

@@ -28,7 +28,7 @@ from oed.base import Array
 from oed.identifiability import Scaling, column_scale
 from oed.instrument import Frame, Setup
 from oed.measurement import Measurement, Series
-from oed.mechanism import machine_frame, symbols
+from oed.mechanism import MachineFrame, symbols
 from oed.model import Machine
 
 TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
@@ -113,7 +113,7 @@ def symbolic_reading(
         x, xs = symbols(f"x{j}", machine.pose)
         q, qs = symbols(f"q{j}", machine.joints)
         phi = ca.vertcat(*machine.closure(xs, qs, ps))
-        frames.append(machine_frame(machine, x, (xs, qs, ps), tool))
+        frames.append(MachineFrame(machine, x, (xs, qs, ps), tool))
         poses.append((x, q, phi))
     y = ca.vertcat(*instrument.observe(frames, ss, by_name))
     by_machine = ca.jacobian(y, p)

@@ -21,7 +21,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy import linalg, optimize, sparse
+from scipy import linalg, optimize, sparse, special
 from scipy.sparse import csgraph
 
 from oed import units
@@ -126,10 +126,8 @@ POWER = 0.90
 
 def power(lam: float, columns: int) -> float:
     """Probability that a test with `columns` degrees of freedom finds a gap of lambda."""
-    from scipy import stats  # takes half a second to import
-
-    level = stats.chi2.isf(FALSE_ALARM, columns)
-    return float(stats.ncx2.sf(level, columns, lam))
+    level = special.chdtri(columns, FALSE_ALARM)
+    return float(1.0 - special.chndtr(level, columns, lam))
 
 
 @functools.cache

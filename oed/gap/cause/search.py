@@ -150,6 +150,9 @@ Selected = Sequence[tuple[Index, float]]
 _NO_COLUMNS = np.empty(0, dtype=np.intp)
 #: how large an unknown may be, against the noise
 REMAINDER_SIZES = UNKNOWN_SIZES.values
+#: columns of a process from which its axes are found once for all sets of effects: an
+#: update for a few directions costs less than axes of so many columns
+MIN_AXES = 24
 
 
 class FormProducts:
@@ -314,11 +317,13 @@ class Remainders:
         """
         self.whitened = whitened
         self._columns = [atom.columns for atom in processes.atoms]
-        #: numbers (a,), columns (a, d) and Gram matrices (a, d, d)
-        self._groups = [
-            (numbers, rows, whitened.blocks(rows))
-            for numbers, rows in evidence.group_by_count(self._columns)
-        ]
+        #: numbers (a,), columns (a, d) and Gram matrices (a, d, d), and how to solve these
+        self._groups = []
+        for numbers, rows in evidence.group_by_count(self._columns):
+            blocks, axes = whitened.blocks(rows), None
+            if rows.shape[1] >= MIN_AXES:
+                axes = evidence.GramAxes.of(blocks, self._least(rows))
+            self._groups.append((numbers, rows, blocks, axes))
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
         energy = energies(whitened.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
@@ -327,6 +332,10 @@ class Remainders:
 
     def __len__(self) -> int:
         return len(self._columns)
+
+    def _least(self, rows: Index) -> Array:
+        """Energies (a,) of directions of columns (a, d) up to which they are rounding."""
+        return evidence.ENERGY_TOLERANCE * self.whitened.whole[rows].max(axis=1)
 
     def log_evidences(self, alone: Grams, taken: Array, projected: Array) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
@@ -337,11 +346,17 @@ class Remainders:
         projected   (k,) with the residual
         """
         table = np.empty((len(self._columns), len(REMAINDER_SIZES)))
-        for numbers, rows, blocks in self._groups:
-            b = self.whitened.b[rows]
-            gram, b = evidence.left_beside(blocks, b, taken[:, rows], projected)
-            least = evidence.ENERGY_TOLERANCE * self.whitened.whole[rows].max(axis=1)
-            gain, log_det = evidence.explained_energy(gram, b, REMAINDER_SIZES, least)
+        for numbers, rows, blocks, axes in self._groups:
+            b, over = self.whitened.b[rows], taken[:, rows]
+            if axes is None:
+                gram, b = evidence.left_beside(blocks, b, over, projected)
+                gain, log_det = evidence.explained_energy(
+                    gram, b, REMAINDER_SIZES, self._least(rows)
+                )
+            else:
+                gain, log_det = axes.explained_beside(
+                    b, over, projected, REMAINDER_SIZES
+                )
             table[numbers] = alone.log_ratio(gain, log_det)
         return np.asarray(table + self.log_prior)
 
@@ -495,14 +510,22 @@ class Search:
 
     # -- sets of effects ---------------------------------------------------------------
 
-    def screen(self, grams: Grams, without: Iterable[str]) -> dict[str, Further]:
-        """Each further effect's log evidence over `grams`, its best form and size."""
+    def screen(
+        self,
+        grams: Grams,
+        without: Iterable[str],
+        beside: tuple[Array, Array] | None = None,
+    ) -> dict[str, Further]:
+        """Each further effect's log evidence over `grams`, its best form and size.
+
+        beside  what forms take that are in the model, and not in `grams`
+        """
         further = [e for e in self.library.effects if e not in set(without)]
         if not further:
             return {}
         atoms = np.sort(np.concatenate([self._atoms_of[e] for e in further]))
         table = grams.log_evidences(
-            [self.columns_of(k) for k in atoms], EFFECT_SIZE_VALUES
+            [self.columns_of(k) for k in atoms], EFFECT_SIZE_VALUES, beside
         )
         posterior = table + self._forms.log_prior_of_all[atoms]
         best = {}
@@ -633,8 +656,10 @@ class Search:
         """Each base with one effect more: the best few fitted, best first."""
         tried: dict[frozenset[str], tuple[float, Hypothesis, str, Further]] = {}
         for base in bases:
-            grams = self.grams_with(base.atoms, base.sizes)
-            for effect, further in self.screen(grams, base.effects).items():
+            forms = [self.columns_of(k) for k in base.atoms]
+            beside = self.grams.taken_by(forms, base.sizes)
+            screened = self.screen(self.grams, base.effects, beside)
+            for effect, further in screened.items():
                 key = frozenset((*base.effects, effect))
                 total = base.log_evidence + further.log_evidence
                 if key not in tried or tried[key][0] < total:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import hashlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -122,7 +123,7 @@ class Library:
     families: Mapping[str, str] = dataclasses.field(default_factory=dict)
     by_condition: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
-    @property
+    @functools.cached_property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects that have atoms, in order."""
         return tuple(dict.fromkeys(a.effect for a in self.atoms))
