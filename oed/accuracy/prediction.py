@@ -195,9 +195,7 @@ def predict(
         else np.abs(known)
     )
     rms = {
-        "before": np.hypot(linear, start)
-        if measured
-        else _rms(maps.raw, prior, start),
+        "before": np.hypot(linear, start) if measured else _rms(maps.raw, prior, start),
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }

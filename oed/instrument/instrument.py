@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Cost:
     reading: float
 
 
-class Frame(Protocol):
+class Frame(typing.Protocol):
     """What an instrument sees of the machine at one pose, in the base frame.
 
     rotation        orientation (3 x 3) of the tool

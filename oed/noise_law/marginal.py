@@ -28,6 +28,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import optimize, special
+from scipy.linalg import lapack
 
 from oed.base import Array, Index
 from oed.linear_algebra import eigenvectors, triangle_of_sums
@@ -473,8 +474,8 @@ class Solutions:
     @functools.cached_property
     def root(self) -> Array:
         """Root (L, r, r) of the covariance of z, triangular."""
-        inverse = np.linalg.inv(self.triangle[:, :-1, :-1])
-        return np.asarray(np.triu(inverse.swapaxes(1, 2)))
+        triangles = self.triangle[:, :-1, :-1]
+        return np.array([lapack.dtrtri(t, lower=1)[0].T for t in triangles])
 
     @functools.cached_property
     def mean(self) -> Array:

@@ -115,7 +115,7 @@ def _class_of(
     @functools.cache
     def in_its_place() -> dict[str, Further]:
         """Effects with all their forms and sizes, under the law of the search."""
-        return search.screen(search.grams_with(others, sizes), beside)
+        return search.screen(beside, others, sizes)
 
     def log_odds(rival: str) -> float:
         """Log evidence over the effect's; 0 beside an unknown remainder, which hides it."""

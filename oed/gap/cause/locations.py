@@ -117,7 +117,12 @@ def draw_energies(
             )
         )
     is_known = all(model.other_way is not None for model, _ in drawn)
-    every = [np.hstack(alike) for alike in zip(*energies, strict=True)]
+    kinds = [list(alike) for alike in zip(*energies, strict=True)]
+    every: list[Array] = []
+    energies.clear()
+    for alike in kinds:  # of many readings they take much memory
+        every.append(np.hstack(alike))
+        alike.clear()
     return Draws(
         timed=every[0],
         acting=every[1],

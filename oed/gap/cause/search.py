@@ -335,7 +335,8 @@ class Remainders:
 
     def _least(self, rows: Index) -> Array:
         """Energies (a,) of directions of columns (a, d) up to which they are rounding."""
-        return evidence.ENERGY_TOLERANCE * self.whitened.whole[rows].max(axis=1)
+        largest = self.whitened.whole[rows].max(axis=1)
+        return np.asarray(evidence.ENERGY_TOLERANCE * largest)
 
     def log_evidences(self, alone: Grams, taken: Array, projected: Array) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
@@ -460,10 +461,12 @@ class Search:
     # -- one hypothesis ----------------------------------------------------------------
 
     def grams_with(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
-        """Grams with these forms in the model."""
-        grams = self.grams
-        for atom, size in zip(atoms, sizes, strict=True):
-            grams = grams.select(self.columns_of(atom), size)
+        """Grams of the columns of forms alone, these in the model one after the other."""
+        columns = [self.columns_of(k) for k in atoms]
+        grams, start = self._forms.grams_of(np.concatenate([_NONE, *columns])), 0
+        for form, size in zip(columns, sizes, strict=True):
+            grams = grams.select(np.arange(start, start + len(form)), size)
+            start += len(form)
         return grams
 
     def noise_level(self, h: Hypothesis) -> float:
@@ -511,27 +514,22 @@ class Search:
     # -- sets of effects ---------------------------------------------------------------
 
     def screen(
-        self,
-        grams: Grams,
-        without: Iterable[str],
-        beside: tuple[Array, Array] | None = None,
+        self, without: Iterable[str], atoms: Sequence[int], sizes: Sequence[float]
     ) -> dict[str, Further]:
-        """Each further effect's log evidence over `grams`, its best form and size.
-
-        beside  what forms take that are in the model, and not in `grams`
-        """
+        """Each further effect's log evidence, its best form and size, beside some forms."""
         further = [e for e in self.library.effects if e not in set(without)]
         if not further:
             return {}
-        atoms = np.sort(np.concatenate([self._atoms_of[e] for e in further]))
-        table = grams.log_evidences(
-            [self.columns_of(k) for k in atoms], EFFECT_SIZE_VALUES, beside
+        tried = np.sort(np.concatenate([self._atoms_of[e] for e in further]))
+        beside = self.grams.taken_by([self.columns_of(k) for k in atoms], sizes)
+        table = self.grams.log_evidences(
+            [self.columns_of(k) for k in tried], EFFECT_SIZE_VALUES, beside
         )
-        posterior = table + self._forms.log_prior_of_all[atoms]
+        posterior = table + self._forms.log_prior_of_all[tried]
         best = {}
         for effect in further:
-            rows = np.searchsorted(atoms, self._atoms_of[effect])
-            best[effect] = self._best(atoms[rows], posterior[rows])
+            rows = np.searchsorted(tried, self._atoms_of[effect])
+            best[effect] = self._best(tried[rows], posterior[rows])
         return best
 
     def _best(self, atoms: Index, posterior: Array) -> Further:
@@ -605,7 +603,7 @@ class Search:
             grams, place = self._forms.in_question, self._forms.place
             selected = [place(self.columns_of(k)) for k in others]
             forms = [place(self.columns_of(k)) for k in self._atoms_of[effect]]
-            beside = grams.taken_by(selected, sizes) if selected else None
+            beside = grams.taken_by(selected, sizes)
             table = grams.log_evidences(forms, EFFECT_SIZE_VALUES, beside)
             prior = self._forms.log_prior[self._atoms_of[effect]]
             self._posteriors[key] = table + prior
@@ -613,10 +611,10 @@ class Search:
 
     def _selected(self, h: Hypothesis) -> tuple[Grams, list[tuple[Index, float]]]:
         """Grams of a set's columns alone, these in the model; the columns and sizes."""
-        columns = [self.columns_of(k) for k in h.atoms]
-        grams = self._forms.grams_of(np.concatenate([_NONE, *columns]))
-        selected = list(zip(columns, h.sizes, strict=True))
-        return grams.select_in_order(columns, h.sizes), selected
+        selected = [
+            (self.columns_of(k), t) for k, t in zip(h.atoms, h.sizes, strict=True)
+        ]
+        return self.grams_with(h.atoms, h.sizes), selected
 
     # -- the search --------------------------------------------------------------------
 
@@ -656,9 +654,7 @@ class Search:
         """Each base with one effect more: the best few fitted, best first."""
         tried: dict[frozenset[str], tuple[float, Hypothesis, str, Further]] = {}
         for base in bases:
-            forms = [self.columns_of(k) for k in base.atoms]
-            beside = self.grams.taken_by(forms, base.sizes)
-            screened = self.screen(self.grams, base.effects, beside)
+            screened = self.screen(base.effects, base.atoms, base.sizes)
             for effect, further in screened.items():
                 key = frozenset((*base.effects, effect))
                 total = base.log_evidence + further.log_evidence

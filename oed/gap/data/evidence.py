@@ -36,7 +36,7 @@ UNSEEN_ENERGY = 0.09
 #: the largest usual size of an effect
 USUAL_SIZE = EFFECT_SIZES.usual[-1]
 #: columns that are whitened at once: more take memory and no less time
-COLUMNS_AT_ONCE = 256
+COLUMNS_AT_ONCE = 64
 #: size of a direction of columns, in units of the noise, below which `compress` drops it
 MIN_SIZE = 0.03
 #: shape of the inverse gamma prior of the squared noise level: its stated value to within
@@ -85,17 +85,6 @@ class Grams:
         log_det = np.array(np.log(inflation).sum())
         ratio = self.log_ratio(gain, log_det).item()
         return dataclasses.replace(selected, base=self.base + ratio)
-
-    def select_in_order(
-        self, columns: Sequence[Index], sizes: Sequence[float]
-    ) -> Grams:
-        """Grams whose columns are those of some forms, with these in the model."""
-        grams, start = self, 0
-        for form, size in zip(columns, sizes, strict=True):
-            stop = start + len(form)
-            grams = grams.select(np.arange(start, stop), size)
-            start = stop
-        return grams
 
     def taken_by(
         self, forms: Sequence[Index], sizes: Sequence[float]

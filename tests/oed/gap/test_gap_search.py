@@ -167,8 +167,8 @@ def test_a_search_of_few_candidates_answers_as_one_of_all_does() -> None:
         wanted = by_key[h.key].log_evidence
         assert h.log_evidence == pytest.approx(wanted, abs=1e-8)
         assert some.noise_level(h) == pytest.approx(every.noise_level(h), rel=1e-9)
-    rivals = every.screen(every.grams_with((), ()), ())
-    for name, further in some.screen(some.grams_with((), ()), ()).items():
+    rivals = every.screen((), (), ())
+    for name, further in some.screen((), (), ()).items():
         assert further.log_evidence == pytest.approx(rivals[name].log_evidence)
     some._hypotheses = []
     some.run()

@@ -84,17 +84,14 @@ class ActingEffects:
     session  the states in which they acted
     theta    (n,) parameters about which their maps hold, SI
     draws    (m, k) of the coefficients, one for each draw of the parameters
+    known    maps that several predictions share; drawn anew by default
     """
 
     columns: ExpectedColumns
     session: SessionStates
     theta: Array
     draws: Array
-
-    @property
-    def mean(self) -> Array:
-        """Mean coefficients (k,)."""
-        return np.asarray(self.draws.mean(axis=0))
+    known: ErrorMaps | None = None
 
     def maps(
         self,
@@ -104,6 +101,8 @@ class ActingEffects:
         tool: Array = NO_TOOL,
     ) -> ErrorMaps:
         """Pose errors per unit of each coefficient at commands (n, n_dof) of a tool."""
+        if self.known is not None:
+            return self.known
         return self.columns.workspace_maps(
             self.session, self.theta, command, reference, rng, tool
         )
@@ -172,104 +171,67 @@ def accuracy(
         variances = variance_over_machines(
             measurement, knowledge.series, command, references, rng, tool
         )
-    return {
-        reference: _accuracy(
-            knowledge,
-            _CommandMaps.of(knowledge, command, reference, rng, tool),
-            rng,
-            variances.get(reference),
-        )
-        for reference in references
-    }
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _CommandMaps:
-    """Maps at commands of a tool against a reference, and draws of what is known.
-
-    of_parameters  of the machine
-    of_effects     of what acts beside them; None where nothing does
-    draws          (m, np + k) of both about their means; empty without effects
-    moment         their second moment
-    """
-
-    reference: Reference
-    tool: Array
-    of_parameters: ErrorMaps
-    of_effects: ErrorMaps | None
-    draws: Array
-    moment: Array
-
-    @classmethod
-    def of(
-        cls,
-        knowledge: ParameterKnowledge,
-        command: Array,
-        reference: Reference,
-        rng: np.random.Generator,
-        tool: Array,
-    ) -> _CommandMaps:
-        """Those of what is known; the states in which effects act are drawn."""
-        kinematics, effects = knowledge.measurement.kinematics, knowledge.effects
-        maps, draws = error_maps(kinematics, command, reference, tool), np.empty((0, 0))
-        acting = None
-        if effects is not None and knowledge.draws is not None:
-            acting = effects.maps(command, reference, rng, tool)
-            draws = np.hstack([knowledge.draws, effects.draws - effects.mean])
-        moment = draws.T @ draws / max(len(draws), 1)
-        return cls(reference, tool, maps, acting, draws, moment)
-
-
-def _accuracy(
-    knowledge: ParameterKnowledge,
-    at: _CommandMaps,
-    rng: np.random.Generator,
-    variance: Array | None = None,
-) -> Accuracy:
-    """Accuracy by maps; variance (n, k) of each pose's error before any reading."""
-    measurement, maps, reference = knowledge.measurement, at.of_parameters, at.reference
     count = len(measurement.machine.parameters)
-    remaining = _remaining(knowledge, maps.command, reference, at.tool)
-    before = knowledge.before(maps.command, reference, at.tool)
-    effects, mean = knowledge.effects, knowledge.mean
-    if effects is None or at.of_effects is None or mean is None:
-        predicted = predict(
-            maps,
-            measurement.prior_covariance[:count, :count],
-            knowledge.covariance,
-            rng,
-            mean=mean,
-            centre=knowledge.centre,
-            known=remaining,
-            before=before,
-            draws=knowledge.draws,
-            worth=knowledge.worth,
-            reference=reference,
-            variance=variance,
-        )
-    else:
-        arguments = at, at.of_effects, effects.mean, mean, remaining, before, rng
-        predicted = _add_effects(knowledge, *arguments)
-    spreads = predicted.fully_corrected
-    variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
-    return Accuracy(predicted, maps, variance)
+    result = {}
+    for reference in references:
+        maps = error_maps(measurement.kinematics, command, reference, tool)
+        remaining = _remaining(knowledge, command, reference, tool)
+        before = knowledge.before(command, reference, tool)
+        if (
+            knowledge.effects is None
+            or knowledge.draws is None
+            or knowledge.mean is None
+        ):
+            predicted = predict(
+                maps,
+                measurement.prior_covariance[:count, :count],
+                knowledge.covariance,
+                rng,
+                mean=knowledge.mean,
+                centre=knowledge.centre,
+                known=remaining,
+                before=before,
+                draws=knowledge.draws,
+                worth=knowledge.worth,
+                reference=reference,
+                variance=variances.get(reference),
+            )
+        else:
+            predicted = _add_effects(
+                knowledge,
+                knowledge.effects,
+                knowledge.draws,
+                knowledge.mean,
+                maps,
+                remaining,
+                before,
+                reference,
+                rng,
+                tool,
+            )
+        spreads = predicted.fully_corrected
+        variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
+        result[reference] = Accuracy(predicted, maps, variance)
+    return result
 
 
 def _add_effects(
     knowledge: ParameterKnowledge,
-    at: _CommandMaps,
-    acting: ErrorMaps,
-    of_effects: Array,
+    effects: ActingEffects,
+    parameters: Array,
     mean: Array,
+    maps: ErrorMaps,
     remaining: Array | None,
     before: Array | None,
+    reference: Reference,
     rng: np.random.Generator,
+    tool: Array,
 ) -> Prediction:
     """Accuracy with effects that act beside the parameters and stay as they are.
 
-    mean  (np,) identified errors;  of_effects  (k,) mean coefficients
+    parameters  (m, np) draws about the estimate;  mean  (np,) identified errors
     """
-    maps = at.of_parameters
+    acting = effects.maps(maps.command, reference, rng, tool)
     both = ErrorMaps(
         command=maps.command,
         names=maps.names,
@@ -277,6 +239,7 @@ def _add_effects(
         # compensation of the parameters leaves what is known of the effects
         remaining=np.concatenate([maps.remaining, acting.raw], axis=2),
     )
+    of_effects = effects.draws.mean(axis=0)
     if remaining is None:
         remaining = maps.remaining @ mean - _change_by_controller(knowledge, mean, maps)
     remaining = remaining + acting.raw @ of_effects
@@ -284,17 +247,19 @@ def _add_effects(
         remaining = remaining - (acting.raw - acting.remaining) @ knowledge.corrected
     if before is not None:
         before = before + acting.raw @ of_effects
+    draws = np.hstack([parameters, effects.draws - of_effects])
+    second_moment = draws.T @ draws / len(draws)
     return predict(
         both,
-        at.moment,
-        at.moment,
+        second_moment,
+        second_moment,
         rng,
         mean=np.concatenate([mean, of_effects]),
         known=remaining,
         before=before,
-        draws=at.draws,
+        draws=draws,
         worth=knowledge.worth,
-        reference=at.reference,
+        reference=reference,
     )
 
 
@@ -306,14 +271,18 @@ def compared(
 ) -> dict[str, Accuracy]:
     """Accuracy of each candidate at commands (n, n_dof), all by the same draws.
 
-    They differ in what is sent and corrected alone.
+    The candidates differ in what is sent and corrected, and not in what acts.
     """
-    rng, (known, *_) = copy.deepcopy(rng), candidates.values()
-    at = _CommandMaps.of(known, command, reference, rng, NO_TOOL)
-    return {
-        name: _accuracy(knowledge, at, copy.deepcopy(rng))
-        for name, knowledge in candidates.items()
-    }
+    rng, effects = copy.deepcopy(rng), next(iter(candidates.values())).effects
+    if effects is not None:
+        known = effects.maps(command, reference, rng)
+        effects = dataclasses.replace(effects, known=known)
+    result = {}
+    for name, candidate in candidates.items():
+        candidate = dataclasses.replace(candidate, effects=effects)
+        drawn = accuracy(candidate, command, [reference], copy.deepcopy(rng))
+        result[name] = drawn[reference]
+    return result
 
 
 def absorb_effects(
@@ -333,7 +302,7 @@ def absorb_effects(
     machine = knowledge.measurement.machine
     maps = error_maps(knowledge.measurement.kinematics, command, reference)
     acting = effects.maps(command, reference, rng)
-    error = acting.raw @ effects.mean
+    error = acting.raw @ effects.draws.mean(axis=0)
     tolerance = knowledge.measurement.tolerance[: len(machine.parameters)]
     shift = absorbing_shift(maps, error, tolerance)
     return dataclasses.replace(knowledge, sent=machine.nominal + mean + shift)
