@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import typing
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -71,7 +71,7 @@ class Cost:
     reading: float
 
 
-class Frame(typing.Protocol):
+class Frame:
     """What an instrument sees of the machine at one pose, in the base frame.
 
     rotation        orientation (3 x 3) of the tool
@@ -85,12 +85,14 @@ class Frame(typing.Protocol):
     passive         angles and lengths of the machine's passive joints, by name
     """
 
-    rotation: Expr
-    point: Expr
-    closure_misfit: Expr | None
-    closure_misfits: Expr | None
-    null_space: Expr | None
-    passive: Values
+    closure_misfit: Expr | None = None
+    closure_misfits: Expr | None = None
+    null_space: Expr | None = None
+    passive: Values = MappingProxyType({})
+
+    def __init__(self, rotation: Expr, point: Expr) -> None:
+        """Of a platform alone; a subclass knows its machine's closure and joints."""
+        self.rotation, self.point = rotation, point
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

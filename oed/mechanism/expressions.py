@@ -152,8 +152,8 @@ class MachineFrame(Frame):
     ) -> None:
         """Of a pose x, with a tool (3,); by_name: pose, joints and parameters."""
         self._machine, self._x, self._by_name = machine, x, by_name
-        self.rotation, origin = machine.platform(by_name[0])
-        self.point = origin + self.rotation @ tool
+        rotation, origin = machine.platform(by_name[0])
+        super().__init__(rotation, origin + rotation @ tool)
 
     @functools.cached_property
     def passive(self) -> Values:  # type: ignore[override]
