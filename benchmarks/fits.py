@@ -12,7 +12,6 @@ import os
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
-import resource
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.memory import peak
 from pkm_studies import commands
 
 COMMANDS = {"cranks": "diagnose", "cables": "identify"}
@@ -130,5 +130,5 @@ else:
         start, given = time.process_time(), [str(files[0]), "--readings", str(files[1])]
         commands.main([COMMANDS[job], *given, "--quiet", "--out", f"{folder}/out"])
     seconds = time.process_time() - start
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    memory = peak() / 2**20
     print(f"| {job} | {COMMANDS[job]} | {seconds:.1f} | {memory:.0f} |")

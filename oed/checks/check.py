@@ -126,6 +126,16 @@ class CheckedSession:
         many = self.search is None or self.search.exhausted
         return None if many or self.explanations else self.search
 
+    @property
+    def explained_as_stated(self) -> bool:
+        """Whether the stated noise explains the readings at parameters of its own."""
+        return self.goodness is not None and self.goodness.p_high >= ALARM_PROBABILITY
+
+    @property
+    def judges_residuals(self) -> bool:
+        """Whether a finding says how large the residuals are."""
+        return any(finding.kind in FIT_KINDS for finding in self.findings)
+
     def with_goodness(
         self, fitted: Goodness, *, noise_is_a_guess: bool
     ) -> CheckedSession:
@@ -143,7 +153,7 @@ class CheckedSession:
             self.session, self.search, fitted, self.explanations, noise_is_a_guess
         )
         # at other parameters the stated noise may explain them
-        is_stated = checked is not None and checked.p_high >= ALARM_PROBABILITY
+        is_stated = self.explained_as_stated
         findings += [f for f in of_fit if not (is_stated and f.kind == "law")]
         findings.sort(key=lambda finding: finding.severity)
         return dataclasses.replace(self, findings=tuple(findings), goodness=fitted)

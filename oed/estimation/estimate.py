@@ -165,11 +165,16 @@ class Estimate:
 
 
 def add_warnings(
-    measurement: Measurement, estimate: Estimate, *, is_judged: bool = False
+    measurement: Measurement,
+    estimate: Estimate,
+    *,
+    is_judged: bool = False,
+    explained_as_stated: bool = False,
 ) -> Estimate:
     """The estimate with sentences that a user must read; none where the fit is sound.
 
-    is_judged  whether a check of the readings says already how large the residuals are
+    is_judged            whether a check of the readings says how large the residuals are
+    explained_as_stated  whether the stated noise explains them at other parameters
     """
     sentences = []
     unchanged = _wide_parameters(measurement, estimate, Estimate.AT_PRIOR, np.inf)
@@ -197,7 +202,8 @@ def add_warnings(
             f" posterior and predictions keep to it: {', '.join(near)}"
         )
     sentences += contradicted_law(estimate)
-    sentences += [] if is_judged else large_residuals(estimate)
+    if not is_judged:
+        sentences += large_residuals(estimate, explained_as_stated=explained_as_stated)
     return dataclasses.replace(estimate, warnings=tuple(sentences))
 
 
@@ -223,12 +229,19 @@ def contradicted_law(estimate: Estimate) -> list[str]:
     ]
 
 
-def large_residuals(estimate: Estimate) -> list[str]:
+def large_residuals(
+    estimate: Estimate, *, explained_as_stated: bool = False
+) -> list[str]:
     """A sentence on residuals that the stated noise does not explain."""
     if not chi2_is_large(estimate.chi2, estimate.dof):
         return []
     ratio = np.sqrt(estimate.chi2 / estimate.dof)
     opening = f"the residuals are {ratio:.1f} times the stated noise"
+    if explained_as_stated:
+        return [
+            f"{opening} at these parameters; at others, less likely by the estimated noise"
+            " law, that noise explains them: poses read again tell noise from geometry"
+        ]
     if ratio > GUESS_RATIO:
         return [
             f"{opening}: an effect of this size is not in the model, or the readings have"

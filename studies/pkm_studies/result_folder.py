@@ -6,6 +6,7 @@ import contextlib
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -45,6 +46,10 @@ def rewrite(folder: Path, result: StudyResult) -> None:
         write_report(folder, html=html, pdf=pdf)
 
 
+#: words of every sentence on a file that a user changed, and that stays
+CHANGED: Final = "is not as this version wrote it"
+
+
 def changed_files(folder: Path) -> list[str]:
     """Sentences on reports and sheets that the user changed, and that stay."""
     names = {name: safe_files.latest(folder / name).name for name in PAGES}
@@ -56,7 +61,7 @@ def renamed_sentences(names: Mapping[str, str]) -> Iterator[str]:
     for name, written in names.items():
         if written != name:
             yield (
-                f"the file {name} is not as this version wrote it, and stays as it is;"
+                f"the file {name} {CHANGED}, and stays as it is;"
                 f" the new one is {written}"
             )
 

@@ -77,7 +77,7 @@ def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
     ratio = np.sqrt(chi2 / goodness["dof"])
     assert any(f"{ratio:.1f} times the stated" in w for w in estimate["warnings"])
     page = (tmp_path / "fit/report.html").read_text(encoding="utf-8")
-    assert "more than the stated noise explains" in page
+    assert "more than the stated noise leaves at these parameters" in page
     assert "as the stated noise predicts" not in page
     assert "By the noise law as estimated" in page
 

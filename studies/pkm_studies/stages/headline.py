@@ -449,22 +449,23 @@ def lines(
     failing = [
         f"Claim {claim_verdict(claim)}" for claim in result.claims if not claim.met
     ]
-    kept = result_folder.changed_files(folder)
-    warnings = [f"Warning: {_sentence(warning)}" for warning in page.warnings]
+    of_files = [w for w in page.warnings if result_folder.CHANGED in w]
+    of_files += result_folder.changed_files(folder)
+    others = [w for w in page.warnings if w not in of_files]
     # the most useful first, where not all have room
     ranked = [
         *[f"Next: {action}" for action in page.actions],
         *page.findings[:1],
+        *_held_out_lines(result),
         *lost_directions(result.identifiability),
-        *warnings,
+        *[f"Warning: {_sentence(warning)}" for warning in others],
         *noise_sentences(result),
         *earlier_sentences(result.machine),
-        *_held_out_lines(result),
         *page.findings[1:],
     ]
     needed = [
         *contradictions,
-        *[f"Warning: {_sentence(sentence)}" for sentence in kept],
+        *[f"Warning: {_sentence(warning)}" for warning in of_files],
         *files,
         *failing,
     ]

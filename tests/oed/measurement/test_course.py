@@ -47,8 +47,8 @@ def laws(structure: ReadingStructure) -> Laws:
 
 def test_few_degrees_of_freedom_have_none(structure: ReadingStructure) -> None:
     terms = structure.course.shape[1]
-    assert COURSE in NoisePrior.of(structure, 10.0 + terms).names
-    assert COURSE not in NoisePrior.of(structure, 9.9 + terms).names
+    assert NoisePrior.COURSE in NoisePrior.of(structure, 10.0 + terms).names
+    assert NoisePrior.COURSE not in NoisePrior.of(structure, 9.9 + terms).names
 
 
 def test_both_roots_are_those_of_the_dense_covariance(
