@@ -732,13 +732,14 @@ def _mark_turned_runs(
 def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     """The state whose alarms hold for the corrected values, where these fit."""
     checked = state.checked
-    if checked is None or not checked.bad_fit:
+    findings = () if checked is None else checked.findings
+    if not resolves_alarm(section, findings):
         return state
-    if not resolves_alarm(section, checked.findings):
-        return state
-    goodness = resolved_section(state.goodness, section, checked.findings)
-    true = resolved_sentences(section, checked.findings)
-    state = state.add_sections(goodness=goodness)
+    true = {}
+    if checked is not None and checked.bad_fit:
+        goodness = resolved_section(state.goodness, section, findings)
+        true = resolved_sentences(section, findings)
+        state = state.add_sections(goodness=goodness)
     # The fit without effects is not delivered: its own section keeps its warnings.
     plain = set(state.estimate_section.warnings)
     stated = [true.get(w, w) for w in state.warnings if w not in plain]

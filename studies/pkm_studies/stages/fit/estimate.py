@@ -627,12 +627,13 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         combinations = combination_estimates(measurement, estimate, verdict)
         section = msgspec.structs.replace(section, combinations=combinations)
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
-    section = msgspec.structs.replace(section, runs=curves)
     runs = predict_runs(measurement, readings.series, estimate)
+    warnings = [*section.warnings, *surprises(runs)]
+    section = msgspec.structs.replace(section, runs=curves, warnings=warnings)
     goodness = add_left_out(_goodness(state, estimate), runs)
     fitted = promote(Fitted, state, estimate=estimate)
     fitted = fitted.add_sections(estimate=section, goodness=goodness)
-    return fitted.add_warnings(*section.warnings, *surprises(runs))
+    return fitted.add_warnings(*warnings)
 
 
 def _identify(state: Measured, start: Array | None) -> Estimate:
