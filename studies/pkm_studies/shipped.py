@@ -59,11 +59,12 @@ def find(name: str, field: str) -> Path:
 def study_path(path: Path) -> Path:
     """The file of a study that a command names: a path, or a shipped study's name.
 
-    A file that exists goes first. Raises InputError for a name without a suffix that is
-    neither.
+    A file that exists goes first, and a shipped study before a folder of its name: that
+    may hold its results. Raises InputError for a name without a suffix that is neither.
     """
     is_name = path.name == str(path) and not path.suffix
-    if path.exists() or not is_name:
+    is_shipped = is_name and (folder() / f"{path}{SUFFIX}").is_file()
+    if not is_name or path.is_file() or (path.exists() and not is_shipped):
         return path
     return find(path.name, "STUDY")
 

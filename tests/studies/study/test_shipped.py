@@ -126,3 +126,13 @@ def test_an_installed_package_has_its_studies_inside(
     monkeypatch.setattr(shipped.resources, "files", lambda package: tmp_path / package)
     assert list(shipped.studies()) == ["micro_cmm"]
     assert shipped.study_path(Path("micro_cmm")) == inside / f"micro_cmm{SUFFIX}"
+
+
+def test_a_folder_of_results_does_not_hide_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "micro_cmm").mkdir()
+    (tmp_path / "mine").mkdir()
+    assert shipped.study_path(Path("micro_cmm")).is_file()
+    assert shipped.study_path(Path("mine")) == Path("mine")
