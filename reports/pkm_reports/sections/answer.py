@@ -29,7 +29,7 @@ from oed.result import (
     StudyResult,
     WantedVerdict,
 )
-from oed.text import format_probability
+from oed.text import capitalised, format_probability
 from oed.verdict import SURE_PROBABILITY, accuracy_verdicts
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
@@ -69,6 +69,7 @@ def lead_blocks(result: StudyResult) -> list[Block]:
         *_readings(result),
         *_accuracy_sentences(result),
         *_forecast(result.forecast),
+        *_agreement(result),
     ]
     doubt = main_doubt(result).words
     content: list[Block] = [Paragraph(" ".join(sentences))] if sentences else []
@@ -135,14 +136,33 @@ def _forecast(forecast: ForecastSection | None) -> list[str]:
         ]
     parts = [
         f"{name}{text.NO_BREAK}{text.quantity(c.predicted, c.unit)}"
-        f" ({text.number(c.low, 2)} to {text.number(c.high, 2)} with 95 %)"
+        f" ({text.number(c.low, 2)} to {text.number(c.high, 2)}, 95 %)"
         for name, c in forecast.components.items()
     ]
     return [
         f"{text.count(forecast.readings, 'reading')} of nodes with set-up {forecast.setup}"
         " were evaluated. With the controller's table"
         f" the rms error over the workspace is predicted to be {text.listing(parts)},"
-        f" against {forecast.reference}."
+        f" relative to {forecast.reference}."
+    ]
+
+
+#: verdicts of held-out readings that raise no doubt of the fit
+FITTING: Final = ("confirms", "agrees")
+
+
+def _agreement(result: StudyResult) -> list[str]:
+    """Channels of held-out readings that do not contradict the fit, in one sentence."""
+    sections = [s for s in result.held_out if s.verdict in FITTING]
+    if not sections:
+        return []
+    confirming = sum(section.verdict == "confirms" for section in sections)
+    inside = sorted(round(100.0 * section.coverage) for section in sections)
+    shares = " to ".join(map(str, dict.fromkeys((inside[0], inside[-1]))))
+    return [
+        f"Held-out readings agree with the fit in {len(sections)} of"
+        f" {len(result.held_out)} channels, in {confirming or 'none'} better than with the"
+        f" nominal numbers; {shares} % lie inside the predicted 95 %."
     ]
 
 
@@ -384,7 +404,7 @@ def _machine(result: StudyResult) -> list[tuple[str, str]]:
 def _instruments(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
     described = {setup.instrument: setup.about for setup in setups}
     phrases = [
-        text.sentence(about or name.replace("_", " "))
+        capitalised(text.sentence(about or name.replace("_", " ")))
         for name, about in described.items()
     ]
     return [("Instrument", " ".join(phrases))] if phrases else []
@@ -439,6 +459,8 @@ def recorded_readings(result: StudyResult) -> tuple[int, int]:
 
 def _time(result: StudyResult) -> list[tuple[str, str]]:
     time = plan_minutes(result) if is_plan(result) else ""
+    if result.forecast is not None:
+        time = text.quantity(result.forecast.minutes, "min", 2)
     return [("Time", f"{time}.")] if time else []
 
 
@@ -449,6 +471,8 @@ def _number_of_readings(result: StudyResult) -> list[tuple[str, str]]:
         if design.candidates:
             phrase += f", chosen from {design.candidates} candidates"
         return [("Readings", f"{phrase}.")]
+    if result.forecast is not None and result.forecast.readings:
+        return [("Readings", f"{result.forecast.readings}, one a node.")]
     if has_schedule(result.plan) or result.estimate is None:
         return []
     number, values = recorded_readings(result)
@@ -669,9 +693,10 @@ def _predicted_accuracy(
     components = prediction.judged_components
     judged = verdicts(result, components)
     errors = remaining_errors(result, components)
+    interval = "95 % of machines" if is_plan(result) else "95 % interval"
     columns = [
         TableColumn("Component"),
-        *number_columns("Before", "Afterwards", "95 % of machines"),
+        *number_columns("Before", "Afterwards", interval),
         *(LIMIT_COLUMNS if judged else []),
     ]
     rows, marks = [], []
@@ -752,9 +777,9 @@ def _undriven(components: Mapping[str, ComponentAccuracy]) -> list[Block]:
     unknown = text.quantity(component.known.rms, component.after.unit)
     return [
         Paragraph(
-            f"No drive of this machine corrects {text.listing(remaining)}: {name} keeps"
-            f" {after}. All of it but {unknown} is known, and the compensation table has it"
-            " for an additional axis or the part program."
+            f"No drive corrects {text.listing(remaining)}: {name} keeps {after}, but all of"
+            f" this except {unknown} is known. The compensation table lists it for an"
+            " additional axis or the part program."
         )
     ]
 
@@ -843,9 +868,10 @@ def warning_blocks(result: StudyResult) -> list[Block]:
     The one of the main doubt stands in the first lines of the report already.
     """
     sentences = _warnings(result)
-    if not sentences:
+    doubt = main_doubt(result)
+    if not sentences and not doubt.words:
         return [Paragraph("The study has no warnings.")]
-    stated = main_doubt(result).warning
+    stated = doubt.warning
     return [Notice(sentence) for sentence in sentences if sentence != stated]
 
 
@@ -878,9 +904,10 @@ def _effects_doubt(prediction: PredictionSection | None) -> str:
     largest = budget.unmodelled[0]
     effect = largest.effect.replace("_", " ")
     size = text.replace_symbols(largest.expected)
+    by_form = ", depending on its form" if " to " in size else ""
     return (
-        f"{effect}, here at its expected size of {size}, can be ten times"
-        f" larger or smaller. What removes it: {largest.remedy.rstrip('.')}."
+        f"{effect}, counted at its usual size of {size}{by_form}: on this machine it can be"
+        f" ten times larger or smaller. What removes it: {largest.remedy.rstrip('.')}."
     )
 
 
@@ -927,8 +954,12 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
     if result.corrected is not None and not fits_with_effects(result):
         yield from _conditions(result)
         yield from result.corrected.warnings
-    if result.estimate is not None and not fits_with_effects(result):
-        yield from result.estimate.warnings
+    fit = [] if result.estimate is None else result.estimate.warnings
+    if is_plan(result):  # of a virtual machine: what it leaves unknown has its own part
+        yield from (warning for warning in result.warnings if warning not in fit)
+        return
+    if not fits_with_effects(result):
+        yield from fit
     yield from result.warnings
 
 
@@ -940,8 +971,9 @@ def _conditions(result: StudyResult) -> Iterator[str]:
     mixture = None if gap is None else gap.mixture
     if mixture is not None and mixture.with_effects is None:
         yield (
-            "The controller corrects no effect, and the accuracy is an average over all"
-            " explanations. What removes this: the readings that the diagnosis advises"
+            "The cause is not certain: the controller corrects no effect, and the accuracy is"
+            " an average over all hypotheses. What removes this: the further readings that"
+            " are advised below"
         )
         return
     yield (

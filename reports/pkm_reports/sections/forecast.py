@@ -49,14 +49,14 @@ def answer(forecast: ForecastSection) -> Table:
 
 def _introduction(forecast: ForecastSection) -> str:
     phrase = (
-        f"Errors that come back at the same command are measured at nodes and subtracted in"
+        f"Errors that repeat at the same command are measured at nodes and subtracted in"
         f" advance, relative to {forecast.reference}. The plan has"
         f" {text.count(len(forecast.nodes), 'node')}, which set-up {forecast.setup} reads"
         f" in {forecast.minutes:.0f} min."
     )
     if not forecast.readings:
         return f"{phrase} They are not measured yet."
-    grid = " x ".join(str(count) for count in forecast.table.values())
+    grid = " × ".join(str(count) for count in forecast.table.values())
     rows = text.count(forecast.readings, "measured row")
     return (
         f"{phrase} A field of errors is estimated from {rows} with their noise known, and"
@@ -91,13 +91,20 @@ def _planned(forecast: ForecastSection) -> Table:
 
 
 def _residual(forecast: ForecastSection) -> Table:
-    titles = ["At nodes", "With table", "2.5 %", "97.5 %", "Cross-checked", "Expected"]
+    titles = [
+        "At nodes",
+        "With table",
+        "from",
+        "to (95 %)",
+        "Left out",
+        "its prediction",
+    ]
     fields = ["measured", "predicted", "low", "high"]
     fields += ["left_out", "left_out_predicted"]
     caption = (
         "Rms errors at the nodes, and those that the table is predicted to leave over the"
-        " workspace with their 95 % interval. Cross-checked: errors of nodes less their"
-        " prediction by all other nodes, and as expected of that."
+        " workspace with the 95 % interval. Left out: how far each node is from what all other"
+        " nodes predict there, noise of its reading included, and how far it should be."
     )
     return _table(forecast, titles, fields, caption)
 

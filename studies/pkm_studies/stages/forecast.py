@@ -320,7 +320,7 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
 DOUBT = 4.5
 #: what a table of errors can do, whatever they come from
 REPEATS = (
-    "the table removes errors that come back at the same command in the same state"
+    "the table removes errors that repeat at the same command in the same state"
     " (temperature, payload, direction)"
 )
 

@@ -416,8 +416,6 @@ def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[s
 MOST_LINES: Final = 12
 #: sentences of a result that has no first lines
 MOST_SENTENCES: Final = 3
-#: verdicts of held-out readings that raise no doubt of the fit
-FITTING: Final = ("confirms", "agrees")
 #: the one that is never summed up
 CONTRADICTS: Final = "contradicts"
 #: names of the files that a user opens
@@ -456,7 +454,6 @@ def lines(
     ranked = [
         *[f"Next: {action}" for action in page.actions],
         *page.findings[:1],
-        *_held_out_lines(result),
         *lost_directions(result.identifiability),
         *[f"Warning: {_sentence(warning)}" for warning in others],
         *noise_sentences(result),
@@ -483,21 +480,6 @@ def _table(table: Table) -> list[str]:
     for row in table.rows:
         drawn.add_row(*row)
     return console.table_lines(drawn)
-
-
-def _held_out_lines(result: StudyResult) -> list[str]:
-    """Channels of held-out readings that do not contradict the fit, in one sentence."""
-    sections = [s for s in result.held_out if s.verdict in FITTING]
-    if not sections:
-        return []
-    confirming = sum(section.verdict == "confirms" for section in sections)
-    inside = sorted(round(100.0 * section.coverage) for section in sections)
-    shares = " to ".join(map(str, dict.fromkeys((inside[0], inside[-1]))))
-    return [
-        f"Held-out readings agree with the fit in {len(sections)} of"
-        f" {len(result.held_out)} channels, in {confirming or 'none'} better than with the"
-        f" nominal numbers; {shares} % lie inside the predicted 95 %."
-    ]
 
 
 def _warnings(result: StudyResult, folder: Path) -> list[str]:

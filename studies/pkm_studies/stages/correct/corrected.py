@@ -413,40 +413,40 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
     if moving:
         names = join_words([plain_name(name) for name in moving])
         sentences.append(f"the controller corrects {names} as well as the parameters")
+    effects_of: dict[str, list[str]] = {}
     for form in corrected.forms:
-        sentences += _effect_text(corrected, form)
+        for condition in _effect_conditions(corrected, form):
+            effects_of.setdefault(condition, []).append(plain_name(form.effect.name))
+    sentences += [f"{join_words(e)}: {words}" for words, e in effects_of.items()]
     if gap is not None:
         sentences += _diagnosed_effects(corrected, gap)
     return list(dict.fromkeys(sentences))
 
 
-def _effect_text(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
-    """Conditions of one effect."""
-    name = plain_name(form.effect.name)
+def _effect_conditions(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
+    """Conditions of one effect, which is not named."""
     if not _moves_machine(corrected, form):
-        return [
-            f"{name}: it belongs to the measurement; the machine needs no correction"
-        ]
+        return ["an effect of the measurement; the machine needs no correction"]
     sentences = []
     for need in form.effect.needs:
         covariate = need.partition(":")[0].strip()
         if covariate in KNOWN:
-            sentences.append(f"{name}: {KNOWN[covariate]}")
+            sentences.append(KNOWN[covariate])
         elif "time" in need or "temp" in need:
-            sentences.append(_warmth_text(name, form))
+            sentences.append(_warmth_text(form))
     if not sentences and form.effect.name in LOADED:
         sentences.append(
-            f"{name}: the machine carries the payload of these readings, or a known one"
+            "the machine carries the payload of these readings, or a known one"
         )
     return sentences
 
 
-def _warmth_text(name: str, form: ChosenForm) -> str:
+def _warmth_text(form: ChosenForm) -> str:
     if any("per kelvin" in n for n in form.signature.names):
-        return f"{name}: the temperatures are read as in these readings"
+        return "the temperatures are read as in these readings"
     return (
-        f"{name}: no temperature was recorded, so that the correction holds for the"
-        " warm-up of this session alone"
+        "no temperature was recorded, so that the correction holds for the warm-up of this"
+        " session alone"
     )
 
 

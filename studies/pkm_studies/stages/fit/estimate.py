@@ -607,13 +607,14 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         measurement, readings.series, readings.y, estimate, state.doubtful_values
     )
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
-    own = state.checked
+    session_check = state.checked
     state = add_delivered(state, fitted_as)
     estimate = add_warnings(
         measurement,
         estimate,
         is_judged=state.checked is not None and state.checked.judges_residuals,
-        explained_as_stated=own is not None and own.explained_as_stated,
+        explained_as_stated=session_check is not None
+        and session_check.explained_as_stated,
     )
     fixed = []
     if readings.truth is None:
