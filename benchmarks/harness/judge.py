@@ -28,6 +28,8 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from benchmarks.harness.statistics import Measure, average, middle, share
 
 UNKNOWN = "unknown"
@@ -251,12 +253,13 @@ def _is_at(block: str, s: Scored) -> bool | None:
         return any(int(numbers[0]) in p.get("legs", []) for p in places)
     if kind == "run" and numbers and any("runs" in p for p in places):
         return any(int(numbers[0]) in p.get("runs", []) for p in places)
-    windows = [p["time_s"] for p in places if "time_s" in p]
-    if kind == "time" and windows and len(numbers) == 2:
+    # a label has one window, or a list of them
+    windows = [np.reshape(p.get("time_s", []), (-1, 2)) for p in places]
+    if kind == "time" and sum(map(len, windows)) and len(numbers) == 2:
         low, high = numbers
         return any(
             low < end and high > start and high - low < TOO_WIDE * (end - start)
-            for start, end in windows
+            for start, end in itertools.chain(*windows)
         )
     return None
 

@@ -174,11 +174,9 @@ def diagnose(
     clean = searched[best.law].problem  # without outliers, where there are any
     where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict in NO_EFFECT:
-        # the closure by the likeliest effect is reported all the same, nil or not
-        named = (h for h in hypotheses if h.effects and not h.unknown)
-        best = next(named, best)
-    else:
-        where = _locate(searched[best.law], best, effects, diagnosis.law, rng)
+        nothing = tuple(closure.not_scored(split) for split in SPLITS)
+        return dataclasses.replace(diagnosis, closure=nothing)
+    where = _locate(searched[best.law], best, effects, diagnosis.law, rng)
     models = withheld.models(searched[best.law], best)
     closures = tuple(
         closure.closure(clean, diagnosis.law, models, rng, split=split)

@@ -93,6 +93,19 @@ def measures(*scored: judge.Scored) -> dict[str, tuple[float, int]]:
     return {m.title: (m.value, m.count) for m in judge.rows(scored)}
 
 
+@pytest.mark.parametrize("window", [[100.0, 200.0], [[0.0, 1.0], [100.0, 200.0]]])
+@pytest.mark.parametrize(
+    ("place", "right"), [("time 90-150", 1.0), ("time 300-400", 0.0)]
+)
+def test_a_time_is_right_in_one_of_the_windows(
+    window: list[Any], place: str, right: float
+) -> None:
+    acting = {**CLEAR, "where": {"time_s": window}}
+    said = result("effect", "friction", where=place)
+    table = measures(judge.Scored(label("single", acting), said))
+    assert table["right place"] == (right, 1)
+
+
 def test_measures_count_by_hand() -> None:
     table = measures(
         judge.Scored(label("null"), result("none")),

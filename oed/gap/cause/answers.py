@@ -393,8 +393,11 @@ def _decision(answers: Sequence[AnswerRecord]) -> int:
 def _answer(
     members: Classes, unknown: bool, probability: float, unseen: float = 0.0
 ) -> AnswerRecord:
+    """The record; what no reading shows is unknown, whatever names it may be."""
     names = tuple(m[0] for m in members)
     effects = (*names, UNKNOWN) if unknown else names
+    if members and unseen >= probability > 0.0:
+        effects = (UNKNOWN,)
     return AnswerRecord(effects, probability, tuple(members), unseen)
 
 

@@ -223,6 +223,12 @@ def closure(
     return _score(problem, split, predict, rng)
 
 
+def not_scored(split: Split) -> ClosureRecord:
+    """Where nothing is closed, or no reading can be held out: no figure is known."""
+    nan = float("nan")
+    return ClosureRecord(split, nan, -np.inf, np.inf, nan, nan, nan, 1.0, 0)
+
+
 def _score(
     problem: GapProblem,
     split: Split,
@@ -239,8 +245,7 @@ def _score(
     before, after = np.zeros(len(problem)), np.zeros(len(problem))
     held_out = [np.flatnonzero(fold == k) for k in range(int(fold.max()) + 1)]
     if len(held_out) < 2:
-        nan = float("nan")
-        return ClosureRecord(split, nan, -np.inf, np.inf, nan, nan, nan, 1.0, 0)
+        return not_scored(split)
     for rows in held_out:
         before[rows], after[rows] = predict(rows)
     gain = np.bincount(unit, before**2 - after**2)

@@ -110,7 +110,7 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
 
 
 def test_the_set_has_an_unknown_once_and_any_effect_by_itself() -> None:
-    """What is too small to be seen joins the unknown, and no effect by name."""
+    """What is too small to be seen joins the unknown or has no name of its own."""
     names = ("a", "b", "c")
     any_effect = answering.AnswerGroup(None, (names,), False, 0.2, 0.2)
     unseen = answering.AnswerGroup(None, (), True, 0.1, 0.1)
@@ -126,7 +126,7 @@ def test_the_set_has_an_unknown_once_and_any_effect_by_itself() -> None:
     assert [(a.effects, a.classes) for a in answers] == [
         ((), ()),
         ((UNKNOWN,), ()),
-        (("a",), (names,)),
+        ((UNKNOWN,), (names,)),
         (("a",), (("a",),)),
     ]
     assert [a.probability for a in answers] == pytest.approx([0.4, 0.25, 0.2, 0.15])
