@@ -14,6 +14,7 @@ import dataclasses
 import fnmatch
 import functools
 import itertools
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 import numpy as np
@@ -25,8 +26,18 @@ from oed.model import Machine
 #: coefficient in expected sizes beyond which it is implausible: a normal one of that
 #: spread is there once in two million
 IMPLAUSIBLE = 5.0
+#: coefficient in expected sizes that no machine has, whatever it is of
+IMPOSSIBLE = 1e4
+#: coefficients, SI, that no machine has: grease and plastics end within 100 K of the shop,
+#: and nothing that is built to micrometres or millimetres is off by a metre
+IMPOSSIBLE_SI = {"K": 100.0, "m": 1.0}
 #: directions in which joints move the tool less than this share of the best are held
 DIRECTION_CUTOFF = 0.05
+
+
+def size_limit(scale: float, unit: str) -> float:
+    """Coefficient in expected sizes, `scale` in the SI `unit`, that no machine exceeds."""
+    return min(IMPOSSIBLE, IMPOSSIBLE_SI.get(unit, math.inf) / scale)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

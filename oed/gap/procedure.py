@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from oed.gap.cause.compare import (
     compare_expanded,
     posterior_mean,
     probabilities,
+    without_impossible,
 )
 from oed.gap.cause.locations import LikelyForms, ReversedForms
 from oed.gap.cause.scatter import (
@@ -172,7 +173,6 @@ def diagnose(
     searched, hypotheses = comparison.searches, comparison.hypotheses
     diagnosis, best = conclude(problem, searched, hypotheses, effects)
     clean = searched[best.law].problem  # without outliers, where there are any
-    where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict in NO_EFFECT:
         nothing = tuple(closure.not_scored(split) for split in SPLITS)
         return dataclasses.replace(diagnosis, closure=nothing)
@@ -221,6 +221,7 @@ def conclude(
     The second result is the hypothesis that the first answer stands for.
     """
     hypotheses = withheld.pooled(searched, hypotheses)
+    hypotheses, left_out = without_impossible(searched, hypotheses)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)
@@ -249,7 +250,7 @@ def conclude(
         answers=ranked,
         set95=answers.credible_set(groups),
         marginal={
-            name: _probability_of(name, hypotheses, shares)
+            name: float(shares[[name in h.names for h in hypotheses]].sum())
             for name in (*search.library.effects, UNKNOWN)
         },
         law=law,
@@ -267,38 +268,21 @@ def conclude(
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
         contents=_contents(searched, leading),
+        left_out=left_out,
     )
     return diagnosis, best
-
-
-def _probability_of(
-    name: str, hypotheses: Sequence[Hypothesis], shares: Array
-) -> float:
-    """Probability that an effect acts, or something unknown, whatever else does."""
-    return float(
-        sum(p for h, p in zip(hypotheses, shares, strict=True) if name in h.names)
-    )
 
 
 def _contents(
     searched: Sequence[Search], leading: Sequence[Hypothesis]
 ) -> tuple[AnswerContent, ...]:
     """What hypotheses say, each in the form that suits it best."""
-    return tuple(
-        AnswerContent(_constants(searched[h.law], h, h.effects), h.unknown)
-        for h in leading
-    )
-
-
-def _constants(
-    search: Search,
-    best: Hypothesis,
-    effects: Collection[str],
-) -> dict[str, Mapping[str, float]]:
-    """{effect: constants of its best form} of some of a hypothesis' effects."""
-    forms = zip(best.effects, best.atoms, strict=True)
-    atoms = search.library.atoms
-    return {effect: atoms[k].constants for effect, k in forms if effect in effects}
+    contents = []
+    for h in leading:
+        atoms = [searched[h.law].library.atoms[k] for k in h.atoms]
+        constants = {atom.effect: atom.constants for atom in atoms}
+        contents.append(AnswerContent(constants, h.unknown))
+    return tuple(contents)
 
 
 def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:

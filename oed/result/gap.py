@@ -412,6 +412,7 @@ class GapSection(Record, frozen=True):
               the likeliest first
     nearest   effects that explain at least half of it, the nearest first: causes of its
               kind, none of which has its form
+    left_out  effects that fit, but at a size that no machine has: not named
     effective_laws  number of equally good noise laws that the first answer rests on
     words     one finding a sentence, the most important first
     next      what to do about it
@@ -468,6 +469,7 @@ class GapSection(Record, frozen=True):
     constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}
     nearest: list[str] = []
+    left_out: list[str] = []
     scatter: float | None = None
     scatter_against: str = ""
     scatter_shape: str = ""

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from oed.base import Array
 from oed.effect_model import Effect
 from oed.gap.cause.compare import equivalent_effects
-from oed.gap.cause.search import PRIOR, UNSEEN_SHARE, Hypothesis, Search
+from oed.gap.cause.search import UNSEEN_SHARE, Hypothesis, Search
 from oed.gap.data.diagnosis import AGAIN, ExcessScatter, Verdict
 from oed.gap.data.problem import LACKING, covariate
 from oed.result import (
@@ -54,11 +54,9 @@ def advise(
     first = answers[0]
     if scatter is not None:
         return (_scatter_advice(scatter),)
-    sentences = (
-        _answer_advice(answers, by_name)
-        if first.effects
-        else _no_effect_advice(answers, unstated)
-    )
+    sentences = _no_effect_advice(answers, unstated)
+    if first.effects:
+        sentences = _answer_advice(answers, by_name)
     if not is_sure(answers):
         rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
         sentences = _add_rivals(sentences, first, rivals, by_name)
@@ -135,11 +133,8 @@ def _answer_advice(
             else:
                 unsure.append(f"If it is {remedy}")
     if answer.effects == (UNKNOWN,):
-        acts = (
-            "acts"
-            if probability_of(UNKNOWN, answers) >= GapSection.SURE_PROBABILITY
-            else "may act"
-        )
+        is_sure_of_it = probability_of(UNKNOWN, answers) >= GapSection.SURE_PROBABILITY
+        acts = "acts" if is_sure_of_it else "may act"
         sentences.append(
             f"Something {acts} that no effect of the library explains: look at where it"
             " lies, vary one condition at a time (direction, feed, payload, time) on"
@@ -222,11 +217,9 @@ def _between(
     if not second.effects:
         tests = _tests(first.effects, by_name)
         shown = [effect for effect in first.effects if _tests([effect], by_name)]
-        more = (
-            f" What would show {join_words(shown)}: {join_words(tests)}."
-            if tests
-            else ""
-        )
+        more = ""
+        if tests:
+            more = f" What would show {join_words(shown)}: {join_words(tests)}."
         chance = f"{100.0 * second.probability:.0f} %"
         return [
             f"Noise alone has a probability of {chance}: read again before you"
@@ -268,7 +261,7 @@ class AnswerGroup:
     members        a class for each of its effects
     unknown        whether an unknown remainder acts as well
     probability    of all of them together
-    unseen         part of it at sizes that no reading shows
+    unseen         part of it at sizes that no reading shows: all or nothing
     """
 
     hypothesis: Hypothesis
@@ -276,11 +269,6 @@ class AnswerGroup:
     unknown: bool
     probability: float
     unseen: float = 0.0
-
-    @property
-    def is_any_effect(self) -> bool:
-        """Whether it is any effect too small to be seen, which no other group joins."""
-        return self.unseen > 0.0 and bool(self.members)
 
 
 def group(
@@ -311,29 +299,12 @@ def group(
             effects, unknown = key
             if unknown == h.unknown and _stands_for(effects, members):
                 total += remaining.pop(key)
-        entry = AnswerGroup(h, members, h.unknown, float(total))
-        if not h.is_gap:
-            entry, *unseen = _split_nothing(entry, searches[h.law].library.effects)
-        groups.append(entry)
+        if not h.is_gap:  # of what no reading shows they say nothing: its prior share
+            hidden = float(total) * UNSEEN_SHARE
+            unseen.append(AnswerGroup(h, (), True, hidden, hidden))
+            total -= hidden
+        groups.append(AnswerGroup(h, members, h.unknown, float(total)))
     return [*groups, *unseen]
-
-
-def _split_nothing(nothing: AnswerGroup, names: tuple[str, ...]) -> list[AnswerGroup]:
-    """What may act where nothing shows: nothing, any effect, something unknown.
-
-    The readings say nothing of these three, so that they keep their prior shares.
-    """
-    unknown = PRIOR["unknown"] / (1.0 - PRIOR["unseen"] - PRIOR["none"])
-    if not names:
-        unknown = 1.0
-    total, alone = nothing.probability, nothing.hypothesis
-    unseen = total * UNSEEN_SHARE
-    of_unknown, of_effects = unseen * unknown, unseen * (1.0 - unknown)
-    groups = [dataclasses.replace(nothing, probability=total * (1.0 - UNSEEN_SHARE))]
-    if names:
-        groups.append(AnswerGroup(alone, (names,), False, of_effects, of_effects))
-    groups.append(AnswerGroup(alone, (), True, of_unknown, of_unknown))
-    return groups
 
 
 def rank(
@@ -369,11 +340,10 @@ def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:
     unknown = entry.unknown or len(named) < len(entry.members)
     names = frozenset(members[0] for members in named)
     for k, other in enumerate(answers):
-        alike = (UNKNOWN in other.effects) == unknown and not entry.is_any_effect
+        alike = (UNKNOWN in other.effects) == unknown and not entry.unseen
         if alike and _stands_for(names, other.classes):
             probability = other.probability + entry.probability
-            unseen = other.unseen + entry.unseen
-            answers[k] = replace(other, probability=probability, unseen=unseen)
+            answers[k] = replace(other, probability=probability)
             return
     answers.append(_answer(named, unknown, entry.probability, entry.unseen))
 
@@ -393,11 +363,8 @@ def _decision(answers: Sequence[AnswerRecord]) -> int:
 def _answer(
     members: Classes, unknown: bool, probability: float, unseen: float = 0.0
 ) -> AnswerRecord:
-    """The record; what no reading shows is unknown, whatever names it may be."""
     names = tuple(m[0] for m in members)
     effects = (*names, UNKNOWN) if unknown else names
-    if members and unseen >= probability > 0.0:
-        effects = (UNKNOWN,)
     return AnswerRecord(effects, probability, tuple(members), unseen)
 
 
@@ -425,7 +392,7 @@ def credible_set(groups: Sequence[AnswerGroup]) -> tuple[AnswerRecord, ...]:
         for alike in sets:
             # no gap and an unknown alone differ
             is_same = bool(names) or entry.unknown == alike[0].unknown
-            is_same = is_same and not entry.is_any_effect
+            is_same = is_same and not entry.unseen
             if is_same and _stands_for(names, alike[0].members):
                 alike.append(entry)
                 break

@@ -35,7 +35,7 @@ from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.cause.search import Further, Hypothesis, Key, Search
 from oed.gap.data.evidence import Grams
 from oed.gap.data.linearisation import ActingEffectForm, settle
-from oed.gap.data.problem import GapProblem
+from oed.gap.data.problem import GapProblem, Metric
 
 #: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
 MIN_DISTINCT = 5.0
@@ -182,6 +182,53 @@ def posterior_mean(grams: Grams, columns: Index, size: float) -> Array:
     precision = np.eye(len(columns)) / size**2
     inner = grams.gram[np.ix_(columns, columns)] + precision
     return np.asarray(np.linalg.solve(inner, grams.b[columns]))
+
+
+#: probability from which a hypothesis is asked of withheld runs and of its sizes
+MIN_ASKED = 0.002
+#: probability from which the names of one whose sizes cannot be count as left out
+MIN_LEFT_OUT = 0.1
+
+
+def without_impossible(
+    searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
+) -> tuple[list[Hypothesis], tuple[str, ...]]:
+    """Hypotheses, best first, and names left out: at sizes that no machine has.
+
+    Such a hypothesis gives its probability to the one that has an unknown instead.
+    """
+    results, left_out = {h.key: h for h in hypotheses}, []
+    shares = probabilities(hypotheses)
+    likely = [
+        k for k, h in enumerate(hypotheses) if h.effects and shares[k] > MIN_ASKED
+    ]
+    # what takes over has fewer names, and may itself be left out then
+    for k in sorted(likely, key=lambda k: -len(hypotheses[k].effects)):
+        h = hypotheses[k]
+        names = _impossible_effects(searches[h.law], h)
+        kept = frozenset(h.effects) - names
+        carrier = results.get((kept, True)) or results.get((frozenset(), True))
+        if not names or carrier is None:
+            continue
+        score = float(np.logaddexp(results[h.key].score, carrier.score))
+        log_evidence = score - carrier.log_prior
+        results[carrier.key] = dataclasses.replace(carrier, log_evidence=log_evidence)
+        results[h.key] = dataclasses.replace(h, log_evidence=-np.inf)
+        left_out += sorted(names) if shares[k] > MIN_LEFT_OUT else []
+    ranked = sorted(results.values(), key=lambda h: -h.score)
+    return ranked, tuple(dict.fromkeys(left_out))
+
+
+def _impossible_effects(search: Search, h: Hypothesis) -> frozenset[str]:
+    """Effects of a hypothesis with a coefficient that no machine has."""
+    forms = [search.columns_of(k) for k in h.atoms]
+    counts = [len(form) for form in forms]
+    columns = h.columns(search.library, search.processes)
+    metric, residual = Metric(search.problem, search.law), search.problem.residual
+    mean = metric.posterior(columns, residual)[0][: sum(counts)]
+    limits = np.array(search.library.limits)[np.concatenate(forms)]
+    beyond = np.abs(np.repeat(h.sizes, counts) * mean) > limits
+    return frozenset(np.repeat(h.effects, counts)[beyond].tolist())
 
 
 @dataclasses.dataclass(frozen=True)

@@ -155,7 +155,9 @@ class ReversedForms:
             return None
         parts = [np.zeros((len(self._problem), 0))]
         for atom, size in zip(h.atoms, h.sizes, strict=True):
-            parts.append(factor * size * self._effect_columns(atom))
+            if atom not in self._known:
+                self._known[atom] = self._rebuilt(atom)
+            parts.append(factor * size * self._known[atom])
         if h.process is not None:
             reversal = self._processes.atoms[h.process].reversal
             size = factor * h.process_size
@@ -170,11 +172,6 @@ class ReversedForms:
             return False
         direction = rows["direction"].to_numpy(dtype=float)
         return bool((direction > 0.0).any() and (direction < 0.0).any())
-
-    def _effect_columns(self, atom: int) -> Array:
-        if atom not in self._known:
-            self._known[atom] = self._rebuilt(atom)
-        return self._known[atom]
 
     def _rebuilt(self, atom: int) -> Array:
         form = self._library.atoms[atom]

@@ -102,9 +102,8 @@ class Hypothesis:
 
     def without(self, i: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """Forms and sizes of all its effects but the i-th."""
-        return self.atoms[:i] + self.atoms[i + 1 :], self.sizes[:i] + self.sizes[
-            i + 1 :
-        ]
+        atoms = self.atoms[:i] + self.atoms[i + 1 :]
+        return atoms, self.sizes[:i] + self.sizes[i + 1 :]
 
     def with_form(self, part: int, form: int, size: float) -> Hypothesis:
         """The same with another form of one part, an effect or the remainder."""

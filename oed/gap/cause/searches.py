@@ -51,10 +51,8 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     outliers = _outliers(problem, library, processes, wide.mode)
     clean = without_outliers(problem, outliers)
     if outliers is not None:
-        plain, wide = (
-            evidence.posterior(clean, nothing),
-            evidence.posterior(clean, columns),
-        )
+        plain = evidence.posterior(clean, nothing)
+        wide = evidence.posterior(clean, columns)
     unknown = waves.add(processes, clean, wide.mode)
     search_under = functools.partial(
         Search, clean, library, unknown, outliers=outliers, given=problem

@@ -29,13 +29,11 @@ from scipy import special
 
 from oed.base import Array, Index
 from oed.gap.cause.closure import Paths
-from oed.gap.cause.compare import probabilities
+from oed.gap.cause.compare import MIN_ASKED, probabilities
 from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 
-#: probability among the hypotheses of a gap from which one is asked of withheld runs
-MIN_PROBABILITY = 0.002
 #: factors on the selected sizes between which training readings choose
 SIZE_FACTORS = (1.0, 0.5, 2.0)
 #: likeliest forms of each effect between which they choose
@@ -51,7 +49,7 @@ def pooled(
     gaps = [h for h in hypotheses if h.is_gap]
     shares = probabilities(gaps) if gaps else ()
     pairs = zip(gaps, shares, strict=True)
-    asked = [h for h, share in pairs if share > MIN_PROBABILITY or not h.effects]
+    asked = [h for h, share in pairs if share > MIN_ASKED or not h.effects]
     if len(asked) < 2:
         return list(hypotheses)
     # laws share their readings: folds are laid out once for each set of these

@@ -117,6 +117,7 @@ class Diagnosis(Explained):
     clean           the problem without outliers; None where it was not searched
     shares          {(effects, whether an unknown acts): probability}
     contents        what acts by each of the answers
+    left_out        effects that fit at a size that no machine has alone
     """
 
     problem: GapProblem
@@ -140,6 +141,7 @@ class Diagnosis(Explained):
     shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
         default_factory=dict
     )
+    left_out: tuple[str, ...] = ()
 
     @property
     def selected(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from oed.base import Array, Index
-from oed.effect_model import EFFECT_SIZES, Effect
+from oed.effect_model import EFFECT_SIZES, Effect, size_limit
 from oed.gap.data import evidence
 from oed.gap.data.problem import (
     GapProblem,
@@ -109,6 +109,7 @@ class Library:
     names           (K,) of the coefficients
     labels          (K,) the block of each coefficient; "" for none
     scales          (K,) prior standard deviations of the coefficients
+    limits          (K,) coefficients, per standard deviation, that no machine exceeds
     not_testable    {effect: why these readings cannot test it}
     families        {effect: family of effects that differ by the form alone}
     by_condition    {covariate that effects need first, "" for none: number of effects}
@@ -122,6 +123,7 @@ class Library:
     not_testable: Mapping[str, str]
     families: Mapping[str, str] = dataclasses.field(default_factory=dict)
     by_condition: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    limits: Sequence[float] = ()
 
     @functools.cached_property
     def effects(self) -> tuple[str, ...]:
@@ -170,6 +172,7 @@ def build(
     names: list[str] = []
     labels: list[str] = []
     scales: list[Array] = []
+    limits: list[float] = []
     refused: dict[str, str] = {}
     for effect in effects:
         reason = untestable(effect, problem.states)
@@ -189,6 +192,7 @@ def build(
             start = len(names)
             blocks.append(problem.in_noise_units(form.columns))
             names += form.names
+            limits += map(size_limit, form.scales, map(effect.unit, form.names))
             labels += form.labels
             scales.append(form.scales)
             of_form = _atoms(form, start, log_weight, halved, effect.about)
@@ -202,6 +206,7 @@ def build(
         labels=tuple(labels),
         scales=np.concatenate(scales) if scales else np.zeros(0),
         not_testable=refused,
+        limits=limits,
         families={effect.name: effect.family for effect in effects if effect.family},
         by_condition=collections.Counter(
             covariate(effect.needs[0]) if effect.needs else ""
@@ -407,13 +412,9 @@ def _atoms(
             described = about
             if len(blocks) == 1 and len(limbs) > 1:
                 described = f"{about}, {blocks.pop()}"
-            columns_of_atom, weight = (
-                start + columns,
-                log_weight + math.log(share * part),
-            )
-            atoms.append(
-                Atom(form.effect, form.constants, columns_of_atom, weight, described)
-            )
+            weight = log_weight + math.log(share * part)
+            numbers = start + columns
+            atoms.append(Atom(form.effect, form.constants, numbers, weight, described))
     return atoms
 
 

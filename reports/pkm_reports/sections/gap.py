@@ -607,8 +607,6 @@ def expected_sizes_text(coefficient: CoefficientRecord, number: float) -> float:
 MAX_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names
 MANY: Final = 6
-#: share of an explanation's probability from which it is said to be too small to be seen
-MUCH: Final = 0.1
 #: what the probability of one effect is of
 MARGINALS: Final = (
     "Only sizes that these readings can show count. Effects that look alike share their"
@@ -704,16 +702,11 @@ def explanation_row(answer: AnswerRecord) -> list[str]:
 
 def _explanation(answer: AnswerRecord) -> str:
     """The effects of an answer; one of a large class is not named before the others."""
-    hidden = "too small for these readings to show"
-    if answer.classes and answer.unseen >= answer.probability > 0.0:
-        return f"an effect {hidden}"
+    if answer.unseen >= answer.probability > 0.0:
+        return "an effect too small for these readings to show"
     sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
     names = [_effect_name(name, sizes) for name in answer.effects]
-    explanation = text.listing(names) or "no effect: noise alone"
-    if answer.unseen < MUCH * answer.probability or answer.unseen <= 0.0:
-        return explanation
-    part = "" if answer.unseen >= answer.probability else "in part "
-    return f"{explanation}, {part}{hidden}"
+    return text.listing(names) or "no effect: noise alone"
 
 
 def _effect_name(name: str, class_sizes: Mapping[str, int]) -> str:

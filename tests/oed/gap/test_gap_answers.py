@@ -109,24 +109,22 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
     assert [a.probability for a in answers] == pytest.approx([0.45, 0.36, 0.09, 0.06])
 
 
-def test_the_set_has_an_unknown_once_and_any_effect_by_itself() -> None:
-    """What is too small to be seen joins the unknown or has no name of its own."""
-    names = ("a", "b", "c")
-    any_effect = answering.AnswerGroup(None, (names,), False, 0.2, 0.2)
-    unseen = answering.AnswerGroup(None, (), True, 0.1, 0.1)
+def test_the_set_has_an_unknown_once_and_what_is_too_small_by_itself() -> None:
+    """What is too small to be seen has no name."""
+    unseen = answering.AnswerGroup(None, (), True, 0.2, 0.2)
     answers = answering.credible_set(
         [
             _group([], False, 0.4),
             _group([], True, 0.15),
+            _group([], True, 0.1),
             _group([("a",)], False, 0.15),
-            any_effect,
             unseen,
         ]
     )
     assert [(a.effects, a.classes) for a in answers] == [
         ((), ()),
         ((UNKNOWN,), ()),
-        ((UNKNOWN,), (names,)),
+        ((UNKNOWN,), ()),
         (("a",), (("a",),)),
     ]
     assert [a.probability for a in answers] == pytest.approx([0.4, 0.25, 0.2, 0.15])

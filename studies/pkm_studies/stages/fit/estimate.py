@@ -61,7 +61,7 @@ from pkm_studies.stages.fit.goodness import (
     goodness_section,
     surprises,
 )
-from pkm_studies.stages.gap.diagnosis import covariates_of
+from pkm_studies.stages.gap.diagnosis import covariates_of, rms_by_channel
 from pkm_studies.stages.run_state import Fitted, Measured, MeasuredReadings, promote
 from pkm_studies.tables import PosteriorTable
 
@@ -291,8 +291,8 @@ def estimate_section(
     ]
     return EstimateSection(
         parameters=_parameters(measurement, estimate, truth),
-        rms_before=_rms_by_channel(before, names),
-        rms_after=_rms_by_channel(after, names),
+        rms_before=rms_by_channel(before, names),
+        rms_after=rms_by_channel(after, names),
         units=fine,
         channels=[str(n) for n in names],
         readings=len(after),
@@ -375,13 +375,6 @@ def _how_well(shrinkage: float) -> str:
     if shrinkage <= Estimate.WEAK:
         return "seen"
     return "weak" if shrinkage <= Estimate.AT_PRIOR else "prior"
-
-
-def _rms_by_channel(values: Array, names: np.ndarray) -> dict[str, float]:
-    return {
-        n: float(np.sqrt(np.mean(values[names == n] ** 2)))
-        for n in dict.fromkeys(names)
-    }
 
 
 # -- combinations ----------------------------------------------------------------------

@@ -175,11 +175,11 @@ def _rms_by_channel(change: Array, planned: Dataset) -> dict[str, float]:
         for channel in planned.layouts[s.setup].channels
     ]
     names = np.array([c.name for c in channels])
-    rms = {}
-    for name, unit in {c.name: units.FINE[c.unit] for c in channels}.items():
-        value = np.sqrt(np.mean(change[names == name] ** 2))
-        rms[f"{name}_{unit}"] = float(units.from_si(value, unit))
-    return rms
+    fine = {c.name: units.FINE[c.unit] for c in channels}
+    return {
+        f"{name}_{fine[name]}": float(units.from_si(rms, fine[name]))
+        for name, rms in rms_by_channel(change, names).items()
+    }
 
 
 def _truth_entry(
@@ -330,8 +330,8 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         sizes=_sizes(diagnosis, channel_units),
         noise=list(diagnosis.noise_words),
         units=channel_units,
-        rms_before=_sigmas_by_channel(diagnosis.before / factor, channels),
-        rms_after=_sigmas_by_channel(diagnosis.after / factor, channels),
+        rms_before=rms_by_channel(diagnosis.before / factor, channels),
+        rms_after=rms_by_channel(diagnosis.after / factor, channels),
         traces=run_curves.traces(diagnosis),
         spots=spots,
         spots_unit=spots_unit,
@@ -339,6 +339,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         next=list(diagnosis.next),
         unknown={form: float(p) for form, p in diagnosis.likeness.items()},
         nearest=list(diagnosis.nearest),
+        left_out=list(diagnosis.left_out),
         scatter=None if scatter is None else scatter.factor,
         scatter_shape="" if scatter is None else scatter.shape,
         scatter_against="" if scatter is None else scatter.against,
@@ -374,7 +375,8 @@ def _channels(diagnosis: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
     return fine, rows["channel"].to_numpy()
 
 
-def _sigmas_by_channel(values: Array, channels: np.ndarray) -> dict[str, float]:
+def rms_by_channel(values: Array, channels: np.ndarray) -> dict[str, float]:
+    """Root mean square of values (N,) by the channel (N,) of each."""
     return {
         str(name): float(np.sqrt(np.mean(values[channels == name] ** 2)))
         for name in dict.fromkeys(channels)

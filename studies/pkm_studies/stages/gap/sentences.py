@@ -412,6 +412,7 @@ def add_sentences(gap: GapSection) -> GapSection:
         *_sizes(gap),
         *_implausible(gap),
         *_resemblance(gap),
+        *_left_out(gap),
         *second_explanation(gap),
         *_few_laws(gap),
         *place_sentences(gap),
@@ -581,6 +582,15 @@ def _implausible(gap: GapSection) -> list[str]:
     )
 
 
+def _left_out(gap: GapSection) -> list[str]:
+    """Effects that fit, and why they are not named."""
+    return [
+        f"{capitalised(plain_name(name))} would fit, but only at a size that no machine"
+        " has: it is not named."
+        for name in gap.left_out
+    ]
+
+
 def _resemblance(gap: GapSection) -> list[str]:
     """The forms that an unknown effect resembles most, with their probabilities."""
     forms = list(gap.unknown.items())
@@ -596,7 +606,8 @@ def _resemblance(gap: GapSection) -> list[str]:
 
 def _nearest(gap: GapSection) -> list[str]:
     """Known causes of the kind of what is unknown."""
-    others = [plain_name(name) for name in gap.nearest if name not in gap.selected]
+    named = {*gap.selected, *gap.left_out}
+    others = [plain_name(name) for name in gap.nearest if name not in named]
     if not others:
         return []
     return [
