@@ -289,11 +289,9 @@ def group(
             continue
         if groups and remaining[h.key] < MIN_REPORTED:
             continue
-        members: tuple[tuple[str, ...], ...] = ()
-        if h.effects:
-            members = tuple(
-                equivalent_effects(searches[h.law], h, scores, RIVAL_LOG_POSTERIOR)
-            )
+        members = tuple(
+            equivalent_effects(searches[h.law], h, scores, RIVAL_LOG_POSTERIOR)
+        )
         total = 0.0
         for key in list(remaining):
             effects, unknown = key

@@ -137,10 +137,8 @@ def _circle_panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) 
     around = np.linspace(0.0, 2.0 * math.pi, 181)
     axes.plot(around, np.ones_like(around), color=style.INK, lw=0.6)
     for run in runs:
-        angle, residuals = (
-            np.radians(missing.array(run.at)),
-            _circle_residuals(run, when),
-        )
+        angle = np.radians(missing.array(run.at))
+        residuals = _circle_residuals(run, when)
         order = np.arange(len(angle))
         if _goes_round(angle):
             order = np.append(order, 0)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from oed.effect_model import size_limit
 from oed.effect_model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
 
 
@@ -37,3 +38,13 @@ def test_sizes_that_nothing_shows_are_no_hypotheses() -> None:
     assert weak[:usual].tolist() == [0.0] * (usual - 1) + [pytest.approx(0.9)]
     assert EFFECT_SIZES.values[np.flatnonzero(weak)[1]] == 10_000.0
     assert weak.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "limit"),
+    [(3.0, "K", 100.0 / 3.0), (4e-6, "m", 1e4), (1e-3, "m", 1e3), (50e-6, "1", 1e4)],
+)
+def test_no_machine_has_a_hundred_kelvin_a_metre_or_ten_thousand_expected_sizes(
+    scale: float, unit: str, limit: float
+) -> None:
+    assert size_limit(scale, unit) == pytest.approx(limit)

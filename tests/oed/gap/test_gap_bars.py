@@ -264,9 +264,7 @@ def test_without_time_nothing_thermal_is_absent(
 
 
 @pytest.mark.parametrize(
-    "rows",
-    ["", "direction == '1'"],
-    ids=["no direction", "one direction"],
+    "rows", ["", "direction == '1'"], ids=["no direction", "one direction"]
 )
 def test_without_both_directions_backlash_is_not_absent(
     blind: SimpleNamespace, tmp_path: Path, rows: str

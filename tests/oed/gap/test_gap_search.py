@@ -318,9 +318,7 @@ def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
     forms = library.build(
-        problem,
-        [dataclasses.replace(CURL, columns=bent)],
-        Metric(problem, STATED_LAW),
+        problem, [dataclasses.replace(CURL, columns=bent)], Metric(problem, STATED_LAW)
     )
     names_by_constants = {
         (a.constants["turns"], a.constants["bend"]): [] for a in forms.atoms

@@ -222,10 +222,7 @@ def test_budget_pays_runs_and_mounting():
     tool = np.array([0 if r.setup == "cup" else 1 for r in candidates])
     cost = np.array([r.seconds for r in candidates])
     rules = Rules.build(
-        seconds=cost,
-        budget=1900.0,
-        setup=tool,
-        mounting=np.array([900.0, 900.0]),
+        seconds=cost, budget=1900.0, setup=tool, mounting=np.array([900.0, 900.0])
     )
     choice = choose.choose(pool(), rules, np.random.default_rng(0), rounds=3)
     # 1900 s do not pay for two set-ups and a run, but for one and eight runs

@@ -34,15 +34,7 @@ def _best(
     return (
         processes,
         compare(
-            [
-                Search(
-                    acting,
-                    library.build(problem, ()),
-                    processes,
-                    STATED_LAW,
-                    0.0,
-                )
-            ]
+            [Search(acting, library.build(problem, ()), processes, STATED_LAW, 0.0)]
         )[0],
     )
 

@@ -26,21 +26,11 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     )
     assert processes.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
     search = Search(
-        problem.with_residual(problem.residual + hum),
-        none,
-        processes,
-        STATED_LAW,
-        0.0,
+        problem.with_residual(problem.residual + hum), none, processes, STATED_LAW, 0.0
     )
     best = compare([search])[0]
     assert best.key == (frozenset(), True)
-    quiet = Search(
-        problem,
-        none,
-        waves.add(none, problem, STATED_LAW),
-        STATED_LAW,
-        0.0,
-    )
+    quiet = Search(problem, none, waves.add(none, problem, STATED_LAW), STATED_LAW, 0.0)
     assert compare([quiet])[0].key == (frozenset(), False)
 
 

@@ -11,7 +11,7 @@ from kernel.gap_lines import BOW, EFFECTS, planted, readings
 from kernel.gap_unknown import smooth
 from kernel.laws import STATED_LAW
 from oed.gap.cause import withheld
-from oed.gap.cause.compare import probabilities
+from oed.gap.cause.compare import probabilities, without_impossible
 from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
 from oed.gap.data.problem import GapProblem
@@ -79,6 +79,29 @@ def test_a_pair_with_a_form_that_predicts_nonsense_does_not_lead() -> None:
     )
     pooled = withheld.pooled([search], [wrong, *others])
     assert pooled[0].effects == ("bow",)
+
+
+@pytest.mark.parametrize("limit", [1e4, 10.0])
+def test_a_name_at_a_size_that_no_machine_has_gives_its_probability_to_an_unknown(
+    limit: float,
+) -> None:
+    search = _bowed(20.0)
+    library = search.library
+    search.library = dataclasses.replace(library, limits=[limit] * len(library.names))
+    hypotheses = search.run()
+    assert hypotheses[0].effects == ("bow",)
+    ranked, left_out = without_impossible([search], hypotheses)
+    before, after = ({h.key: h.score for h in hs} for hs in (hypotheses, ranked))
+    assert np.logaddexp.reduce(list(after.values())) == pytest.approx(
+        np.logaddexp.reduce(list(before.values()))
+    )
+    if limit == 1e4:
+        assert (ranked, left_out) == (hypotheses, ())
+        return
+    assert left_out == ("bow",)
+    assert (ranked[0].effects, ranked[0].unknown) == ((), True)
+    assert probabilities(ranked)[0] > 0.9
+    assert after[frozenset({"bow"}), False] == -np.inf
 
 
 def test_what_is_alone_among_gaps_is_as_it_was() -> None:

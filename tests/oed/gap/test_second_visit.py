@@ -56,10 +56,7 @@ def test_unequal_answers_gain_as_bayes_theorem_says() -> None:
     """By integration over the readings to come of the larger of the two joint densities."""
     share, distance = 0.8, 2.5
     x = np.linspace(-10.0, 12.0, 20001)
-    joint = [
-        share * stats.norm.pdf(x),
-        (1.0 - share) * stats.norm.pdf(x, loc=distance),
-    ]
+    joint = [share * stats.norm.pdf(x), (1.0 - share) * stats.norm.pdf(x, loc=distance)]
     pair = [answer("a", share), answer("b", 1.0 - share)]
     found = expected(pair, [[0.0], [distance]])
     assert found == pytest.approx(np.trapezoid(np.maximum(*joint), x), abs=0.02)

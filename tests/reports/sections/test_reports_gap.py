@@ -53,9 +53,7 @@ def _result(gap: GapSection | dict[str, Any]) -> StudyResult:
 # -- chapter ---------------------------------------------------------------------------
 
 
-def test_the_chapter_is_there_only_where_there_is_a_diagnosis(
-    gap: GapSection,
-) -> None:
+def test_the_chapter_is_there_only_where_there_is_a_diagnosis(gap: GapSection) -> None:
     assert sections.chapters(_result(gap))[-1].anchor == "gap"
     without = sections.chapters(result_of(report_fixture.bare()))
     assert "gap" not in [section.anchor for section in without]

@@ -93,6 +93,16 @@ def test_an_effect_in_words() -> None:
     assert section.next == ["Look again.", "Remedy for gravity: stiffen the legs."]
 
 
+def test_an_effect_at_a_size_that_no_machine_has_is_left_out_with_its_reason() -> None:
+    more = {"left_out": ["leg_thermal"], "nearest": ["leg_thermal", "step"]}
+    words = " ".join(
+        _gap("unknown", ["unknown"], [], unknown={"drift": 1.0}, **more).words
+    )
+    assert "Leg thermal would fit, but only at a size that no machine has" in words
+    assert "can test, at a size that a machine can have." in words
+    assert "Known causes of that kind: step;" in words
+
+
 def test_a_class_in_words() -> None:
     section = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
     assert section.words[0].startswith(

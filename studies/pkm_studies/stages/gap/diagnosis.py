@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -350,11 +349,9 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
 
 def _closure(closure: ClosureRecord) -> ClosureRecord:
     """The closure, with None for what is not finite."""
-    numbers = msgspec.structs.asdict(closure)
-    unknown = [
-        n for n, v in numbers.items() if isinstance(v, float) and not isfinite(v)
-    ]
-    return replace(closure, **dict.fromkeys(unknown))
+    numbers = msgspec.structs.asdict(closure).items()
+    finite = {n: finite_or_none(v) for n, v in numbers if isinstance(v, float)}
+    return replace(closure, **finite)
 
 
 def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
@@ -503,9 +500,8 @@ def _untimed(condition: Mapping[str, float]) -> dict[str, float]:
 def second_visit_sentences(visit: SecondVisitRecord) -> list[str]:
     """What to read, what it is expected to decide, and what it cannot."""
     count, runs = sum(visit.poses), len(visit.runs)
-    now, after = (
-        format_probability(p) for p in (visit.probability_now, visit.probability_after)
-    )
+    now = format_probability(visit.probability_now)
+    after = format_probability(visit.probability_after)
     sentences = [
         f"Take the {count} poses of second_visit.csv ({runs} run{'s' * (runs > 1)}) at a"
         " second visit. Expected probability that the likeliest cause is then the right"

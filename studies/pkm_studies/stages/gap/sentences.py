@@ -78,20 +78,18 @@ def implausible_sentences(
 
     checks  {effect: what to check then; "" for nothing in particular}
     """
-    worst: dict[str, tuple[CoefficientRecord, float]] = {}
+    worst: dict[str, tuple[float, CoefficientRecord]] = {}
     for c in coefficients:
-        if c.shape or not c.prior_sd:
-            continue
-        size = abs(c.value)
-        largest, scale = worst.get(c.effect, (None, c.prior_sd))
-        most = IMPLAUSIBLE if largest is None else abs(largest.value) / scale
-        if size / c.prior_sd > most:
-            worst[c.effect] = c, c.prior_sd
-    return [_sentence(c, sd, checks.get(c.effect, "")) for c, sd in worst.values()]
+        ratio = abs(c.value) / c.prior_sd if c.prior_sd and not c.shape else 0.0
+        if ratio > worst.get(c.effect, (IMPLAUSIBLE,))[0]:
+            worst[c.effect] = ratio, c
+    return [
+        _sentence(c, ratio, checks.get(c.effect, "")) for ratio, c in worst.values()
+    ]
 
 
-def _sentence(c: CoefficientRecord, expected: float, check: str) -> str:
-    ratio = abs(c.value) / expected
+def _sentence(c: CoefficientRecord, ratio: float, check: str) -> str:
+    expected = abs(c.value) / ratio
     effect = c.effect.replace("_", " ")
     advice = f"check {check}"
     if not check:
@@ -436,9 +434,10 @@ def _verdict(gap: GapSection) -> list[str]:
         chance = _chance(gap, unknown)
         is_there = "is" if unknown >= GapSection.EVEN_PROBABILITY else "may be"
         testable = len(gap.tried) - len(gap.not_testable)
+        at_a_size = ", at a size that a machine can have" if gap.left_out else ""
         return [
             f"There {is_there} a residual error that no known effect explains {chance}: it has the form of"
-            f" none of the {testable} effects that these readings can test."
+            f" none of the {testable} effects that these readings can test{at_a_size}."
         ]
     probability = probability_of_causes(gap)
     chance = _chance(gap, probability)
@@ -577,9 +576,8 @@ def _format_size(value: float) -> str:
 def _implausible(gap: GapSection) -> list[str]:
     """Coefficients far beyond their expected sizes, of the effects that are named."""
     named = [c for c in gap.coefficients if c.effect in gap.selected]
-    return implausible_sentences(
-        named, {n: note.check for n, note in gap.about.items()}
-    )
+    checks = {name: note.check for name, note in gap.about.items()}
+    return implausible_sentences(named, checks)
 
 
 def _left_out(gap: GapSection) -> list[str]:
@@ -673,10 +671,8 @@ def _asks_for_readings(gap: GapSection) -> bool:
     if gap.verdict == "none":
         return gap.visible_probability > GapSection.DOUBT_PROBABILITY
     open_verdicts = ("class", "unknown", "scatter")
-    unsure = (
-        gap.effect_reported and gap.answers[0].probability < GapSection.SURE_PROBABILITY
-    )
-    return gap.verdict in open_verdicts or unsure
+    unsure = gap.answers[0].probability < GapSection.SURE_PROBABILITY
+    return gap.verdict in open_verdicts or (gap.effect_reported and unsure)
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:
