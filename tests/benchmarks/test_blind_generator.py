@@ -122,10 +122,7 @@ def test_play_remembers_its_side_of_the_gap():
     width = 4e-6
     q = bench.stage.motion.q
     error = effects.play(
-        bench.stage,
-        effects.passes(bench.stage),
-        np.full((1, 2), width),
-        np.ones(1),
+        bench.stage, effects.passes(bench.stage), np.full((1, 2), width), np.ones(1)
     )
     assert np.abs(error).max() <= width / 2 + 1e-15
     for here in bench.plan.runs:

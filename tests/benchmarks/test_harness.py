@@ -94,16 +94,11 @@ def measures(*scored: judge.Scored) -> dict[str, tuple[float, int]]:
 
 
 @pytest.mark.parametrize("window", [[100.0, 200.0], [[0.0, 1.0], [100.0, 200.0]]])
-@pytest.mark.parametrize(
-    ("place", "right"), [("time 90-150", 1.0), ("time 300-400", 0.0)]
-)
-def test_a_time_is_right_in_one_of_the_windows(
-    window: list[Any], place: str, right: float
-) -> None:
-    acting = {**CLEAR, "where": {"time_s": window}}
-    said = result("effect", "friction", where=place)
-    table = measures(judge.Scored(label("single", acting), said))
-    assert table["right place"] == (right, 1)
+def test_a_time_is_right_in_one_of_the_windows(window: list[Any]) -> None:
+    for place, right in (("time 90-150", 1.0), ("time 300-400", 0.0)):
+        case = label("single", {**CLEAR, "where": {"time_s": window}})
+        said = result("effect", "friction", where=place)
+        assert measures(judge.Scored(case, said))["right place"] == (right, 1)
 
 
 def test_measures_count_by_hand() -> None:

@@ -93,10 +93,7 @@ def toy(tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
     """sum(x) * n is detected; n >= 0 in place of n > 0 is not: no test has n = 0."""
-    cases = {
-        ("sign", 4): mutants.KILLED,
-        ("comparison", 3): mutants.SURVIVED,
-    }
+    cases = {("sign", 4): mutants.KILLED, ("comparison", 3): mutants.SURVIVED}
     drawn = {(m.kind, m.line): m for m in mutations(TOY)}
     with mutants.copied(toy) as tree:
         limit = mutants.limit_of(tree, "toy")

@@ -1,7 +1,5 @@
 """Answers from hypotheses: verdicts, classes, the 95 % set, when no gap comes first."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -199,10 +197,8 @@ def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -
             )
             for e, p in shares.items()
         ]
-        library = SimpleNamespace(effects=("a", "b", "c"))
-        searches = [SimpleNamespace(library=library)]
         answers, leading = answering.rank(
-            answering.group(searches, hypotheses, np.array(list(shares.values())))
+            answering.group([None], hypotheses, np.array(list(shares.values())))
         )
         named = [a.unseen < a.probability for a in answers]
         assert len(leading) == len(answers)
