@@ -24,7 +24,7 @@ from oed.text import format_probability
 SURE_PROBABILITY: Final = 0.95
 #: what a distribution of errors holds, by the mode of its prediction
 SCOPE_WORDS: Final = {
-    "mixture": "over all hypotheses of the diagnosis",
+    "mixture": "averaged over the possible causes",
     "corrected": "with the effects that are corrected",
 }
 GEOMETRY_ALONE: Final = "geometry alone"

@@ -16,7 +16,7 @@ from oed.gap.cause.compare import (
     compare_expanded,
     posterior_mean,
     probabilities,
-    without_impossible,
+    without_implausible,
 )
 from oed.gap.cause.locations import LikelyForms, ReversedForms
 from oed.gap.cause.scatter import (
@@ -221,7 +221,7 @@ def conclude(
     The second result is the hypothesis that the first answer stands for.
     """
     hypotheses = withheld.pooled(searched, hypotheses)
-    hypotheses, left_out = without_impossible(searched, hypotheses)
+    hypotheses, left_out = without_implausible(searched, hypotheses)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)

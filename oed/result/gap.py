@@ -412,7 +412,7 @@ class GapSection(Record, frozen=True):
               the likeliest first
     nearest   effects that explain at least half of it, the nearest first: causes of its
               kind, none of which has its form
-    left_out  effects that fit, but at a size that no machine has: not named
+    left_out  effects that fit, but at sizes that are not believed: not named
     effective_laws  number of equally good noise laws that the first answer rests on
     words     one finding a sentence, the most important first
     next      what to do about it

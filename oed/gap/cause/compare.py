@@ -186,16 +186,21 @@ def posterior_mean(grams: Grams, columns: Index, size: float) -> Array:
 
 #: probability from which a hypothesis is asked of withheld runs and of its sizes
 MIN_ASKED = 0.002
-#: probability from which the names of one whose sizes cannot be count as left out
+#: probability from which the names of one whose sizes are not believed are left out
 MIN_LEFT_OUT = 0.1
 
 
-def without_impossible(
+#: expected sizes beyond which a name is kept only where withheld runs prefer its form
+MAX_UNCONFIRMED = 30.0
+
+
+def without_implausible(
     searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
 ) -> tuple[list[Hypothesis], tuple[str, ...]]:
-    """Hypotheses, best first, and names left out: at sizes that no machine has.
+    """Hypotheses, best first, and names left out: at sizes that are not to be believed.
 
-    Such a hypothesis gives its probability to the one that has an unknown instead.
+    No machine has them, or they are beyond MAX_UNCONFIRMED and withheld runs are
+    predicted better by an unknown. That one takes over the probability.
     """
     results, left_out = {h.key: h for h in hypotheses}, []
     shares = probabilities(hypotheses)
@@ -205,11 +210,17 @@ def without_impossible(
     # what takes over has fewer names, and may itself be left out then
     for k in sorted(likely, key=lambda k: -len(hypotheses[k].effects)):
         h = hypotheses[k]
-        names = _impossible_effects(searches[h.law], h)
-        kept = frozenset(h.effects) - names
-        carrier = results.get((kept, True)) or results.get((frozenset(), True))
-        if not names or carrier is None:
+        limits = np.array(searches[h.law].library.limits)
+        names = _effects_beyond(searches[h.law], h, limits)
+        carriers = _carriers(results, h, names)
+        if not names:
+            far = np.minimum(limits, MAX_UNCONFIRMED)
+            names = _effects_beyond(searches[h.law], h, far)
+            carriers = _carriers(results, h, names)
+            carriers = [c for c in carriers if c.log_prediction > h.log_prediction]
+        if not names or not carriers:
             continue
+        carrier = carriers[0]
         score = float(np.logaddexp(results[h.key].score, carrier.score))
         log_evidence = score - carrier.log_prior
         results[carrier.key] = dataclasses.replace(carrier, log_evidence=log_evidence)
@@ -219,15 +230,22 @@ def without_impossible(
     return ranked, tuple(dict.fromkeys(left_out))
 
 
-def _impossible_effects(search: Search, h: Hypothesis) -> frozenset[str]:
-    """Effects of a hypothesis with a coefficient that no machine has."""
+def _carriers(
+    results: Mapping[Key, Hypothesis], h: Hypothesis, names: frozenset[str]
+) -> list[Hypothesis]:
+    """Hypotheses with an unknown in place of some names, and in place of all."""
+    keys = dict.fromkeys([frozenset(h.effects) - names, frozenset()])
+    return [results[key, True] for key in keys if (key, True) in results]
+
+
+def _effects_beyond(search: Search, h: Hypothesis, limits: Array) -> frozenset[str]:
+    """Effects of a hypothesis with a coefficient beyond the limit of its column."""
     forms = [search.columns_of(k) for k in h.atoms]
     counts = [len(form) for form in forms]
     columns = h.columns(search.library, search.processes)
     metric, residual = Metric(search.problem, search.law), search.problem.residual
     mean = metric.posterior(columns, residual)[0][: sum(counts)]
-    limits = np.array(search.library.limits)[np.concatenate(forms)]
-    beyond = np.abs(np.repeat(h.sizes, counts) * mean) > limits
+    beyond = np.abs(np.repeat(h.sizes, counts) * mean) > limits[np.concatenate(forms)]
     return frozenset(np.repeat(h.effects, counts)[beyond].tolist())
 
 

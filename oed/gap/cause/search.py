@@ -67,6 +67,7 @@ class Hypothesis:
     log_prior       log prior probability
     law             number of the noise law that suits it best
     effective_laws  number of equally good noise laws that its evidence rests on
+    log_prediction  log predictive density of withheld runs; nan where not asked
     """
 
     effects: tuple[str, ...]
@@ -79,6 +80,7 @@ class Hypothesis:
     log_prior: float
     law: int = 0
     effective_laws: float = 1.0
+    log_prediction: float = float("nan")
 
     @property
     def score(self) -> float:

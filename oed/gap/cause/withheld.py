@@ -69,9 +69,10 @@ def pooled(
     scores = log_posterior(log_prior, both, powers)
     scores += special.logsumexp([h.score for h in asked])
     results = {h.key: h for h in hypotheses}
-    for h, score in zip(asked, scores, strict=True):
-        changed = float(score) - h.log_prior
-        results[h.key] = dataclasses.replace(h, log_evidence=changed)
+    for h, score, density in zip(asked, scores, folds.sum(axis=1), strict=True):
+        results[h.key] = dataclasses.replace(
+            h, log_evidence=float(score) - h.log_prior, log_prediction=float(density)
+        )
     return sorted(results.values(), key=lambda h: -h.score)
 
 

@@ -112,10 +112,12 @@ def _accuracy_sentences(result: StudyResult) -> list[str]:
     parts = []
     for name, error in errors.items():
         part = f"{name}{text.NO_BREAK}{text.quantity(error.rms, error.unit)}"
+        interval = _span(prediction.judged_components[name].judged, error.rms)
+        phrases = [f"{interval}, 95 %"] if interval else []
         if name in judged:
             wanted = text.quantity(judged[name].wanted, error.unit)
-            part += f" ({wanted} wanted: {judged[name].judgement})"
-        parts.append(part)
+            phrases.append(f"{wanted} wanted: {judged[name].judgement}")
+        parts.append(f"{part} ({'; '.join(phrases)})" if phrases else part)
     scopes = text.listing(dict.fromkeys(error.scope for error in errors.values()))
     reference = text.meaning(prediction.reference, REFERENCES)
     return [
@@ -430,10 +432,14 @@ def _settings(setup: SetupInfo) -> str:
 def instrument_names(setups: Sequence[SetupInfo]) -> list[str]:
     """The instruments of set-ups, each once: double ball bar, laser tracker."""
     described = {setup.instrument: setup.about for setup in setups}
-    names = [
-        re.split("[,.(:]", about)[0].strip() or name.replace("_", " ")
-        for name, about in described.items()
-    ]
+    names = []
+    for name, about in described.items():
+        first = re.split("[,.(:]", about)[0].strip() or name.replace("_", " ")
+        if (
+            first[1:2].isupper() and "," in about
+        ):  # an abbreviation, after what it stands for
+            first = f"{about.rpartition(',')[2].strip(' .')} ({first})"
+        names.append(first)
     # an abbreviation, as RM 4, stays as it is
     return [
         name if name[1:2].isupper() else f"{name[:1].lower()}{name[1:]}"
@@ -955,7 +961,9 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
         yield from _conditions(result)
         yield from result.corrected.warnings
     fit = [] if result.estimate is None else result.estimate.warnings
-    if is_plan(result):  # of a virtual machine: what it leaves unknown has its own part
+    is_virtual = is_plan(result) and result.judged_prediction is not None
+    if is_virtual and not trust.objections(result):
+        # what the fit of a virtual machine leaves unknown has a part of its own
         yield from (warning for warning in result.warnings if warning not in fit)
         return
     if not fits_with_effects(result):
@@ -963,17 +971,25 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
     yield from result.warnings
 
 
+def _test(gap: GapSection) -> str:
+    """Which readings would show the likeliest cause that is known."""
+    for answer in gap.answers:
+        for effect in answer.effects:
+            if effect in gap.about and gap.about[effect].exposed_by:
+                name = effect.replace("_", " ")
+                return f"readings that show whether it is {name}: {gap.about[effect].exposed_by}"
+    return "the readings under What to do"
+
+
 def _conditions(result: StudyResult) -> Iterator[str]:
     """What the accuracy of the first page rests on beside the readings."""
     section, gap = result.corrected, result.gap
     if section is None or not section.conditions:
         return
-    mixture = None if gap is None else gap.mixture
-    if mixture is not None and mixture.with_effects is None:
+    if gap is not None and gap.mixture is not None and gap.mixture.with_effects is None:
         yield (
-            "The cause is not certain: the controller corrects no effect, and the accuracy is"
-            " an average over all hypotheses. What removes this: the further readings that"
-            " are advised below"
+            "The cause is not certain, so that the controller corrects none, and the accuracy"
+            f" is an average over the possible ones. What removes this: {_test(gap)}"
         )
         return
     yield (

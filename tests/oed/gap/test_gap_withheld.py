@@ -11,7 +11,7 @@ from kernel.gap_lines import BOW, EFFECTS, planted, readings
 from kernel.gap_unknown import smooth
 from kernel.laws import STATED_LAW
 from oed.gap.cause import withheld
-from oed.gap.cause.compare import probabilities, without_impossible
+from oed.gap.cause.compare import probabilities, without_implausible
 from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
 from oed.gap.data.problem import GapProblem
@@ -90,7 +90,7 @@ def test_a_name_at_a_size_that_no_machine_has_gives_its_probability_to_an_unknow
     search.library = dataclasses.replace(library, limits=[limit] * len(library.names))
     hypotheses = search.run()
     assert hypotheses[0].effects == ("bow",)
-    ranked, left_out = without_impossible([search], hypotheses)
+    ranked, left_out = without_implausible([search], hypotheses)
     before, after = ({h.key: h.score for h in hs} for hs in (hypotheses, ranked))
     assert np.logaddexp.reduce(list(after.values())) == pytest.approx(
         np.logaddexp.reduce(list(before.values()))
@@ -102,6 +102,22 @@ def test_a_name_at_a_size_that_no_machine_has_gives_its_probability_to_an_unknow
     assert (ranked[0].effects, ranked[0].unknown) == ((), True)
     assert probabilities(ranked)[0] > 0.9
     assert after[frozenset({"bow"}), False] == -np.inf
+
+
+@pytest.mark.parametrize("is_confirmed", [True, False])
+def test_a_name_far_beyond_its_expected_size_needs_withheld_runs(
+    is_confirmed: bool,
+) -> None:
+    search = _bowed(50.0)
+    with_bow = 1.0 if is_confirmed else -1.0
+    hypotheses = [
+        dataclasses.replace(h, log_prediction=with_bow if "bow" in h.effects else 0.0)
+        for h in search.run()
+    ]
+    assert hypotheses[0].effects == ("bow",)
+    ranked, left_out = without_implausible([search], hypotheses)
+    assert left_out == (() if is_confirmed else ("bow",))
+    assert (ranked[0].effects == ("bow",)) == is_confirmed
 
 
 def test_what_is_alone_among_gaps_is_as_it_was() -> None:

@@ -80,7 +80,7 @@ def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None
     raw["design"]["how_many"]["wanted"] = {"x_um": 100.0}
     result = result_of(raw)
     words = _words(result)["how-accurate"]
-    assert "x keeps 1493 µm. All of it but 60 µm is known" in words
+    assert "x keeps 1493 µm, but all of this except 60 µm is known" in words
     assert re.search(r"x \[µm\] [\d.]+ 60 .* 100 over 99 % \? cannot tell", words)
 
 

@@ -133,7 +133,7 @@ def test_the_table_brings_a_hundredth(
         assert c["low"] < c["predicted"] < c["high"]
         assert 0.4 < c["left_out"] / c["left_out_predicted"] < 1.5
     page = (out / "report.html").read_text()
-    assert "Cross-checked: errors of nodes less their prediction" in page
+    assert "Left out: how far each node is from what all other nodes predict" in page
     # the nominal controller sends the corrected command to the corrected joints
     for row in rows(out / "forecast_table.csv")[::7]:
         v = {name: float(value) * 1e-3 for name, value in row.items()}

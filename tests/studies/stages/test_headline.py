@@ -128,7 +128,7 @@ def test_what_no_drive_corrects_is_said_on_the_first_page() -> None:
     parts = answer.answer_parts(report_fixture.result_of(raw))
     (part,) = [part for part in parts if part.anchor == "how-accurate"]
     words = " ".join(getattr(block, "text", "") for block in part.blocks)
-    (sentence,) = re.findall(r"No drive of this machine corrects (.*?):", words)
+    (sentence,) = re.findall(r"No drive corrects (.*?):", words)
     assert re.split(", | and ", sentence) == others
 
 
@@ -155,7 +155,7 @@ def test_the_first_page_says_what_the_model_lacks() -> None:
     parts = {p.anchor: p for p in answer.answer_parts(result(CHANGES))}
     words = " ".join(getattr(block, "text", "") for block in parts["short"].blocks)
     plain = words.replace("\N{NO-BREAK SPACE}", " ")
-    assert "pitch accumulation, here at its expected size of 10 µm" in plain
+    assert "pitch accumulation, counted at its usual size of 10 µm" in plain
     assert "What removes it: measure each joint's travel." in plain
     part = parts["how-accurate"]
     (table,) = [block for block in part.blocks if isinstance(block, Table)]

@@ -584,7 +584,7 @@ def _left_out(gap: GapSection) -> list[str]:
     """Effects that fit, and why they are not named."""
     return [
         f"{capitalised(plain_name(name))} would fit, but only at a size that no machine"
-        " has: it is not named."
+        " has or that withheld runs do not confirm: it is not named."
         for name in gap.left_out
     ]
 
