@@ -191,13 +191,17 @@ def _no_effect_advice(
     ]
 
 
+#: tests that are named where many effects look alike
+MAX_TESTS = 3
+
+
 def _class_advice(members: Sequence[str], by_name: Mapping[str, Effect]) -> str:
     """What would distinguish the members of a class, those of a large one unnamed."""
     if len(members) > GapSection.MAX_CLASS_NAMES:
-        tests = list(dict.fromkeys(_tests(members, by_name)))
+        tests = list(dict.fromkeys(_tests(members, by_name)))[:MAX_TESTS]
         return (
-            f"These readings cannot tell {len(members)} effects apart. What would:"
-            f" {'; '.join(tests)}."
+            f"These readings cannot tell {len(members)} effects apart. What would help"
+            f" first: {'; '.join(tests)}."
         )
     tests = []
     for member in members:

@@ -67,7 +67,7 @@ class Hypothesis:
     log_prior       log prior probability
     law             number of the noise law that suits it best
     effective_laws  number of equally good noise laws that its evidence rests on
-    log_prediction  log predictive density of withheld runs; nan where not asked
+    log_prediction  log predictive density of whole withheld runs; nan where not known
     """
 
     effects: tuple[str, ...]

@@ -69,9 +69,13 @@ def pooled(
     scores = log_posterior(log_prior, both, powers)
     scores += special.logsumexp([h.score for h in asked])
     results = {h.key: h for h in hypotheses}
-    for h, score, density in zip(asked, scores, folds.sum(axis=1), strict=True):
+    # an unknown process interpolates stretches of one run: they confirm no name, and
+    # contradict none
+    has_runs = all(Paths(p).whole()[0].max() > 0 for p in problems.values())
+    predictions = folds.sum(axis=1) if has_runs else np.full(len(asked), np.nan)
+    for h, score, prediction in zip(asked, scores, predictions, strict=True):
         results[h.key] = dataclasses.replace(
-            h, log_evidence=float(score) - h.log_prior, log_prediction=float(density)
+            h, log_evidence=float(score) - h.log_prior, log_prediction=float(prediction)
         )
     return sorted(results.values(), key=lambda h: -h.score)
 

@@ -60,7 +60,7 @@ def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:
     effects = [dataclasses.replace(SLIP, name=name) for name in names]
     answer = AnswerRecord(names[:1], 0.9, (names,))
     assert advise([answer], effects, {}) == (
-        "These readings cannot tell 6 effects apart. What would: both ways.",
+        "These readings cannot tell 6 effects apart. What would help first: both ways.",
     )
 
 
