@@ -210,6 +210,23 @@ class Column:
     reading: Mapping[str, Array] = dataclasses.field(default_factory=dict)
     shape: bool = False
 
+    def misfit(self, state: State) -> str:
+        """What of it is no change of a state's machine at its m poses; empty for none."""
+        limbs = len(state.limbs)
+        for index in self.joints:
+            if index not in state.limbs:
+                return f"joint index {index}, but the machine has 0 to {limbs - 1}"
+        for name in ("joints", "parameters", "nuisances", "reading"):
+            for key, change in getattr(self, name).items():
+                if np.shape(change) != (len(state),):
+                    return (
+                        f"{name}[{key!r}] has shape {np.shape(change)}, and not a number"
+                        f" for each of {len(state)} poses"
+                    )
+                if not np.isfinite(change).all():
+                    return f"{name}[{key!r}] is not finite at all poses"
+        return ""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Effect:
@@ -270,6 +287,13 @@ class Effect:
     textbook_share: float = 0.5
     incident: bool = False
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = {field.name for field in dataclasses.fields(State)}
+        for need in self.needs:
+            for name in (part.split(":")[0].strip() for part in need.split(" or ")):
+                if name not in known and not name.startswith("temp_"):
+                    raise ValueError(f"needs {need!r}: no reading records {name}")
 
     @property
     def varies_with_time(self) -> bool:

@@ -46,6 +46,16 @@ CLASSES = {
     "effects": ("oed.effect_model", "Effect"),
     "formats": ("pkm_studies.catalogue.controller_format", "ControllerFormat"),
 }
+#: where a study or a command names what the file of a user holds
+USES = {
+    "machine": "into model of [machine], or to `oed check`",
+    "instrument": "into instrument of a [[setup]]",
+    "effect": "into effects of [gap] in a study; `oed check` the study",
+    "controller": "to `oed compensate DIR --to FILE`",
+    "importer": "to `oed import FILE`",
+}
+#: how a file gives an item that is no plain instance of its class
+OBJECTS = {"importers": "give an object, not a class, with name, about, read(request)"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -107,7 +117,24 @@ def effect(reference: str, origin: Origin, location: Location) -> Any:
     """The `oed.effect_model.Effect` that `reference` names. Raises InputError."""
     from oed.effect_model import Effect
 
-    return lookup(reference, "effects", Effect, origin, location)
+    item = lookup(reference, "effects", Effect, origin, location)
+    if not user_code.is_file(reference):
+        return item
+    columns = functools.partial(_sound_columns, item, reference, location)
+    return dataclasses.replace(item, columns=columns)
+
+
+def _sound_columns(
+    effect: Any, reference: str, location: Location, state: Any, **constants: float
+) -> Iterator[Any]:
+    """The columns of a user's effect. Raises InputError where one fits no state."""
+    for column in effect.columns(state, **constants):
+        misfit = column.misfit(state)
+        if misfit:
+            remedy = "mend the function `columns` of the file"
+            problem = f"column {column.name!r}: {misfit}"
+            raise location.error(problem, remedy, reference)
+        yield column
 
 
 def function(reference: str, origin: Origin, location: Location) -> Callable[..., Any]:
@@ -190,15 +217,18 @@ def lookup(
     usual = ATTRIBUTES.get(kind, kind.removesuffix("s"))
     attribute = reference[len(module_name) + 1 :] or usual
     item = getattr(module, attribute, None)
-    if isinstance(item, wanted):
+    if isinstance(item, wanted) and not inspect.isclass(item):
         return item
+    if item is not None:
+        problem = f"{attribute} is no {wanted.__name__}"
+        remedy = OBJECTS.get(kind, f"write {attribute} = {wanted.__name__}(...)")
+        raise location.error(problem, remedy, reference)
     there = [n for n, v in vars(module).items() if isinstance(v, wanted)]
-    problem = (
-        f"{attribute} is no {wanted.__name__}"
-        if item is not None
-        else f"there is no {attribute} in it"
-    )
-    raise location.error(problem, _remedy(attribute, there), reference)
+    remedy = _remedy(attribute, there)
+    others = [name for name in USES if hasattr(module, name)]
+    if others and not there:
+        remedy = f"its {others[0]} goes {USES[others[0]]}"
+    raise location.error(f"there is no {attribute} in it", remedy, reference)
 
 
 def _named_shortly(name: str, kind: str, location: Location) -> Any:

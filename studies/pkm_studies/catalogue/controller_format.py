@@ -7,10 +7,13 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from oed.base import Array
 from oed.model import Machine
 from oed.result import EffectTable
 from oed.text import shorten
+from pkm_studies.base import InputError
 
 if TYPE_CHECKING:
     from oed.compensate import CommandGrid, FurtherAxes
@@ -151,3 +154,15 @@ class ControllerFormat:
     table: bool = False
     interpolated: bool = False
     draws: bool = False
+
+    def driven_joints(self, texts: Texts, content: Compensation) -> Array:
+        """`joints` (n, nq), which the format has. Raises InputError for other shapes."""
+        joints = np.asarray(self.joints and self.joints(texts, content))
+        shape = len(content.command), len(content.machine.joints)
+        if joints.shape != shape or not np.isfinite(joints).all():
+            raise InputError(
+                f"its joints {joints.shape} are not {shape} finite numbers",
+                "mend `joints` of the format: a row a command, a column a joint",
+                value=f"--to {self.name}",
+            )
+        return joints

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ from oed.result import (
     StudyResult,
 )
 from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
-from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
+from pkm_studies.catalogue import Compensation, ControllerFormat
 from pkm_studies.earlier_result import mixture_of
 from pkm_studies.results import advice_on, error_quantities
 
@@ -75,12 +75,11 @@ def complete_budget(
     """
     corrected = result.corrected
     prediction = result.final_prediction
-    joints = controller.joints
-    if prediction is None or prediction.budget is None or joints is None:
+    if prediction is None or prediction.budget is None or controller.joints is None:
         return None
     budget = prediction.budget
     shown = _shown(controller, content, budget)
-    lines = [_rounding(controller, joints, content, prediction, shown)]
+    lines = [_rounding(controller, content, prediction, shown)]
     if controller.interpolated:
         lines += _interpolation(content, prediction, shown)
     lines += _effect_lines(content, shown)
@@ -263,7 +262,6 @@ def undriven_units(content: Compensation) -> dict[str, str]:
 
 def _rounding(
     controller: ControllerFormat,
-    joints: Callable[[Texts, Compensation], Array],
     content: Compensation,
     prediction: PredictionSection,
     shown: Mapping[str, str],
@@ -280,7 +278,7 @@ def _rounding(
     errors = joint_errors(
         content.kinematics,
         command,
-        joints(texts, whole),
+        controller.driven_joints(texts, whole),
         content.identified.values,
         prediction.reference,  # type: ignore[arg-type]
         content.further,

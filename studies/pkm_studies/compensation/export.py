@@ -360,7 +360,7 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
     if controller.joints is None:
         return remaining
     written = dataclasses.replace(content, command=command, grid=None)
-    joints = controller.joints(controller.write(written), written)
+    joints = controller.driven_joints(controller.write(written), written)
     errors = component_errors(kinematics, command, joints, values)
     largest = np.abs(errors).max(axis=0)
     parts = [

@@ -14,7 +14,7 @@ from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import comments_of_study, resolve
 from pkm_studies.study import SUFFIX, load, parse
 from pkm_studies.tables import MachineTable
-from pkm_studies.user_code import Consent
+from pkm_studies.user_code import Consent, is_file
 
 
 def import_files(
@@ -74,15 +74,19 @@ def import_files(
     except (InputError, AssemblyError) as error:
         for path in targets:
             path.unlink()
-        raise _no_study(error, paths, has_map=map_path in targets) from error
+        source = ", ".join(map(str, paths))
+        if is_file(kind):
+            source += f", as {kind} reads it"
+        if isinstance(error, InputError) and error.file not in map(str, targets):
+            source = error.file or source
+        raise _no_study(error, source, has_map=map_path in targets) from error
     return targets[0], session
 
 
 def _no_study(
-    error: InputError | AssemblyError, paths: Sequence[Path], *, has_map: bool
+    error: InputError | AssemblyError, file: str, *, has_map: bool
 ) -> InputError:
     """The error about files whose study no other command would take."""
-    file = ", ".join(map(str, paths))
     if isinstance(error, AssemblyError):
         return InputError(str(error), "check the machine's numbers", file=file)
     remedy = error.remedy

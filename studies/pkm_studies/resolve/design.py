@@ -199,6 +199,8 @@ def _point(values: Array) -> Point:
 
 #: largest share by which a reading may differ from what the instrument holds
 HOLD_TOLERANCE = 0.01
+#: m; a shorter distance from the cup is rounding
+NO_LENGTH = 1e-9
 CANNOT_HOLD = "cannot hold their reading"
 
 
@@ -233,6 +235,13 @@ def candidates(
                 f"{field.field}: {number} of {count} candidates are left out: they"
                 f" {reason}"
             )
+        is_length = _is_length(measurement, series)
+        if not is_length.all():
+            warnings.append(
+                f"{field.field}: {np.count_nonzero(~is_length)} of {len(series)} poses are"
+                f" left out: {table.setup} would read 0 there, a length without direction"
+            )
+            series = series.take(np.flatnonzero(is_length))
         if study.design.limits is None or study.design.limits.travel_mm is None:
             warnings += _hold_warnings(measurement, series, field)
         every.append(series)
@@ -252,6 +261,16 @@ def _is_within_limits(
         location.key("limits"),
         whole_runs=table.whole_runs,
     )
+
+
+def _is_length(measurement: Measurement, series: Series) -> Mask:
+    """Where (N,) an instrument of a length reads one: at 0 it has no derivatives."""
+    setup = measurement.setups[series.setup]
+    fixed = setup.instrument.fixed_reading
+    if fixed is None or not fixed(setup.settings):
+        return np.full(len(series), True)
+    readings = measurement.expected_readings(series)
+    return np.asarray(readings[:: len(setup.sigma)] > NO_LENGTH)
 
 
 def _hold_warnings(
