@@ -147,7 +147,10 @@ def test_an_error_names_the_line_of_its_word(tmp_path: Path) -> None:
     config = CONFIG.replace("U2:2:2:4", "").replace("M666", "M666 U2:2:2\nM666", 1)
     (tmp_path / "config.g").write_text(config)
     (tmp_path / "m.csv").write_text("A,B,C,D\n1,2,3,4\n5,6,7,8\n")
+    (tmp_path / "p.csv").write_text("x,y,z\n1,2,3\n4,5,6\n7,8,9\n")
+    files = [tmp_path / name for name in ("config.g", "m.csv", "p.csv")]
     with pytest.raises(InputError, match=r"line 3, M666 U.*M666 U2:2:2"):
-        import_files(
-            "hangprinter", [tmp_path / "config.g", tmp_path / "m.csv"], tmp_path / "o"
-        )
+        import_files("hangprinter", files[:2], tmp_path / "o")
+    files[0].write_text(CONFIG)
+    with pytest.raises(InputError, match="3 places, but 2 poses of the motors; give"):
+        import_files("hangprinter", files, tmp_path / "o")

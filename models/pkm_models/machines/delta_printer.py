@@ -61,7 +61,7 @@ def _axis(p: Values, i: int) -> Expr:
 def _effector_edges(p: Values) -> list[Expr]:
     """Edges e_i (3,) of the effector that is level in the middle of the bed.
 
-    From their nominal places the effector turns by w: e_i . (u_i x w) closes the rods there.
+    From their nominal places they turn by w, until u_i . (e_i - c_i) = pair_i there.
     """
     edges = [_tangent(SIDES[i]) for i in TOWERS]
     normals, sides = [], []
@@ -71,7 +71,7 @@ def _effector_edges(p: Values) -> list[Expr]:
         rod = ca.vertcat(-radius * ca.cos(angle), -radius * ca.sin(angle), -drop)
         rod = rod / p[f"arm{i}"]
         normals.append(ca.cross(edge, rod))
-        sides.append(ca.dot(rod, _axis(p, i) - edge) - p[f"pair{i}"])
+        sides.append(ca.dot(rod, _axis(p, i) - edge) + p[f"pair{i}"])
     turn = ca.solve(ca.horzcat(*normals).T, ca.vertcat(*sides))
     return [edge + ca.cross(turn, edge) for edge in edges]
 

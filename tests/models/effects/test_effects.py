@@ -81,6 +81,7 @@ def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
         assert not text.endswith(".")
         assert ". " not in text
     assert effect.source
+    assert 0.0 < effect.textbook_share <= 1.0
     first = next(
         iter(effect.constants.values()), ()
     )  # a larger grid is looked through by turns, this one first
@@ -289,6 +290,30 @@ def test_an_effect_of_ones_own(tmp_path: Path) -> None:
     assert catalogue.effect(
         "pkm_models.effects.backlash:effect", Origin(tmp_path), HERE
     ) is effect_of("backlash")
+
+
+@pytest.mark.parametrize(
+    ("column", "words"),
+    [
+        ("joints={9: state.time}", "joint index 9, but the machine has 0 to 2"),
+        ("reading={'*': 1.0}", r"reading\['\*'\] has shape \(\), and not a number"),
+        ("joints={0: 0.0 * state.time / 0.0}", r"joints\[0\] is not finite"),
+    ],
+)
+def test_a_column_that_fits_no_pose_is_refused(
+    column: str, words: str, tmp_path: Path
+) -> None:
+    own = OWN.replace('Column("wind", 1e-6)', f'Column("wind", 1e-6, {column})')
+    (tmp_path / "wind.py").write_text(own, encoding="utf-8")
+    effect = catalogue.effect("wind.py", Origin(tmp_path), HERE)
+    state = session("a3_head").states[0]
+    with np.errstate(invalid="ignore"), pytest.raises(InputError, match=words):
+        list(effect.columns(state))
+
+
+def test_a_need_that_no_reading_records_is_refused() -> None:
+    with pytest.raises(ValueError, match="no reading records tiem"):
+        dataclasses.replace(effect_of("backlash"), needs=("time or tiem",))
 
 
 @pytest.mark.parametrize(

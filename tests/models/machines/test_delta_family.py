@@ -8,7 +8,7 @@ from oracles import delta_trilateration
 from sample import refused, resolved
 
 from oed.mechanism import AssemblyError, Kinematics
-from pkm_models.machines import delta, linear_delta
+from pkm_models.machines import delta, delta_printer, linear_delta
 from pkm_studies.resolve import unreachable
 
 STUDY = """\
@@ -147,3 +147,14 @@ def test_joints_past_a_singular_pose_are_refused() -> None:
     kinematics = Kinematics(delta.machine)
     with pytest.raises(AssemblyError, match=r"cannot be assembled|assembly mode"):
         kinematics.start_poses(np.array([[0.0, 0.9, 0.9]]))
+
+
+def test_the_effector_is_level_in_the_middle_of_the_bed() -> None:
+    """Whatever the towers' errors: tilts count from there."""
+    kinematics = Kinematics(delta_printer.machine)
+    names = [p.name for p in delta_printer.machine.parameters]
+    p = np.array([p.nominal for p in delta_printer.machine.parameters])
+    for name in ("angle1", "turn1", "turn2", "pair3"):
+        p[names.index(name)] += 1e-3
+    poses, _ = kinematics.inverse(np.zeros((1, 3)), p)
+    assert np.abs(poses[0, 3:]).max() < 1e-12

@@ -103,6 +103,7 @@ def test_the_certificate_and_its_numbers_are_reported() -> None:
         ),
     ):
         assert words in shown, words
+    assert "more are in the table only" not in shown  # two plans, of 8 in the figure
 
 
 @pytest.mark.parametrize("names", _each_and_all(OPTIONAL))

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 import report_fixture
 from matplotlib.figure import Figure
@@ -156,3 +157,13 @@ def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(
         image = style.render(figure)
     assert image.kind == "png"
     assert axes.get_position().bounds == pytest.approx(place)
+
+
+def test_the_bars_of_a_component_stand_about_its_place() -> None:
+    prediction = result_of(report_fixture.sample()).prediction
+    assert prediction is not None
+    for axes in accuracy.draw_components(prediction).axes:
+        count = len({bar.get_facecolor() for bar in axes.patches})
+        centres = [bar.get_x() + bar.get_width() / 2.0 for bar in axes.patches]
+        middles = np.reshape(centres, (count, -1)).mean(axis=0)
+        assert middles == pytest.approx(np.arange(len(middles)))
