@@ -74,12 +74,12 @@ def import_files(
     except (InputError, AssemblyError) as error:
         for path in targets:
             path.unlink()
-        source = ", ".join(map(str, paths))
+        blamed = ", ".join(map(str, paths))
         if is_file(kind):
-            source += f", as {kind} reads it"
+            blamed += f", as {kind} reads it"
         if isinstance(error, InputError) and error.file not in map(str, targets):
-            source = error.file or source
-        raise _no_study(error, source, has_map=map_path in targets) from error
+            blamed = error.file or blamed
+        raise _no_study(error, blamed, has_map=map_path in targets) from error
     return targets[0], session
 
 
