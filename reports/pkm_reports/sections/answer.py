@@ -988,8 +988,8 @@ def _conditions(result: StudyResult) -> Iterator[str]:
         return
     if gap is not None and gap.mixture is not None and gap.mixture.with_effects is None:
         yield (
-            "The cause is not certain, so that the controller corrects none, and the accuracy"
-            f" is an average over the possible ones. What removes this: {_test(gap)}"
+            "The cause is not certain: parameters are sent, no effect is corrected, and the"
+            f" accuracy is an average over the possible causes. What removes this: {_test(gap)}"
         )
         return
     yield (
