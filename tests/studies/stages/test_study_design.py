@@ -12,6 +12,8 @@ from oed import identifiability
 from oed.measurement import Series
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
+from pkm_studies.commands import main
+from pkm_studies.results import load_result
 
 # -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
 
@@ -251,3 +253,27 @@ def test_a_plan_that_does_not_exist_is_refused(
         chosen(text(fields + "\n"))
     assert error.value.field == field, str(error.value)
     assert words in str(error.value)
+
+
+def test_a_run_realises_what_it_predicts_and_names_the_widest_directions(
+    tmp_path: Path,
+) -> None:
+    """Terms of a direction are shares of a unit vector, per prior standard deviation."""
+    path = tmp_path / "s.study.toml"
+    tables = (
+        "\n[readings]\nsimulate = true\n[posterior]\nsteps = 60\ness = 20\n"
+        "[report]\nhtml = false\npdf = false\ncorner = 2\n[prediction]\nvirtual_machines = 10\n"
+        'z_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\nreference = "home"\n'
+    )
+    path.write_text(sample.STUDY.partition("[report]")[0] + tables, encoding="utf-8")
+    main(["run", str(path), "--out", str(tmp_path / "out")])
+    result = load_result(tmp_path / "out")
+    assert result.prediction is not None
+    assert result.posterior is not None
+    assert result.prediction.realised is not None
+    for name in ("z", "psi", "theta"):
+        predicted = result.prediction.components[name].after.rms
+        assert 0.3 < result.prediction.realised[name].rms / predicted < 3.0
+    for direction in result.posterior.directions:
+        shares = np.array(direction.split()[::2], dtype=float)
+        assert 0.3 < shares @ shares < 1.05
