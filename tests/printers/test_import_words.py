@@ -14,35 +14,24 @@ from pkm_studies.importers import ImportedSession, import_files
 
 # -- one file of each firmware that has everything an import needs ----------------------
 
-KLIPPER = """\
+STEPPER = """\
+[stepper_{}]
+microsteps: 16
+rotation_distance: 40
+full_steps_per_rotation: 200
+gear_ratio: 10:10
+position_endstop: 300.0
+arm_length: 250.0
+angle: {}
+"""
+KLIPPER = (
+    """\
 [printer]
 kinematics: delta
 delta_radius: 125.0
-[stepper_a]
-microsteps: 16
-rotation_distance: 40
-full_steps_per_rotation: 200
-gear_ratio: 10:10
-position_endstop: 300.0
-arm_length: 250.0
-angle: 210
-[stepper_b]
-microsteps: 16
-rotation_distance: 40
-full_steps_per_rotation: 200
-gear_ratio: 10:10
-position_endstop: 300.0
-arm_length: 250.0
-angle: 330
-[stepper_c]
-microsteps: 16
-rotation_distance: 40
-full_steps_per_rotation: 200
-gear_ratio: 10:10
-position_endstop: 300.0
-arm_length: 250.0
-angle: 90
-[probe]
+"""
+    + "".join(map(STEPPER.format, "abc", (210, 330, 90)))
+    + """[probe]
 [bltouch]
 [delta_calibrate]
 radius: 90
@@ -51,9 +40,11 @@ manual_height0_pos: 24000,24000,24000
 distance0: 60
 distance0_pos1: 24000,24000,24000
 distance0_pos2: 27000,23000,23000
-""" + "".join(
-    f"height{k}: 0.0\nheight{k}_pos: {24000 + 10 * k},24000,{24000 - 10 * k}\n"
-    for k in range(7)
+"""
+    + "".join(
+        f"height{k}: 0.0\nheight{k}_pos: {24000 + 10 * k},24000,{24000 - 10 * k}\n"
+        for k in range(7)
+    )
 )
 PLACES = [(0, 0), (60, 0), (-60, 0), (0, 60), (0, -60), (40, 40), (-40, -40)]
 RRF = {

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,18 +100,17 @@ def test_joint_runout_at_the_platform_is_of_its_joint_s_angle() -> None:
         assert np.abs(np.angle(waves[1] / waves[0])) == pytest.approx(order * angle)
 
 
+def pressed_and_pulled(state: Any) -> Any:
+    """Two poses with 400 N upwards on the second."""
+    load = {"payload": np.array([0.0, -400.0]), "max_payload": 400.0}
+    even = np.full((2, 6), -0.2)
+    return small(state, 2, tool_force=even, platform_force=even, **load)
+
+
 def test_joint_clearance_changes_sides_with_the_load() -> None:
     """Standing legs are pressed; 400 N upwards on a platform of 200 N pulls them."""
     state = session("hexapod").states[0]
-    even = np.full((2, 6), -0.2)
-    two = small(
-        state,
-        2,
-        tool_force=even,
-        platform_force=even,
-        payload=np.array([0.0, -400.0]),
-        max_payload=400.0,
-    )
+    two = pressed_and_pulled(state)
     column = columns("joint_clearance", two, ratio=0.5)["leg 6"]
     assert column.scale * column.joints[5] == pytest.approx([-5e-6, 5e-6])
 
@@ -145,15 +145,7 @@ def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
     its load is.
     """
     state = session("hexapod").states[0]
-    even = np.full((2, 6), -0.2)
-    two = small(
-        state,
-        2,
-        tool_force=even,
-        platform_force=even,
-        payload=np.array([0.0, -400.0]),
-        max_payload=400.0,
-    )
+    two = pressed_and_pulled(state)
     two = dataclasses.replace(two, joints=two.joints[[0, 0]])
     made = columns("joint_clearance", two, ratio=0.5)
     play = made["leg 6"].joints[5] + 0.5 * made["leg 6 slope"].joints[5]

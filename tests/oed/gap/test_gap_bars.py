@@ -184,43 +184,35 @@ def test_one_tool_never_tells_scale_from_bar(
     assert "tool length" in said
 
 
+def of_two_tools(
+    blind: SimpleNamespace, folder: Path, seed: int, truth: str, rival: str, size: float
+) -> Any:
+    """The diagnosis of a head read with two known tools."""
+    form, other = blind.effects.EXACT[truth], blind.effects.EXACT[rival]
+    plan = ("a3", "full")
+    return virtual(blind, folder, seed, plan, form, size, second_form=other).diagnosed()
+
+
+@SLOW
 @pytest.mark.parametrize(
     ("truth", "seed"),
-    [
-        pytest.param("encoder_scale", 1, marks=SLOW),
-        pytest.param("encoder_scale", 2, marks=SLOW),
-        pytest.param("bar_length", 1, marks=SLOW),
-        pytest.param("bar_length", 2, marks=SLOW),
-    ],
+    [("encoder_scale", 1), ("encoder_scale", 2), ("bar_length", 1), ("bar_length", 2)],
 )
 def test_two_known_tools_tell_scale_from_bar(
     blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int
 ) -> None:
     """At sqrt(lambda_k|j) = 8 the one that acts is named, and not the other."""
-    forms = blind.effects.EXACT
     (rival,) = TWO - {truth}
-    machine = virtual(
-        blind,
-        tmp_path,
-        seed,
-        ("a3", "full"),
-        forms[truth],
-        8.0,
-        second_form=forms[rival],
-    )
-    diagnosis = machine.diagnosed()
+    diagnosis = of_two_tools(blind, tmp_path, seed, truth, rival, 8.0)
     assert diagnosis.answers[0].effects == (truth,)
     assert diagnosis.marginal[rival] < 0.1
     assert rival not in diagnosis.answers[0].classes[0]
 
 
+@SLOW
 @pytest.mark.parametrize(
     ("truth", "seed"),
-    [
-        pytest.param("encoder_scale", 5, marks=SLOW),
-        pytest.param("encoder_scale", 8, marks=SLOW),
-        pytest.param("bar_length", 5, marks=SLOW),
-    ],
+    [("encoder_scale", 5), ("encoder_scale", 8), ("bar_length", 5)],
 )
 def test_two_tools_do_not_misname_what_is_small(
     blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int
@@ -228,18 +220,8 @@ def test_two_tools_do_not_misname_what_is_small(
     """At sqrt(lambda_k|j) = 2 either may be the likelier one; the one that acts is
     always in the answer.
     """
-    forms = blind.effects.EXACT
     (rival,) = TWO - {truth}
-    machine = virtual(
-        blind,
-        tmp_path,
-        seed,
-        ("a3", "full"),
-        forms[truth],
-        2.0,
-        second_form=forms[rival],
-    )
-    diagnosis = machine.diagnosed()
+    diagnosis = of_two_tools(blind, tmp_path, seed, truth, rival, 2.0)
     assert any(truth in c for c in diagnosis.answers[0].classes), diagnosis.answers[0]
 
 

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
+from sample import STUDY as SMALL
 from sample import table_lines
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
@@ -30,19 +31,10 @@ ARCSEC = np.pi / 648000.0
 CUP = np.array([0.0, 0.0, a3.Z_TEACH])
 TABLE_3 = a3.errors(*(a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")))
 NOISE = 0.5e-6
-STUDY = """\
-schema = 1
-name = "own"
-seed = 4
-[machine]
-model = "a3_head"
-[[setup]]
-name = "cup"
-instrument = "ball_bar"
-length_mm = 300.0
-teach = { z_mm = 1286.0, psi_deg = 0.0, theta_deg = 0.0 }
-[noise]
-length_um = 0.5
+HEAD = SMALL.partition("[design]")[0]
+STUDY = (
+    HEAD.replace('"small"', '"own"\nseed = 4')
+    + """
 [identify]
 stages = [["dq*"], ["*"]]
 effects = "none"
@@ -56,6 +48,7 @@ theta_deg = [5.0, 15.0, 25.0, 35.0]
 [report]
 pdf = false
 """
+)
 #: SI values of mm and degrees
 FACTORS = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
 

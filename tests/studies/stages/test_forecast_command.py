@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gantry_forecast import PLAN, QUIET
 from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
@@ -18,27 +19,6 @@ from pkm_studies.stages.plan.task import stored_knowledge
 from pkm_studies.study import load
 
 STUDIES = Path(__file__).parents[3] / "studies"
-PLAN = """
-schema = 1
-name = "gantry"
-[machine]
-model = "planar_2dof"
-[[setup]]
-name = "rm5"
-instrument = "rm5"
-[noise]
-rm5 = { dy_um = 1.0, dz_um = 3.0 }
-[prediction]
-y_mm = { from = -1500.0, to = 1500.0, count = 11 }
-z_mm = { from = 0.0, to = 1500.0, count = 6 }
-[report]
-pdf = false
-[forecast]
-expected = { y_um = 40.0, z_um = 40.0 }
-nodes = 28
-"""
-#: the same where its report is not the matter
-QUIET = PLAN.replace("pdf = false", "html = false\npdf = false")
 
 
 def study(folder: Path, text: str = PLAN) -> Path:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gantry_forecast import QUIET
 from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
@@ -17,26 +18,6 @@ from pkm_studies.study import load
 
 Array = np.ndarray
 Run = Callable[..., tuple[int, str, str]]
-STUDY = """
-schema = 1
-name = "gantry"
-[machine]
-model = "planar_2dof"
-[[setup]]
-name = "rm5"
-instrument = "rm5"
-[noise]
-rm5 = { dy_um = 1.0, dz_um = 3.0 }
-[prediction]
-y_mm = { from = -1500.0, to = 1500.0, count = 11 }
-z_mm = { from = 0.0, to = 1500.0, count = 6 }
-[report]
-html = false
-pdf = false
-[forecast]
-expected = { y_um = 40.0, z_um = 40.0 }
-nodes = 28
-"""
 #: m, pitch of both screws, and the amplitude of the error that comes back with it
 PITCH, AMPLITUDE = 10e-3, 4e-6
 UNITS = np.array([1e-3, 1e-3, 1e-6, 1e-6])
@@ -79,7 +60,7 @@ def written(path: Path, machine: Machine, command: Array, seed: int) -> Path:
 def planned(tmp_path_factory: pytest.TempPathFactory) -> Array:
     """The nodes (28, 2) that the study plans, m."""
     folder = tmp_path_factory.mktemp("plan")
-    (folder / "gantry.study.toml").write_text(STUDY)
+    (folder / "gantry.study.toml").write_text(QUIET)
     study = load(folder / "gantry.study.toml")
     stages.forecast_study(study, folder / "out")
     sheet = rows(folder / "out" / "forecast_nodes.csv")
@@ -87,7 +68,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Array:
 
 
 def measured(
-    folder: Path, oed: Run, machine: Machine, command: Array, text: str = STUDY
+    folder: Path, oed: Run, machine: Machine, command: Array, text: str = QUIET
 ) -> str:
     """What the forecast of nodes (n, 2) prints that were read on the machine."""
     study = folder / "gantry.study.toml"
@@ -166,7 +147,7 @@ def test_a_finer_line_widens_the_interval(
     narrow = components()
     line = np.column_stack([np.linspace(-0.45, 0.45, 61), np.full(61, 0.7)])
     written(tmp_path / "line.csv", machine, line, 4)
-    said = measured(tmp_path, oed, machine, planned, STUDY + 'check = "line.csv"\n')
+    said = measured(tmp_path, oed, machine, planned, QUIET + 'check = "line.csv"\n')
     assert "shorter than" not in said
     wide = components()
     added = table(tmp_path / "out" / "forecast_table.csv")

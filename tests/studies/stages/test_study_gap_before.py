@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 import report_fixture
+import sample
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from msgspec.structs import replace
 from sample import changed, table_lines
@@ -27,23 +28,10 @@ from pkm_studies.base import InputError
 from pkm_studies.resolve import resolve
 
 HERE = Path("before.study.toml")
-STUDY = """\
-schema = 1
-name = "before"
-seed = 5
-
-[machine]
-model = "a3_head"
-
-[[setup]]
-name = "cup"
-instrument = "ball_bar"
-length_mm = 300.0
-teach = { z_mm = 1286.0, psi_deg = 0.0, theta_deg = 0.0 }
-
-[noise]
-length_um = 0.5
-
+HEAD = sample.STUDY.partition("[design]")[0]
+STUDY = (
+    HEAD.replace('"small"', '"before"\nseed = 5')
+    + """
 [[design.reference]]
 name = "published"
 setup = "cup"
@@ -73,6 +61,7 @@ runs = 4
 html = false
 pdf = false
 """
+)
 
 
 @pytest.fixture(scope="module")

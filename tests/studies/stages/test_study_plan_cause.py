@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from gantry_forecast import PLAN
 from sample import changed
 
 from oed.result import ChosenRun, ChosenRuns, StudyResult
@@ -10,20 +11,9 @@ from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.resolve import resolve
 
-STUDY = """\
-schema = 1
-name = "both"
-
-[machine]
-model = "planar_2dof"
-
-[[setup]]
-name = "rm5"
-instrument = "rm5"
-
-[noise]
-rm5 = { dy_um = 1.0, dz_um = 3.0 }
-
+STUDY = (
+    PLAN.partition("[prediction]")[0].replace("gantry", "both")
+    + """
 [plan]
 budget_min = 150.0
 stages = 1
@@ -59,6 +49,7 @@ candidates = ["lines"]
 conditions = [{ payload_N = 0.0 }, { payload_N = 1000.0 }]
 budget_min = 30.0
 """
+)
 
 
 def planned(text: str, out: Path) -> StudyResult:
