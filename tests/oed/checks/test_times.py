@@ -170,7 +170,9 @@ def test_files_without_times_say_nothing() -> None:
     measurement = Measurement(planar_2dof.machine, [mount(pose_tracker.position, "t")])
     series = measurement.series("t", PATHS["low"])
     y = measurement.readings([series], measurement.nominal)
-    assert not wrong_times(checks.session_readings(measurement, [series], y))
+    plain = checks.session_readings(measurement, [series], y)
+    assert not wrong_times(plain)
+    assert plain.values["order"].min() == 1  # as in a readings file
 
 
 def test_rows_of_a_second_file_may_have_the_numbers_of_the_first() -> None:
