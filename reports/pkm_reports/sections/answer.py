@@ -254,6 +254,9 @@ def _probability(chance: float) -> str:
     return text.percent(chance)
 
 
+PPM_A_PERCENT: Final = 10_000.0
+
+
 def own_size(effect: str, corrected: CorrectedSection | None) -> str:
     """The clearest coefficients of an effect in its own unit: leg 3 6.00 ± 0.04 µm."""
     if corrected is None:
@@ -271,9 +274,12 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
 
 
 def _coefficient(name: str, estimate: EffectEstimate) -> str:
-    decimals = text.decimals_for(estimate.sd)
-    value, sd = text.fixed(estimate.value, decimals), text.fixed(estimate.sd, decimals)
-    return f"{name} {text.append_unit(f'{value} ± {sd}', estimate.unit)}"
+    value, sd, unit = estimate.value, estimate.sd, estimate.unit
+    if unit == "ppm" and abs(value) > PPM_A_PERCENT:
+        value, sd, unit = value / PPM_A_PERCENT, sd / PPM_A_PERCENT, "%"
+    decimals = text.decimals_for(sd)
+    size = f"{text.fixed(value, decimals)} ± {text.fixed(sd, decimals)}"
+    return f"{name} {text.append_unit(size, unit)}"
 
 
 def _remains(gap: GapSection) -> str:

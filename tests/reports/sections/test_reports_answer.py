@@ -1,13 +1,14 @@
 """The first page answers the user's questions, and says nothing that is not so."""
 
 import re
+from types import SimpleNamespace
 
 import pytest
 import report_fixture
 import report_fixture_plan
 from report_fixture import result_of
 
-from oed.result import SpreadRecord, StudyResult
+from oed.result import EffectEstimate, SpreadRecord, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
 from pkm_reports.sections import answer, answer_parts
@@ -182,3 +183,16 @@ def test_causes_are_ranked_by_size_with_their_unit_and_probability() -> None:
     words = _words(result_of(report_fixture.bare() | {"gap": gap | nothing}))["causes"]
     assert "What calibration leaves, rms: length 6 µm." in words
     assert "before" not in words
+
+
+def test_a_ratio_of_percents_is_in_percent() -> None:
+    """Five digits of ppm hide that a leg's conversion is wrong by a twentieth."""
+    sizes = {
+        "encoder_scale: leg 1": EffectEstimate(
+            -49319, 2795, "ppm", "encoder_scale", 50
+        ),
+        "encoder_scale: leg 2": EffectEstimate(9000, 100, "ppm", "encoder_scale", 50),
+    }
+    section = SimpleNamespace(effects=sizes)
+    words = answer.own_size("encoder_scale", section).replace(text.NO_BREAK, " ")
+    assert words == "leg 1 −4.93 ± 0.28 % and leg 2 9000 ± 100 ppm"
