@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import compensation_sample as sample
 import msgspec
@@ -14,6 +15,7 @@ from result_sample import whole
 from scipy.interpolate import RegularGridInterpolator
 from shipped_models import a3_head
 
+from oed.base import Array
 from oed.compensate import compensated_joints
 from oed.mechanism import Kinematics
 from oed.result import (
@@ -26,6 +28,8 @@ from oed.result import (
 )
 from oed.verdict import SCOPE_WORDS, WITH_USUAL_EFFECTS
 from pkm_reports import first_lines
+from pkm_studies.base import InputError
+from pkm_studies.catalogue import ControllerFormat
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 
@@ -330,3 +334,17 @@ def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) ->
     exported(tmp_path / "with", np.full(3, 1.0), "json", options=few)
     document = json.loads((tmp_path / "with/compensation_budget.json").read_text())
     assert {line["kind"] for line in document["lines"]} == {"instrument", "rounding"}
+
+
+@pytest.mark.parametrize("joints", [np.zeros((3, 2)), np.full((2, 3), np.nan)])
+def test_joints_of_a_format_are_a_row_a_command(joints: Array) -> None:
+    controller = ControllerFormat(
+        name="own",
+        about="",
+        source="",
+        write=lambda content: {},
+        joints=lambda texts, content: joints,
+    )
+    content = SimpleNamespace(command=np.zeros((2, 3)), machine=a3_head.machine)
+    with pytest.raises(InputError, match=r"are not \(2, 3\) finite numbers"):
+        controller.driven_joints({}, content)
