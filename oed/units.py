@@ -30,6 +30,9 @@ PPM: Final = 1e-6
 MS: Final = 1e-3
 MEGABYTE: Final = 1e6
 
+#: ppm in a percent: from there on a ratio is stated in percent
+PPM_A_PERCENT: Final = 1e4
+
 #: unit suffix -> (SI unit, factor to SI)
 UNITS: Final[dict[str, tuple[str, float]]] = {
     "m": ("m", 1.0),

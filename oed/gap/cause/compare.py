@@ -210,14 +210,15 @@ def without_implausible(
     # what takes over has fewer names, and may itself be left out then
     for k in sorted(likely, key=lambda k: -len(hypotheses[k].effects)):
         h = hypotheses[k]
-        limits = np.array(searches[h.law].library.limits)
-        names = _effects_beyond(searches[h.law], h, limits)
-        carriers = _carriers(results, h, names)
-        if not names:
-            far = np.minimum(limits, MAX_UNCONFIRMED)
-            names = _effects_beyond(searches[h.law], h, far)
-            carriers = _carriers(results, h, names)
-            carriers = [c for c in carriers if c.log_prediction > h.log_prediction]
+        effects, sizes, limits = _sizes(searches[h.law], h)
+        names = frozenset(effects[sizes > limits].tolist())
+        is_impossible = bool(names)
+        names = names or frozenset(effects[sizes > MAX_UNCONFIRMED].tolist())
+        carriers = [
+            carrier
+            for carrier in _carriers(results, h, names)
+            if is_impossible or carrier.log_prediction > h.log_prediction
+        ]
         if not names or not carriers:
             continue
         carrier = carriers[0]
@@ -238,15 +239,16 @@ def _carriers(
     return [results[key, True] for key in keys if (key, True) in results]
 
 
-def _effects_beyond(search: Search, h: Hypothesis, limits: Array) -> frozenset[str]:
-    """Effects of a hypothesis with a coefficient beyond the limit of its column."""
+def _sizes(search: Search, h: Hypothesis) -> tuple[Array, Array, Array]:
+    """Of each coefficient (k,): its effect, its size in expected ones, and its limit."""
     forms = [search.columns_of(k) for k in h.atoms]
     counts = [len(form) for form in forms]
     columns = h.columns(search.library, search.processes)
     metric, residual = Metric(search.problem, search.law), search.problem.residual
     mean = metric.posterior(columns, residual)[0][: sum(counts)]
-    beyond = np.abs(np.repeat(h.sizes, counts) * mean) > limits[np.concatenate(forms)]
-    return frozenset(np.repeat(h.effects, counts)[beyond].tolist())
+    sizes = np.abs(np.repeat(h.sizes, counts) * mean)
+    limits = np.array(search.library.limits)[np.concatenate(forms)]
+    return np.repeat(h.effects, counts), sizes, limits
 
 
 @dataclasses.dataclass(frozen=True)

@@ -54,11 +54,12 @@ def pooled(
         return list(hypotheses)
     # laws share their readings: folds are laid out once for each set of these
     problems = {id(s.problem): s.problem for s in (searches[h.law] for h in asked)}
-    others = {key: _others_of_folds(problem) for key, problem in problems.items()}
+    folded = {key: _others_of_folds(problem) for key, problem in problems.items()}
     by_fold = []
     for h in asked:
         search = searches[h.law]
-        densities = np.array(log_withheld(search, h, others[id(search.problem)]))
+        others, _ = folded[id(search.problem)]
+        densities = np.array(log_withheld(search, h, others))
         # the price of its forms, which were chosen with all folds, in equal parts
         by_fold.append(densities + search.log_form_prior(h) / len(densities))
     folds = np.array(by_fold)
@@ -71,7 +72,7 @@ def pooled(
     results = {h.key: h for h in hypotheses}
     # an unknown process interpolates stretches of one run: they confirm no name, and
     # contradict none
-    has_runs = all(Paths(p).whole()[0].max() > 0 for p in problems.values())
+    has_runs = all(are_runs for _, are_runs in folded.values())
     predictions = folds.sum(axis=1) if has_runs else np.full(len(asked), np.nan)
     for h, score, prediction in zip(asked, scores, predictions, strict=True):
         results[h.key] = dataclasses.replace(
@@ -131,10 +132,14 @@ def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> list
     ]
 
 
-def _others_of_folds(problem: GapProblem) -> list[Index]:
-    """Readings outside each fold: of whole runs, or of stretches of the only one."""
+def _others_of_folds(problem: GapProblem) -> tuple[list[Index], bool]:
+    """Readings outside each fold, and whether folds are whole runs.
+
+    Of an only run they are stretches.
+    """
     paths = Paths(problem)
     fold = paths.whole()[0]
-    if fold.max() == 0:
+    are_runs = bool(fold.max() > 0)
+    if not are_runs:
         fold = paths.within()[0]
-    return [np.flatnonzero(fold != k) for k in range(int(fold.max()) + 1)]
+    return [np.flatnonzero(fold != k) for k in range(int(fold.max()) + 1)], are_runs

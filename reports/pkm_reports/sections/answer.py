@@ -254,9 +254,6 @@ def _probability(chance: float) -> str:
     return text.percent(chance)
 
 
-PPM_A_PERCENT: Final = 10_000.0
-
-
 def own_size(effect: str, corrected: CorrectedSection | None) -> str:
     """The clearest coefficients of an effect in its own unit: leg 3 6.00 ± 0.04 µm."""
     if corrected is None:
@@ -275,8 +272,8 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
 
 def _coefficient(name: str, estimate: EffectEstimate) -> str:
     value, sd, unit = estimate.value, estimate.sd, estimate.unit
-    if unit == "ppm" and abs(value) > PPM_A_PERCENT:
-        value, sd, unit = value / PPM_A_PERCENT, sd / PPM_A_PERCENT, "%"
+    if unit == "ppm" and abs(value) >= units.PPM_A_PERCENT:
+        value, sd, unit = value / units.PPM_A_PERCENT, sd / units.PPM_A_PERCENT, "%"
     decimals = text.decimals_for(sd)
     size = f"{text.fixed(value, decimals)} ± {text.fixed(sd, decimals)}"
     return f"{name} {text.append_unit(size, unit)}"
@@ -441,9 +438,8 @@ def instrument_names(setups: Sequence[SetupInfo]) -> list[str]:
     names = []
     for name, about in described.items():
         first = re.split("[,.(:]", about)[0].strip() or name.replace("_", " ")
-        if (
-            first[1:2].isupper() and "," in about
-        ):  # an abbreviation, after what it stands for
+        # an abbreviation stands after what it is of
+        if first[1:2].isupper() and "," in about:
             first = f"{about.rpartition(',')[2].strip(' .')} ({first})"
         names.append(first)
     # an abbreviation, as RM 4, stays as it is
@@ -950,6 +946,7 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
     fit or a correction rests on.
     """
     objections = trust.objections(result)
+    is_trusted = not objections
     if fits_with_effects(result):
         yield from _conditions(result)
     if result.goodness is not None:
@@ -968,7 +965,7 @@ def ranked_warnings(result: StudyResult) -> Iterator[str]:
         yield from result.corrected.warnings
     fit = [] if result.estimate is None else result.estimate.warnings
     is_virtual = is_plan(result) and result.judged_prediction is not None
-    if is_virtual and not trust.objections(result):
+    if is_virtual and is_trusted:
         # what the fit of a virtual machine leaves unknown has a part of its own
         yield from (warning for warning in result.warnings if warning not in fit)
         return

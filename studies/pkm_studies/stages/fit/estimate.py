@@ -600,14 +600,13 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         measurement, readings.series, readings.y, estimate, state.doubtful_values
     )
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
-    session_check = state.checked
+    explained = state.checked is not None and state.checked.explained_as_stated
     state = add_delivered(state, fitted_as)
     estimate = add_warnings(
         measurement,
         estimate,
         is_judged=state.checked is not None and state.checked.judges_residuals,
-        explained_as_stated=session_check is not None
-        and session_check.explained_as_stated,
+        explained_as_stated=explained,
     )
     fixed = []
     if readings.truth is None:

@@ -67,9 +67,6 @@ def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
 
 # States in sentences which coefficients are far beyond their expected sizes.
 
-#: ppm from which a ratio is stated in percent
-PERCENT = 1e4
-
 
 def implausible_sentences(
     coefficients: Iterable[CoefficientRecord], checks: Mapping[str, str]
@@ -108,8 +105,8 @@ def _quantity(value: float, unit: str) -> str:
     """A coefficient in a unit that a person reads."""
     name, factor = units.coefficient_unit(unit)
     amount = value / factor
-    if name == "ppm" and abs(amount) >= PERCENT:
-        return f"{rounded(amount / PERCENT, 3)} %"
+    if name == "ppm" and abs(amount) >= units.PPM_A_PERCENT:
+        return f"{rounded(amount / units.PPM_A_PERCENT, 3)} %"
     return f"{rounded(amount, 3)} {name}"
 
 
