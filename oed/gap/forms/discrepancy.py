@@ -218,6 +218,7 @@ class Term:
     forms      (N, J, c, k) for each of the carrier's columns
     reach      of its kernel
     timed      whether it varies with the time or a temperature
+    signs      of its forms driven the other way, each of as many
     """
 
     name: str
@@ -226,16 +227,12 @@ class Term:
     forms: Array
     reach: float
     timed: bool = False
+    signs: tuple[float, ...] = (1.0,)
 
     @property
     def reversal(self) -> Array:
         """Factor (k,) on the columns of each of the carrier's, driven the other way."""
-        factor = np.ones(self.forms.shape[3])
-        if self.name == WITH_DIRECTION:
-            return -factor
-        if self.name == ALONG_RUNS:
-            factor[len(factor) // 2 :] = -1.0
-        return factor
+        return np.repeat(self.signs, self.forms.shape[3] // len(self.signs))
 
 
 def log_shares(discrepancy: Library, listed: Library) -> Array:
@@ -341,7 +338,7 @@ def _terms_by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     ]
     workspace = [(p, p.forms(REACHES["place"])) for p in over_workspace]
     for name, ending, common, by_joint, timed in _factors(problem):
-        yield [
+        terms = [
             Term(
                 name,
                 f"an error of {p.carrier.name} over the workspace{ending}",
@@ -353,6 +350,7 @@ def _terms_by_kind(problem: GapProblem) -> Iterator[list[Term]]:
             for p, by_reach in workspace
             for reach, forms in by_reach
         ]
+        yield _with_both_ways(terms, workspace) if name == WITH_DIRECTION else terms
     yield list(_run_terms(problem, every))
     single = list(_single_run_terms(problem, every[0]))
     if len(single) > 1:
@@ -405,6 +403,26 @@ def _fill_rows(rows: Mask, values: Array) -> Array:
     every = np.zeros((len(rows), *values.shape[1:]))
     every[rows] = values
     return every
+
+
+def _with_both_ways(
+    terms: Sequence[Term],
+    workspace: Sequence[tuple[_Places, list[tuple[float, Array]]]],
+) -> list[Term]:
+    """Terms that turn their sign with the direction, and errors that differ each way.
+
+    What is worn in one place acts both ways, and more in one of them.
+    """
+    steady = [forms for _, by_reach in workspace for _, forms in by_reach]
+    results = []
+    for term, forms in zip(terms, steady, strict=True):
+        both = np.concatenate([forms, term.forms], axis=3)
+        about = f"an error of {term.carrier.name} over the workspace, other each way"
+        different = dataclasses.replace(
+            term, about=about, forms=both, signs=(1.0, -1.0)
+        )
+        results += [dataclasses.replace(term, signs=(-1.0,)), different]
+    return results
 
 
 def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bool]]:
@@ -480,7 +498,7 @@ def _run_terms(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
         for reach, forms in _Places(carrier, circle).forms(REACHES["phase"]):
             both = np.concatenate([forms, _times(forms, sense)], axis=3)
             about = f"an error of {carrier.name} along the runs"
-            yield Term(ALONG_RUNS, about, carrier, both, reach)
+            yield Term(ALONG_RUNS, about, carrier, both, reach, signs=(1.0, -1.0))
 
 
 def _single_run_terms(problem: GapProblem, readings: Carrier) -> Iterator[Term]:

@@ -26,6 +26,7 @@ from oed.noise import NoiseLaw
 
 #: kinds of waves
 IN_TIME = "a wave in time"
+ALONG_TRAVEL = "a wave along the travel"
 #: waves of each kind that stay
 N_PEAKS = 4
 #: frequencies a resolution cell
@@ -51,7 +52,7 @@ class Band:
     """Waves of some frequencies over a clock.
 
     kind           in time, or along a travel
-    unit           of the clock: s, readings or m
+    unit           of the clock: s, readings, travel_m or travel_rad
     clock          (N, J) at each of the poses that a reading sees
     carriers       what one of them may act on
     frequencies    (k,) per unit of the clock, evenly spaced
@@ -160,14 +161,11 @@ def _travel_bands(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band
     joints = discrepancies.at_poses(problem, [s.joints for s in problem.states])
     joints = joints - joints.min(axis=(0, 1))
     for i, joint in enumerate(problem.measurement.machine.joints):
-        if joint.unit != "m":
-            continue
         clock = joints[:, :, i]
         frequencies = _frequencies(clock[:, 0], LONGEST_PERIOD)
         if frequencies.size:
-            yield Band(
-                "a wave along the travel", "travel_m", clock, (legs[i],), frequencies
-            )
+            unit = f"travel_{joint.unit}"
+            yield Band(ALONG_TRAVEL, unit, clock, (legs[i],), frequencies)
 
 
 def _frequencies(clock: Array, fewest: float) -> Array:
@@ -195,8 +193,8 @@ def _wave_words(name: str, unit: str, period: float) -> str:
         return f"{name} in a wave of {period / size:.3g} {word}"
     if unit == "readings":
         return f"{name} in a wave of {period:.3g} readings"
-    millimetres = units.number(period, "mm")
-    return f"{name} in a wave every {millimetres:.3g} mm of travel"
+    unit = "deg" if unit == "travel_rad" else "mm"
+    return f"{name} in a wave every {units.number(period, unit):.3g} {unit} of travel"
 
 
 def _unit_of_time(period: float) -> tuple[float, str]:
