@@ -4,7 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from shipped_models import (
+    backlash,
     encoder_scale,
+    friction,
     leg_thermal,
     mount_drift,
     planar_2dof,
@@ -16,6 +18,8 @@ from kernel import gap_lines, planar_session
 from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnosing
 from oed.gap.cause import locations
+from oed.gap.cause import searches as searching
+from oed.gap.cause.compare import compare
 from oed.gap.cause.locations import STANDING_OUT, LikelyForms, ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.data import problem as problems
@@ -121,15 +125,40 @@ def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
             h.columns(search.library, search.processes),
             other_way.columns(h, 1.0),
         )
-        if atom.effect == discrepancy.WITH_DIRECTION:
+        both = "different each way" in atom.about
+        if atom.effect == discrepancy.WITH_DIRECTION and not both:
             assert turned == pytest.approx(-columns)
-        elif atom.effect == discrepancy.ALONG_RUNS:
+        elif atom.effect == discrepancy.ALONG_RUNS or both:
             # with both halves: a bump in one direction alone has the other's sign
             assert turned != pytest.approx(columns)
             assert turned**2 == pytest.approx(columns**2)
         else:
             assert turned == pytest.approx(columns)
     assert kinds == {atom.effect for atom in search.processes.atoms}
+
+
+def test_a_worn_place_of_a_leg_is_no_backlash_beside_something() -> None:
+    """A bump of a leg, twice as high one way as the other, which no effect has: its
+    mean over both ways and its half difference are of one unknown.
+    """
+    problem = gap_lines.readings(3)
+    places = discrepancy.at_poses(problem, [s.joints for s in problem.states])
+    senses = discrepancy.at_poses(problem, [s.motion_sign for s in problem.states])
+    leg = places[..., 0]
+    width = 0.2 * np.ptp(leg)
+    bump = np.exp(-(((leg - leg.mean()) / width) ** 4)) * (1.0 + senses[..., 0] / 3.0)
+    _, joints, *_ = discrepancy.carriers_of(problem)
+    column = joints.columns[:, 0, None]
+    change = discrepancy.apply_carrier(column, bump[..., None])[:, 0, 0]
+    change *= 3.0 / np.sqrt(np.mean(change**2))
+    acting = problem.with_residual(problem.residual + change)
+    effects = (backlash.effect, friction.effect)
+    searches = searching.searches(acting, effects)
+    diagnosis, best = diagnosing.conclude(acting, searches, compare(searches), effects)
+    assert best.key == (frozenset(), True)
+    assert next(iter(diagnosis.likeness)) == (
+        "an error of leg 1 over the workspace, different each way"
+    )
 
 
 def test_a_leg_that_moved_in_one_stretch_alone_is_that_stretch() -> None:

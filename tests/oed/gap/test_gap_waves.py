@@ -38,6 +38,7 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     ("s", 41.0, "leg 2 in a wave of 41 s"), ("s", 733.0, "leg 2 in a wave of 12.2 min"),
     ("s", 10440.0, "leg 2 in a wave of 2.9 h"), ("readings", 5.04, "leg 2 in a wave of 5.04 readings"),
     ("travel_m", 0.005, "leg 2 in a wave every 5 mm of travel"),
+    ("travel_rad", np.pi / 25.0, "leg 2 in a wave every 7.2 deg of travel"),
 ])  # fmt: skip
 def test_a_wave_in_words(unit: str, period: float, words: str) -> None:
     assert waves._wave_words("leg 2", unit, period) == words
