@@ -417,7 +417,9 @@ def _with_both_ways(
     results = []
     for term, forms in zip(terms, steady, strict=True):
         both = np.concatenate([forms, term.forms], axis=3)
-        about = f"an error of {term.carrier.name} over the workspace, different each way"
+        about = (
+            f"an error of {term.carrier.name} over the workspace, different each way"
+        )
         different = dataclasses.replace(
             term, about=about, forms=both, signs=(1.0, -1.0)
         )
