@@ -53,7 +53,9 @@ first = {OUTWARD.tolist()}
 axis = {ASIDE.tolist()}
 crank_mm = {CRANK}
 strut_mm = {STRUT}
-platform_mm = {ENDS["cranks"].tolist()}""",
+platform_mm = {ENDS["cranks"].tolist()}
+reach_mm = 80
+tilt_deg = 12""",
     "cables": f"""model = "cables_spatial"
 [machine.geometry]
 anchor_mm = {BASE["cables"].tolist()}
