@@ -23,6 +23,7 @@ weight from the least wanted candidate to the most wanted one.
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -57,6 +58,8 @@ BOUND_TOLERANCE = 1e-13
 MAX_HALVINGS = 20
 #: least share of a straight step that is tried: 2^-20
 MIN_STEP_SHARE = 1e-6
+#: rounding of a value, over the value: two units in its last place
+VALUE_ROUNDING = 4.4e-16
 
 
 def newton_steps(
@@ -92,12 +95,39 @@ def scale_to_size(weights: Array, size: float, caps: Array) -> Array:
     return np.minimum(weights, caps)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Start:
+    """Where a step starts: weights (A,) of the active set (A,), caps and gradient (A,)."""
+
+    objective: Objective
+    active: Index
+    weights: Array
+    caps: Array
+    gradient: Array
+
+    @functools.cached_property
+    def value(self) -> float:
+        """Of the objective."""
+        return self.objective.value(self.active, self.weights)
+
+    def is_exceeded_at(self, trial: Array) -> bool:
+        """Whether the value at other weights (A,) is larger.
+
+        The objective is concave and stays below its tangent: where that rises by less
+        than the value's rounding, there is nothing to find.
+        """
+        rise = float(self.gradient @ (trial - self.weights))
+        if rise <= VALUE_ROUNDING * max(1.0, abs(self.value)):
+            return False
+        return self.objective.value(self.active, trial) > self.value
+
+
 def _one_step(
     objective: Objective, active: Index, weights: Array, caps: Array
 ) -> Array | None:
     """Weights after one step that raises the value; None where no step does."""
     gradient, curvature = objective.gradient_and_curvature(active, weights)
-    value = objective.value(active, weights)
+    start = _Start(objective, active, weights, caps, gradient)
     longest: tuple[Array, Index] | None = None
     for damping in DAMPING_FACTORS:
         step, free = _newton_direction(gradient, curvature, weights, caps, damping)
@@ -107,17 +137,17 @@ def _one_step(
         total = float(weights[free].sum())
         bent = weights.copy()
         bent[free] = project_to_sum(weights[free] + step, total, caps[free])
-        if objective.value(active, bent) > value:
+        if start.is_exceeded_at(bent):
             return bent
     # last: it releases one weight at a time, and wide blocks have hundreds to release
     if longest is not None:
-        straight = _straight_step(objective, active, weights, *longest, caps)
+        straight = _straight_step(start, *longest)
         if straight is not None:
             return straight
     step, free = _pair_direction(gradient, curvature, weights, caps)
     if not free.size:
         return None
-    return _straight_step(objective, active, weights, step, free, caps)
+    return _straight_step(start, step, free)
 
 
 def _newton_direction(
@@ -173,26 +203,19 @@ def _pair_direction(
     return np.array([step, -step]), pair
 
 
-def _straight_step(
-    objective: Objective,
-    active: Index,
-    weights: Array,
-    step: Array,
-    free: Index,
-    caps: Array,
-) -> Array | None:
+def _straight_step(start: _Start, step: Array, free: Index) -> Array | None:
     """Weights after the longest feasible share of a step that raises the value."""
-    start, value = weights[free], objective.value(active, weights)
+    weights, caps = start.weights[free], start.caps[free]
     with np.errstate(divide="ignore", invalid="ignore"):
-        to_cap = np.where(step > 0, (caps[free] - start) / step, np.inf)
-        room = np.where(step < 0, start / -step, to_cap)
+        to_cap = np.where(step > 0, (caps - weights) / step, np.inf)
+        room = np.where(step < 0, weights / -step, to_cap)
     share = min(1.0, float(room.min()))
     if share < MIN_STEP_SHARE:
         return None
     for _ in range(MAX_HALVINGS):
-        trial = weights.copy()
-        trial[free] = np.clip(start + share * step, 0.0, caps[free])
-        if objective.value(active, trial) > value:
+        trial = start.weights.copy()
+        trial[free] = np.clip(weights + share * step, 0.0, caps)
+        if start.is_exceeded_at(trial):
             return trial
         share *= 0.5
     return None

@@ -59,6 +59,14 @@ class Target:
         """Effect, rival and combination, whatever the rival's form."""
         return self.form.effect, self.rival.effect, self.words
 
+    def among(self, columns: Index) -> Target:
+        """The target with its columns numbered among some (k,), ascending."""
+        sets = [
+            dataclasses.replace(one, at=np.searchsorted(columns, one.at))
+            for one in (self.form, self.rival)
+        ]
+        return dataclasses.replace(self, form=sets[0], rival=sets[1])
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Separation(Objective):
@@ -241,9 +249,17 @@ class Separation(Objective):
         return dataclasses.replace(self, grams=self.grams[chosen])
 
     def with_targets(self, numbers: Sequence[int]) -> Separation:
-        """Of some of the targets only."""
-        targets = tuple(self.targets[k] for k in numbers)
-        return dataclasses.replace(self, targets=targets)
+        """Of some of the targets only, over the columns that these have."""
+        targets = [self.targets[k] for k in numbers]
+        sets = [columns.at for t in targets for columns in (t.form, t.rival)]
+        used = np.unique(np.concatenate(sets))
+        retained = np.concatenate([np.arange(self.size), self.size + used])
+        return dataclasses.replace(
+            self,
+            grams=self.grams[:, retained[:, None], retained],
+            base=self.base[np.ix_(retained, retained)],
+            targets=tuple(t.among(used) for t in targets),
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
