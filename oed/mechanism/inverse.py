@@ -82,11 +82,13 @@ class InverseKinematics:
         unmet = ca.vertcat(e.phi, *[commanded - target for commanded, target in pairs])
         slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
         start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+        reference = _reference_command(e, start[0])
+        start = [ca.substitute(part, e.c, reference) for part in start]
         inputs = [e.x, e.q, e.p, e.c, e.tool]
         by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*joint_slopes(e))
         by_p = [ca.jacobian(unmet, e.p)]
         self._by_parameter = BatchedFunction("by_parameter", inputs, by_p)
-        self._start = BatchedFunction("start", [e.c, e.p], start)
+        self._start = BatchedFunction("start", [e.c, e.p, e.tool], start)
         self._inverse = BatchedFunction("inverse", inputs, [unmet, slope])
         self._mode = BatchedFunction("mode", inputs, [by_x, slope, by_joint])
         self._home: tuple[Array, Array] | None = None
@@ -99,7 +101,7 @@ class InverseKinematics:
 
         Raises AssemblyError, with the poses out of reach.
         """
-        z = self._starts(command, p)
+        z = self._starts(command, p, tool)
         z, failed = self._newton(z, command, p, tool)
         home, mode = self._home_for(command, failed)
         mirrored = ~failed & _differ(self.modes(z, command, p, tool), mode)
@@ -145,7 +147,9 @@ class InverseKinematics:
     def modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         """Signs (n, 2 + nq) of the mode; 0 where the machine does not define one."""
         parts = [
-            self._modes(z[rows], command[rows], _rows_of(p, rows), tool)
+            self._modes(
+                z[rows], command[rows], _rows_of(p, rows), _rows_of(tool, rows)
+            )
             for rows in newton.blocks(len(z))
         ]
         return np.concatenate([np.empty((0, 2 + len(self.machine.joints))), *parts])
@@ -182,7 +186,7 @@ class InverseKinematics:
     def _drawn_home(self, command: Array, p: Array, tool: Array) -> tuple[Array, Array]:
         """Home of the machine as drawn, from its own start. Raises AssemblyError."""
         command = command[None]
-        z, failed = self._newton(self._starts(command, p), command, p, tool)
+        z, failed = self._newton(self._starts(command, p, tool), command, p, tool)
         if failed.any():
             raise self._error(command, np.array([0]), OUT_OF_REACH)
         return z[0], self.modes(z, command, p, tool)[0]
@@ -190,7 +194,7 @@ class InverseKinematics:
     def _directly(
         self, command: Array, p: Array, tool: Array, mode: Array
     ) -> Array | None:
-        z, failed = self._newton(self._starts(command, p), command, p, tool)
+        z, failed = self._newton(self._starts(command, p, tool), command, p, tool)
         if failed[0] or _differ_by_joints(self.modes(z, command, p, tool), mode)[0]:
             return None
         return np.asarray(z[0])
@@ -206,9 +210,9 @@ class InverseKinematics:
         """Home, followed from that of the machine as drawn; None where the way ends."""
         z, drawn_command, drawn_p = drawn
 
-        def point(share: float, rows: Index) -> tuple[Array, Array, Array]:
+        def point(share: Array, rows: Index) -> tuple[Array, Array, Array]:
             passed = drawn_command + share * (command - drawn_command)
-            return passed, drawn_p + share * (p - drawn_p), tool
+            return passed, drawn_p + share * (p - drawn_p), share * 0.0 + tool
 
         followed, reached = z[None], np.zeros(1)
         for steps in PATH_STEPS:
@@ -221,7 +225,7 @@ class InverseKinematics:
         self, command: Array, p: Array, tool: Array, mode: Array
     ) -> Array | None:
         """The solution in this mode nearest to the machine's start, from several."""
-        start = self._starts(command, p)
+        start = self._starts(command, p, tool)
         size = [_size(c.unit, self.machine.lever) for c in self.machine.pose]
         size += [_size(c.unit, self.machine.lever) for c in self.machine.joints]
         from scipy.stats import qmc  # takes a second to import
@@ -242,7 +246,7 @@ class InverseKinematics:
         return np.asarray(z[np.argmin(distance)])
 
     def _why_not(self, command: Array, p: Array, tool: Array) -> str:
-        _, failed = self._newton(self._starts(command, p), command, p, tool)
+        _, failed = self._newton(self._starts(command, p, tool), command, p, tool)
         return OUT_OF_REACH if failed[0] else MIRRORED
 
     def joint_slopes(
@@ -267,7 +271,7 @@ class InverseKinematics:
         """Solutions followed from the home pose towards commands; as `_follow`."""
         start_command, start_p = self.machine.home_command, self.machine.nominal
 
-        def point(share: float, rows: Index) -> tuple[Array, Array, Array]:
+        def point(share: Array, rows: Index) -> tuple[Array, Array, Array]:
             passed = start_command + share * (command[rows] - start_command)
             to = _rows_of(p, rows)
             return passed, start_p + share * (to - start_p), share * tool
@@ -278,28 +282,28 @@ class InverseKinematics:
         self,
         begun: tuple[Array, Array],
         mode: Array,
-        point: Callable[[float, Index], tuple[Array, Array, Array]],
+        point: Callable[[Array, Index], tuple[Array, Array, Array]],
         steps: int,
     ) -> tuple[Array, Array]:
         """Follow solutions in steps that keep the mode, each as far as it goes.
 
         begun  solutions (n, nx + nq), and shares (n,) of the way at which they are
-        point  commands, parameters and tool of some rows at a share 0 to 1 of the way
+        point  commands, parameters and tools (k, ...) of some rows (k,) at their shares
+               (k, 1) of the way, 0 to 1
 
         Returns the last solutions, and their shares: 1 of those that arrived.
         """
         z, reached = begun[0].copy(), begun[1].copy()
-        ended = np.zeros(len(z), dtype=bool)
-        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-            rows = np.flatnonzero(~ended & (reached < share))
-            if not rows.size:
-                continue
-            command, p, tool = point(float(share), rows)
+        rows = np.flatnonzero(reached < 1.0)
+        while rows.size:
+            share = (np.floor(reached[rows] * steps) + 1.0) / steps
+            command, p, tool = point(share[:, None], rows)
             next_z, failed = self._newton(z[rows], command, p, tool)
             next_z = np.where(np.isfinite(next_z), next_z, 0.0)
             assembled = ~failed & ~_differ(self.modes(next_z, command, p, tool), mode)
-            z[rows[assembled]], reached[rows[assembled]] = next_z[assembled], share
-            ended[rows[~assembled]] = True
+            z[rows[assembled]] = next_z[assembled]
+            reached[rows[assembled]] = share[assembled]
+            rows = rows[assembled & (share < 1.0)]
         return z, reached
 
     def _has_slopes(self, z: Array, command: Array, p: Array, tool: Array) -> Mask:
@@ -318,8 +322,8 @@ class InverseKinematics:
 
     # -- equations ---------------------------------------------------------------------
 
-    def _starts(self, command: Array, p: Array) -> Array:
-        return np.hstack(self._start(command, p))
+    def _starts(self, command: Array, p: Array, tool: Array) -> Array:
+        return np.hstack(self._start(command, p, tool))
 
     def _newton(
         self, z: Array, command: Array, p: Array, tool: Array
@@ -328,7 +332,8 @@ class InverseKinematics:
 
         def equations(values: Array, rows: Index) -> list[Array]:
             x, q = values[:, :nx], values[:, nx:]
-            return self._inverse(x, q, _rows_of(p, rows), command[rows], tool)
+            of_rows = _rows_of(p, rows), command[rows], _rows_of(tool, rows)
+            return self._inverse(x, q, *of_rows)
 
         longest = newton.longest_step(self.machine.lever)
         return newton.solve(equations, z.copy(), limited=nx, longest=longest)
@@ -348,6 +353,23 @@ class InverseKinematics:
             command[lost[0]],
             reason,
         )
+
+
+def _reference_command(e: MachineExpressions, pose: ca.SX) -> ca.SX:
+    """Where the reference tool stands, about, when another tool is at the command.
+
+    The start value is that of the reference tool, and far off for a long tool on a tilted
+    platform. Coordinates that are held as commanded go back by what the tool adds to them.
+
+    pose  (nx,) start value at a command
+    """
+    reference = ca.SX(e.c)
+    for held, target in zip(e.commanded, e.target, strict=True):
+        added = ca.SX(held) - ca.substitute(ca.SX(held), e.tool, ca.SX.zeros(3))
+        for k in range(e.c.numel()):
+            if ca.is_equal(ca.SX(target), e.c[k]):
+                reference[k] -= ca.substitute(added, e.x, pose)
+    return reference
 
 
 def joint_slopes(e: MachineExpressions) -> list[ca.SX]:
