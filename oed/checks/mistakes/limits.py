@@ -102,14 +102,16 @@ def _counts(data: Suspect, values: Mask, away: Array, turn: float) -> Array:
     part = slopes[others]
     covariance = np.linalg.inv(precision + part.T @ part)
     mean = covariance @ (part.T @ (away[others] / data.sigma[others]))
-    remaining = list(np.flatnonzero(values))
-    while remaining:
-        rows = data.slopes[remaining]
-        spread = np.einsum("ij,jk,ik->i", rows, covariance, rows)
-        nearest = int(np.argmin(spread))
-        k = remaining.pop(nearest)
-        counts[k] = np.round((rows[nearest] @ mean - away[k]) / turn)
-        gain = covariance @ rows[nearest] / (spread[nearest] + data.sigma[k] ** 2)
-        mean = mean + gain * (away[k] + turn * counts[k] - rows[nearest] @ mean)
-        covariance = covariance - np.outer(gain, rows[nearest] @ covariance)
+    inside = np.flatnonzero(values)
+    rows = data.slopes[inside]
+    predicted, shared = rows @ mean, rows @ covariance @ rows.T
+    is_left = np.ones(len(inside), dtype=bool)
+    while is_left.any():
+        nearest = int(np.argmin(np.where(is_left, np.diagonal(shared), np.inf)))
+        is_left[nearest] = False
+        k = inside[nearest]
+        counts[k] = np.round((predicted[nearest] - away[k]) / turn)
+        gain = shared[nearest] / (shared[nearest, nearest] + data.sigma[k] ** 2)
+        predicted += gain * (away[k] + turn * counts[k] - predicted[nearest])
+        shared -= np.outer(gain, shared[nearest])
     return counts
