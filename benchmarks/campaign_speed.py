@@ -1,10 +1,6 @@
 """A campaign in one process, in two, and on a local Dask cluster of two workers.
 
     python -m benchmarks.campaign_speed [CAMPAIGN] [--seeds N]
-    python -m benchmarks.campaign_speed --empty 10000  # what starting and storing takes
-
-`--empty` has cases that compute nothing, so many and half as many: what remains is the
-cost of cases as such, and whether it grows in proportion.
 
 The case part alone is measured: imports and report are a fixed start, but compilation
 and the preparation of each combination count, on both sides. Beside the clock stand processor
@@ -29,19 +25,10 @@ from pathlib import Path
 from typing import Any
 
 from pkm_campaign import Campaign, load_campaign, run_cases
-from pkm_studies.user_code import Consent
 
 WORKERS = 2
 #: of a long campaign
 MANY = 10_000
-EMPTY_CAMPAIGN = """schema = 1
-name = "empty"
-case = "empty.py:figures"
-seeds = {seeds}
-"""
-EMPTY_CASE = """def figures(setting, seed):
-    return {"seed_squared": seed * seed}
-"""
 #: seconds for which an idle cluster is watched
 IDLE = 10.0
 
@@ -133,14 +120,6 @@ def _import() -> None:
     from pkm_campaign import run_cases  # noqa: F401
 
 
-def empty(folder: Path, seeds: int) -> Campaign:
-    """A campaign whose cases compute nothing."""
-    path = folder / "empty.campaign.toml"
-    path.write_text(EMPTY_CAMPAIGN.format(seeds=seeds), encoding="utf-8")
-    (folder / "empty.py").write_text(EMPTY_CASE, encoding="utf-8")
-    return load_campaign(path, consent=Consent.GIVEN)
-
-
 def compare(campaign: Campaign) -> None:
     """Print one row a way of running all cases."""
     cases = len(campaign.settings()) * campaign.seeds
@@ -185,14 +164,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign_speed")
     parser.add_argument("campaign", nargs="?", type=Path, default=Path("a3_noise"))
     parser.add_argument("--seeds", type=int, default=100, help="of each combination")
-    parser.add_argument("--empty", type=int, help="cases that compute nothing")
     options = parser.parse_args()
-    if options.empty is None:
-        compare(load_campaign(options.campaign).first(options.seeds))
-        return
-    for seeds in (options.empty // 2, options.empty):
-        with tempfile.TemporaryDirectory() as folder:
-            compare(empty(Path(folder), seeds))
+    compare(load_campaign(options.campaign).first(options.seeds))
 
 
 if __name__ == "__main__":

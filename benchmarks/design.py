@@ -4,7 +4,6 @@
     python benchmarks/design.py --install-peers DIR          # one environment for each other package, in DIR
     python benchmarks/design.py --peers DIR [--markdown FILE]
     python benchmarks/design.py --relaxations                # each relaxation, cvxpy, studies' candidates
-    python benchmarks/design.py --large                      # this project alone, up to 200,000 candidates, with memory
 
 Problem A is in `peers.py`, with the other packages' adapters. Values are
 computed here, from the rows that a package returns. Seconds are processor time on one
@@ -35,7 +34,6 @@ for _name in THREADS:
     os.environ[_name] = "1"  # before NumPy is loaded
 
 import argparse
-import dataclasses
 import statistics
 import sys
 from collections.abc import Callable
@@ -56,7 +54,6 @@ from peers import COLUMNS, PEERS, SIZE, candidates, processor_seconds, value
 RELAXED_D, EXACT_D, RELAXED_E = "A, D relaxed", "A, D", "A, E relaxed"
 RELAXED_POSES, POSES = "C0, D relaxed", ("C0, D", "C1, D", "C2, D")
 SOLVERS = ("SCS", "CLARABEL")
-GIBIBYTE_IN_KIB = 2**20
 
 Result = TypeVar("Result")
 
@@ -219,16 +216,6 @@ def run_problem_c(limit: float) -> list[Row]:
     ]
 
 
-def run_large() -> list[Row]:
-    """The relaxation with 2000 to 200,000 candidates."""
-    rows = [relax(candidates())]
-    for count in (20_000, 200_000):
-        row = relax(candidates(count))
-        method = f"this project, {count} candidates"
-        rows.append(dataclasses.replace(row, method=method))
-    return rows
-
-
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -241,15 +228,12 @@ def parse_arguments() -> argparse.Namespace:
     add("--timeout", type=float, default=120.0, help="seconds for one task or solver")
     add("--markdown", type=Path, metavar="FILE", help="write the best rows there too")
     add("--relaxations", action="store_true", help="each relaxation beside cvxpy")
-    add("--large", action="store_true", help="this project with more candidates")
     return parser.parse_args()
 
 
 def run(arguments: argparse.Namespace) -> list[Row]:
     """The rows that the command line asks for."""
     relaxation.relax(candidates(), SIZE)  # warm-up
-    if arguments.large:
-        return run_large()
     if arguments.relaxations:
         return design_relaxations.run_relaxations()
     rows = run_problem_a(candidates(), arguments.timeout)
@@ -263,15 +247,6 @@ def run(arguments: argparse.Namespace) -> list[Row]:
     return rows + peer_runs.run_all(folder, arguments.timeout, names)
 
 
-def peak_memory() -> float:
-    """Peak memory of this process, GiB; NaN on Windows, which does not count it."""
-    try:
-        import resource
-    except ImportError:
-        return float("nan")
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / GIBIBYTE_IN_KIB
-
-
 def main() -> None:
     """Print one table."""
     arguments = parse_arguments()
@@ -283,8 +258,6 @@ def main() -> None:
     print(format_text(rows))
     if arguments.markdown:
         arguments.markdown.write_text(format_markdown(rows), encoding="utf-8")
-    if arguments.large:
-        print(f"peak memory {peak_memory():.2f} GiB")
 
 
 if __name__ == "__main__":

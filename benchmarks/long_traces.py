@@ -7,8 +7,7 @@ Readings: the A3 head with a ball bar, two circles both ways (four runs), ten re
 second, all covariates. The bar's noise of 0.5 um has a share of 0.3 that is carried
 along over 8 readings, which no study states; each run's level repeats to 0.2 um. The gap
 is 2 um of backlash in one leg. The diagnosis estimates the noise law, or knows it
-(`--law known`). `--study` runs the command `oed diagnose` instead, from a CSV to a
-report.
+(`--law known`).
 
 Each row is a process of its own. Seconds are processor time on one BLAS thread; memory
 is the peak of the process, with Python and all libraries.
@@ -29,6 +28,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.harness.diagnosis import prepare
+from benchmarks.memory import peak
 from oed.gap import GapProblem, diagnose
 from oed.noise import NoiseLaw
 from pkm_studies import stages, study
@@ -144,36 +144,11 @@ def diagnose_once(readings: int, gap: bool, law: str) -> tuple[float, str]:
     return seconds, f"{answer} ({first.probability:.2f})"
 
 
-def diagnose_study(readings: int, gap: bool) -> tuple[float, str]:
-    """The same of the whole command, from a CSV to a report."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        csv = write_readings(folder, readings, gap)
-        stated = study.load(write_study(folder, readings, False, NOISE))
-        start = time.process_time()
-        result = stages.diagnose_study(stated, [csv], folder / "out")
-        seconds = time.process_time() - start
-    assert result.gap is not None
-    first = result.gap.answers[0]
-    answer = " + ".join(first.effects) or "no gap"
-    return seconds, f"{answer} ({first.probability:.2f})"
-
-
-def peak() -> float:
-    """Peak memory of this process, MiB. Raises ImportError where there is no POSIX."""
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def row(readings: int, gap: bool, law: str, whole: bool) -> str:
+def row(readings: int, gap: bool, law: str) -> str:
     """One row of the table."""
-    if whole:
-        seconds, answer = diagnose_study(readings, gap)
-    else:
-        seconds, answer = diagnose_once(readings, gap, law)
+    seconds, answer = diagnose_once(readings, gap, law)
     acts = "backlash" if gap else "nothing"
-    return f"| {readings} | {acts} | {seconds:.1f} | {peak():.0f} | {answer} |"
+    return f"| {readings} | {acts} | {seconds:.1f} | {peak() / 2**20:.0f} | {answer} |"
 
 
 def main() -> None:
@@ -183,12 +158,11 @@ def main() -> None:
     )
     parser.add_argument("--readings", type=int, nargs="+", default=[720, 5000, 20000])
     parser.add_argument("--law", choices=("estimated", "known"), default="estimated")
-    parser.add_argument("--study", action="store_true", help="the whole command")
     parser.add_argument("--row", choices=("gap", "none"), help="in this process")
     options = parser.parse_args()
     if options.row is not None:
         gap = options.row == "gap"
-        print(row(options.readings[0], gap, options.law, options.study))
+        print(row(options.readings[0], gap, options.law))
         return
     print("| readings | acts | s | MiB | answer |")
     print("| --: | --- | --: | --: | --- |")
@@ -196,7 +170,6 @@ def main() -> None:
     for readings in options.readings:
         for case in ("gap", "none"):
             arguments = ["--readings", str(readings), "--law", options.law]
-            arguments += ["--study"] if options.study else []
             module = ["-m", "benchmarks.long_traces"]
             command = [sys.executable, *module, *arguments, "--row", case]
             subprocess.run(command, check=True)

@@ -7,10 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
-
-import numpy as np
 
 from design_table import Row
 from peers import PEERS, Task, value
@@ -92,24 +89,3 @@ def run_all(folder: Path, limit: float, names: list[str]) -> list[Row]:
             rows.append(run_task(folder, name, number, task, limit))
             print(f"  {rows[-1].method}", file=sys.stderr, flush=True)
     return rows
-
-
-def run_on_rows(
-    folder: Path, name: str, rows: np.ndarray, size: int
-) -> tuple[np.ndarray, float] | None:
-    """Indices and seconds of a package's first task on rows (C, n); None if it fails."""
-    python = interpreter(folder, name)
-    with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "rows.npy"
-        np.save(file, rows)
-        finished = subprocess.run(
-            [python, "-m", "peers", name, "0", file, str(size)],
-            cwd=HERE,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    if finished.returncode:
-        return None
-    answer = json.loads(finished.stdout)
-    return np.asarray(answer["indices"]), answer["seconds"]

@@ -1,8 +1,7 @@
 """Problem A of the design benchmark, and the adapters to other packages.
 
-Call it in the folder `benchmarks`: `python -m peers NAME TASK`, for problem A, or
-`python -m peers NAME TASK FILE SIZE`, for rows (C, n) in a .npy file. It runs one task of
-one package in that package's environment, and prints one line of JSON with `indices` (row
+Call it in the folder `benchmarks`: `python -m peers NAME TASK`. It runs one task of one
+package in that package's environment, and prints one line of JSON with `indices` (row
 numbers), `seconds` (processor time of the choice alone) and `version`. Output of the
 package itself goes to the error stream.
 
@@ -43,7 +42,9 @@ class Task(NamedTuple):
 
     problem: str  #: "A, D" or "A, E"
     method: str  #: description for the table
-    prepare: Callable[..., Choose]  #: takes the rows, returns the timed function
+    prepare: Callable[
+        [np.ndarray], Choose
+    ]  #: takes the rows, returns the timed function
     note: str = ""  #: how its result differs from what the problem asks
 
 
@@ -124,13 +125,13 @@ def doekit_fedorov(rows: np.ndarray) -> Choose:
 # -- doetools: Fedorov's exchange on a whitened model matrix.
 
 
-def doetools_fedorov(rows: np.ndarray, size: int = SIZE) -> Choose:
+def doetools_fedorov(rows: np.ndarray) -> Choose:
     """Its `optimize_d_optimal` with its 50 random starts."""
     from doetools.design.d_opt.optimizer import optimize_d_optimal
 
     return lambda: optimize_d_optimal(
-        rows, n_min=size, n_max=size, random_state=1
-    ).best_indices[size]
+        rows, n_min=SIZE, n_max=SIZE, random_state=1
+    ).best_indices[SIZE]
 
 
 # -- figaroh: the optimisers of its calibration, on information matrices, not a robot.
@@ -445,10 +446,7 @@ def main() -> None:
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002 - packages that draw from the global generator
     peer = PEERS[name]
-    prepare = peer.tasks[number].prepare
-    by_file = len(sys.argv) > 3
-    arguments = (np.load(sys.argv[3]), int(sys.argv[4])) if by_file else (candidates(),)
-    choose = prepare(*arguments)
+    choose = peer.tasks[number].prepare(candidates())
     start = processor_seconds()
     indices = choose()
     seconds = processor_seconds() - start

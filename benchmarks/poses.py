@@ -9,10 +9,6 @@ their own. Those of the A3 head are of 31 poses, ball-bar readings on two circle
 taught cup, at each of several parameter vectors. All but the delta's closed form start at
 the nominal poses and stop after a step below 1e-8. Times are processor seconds on one
 thread: medians of rounds in which each takes its turn.
-
-A second table has large batches on one core and on all: what runs on one core takes its
-processor time, and what the cores share takes that of the busiest. So it holds on a
-loaded machine too, where the time that passes says little.
 """
 
 from __future__ import annotations
@@ -32,14 +28,11 @@ import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, delta_poses, hexapod_poses
 from oed.measurement import Measurement, Series
-from oed.mechanism import compiled as lanes
 from oed.model import Machine
 from pkm_models.machines import delta, hexapod
 from readings import plan
 
 COUNTS, ROUNDS = (1, 10, 100, 1000, 10_000, 100_000), 11
-#: counts from which the time on all cores is measured
-MANY = 10_000
 #: processor time of a round, s
 ROUND_SECONDS = 0.01
 #: time after which a function is compiled, in a loop of calls, s
@@ -199,11 +192,6 @@ def main() -> None:
     print("| --- | --: | --: | --: | --: | --: | --: | --: |")
     for case in cases:
         print(row(case), flush=True)
-    print("\n| computed | poses | one core, us | all cores, us | ratio |")
-    print("| --- | --: | --: | --: | --: |")
-    for case in cases:
-        if case.count >= MANY:
-            print(row_of_cores(case), flush=True)
 
 
 def row(case: Case) -> str:
@@ -220,47 +208,6 @@ def row(case: Case) -> str:
     ]
     cells = [f"{t:.2f}" for t in by_way] + [f"{ratio:.1f}" for ratio in ratios]
     return f"| {case.name} | {case.count} | {' | '.join(cells)} | {errors} |"
-
-
-def row_of_cores(case: Case) -> str:
-    """By default, on one core and on all: medians of rounds."""
-    work = case.ways[0]
-    times = []
-    for _ in range(ROUNDS):
-        os.environ[CORES] = "1"
-        one = seconds(work)
-        del os.environ[CORES]
-        times.append((one, one / seconds_on_cores(work)))
-    one, ratio = (statistics.median(column) for column in zip(*times, strict=True))
-    one *= 1e6 / case.count
-    return (
-        f"| {case.name} | {case.count} | {one:.2f} | {one / ratio:.2f} | {ratio:.2f} |"
-    )
-
-
-def seconds_on_cores(work: Work) -> float:
-    """Time of one call where every core is free, by the threads' processor time."""
-    alone, together = 0.0, 0.0
-    share_points = lanes.share_points
-
-    def timed(run: Callable[[int, int], None], count: int) -> None:
-        nonlocal alone, together
-        shares: list[float] = []
-
-        def share(first: int, end: int) -> None:
-            start = time.thread_time()
-            run(first, end)
-            shares.append(time.thread_time() - start)
-
-        share_points(share, count)
-        alone, together = alone + sum(shares), together + max(shares)
-
-    lanes.share_points = timed
-    try:
-        every = seconds(work)
-    finally:
-        lanes.share_points = share_points
-    return every - alone + together
 
 
 if __name__ == "__main__":

@@ -25,8 +25,12 @@ from oed.noise import NoiseStatement
 from pkm_models.instruments import ball_bar, calliper, height_probe, relative
 from pkm_models.machines import a3_head, linear_delta, planar_2dof
 from pkm_models.machines import hexapod as model
-from tests.oracles import a3_geometry as a3
-from tests.oracles import delta_trilateration, hexapod_geometry, planar_geometry
+from tests.oracles import (
+    a3_geometry,
+    delta_trilateration,
+    hexapod_geometry,
+    planar_geometry,
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,7 +38,6 @@ class Bench:
     """One configuration.
 
     name         of the machines and errors that are drawn
-    about        for the table
     measurement  the toolkit's
     series       its planned readings, N in all
     stages       of the identification
@@ -45,7 +48,6 @@ class Bench:
     """
 
     name: str
-    about: str
     measurement: Measurement
     series: Sequence[Series]
     stages: Sequence[Sequence[str]] = (("*",),)
@@ -53,15 +55,12 @@ class Bench:
     read: Callable[[np.ndarray], np.ndarray]
     errors: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-    def stating(self, statement: NoiseStatement, about: str) -> Bench:
+    def stating(self, statement: NoiseStatement) -> Bench:
         """The same machines with the same errors, of which the study states something."""
         mounted = self.measurement.setups.values()
         setups = [dataclasses.replace(s, statement=statement) for s in mounted]
-        return dataclasses.replace(
-            self,
-            about=f"{self.about}; {about}",
-            measurement=self.measurement.with_setups(setups),
-        )
+        stated = self.measurement.with_setups(setups)
+        return dataclasses.replace(self, measurement=stated)
 
     @functools.cached_property
     def coordinates(self) -> IdentifiableCoordinates:
@@ -115,32 +114,15 @@ TWO, FOUR = (1.146, 1.266), (1.106, 1.159, 1.213, 1.266)
 A3_SIZE = len(a3_head.machine.parameters)
 
 
-def thirty() -> Bench:
-    """The paper's plan."""
-    about = "A3 head, two circles of 15 readings, one set-up"
-    return _bench("a3_30", about, TWO, ("cup",))
-
-
-def sixty() -> Bench:
-    """The paper's plan with two tools."""
-    about = "A3 head, two circles of 15 readings with each of two tools"
-    return _bench("a3_60", about, TWO, ("cup", "long_tool"))
-
-
-def four_circles() -> Bench:
-    """Twice as many circles."""
-    about = "A3 head, four circles of 15 readings, one set-up"
-    return _bench("a3_circles", about, FOUR, ("cup",))
-
-
-def _bench(name: str, about: str, z: Sequence[float], setups: Sequence[str]) -> Bench:
+def a3(name: str, z: Sequence[float], setups: Sequence[str]) -> Bench:
+    """Circles of 15 readings at heights, as in the paper, with each tool of the set-ups."""
     tools = {"cup": 0.0, "long_tool": LONG_TOOL}
     mounted = [
         mount(
             ball_bar.instrument,
             setup,
             tool=(0.0, 0.0, tools[setup]),
-            teach=(a3.Z_TEACH + tools[setup], 0.0, 0.0),
+            teach=(a3_geometry.Z_TEACH + tools[setup], 0.0, 0.0),
         )
         for setup in setups
     ]
@@ -153,8 +135,10 @@ def _bench(name: str, about: str, z: Sequence[float], setups: Sequence[str]) -> 
             offset = theta[A3_SIZE + 3 * k : A3_SIZE + 3 * k + 3]
             tool = tools[s.setup]
             poses, teach = s.q[s.index[:, 0]], s.q[s.index[:, 1]]
-            cup = a3.forward(theta[:A3_SIZE], teach, tool).tip + offset
-            parts.append(a3.ball_bar_reading(theta[:A3_SIZE], poses, cup, tool))
+            cup = a3_geometry.forward(theta[:A3_SIZE], teach, tool).tip + offset
+            parts.append(
+                a3_geometry.ball_bar_reading(theta[:A3_SIZE], poses, cup, tool)
+            )
         return np.concatenate(parts)
 
     command = _a3_workspace()
@@ -164,7 +148,6 @@ def _bench(name: str, about: str, z: Sequence[float], setups: Sequence[str]) -> 
 
     return Bench(
         name=name,
-        about=about,
         measurement=m,
         series=series,
         stages=(("dq*",), ("*",)),
@@ -197,7 +180,7 @@ def _a3_errors(
 ) -> np.ndarray:
     """Errors (n, 6) in x, y, z, psi, theta, phi, zeroed at home."""
     poses = np.vstack([command, m.machine.home_command])
-    real = a3.forward(true, compensated_joints(m.kinematics, poses, believed))
+    real = a3_geometry.forward(true, compensated_joints(m.kinematics, poses, believed))
     return components_from_home(m, command, real.R, real.tip)
 
 
@@ -242,7 +225,6 @@ def planar() -> Bench:
 
     return Bench(
         name="planar",
-        about="planar manipulator, RM 4 and RM 5 on six lines",
         measurement=m,
         series=series,
         stages=(("beta*",), ("*",)),
@@ -296,7 +278,6 @@ def delta() -> Bench:
 
     return Bench(
         name="delta",
-        about="linear delta, heights in three passes and distances on two objects",
         measurement=m,
         series=[heights, distances],
         command=command,
@@ -365,7 +346,6 @@ def hexapod() -> Bench:
 
     return Bench(
         name="hexapod",
-        about="hexapod, ball bar, 72 readings in three runs",
         measurement=m,
         series=[series],
         command=workspace,
@@ -410,27 +390,18 @@ def _hexapod_errors(
 
 
 #: that the cup stays where it is: no law of the noise seats it anew
-STAYS, ABOUT = NoiseStatement(seating=0.0), "the study states `seating_um = 0`"
-
-
-def stating_the_seat(plan: Callable[[], Bench]) -> Callable[[], Bench]:
-    """A configuration whose study states that the cup stays where it is."""
-    return lambda: plan().stating(STAYS, ABOUT)
-
-
-CONFIGURATIONS: dict[str, Callable[[], Bench]] = {
-    "a3_30": thirty,
-    "a3_30_stated": stating_the_seat(thirty),
-    "a3_60": sixty,
-    "a3_60_stated": stating_the_seat(sixty),
-    "a3_circles": four_circles,
-    "planar": planar,
-    "delta": delta,
-    "hexapod": hexapod,
+STAYS = NoiseStatement(seating=0.0)
+A3_PLANS = {
+    "a3_30": (TWO, ("cup",)),
+    "a3_60": (TWO, ("cup", "long_tool")),
+    "a3_circles": (FOUR, ("cup",)),
 }
+OTHERS = {"planar": planar, "delta": delta, "hexapod": hexapod}
 
 
 @functools.cache
 def configuration(name: str) -> Bench:
-    """A configuration, compiled once."""
-    return CONFIGURATIONS[name]()
+    """A configuration, compiled once; `_stated` where the study says that the cup stays."""
+    plan = name.removesuffix("_stated")
+    bench = OTHERS[plan]() if plan in OTHERS else a3(plan, *A3_PLANS[plan])
+    return bench.stating(STAYS) if name.endswith("_stated") else bench

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import stats
@@ -25,7 +25,7 @@ from scipy import stats
 from benchmarks.coverage.intervals import generator, true_coordinates
 from benchmarks.coverage.machines import Bench, configuration
 from oed import posterior
-from oed.estimation import Estimate, identify
+from oed.estimation import identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
 
@@ -33,12 +33,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: columns of a row that are no ranks
-NO_RANKS = ("configuration", "sampler", "stream", "seed", "error", "cpu_s")
-Sampler = Literal["laplace", "auto", "emcee"]
+NO_RANKS = ("configuration", "stream", "seed", "error", "cpu_s")
 #: draws that a rank is among
 DRAWS = 99
-#: effective sample size and steps of the sampler
-EFFECTIVE, STEPS = 400.0, 3000
 BINS = 10
 #: probability below which ranks count as not uniform
 LEAST_PROBABILITY = 0.01
@@ -77,9 +74,7 @@ def calibration(names: Sequence[str], ranks: np.ndarray, seed: int) -> Calibrati
     return Calibration(tuple(names), ranks, np.array(probabilities))
 
 
-def one_machine(
-    bench: Bench, number: int, seed: int, sampler: Sampler
-) -> dict[str, int]:
+def one_machine(bench: Bench, number: int, seed: int) -> dict[str, int]:
     """Rank of each combination and of each coordinate of the noise law."""
     m = bench.measurement
     structure = reading_structure(m, bench.series, m.nominal)
@@ -92,7 +87,10 @@ def one_machine(
     exact = bench.read(truth)
     y = exact + structure.restore(errors)
     estimate = identify(m, bench.series, y, stages=bench.stages, estimate_noise=True)
-    z, laws = _draws(bench, estimate, y, sampler, rng)
+    fitted = estimate.noise_posterior
+    assert fitted is not None
+    z = posterior.draw_coordinates(estimate, rng, DRAWS)
+    laws = fitted.draws[rng.choice(len(fitted.weights), size=DRAWS, p=fitted.weights)]
     turn = bench.coordinates.dual @ estimate.coordinates.basis
     true = turn @ true_coordinates(bench, estimate, exact)
     below = (z @ turn.T < true).sum(axis=0)
@@ -101,43 +99,13 @@ def one_machine(
     return ranks | {n: int(v) for n, v in zip(prior.names, of_law, strict=True)}
 
 
-def _draws(
-    bench: Bench,
-    estimate: Estimate,
-    y: np.ndarray,
-    sampler: Sampler,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Independent draws of the coordinates (DRAWS, r) and of the law (DRAWS, d)."""
-    fitted = estimate.noise_posterior
-    assert fitted is not None
-    if sampler == "laplace":
-        z = posterior.draw_coordinates(estimate, rng, DRAWS)
-        number = rng.choice(len(fitted.weights), size=DRAWS, p=fitted.weights)
-        return z, fitted.draws[number]
-    sampled = posterior.sample(
-        bench.measurement,
-        bench.series,
-        y,
-        estimate,
-        rng,
-        sampler=sampler,
-        ess=EFFECTIVE,
-        max_steps=STEPS,
-    )
-    z = sampled.z.reshape(-1, sampled.z.shape[-1])
-    laws = sampled.noise_law.reshape(-1, sampled.noise_law.shape[-1])
-    chosen = rng.choice(len(z), size=DRAWS, replace=False)
-    return z[chosen], laws[chosen]
-
-
 def truth_ranks(setting: Mapping[str, Any], seed: int) -> dict[str, int]:
     """Rank of each truth of machine `seed` among posterior draws.
 
-    setting  configuration, sampler, and stream, the seed of all machines
+    setting  configuration, and stream, the seed of all machines
     """
     bench = configuration(setting["configuration"])
-    return one_machine(bench, seed, setting["stream"], setting["sampler"])
+    return one_machine(bench, seed, setting["stream"])
 
 
 def calibration_of_rows(rows: Sequence[Mapping[str, Any]]) -> Calibration:

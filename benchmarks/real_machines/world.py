@@ -20,7 +20,7 @@ from oed.measurement import Measurement
 MM = 1e-3
 HEALTHY = (0.6, 1.4)
 #: levels of the effects that all machines have
-LEVELS = ("rigid", "healthy", "typical")
+LEVELS = ("rigid", "healthy")
 #: spread of the logarithm of an effect's size
 SPREAD = 0.7
 
@@ -51,8 +51,7 @@ class Bench:
 def draw(machine: str, size: float, level: str, seed: int) -> Bench:
     """A machine with all effects small, and one of sqrt(lambda) `size` (0: none).
 
-    level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "typical": each about
-            its typical size; "rigid": none
+    level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "rigid": none
     """
     with tempfile.TemporaryDirectory() as folder:
         return _draw(machine, size, level, seed, Path(folder))
@@ -79,8 +78,6 @@ def _draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     total = Pert()
     if level == "healthy":
         total = _small_effects(machine, c, oracle, rng)
-    if level == "typical":
-        total = _typical_effects(machine, c, rng)
     name = ""
     if size:
         name, f, _, a, *_ = make.sized(c, rng, oracle, LISTED, machine, size)
@@ -133,19 +130,6 @@ def _small_effects(machine, c, oracle, rng):
         for f, amount in parts:
             total = total + f(amount * scale)
         scale *= wanted / max(oracle.lam(oracle.signature(total)), 1e-9)
-    return total
-
-
-def _typical_effects(machine, c, rng):
-    """All effects of the machine's kind, each about its typical size."""
-    from effects import LISTED
-    from truth import Pert
-
-    total = Pert()
-    for make_effect, machines in LISTED.values():
-        if machine in machines:
-            f, _ = make_effect(c, rng)
-            total = total + f(np.exp(rng.normal(0, SPREAD)))
     return total
 
 

@@ -198,7 +198,7 @@ def test_ranks_of_uniform_values_pass_and_of_narrow_ones_fail() -> None:
 def test_ranks_are_of_the_laws_that_a_fit_of_few_readings_has() -> None:
     """Twelve readings beyond the unknowns: no course through the session."""
     bench = module("machines").configuration("a3_30")
-    ranks = module("ranks").one_machine(bench, 0, 1, "laplace")
+    ranks = module("ranks").one_machine(bench, 0, 1)
     assert len(ranks) == 18 + 5
     assert "course of the session" not in ranks
 
@@ -208,6 +208,6 @@ def test_ranks_are_of_the_laws_that_a_fit_of_few_readings_has() -> None:
 def test_ranks_are_uniform(name: str) -> None:
     bench = module("machines").configuration(name)
     ranks = module("ranks")
-    rows = [ranks.one_machine(bench, number, 7, "laplace") for number in range(100)]
+    rows = [ranks.one_machine(bench, number, 7) for number in range(100)]
     values = np.array([list(row.values()) for row in rows])
     assert ranks.calibration([*rows[0]], values, 7).joint > 0.01

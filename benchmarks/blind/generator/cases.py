@@ -34,14 +34,7 @@ ON = {
 }
 KINDS = ("null", "single", "pair", "exact", "unknown", "known_unknown")
 #: (kind, number in a stretch of 200); null: that number for each noise law
-SCHEDULE = (
-    ("null", 15),
-    ("single", 55),
-    ("pair", 25),
-    ("exact", 10),
-    ("unknown", 20),
-    ("known_unknown", 15),
-)
+SCHEDULE = tuple(zip(KINDS, (15, 55, 25, 10, 20, 15), strict=True))
 LEVELS = (2.0, 4.0, 6.0, 10.0, 20.0)
 #: of two effects, and of unknown ones, the lowest levels are rare
 PAIR_LEVELS, PAIR_SHARES = (4.0, 6.0, 10.0, 20.0), (0.1, 0.3, 0.3, 0.3)
@@ -187,20 +180,8 @@ def make(seed: int, name: str, k: int) -> Case:
         push = added if push is None else push.plus(added)
     clean = base.read(push)
     y = clean + noise.sample(rng, law, group)
-    return Case(
-        identity(seed, name, k),
-        k,
-        part.kind,
-        base,
-        stage,
-        law,
-        group,
-        metric,
-        tuple(sized),
-        clean,
-        y,
-        key,
-    )
+    about = identity(seed, name, k), k, part.kind
+    return Case(*about, base, stage, law, group, metric, tuple(sized), clean, y, key)
 
 
 def _effects(
@@ -221,11 +202,10 @@ def _effects(
 def _single(
     rng: Generator, kind: str, base: Scene, stage: Stage, metric: severity.Metric
 ) -> Sized:
-    target = float(
-        rng.choice(PAIR_LEVELS, p=PAIR_SHARES)
-        if kind == "unknown"
-        else rng.choice(LEVELS)
-    )
+    if kind == "unknown":
+        target = float(rng.choice(PAIR_LEVELS, p=PAIR_SHARES))
+    else:
+        target = float(rng.choice(LEVELS))
     for _ in range(4):
         name = _name(rng, kind, stage)
         for _ in range(TRIES):
@@ -246,12 +226,8 @@ def _name(rng: Generator, kind: str, stage: Stage) -> str:
 
 
 def _form(rng: Generator, kind: str, name: str, stage: Stage) -> Effect:
-    forms = (
-        effects.EXACT
-        if kind == "exact"
-        else effects.UNKNOWN
-        if kind == "unknown"
-        else effects.KNOWN
+    forms = {"exact": effects.EXACT, "unknown": effects.UNKNOWN}.get(
+        kind, effects.KNOWN
     )
     return forms[name](rng, stage)
 
@@ -275,12 +251,14 @@ def _scaled(
     limit = _limit(effect, known, base.plan.machine.name)
     if start > 1.3 * limit:
         raise ArithmeticError("too large to be believed")
-    a = severity.amplitude(
-        lambda v: base.read(effect.push(v)) - base.y, size, target, start
-    )
+
+    def change(amplitude: float) -> Array:
+        return np.asarray(base.read(effect.push(amplitude)) - base.y)
+
+    a = severity.amplitude(change, size, target, start)
     if a > limit:
         raise ArithmeticError("too large to be believed")
-    return Sized(effect, known, target, a, base.read(effect.push(a)) - base.y)
+    return Sized(effect, known, target, a, change(a))
 
 
 def _pair(
@@ -337,10 +315,7 @@ def _covariates(case: Case) -> list[tuple[str, Array, str]]:
         ("direction", plan.direction, "{:.0f}"),
         ("feed_mm_min", plan.feed * 6e4, "{:.3f}"),
         ("payload_N", plan.payload, "{:.1f}"),
-        *(
-            (name, values, "{:.1f}")
-            for name, values in case.stage.climate.shown.items()
-        ),
+        *((name, shown, "{:.1f}") for name, shown in case.stage.climate.shown.items()),
         ("repeat", plan.repeat.astype(float), "{:.0f}"),
     ]
 
@@ -351,10 +326,9 @@ def _readings(case: Case, rows: Index) -> dict[str, list[str]]:
     at = 0
     for setup, here in zip(plan.setups, layout.rows, strict=True):
         channels = [f"{stem}_mm" for stem, _ in setup.instrument.channels]
-        values = (
-            case.y[at : at + len(here) * len(channels)].reshape(len(here), -1) * 1e3
-        )
-        at += values.size
+        count = len(here) * len(channels)
+        values = case.y[at : at + count].reshape(len(here), -1) * 1e3
+        at += count
         for k, column in enumerate(channels):
             whole = cells.setdefault(column, [""] * len(plan.kind))
             for i, v in zip(here, values[:, k], strict=True):

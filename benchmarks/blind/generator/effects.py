@@ -15,7 +15,14 @@ from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
 from benchmarks.blind.generator.machines import Array, Machine, joint_columns
-from benchmarks.blind.generator.plans import BARS, STATE, Index, Plan
+from benchmarks.blind.generator.plans import (
+    BARS,
+    STATE,
+    TEMPERATURES,
+    Index,
+    Plan,
+    Setup,
+)
 from benchmarks.blind.generator.scene import Layout, Motion, Push
 
 
@@ -75,9 +82,7 @@ class Stage:
     @property
     def by_bar(self) -> Array:
         """1 for readings (N,) of a ball bar, 0 for others."""
-        bars = np.array(
-            [s.instrument.name in BARS for s in self.plan.setups], dtype=float
-        )
+        bars = np.array([s.instrument.name in BARS for s in self.plan.setups]) * 1.0
         return np.asarray(bars[self.plan.setup[self.layout.row]])
 
     def zero(self) -> Array:
@@ -112,6 +117,14 @@ def pick_legs(
     return np.clip(1.0 + 0.3 * rng.normal(size=count), 0.3, 1.8), ()
 
 
+def some_legs(rng: Generator, count: int) -> tuple[list[int], tuple[str, ...]]:
+    """One leg with probability 0.6, else all; and the blocks."""
+    if rng.random() < 0.6:
+        leg = int(rng.integers(count))
+        return [leg], (f"leg {leg + 1}",)
+    return list(range(count)), ()
+
+
 def place_joints(stage: Stage, leg: int, shift: Array, *, platform: bool) -> Array:
     """dp (n, np + extras) that moves a leg's base joint (or carriage), or its platform
     joint, by shift (n, 3).
@@ -127,20 +140,32 @@ def place_joints(stage: Stage, leg: int, shift: Array, *, platform: bool) -> Arr
     return dp
 
 
+def some_way(rng: Generator, machine: Machine, size: Array) -> Array:
+    """Displacements (n, 3) of sizes (n,) along one direction, in a planar machine's plane."""
+    way = rng.normal(size=3)
+    if machine.name == "planar":
+        way[0] = 0.0
+    return np.asarray(size[:, None] * way / np.linalg.norm(way))
+
+
+def moved_mount(rng: Generator, setup: Setup, course: Array) -> Array:
+    """State (n, STATE) of a set-up whose mount drifts some way along a course (n,)."""
+    drifts = list(setup.instrument.drifts)
+    way = rng.normal(size=len(drifts))
+    state = np.zeros((len(course), STATE))
+    state[:, drifts] = course[:, None] * way / np.linalg.norm(way)
+    return state
+
+
 def smooth(rng: Generator, u: Array, knots: int = 6) -> Array:
     """A random smooth curve over u in -1..1, (any shape): natural cubic through normal
     values at uneven knots.
     """
-    from scipy.interpolate import CubicSpline
-
     inner = np.sort(rng.uniform(-0.9, 0.9, knots - 2))
     at = np.concatenate([[-1.0], inner, [1.0]])
     at += np.linspace(0.0, 0.05, knots)  # never twice the same
-    return np.asarray(
-        CubicSpline(at, rng.normal(size=knots), bc_type="natural")(
-            np.clip(u, -1.0, 1.05)
-        )
-    )
+    curve = CubicSpline(at, rng.normal(size=knots), bc_type="natural")
+    return np.asarray(curve(np.clip(u, -1.0, 1.05)))
 
 
 def spans(plan: Plan) -> float:
@@ -173,17 +198,13 @@ def climate(rng: Generator, plan: Plan) -> Climate:
     for begin, end in plan.pauses:
         busy[(t >= begin) & (t < end)] = 0.05
     for here in plan.runs:
-        busy[(t >= plan.time[here[0]] - GRID) & (t <= plan.time[here[-1]])] += (
-            0.5 * np.sqrt(plan.feed[here[0]] / plan.feed.max())
-        )
-    fast, slow = (
-        _lagged(busy, rng.uniform(400.0, 1500.0)),
-        _lagged(busy, rng.uniform(3600.0, 9000.0)),
-    )
+        during = (t >= plan.time[here[0]] - GRID) & (t <= plan.time[here[-1]])
+        busy[during] += 0.5 * np.sqrt(plan.feed[here[0]] / plan.feed.max())
+    fast = _lagged(busy, rng.uniform(400.0, 1500.0))
+    slow = _lagged(busy, rng.uniform(3600.0, 9000.0))
     share = rng.uniform(0.25, 0.75, plan.machine.legs)
-    gain = np.clip(
-        1.0 + 0.25 * rng.normal(size=plan.machine.legs), 0.4, 1.7
-    ) * rng.uniform(4.0, 9.0)
+    gain = np.clip(1.0 + 0.25 * rng.normal(size=plan.machine.legs), 0.4, 1.7)
+    gain = gain * rng.uniform(4.0, 9.0)
     leg = gain * (share * fast[:, None] + (1 - share) * slow[:, None])
     room = rng.uniform(0.8, 2.0) * np.sin(
         2 * np.pi * t / 86400.0 * rng.uniform(0.8, 1.5) + rng.uniform(-0.8, 0.3)
@@ -195,11 +216,8 @@ def climate(rng: Generator, plan: Plan) -> Climate:
     hand = np.zeros(len(t))
     for k in range(len(plan.setups)):
         start = plan.time[plan.setup == k].min()
-        hand += np.where(
-            t >= start - GRID,
-            np.exp(-(t - start + GRID) / rng.uniform(700.0, 2400.0)),
-            0.0,
-        )
+        fading = np.exp(-(t - start + GRID) / rng.uniform(700.0, 2400.0))
+        hand += np.where(t >= start - GRID, fading, 0.0)
     bar = rng.uniform(0.2, 0.6) * room + rng.uniform(1.5, 3.0) * hand
     at = [np.interp(plan.time, t, v) for v in (*leg.T, frame, bar)]
     legs = np.stack(at[: plan.machine.legs], -1)
@@ -213,15 +231,10 @@ def _sensors(
 ) -> dict[str, Array]:
     """Sensor readings (n,): lagged, with an offset, noise of 0.05 K, told to 0.1 K."""
     shown = {}
-    for name, body in (
-        ("temp_leg_C", leg),
-        ("temp_frame_C", frame),
-        ("temp_bar_C", bar),
-    ):
+    for name, body in zip(TEMPERATURES, (leg, frame, bar), strict=True):
         lagged = body[0] + _lagged(body - body[0], rng.uniform(120.0, 600.0))
-        reading = rng.uniform(0.8, 1.1) * np.interp(plan.time, t, lagged) + rng.normal(
-            0.0, 0.2
-        )
+        reading = rng.uniform(0.8, 1.1) * np.interp(plan.time, t, lagged)
+        reading = reading + rng.normal(0.0, 0.2)
         shown[name] = np.round(reading + rng.normal(0.0, 0.05, len(reading)), 1)
     return shown
 
@@ -261,9 +274,8 @@ def joint_force(stage: Stage, weight: float) -> Array:
     moving weight at its centre.
     """
     motion = stage.motion
-    return np.asarray(
-        stage.plan.payload[:, None] * motion.lift + weight * motion.lift_com
-    )
+    payload = stage.plan.payload[:, None]
+    return np.asarray(payload * motion.lift + weight * motion.lift_com)
 
 
 def gravity(rng: Generator, stage: Stage) -> Effect:
@@ -276,9 +288,8 @@ def gravity(rng: Generator, stage: Stage) -> Effect:
     typical = float(np.abs(force).mean())
     harden = rng.uniform(0.0, 0.35)
     load = force * (np.abs(force) / typical + 0.05) ** -harden
-    slender = 1.0 + rng.uniform(0.2, 1.2) * (
-        (q / q.mean(0)) ** rng.choice([1.0, 2.0, 3.0]) - 1.0
-    )
+    long = rng.uniform(0.2, 1.2), (q / q.mean(0)) ** rng.choice([1.0, 2.0, 3.0])
+    slender = 1.0 + long[0] * (long[1] - 1.0)
     legs = np.clip(1.0 + 0.15 * rng.normal(size=machine.legs), 0.6, 1.4)
     dq = -load * slender * legs
     return linear("gravity", Push(dq=dq))
@@ -299,14 +310,12 @@ def frame_bending(rng: Generator, stage: Stage) -> Effect:
     for _ in range(int(rng.integers(2, 4))):
         mix = v @ rng.normal(size=3) / np.sqrt(3.0)
         mix = mix + 0.15 * rng.normal() * np.sin(np.pi * u[:, rng.integers(u.shape[1])])
-        bow = np.tanh(mix) * np.cos(
-            rng.uniform(0.5, 1.5) * mix + rng.uniform(0, 2 * np.pi)
-        )
+        angle = rng.uniform(0.5, 1.5) * mix + rng.uniform(0, 2 * np.pi)
+        bow = np.tanh(mix) * np.cos(angle)
         mode = 0.4 * bow + mix**2
         field += mode[:, None] * rng.normal(size=3)
-    sag = 1.0 + rng.uniform(0.0, 0.5) * stage.plan.payload / max(
-        float(stage.plan.payload.max()), 1.0
-    )
+    payload = stage.plan.payload
+    sag = 1.0 + rng.uniform(0.0, 0.5) * payload / max(float(payload.max()), 1.0)
     if stage.machine.name == "planar":
         field[:, 0] = 0.0
     return linear("frame_bending", Push(dtip=field * sag[:, None]))
@@ -317,11 +326,7 @@ def guideway(rng: Generator, stage: Stage) -> Effect:
     wave.
     """
     machine = stage.machine
-    legs = (
-        [int(rng.integers(machine.legs))]
-        if rng.random() < 0.6
-        else list(range(machine.legs))
-    )
+    legs, blocks = some_legs(rng, machine.legs)
     dp = stage.zero()
     for leg in legs:
         u = stage.stroke[:, leg]
@@ -329,7 +334,6 @@ def guideway(rng: Generator, stage: Stage) -> Effect:
             bow = smooth(rng, u, int(rng.integers(4, 8)))
             kink = rng.uniform(0.0, 0.8) * np.tanh((u - rng.uniform(-0.6, 0.6)) / 0.05)
             dp[:, machine.column(f"{name}{leg + 1}")] = bow + kink
-    blocks = (f"leg {legs[0] + 1}",) if len(legs) == 1 else ()
     return linear("guideway", Push(dp=dp), blocks)
 
 
@@ -355,9 +359,8 @@ def passes(stage: Stage) -> list[Pass]:
         q = stage.motion.q[here]
         if closed:
             ring = np.vstack([q, q[:1]])
-            slope = CubicSpline(np.arange(len(ring)), ring, bc_type="periodic")(
-                np.arange(len(here)), 1
-            )
+            curve = CubicSpline(np.arange(len(ring)), ring, bc_type="periodic")
+            slope = curve(np.arange(len(here)), 1)
             start = len(here) // 2
             order = np.r_[np.arange(start, len(here)), np.arange(len(here))]
             row = np.r_[np.full(len(here) - start, -1), here]
@@ -381,13 +384,8 @@ def _turning(q0: Array, q1: Array, m0: Array, m1: Array) -> Array:
     a, b = 2 * (q0 - q1) + m0 + m1, 3 * (q1 - q0) - 2 * m0 - m1
     # root of 3 a t^2 + 2 b t + m0 in 0..1, in the form that is safe for small a
     root = np.sqrt(np.maximum(b**2 - 3 * a * m0, 0.0))
-    t = np.divide(
-        -m0,
-        b + np.where(m1 >= m0, root, -root),
-        out=np.full_like(q0, 0.5),
-        where=m0 * m1 < 0,
-    )
-    t = np.clip(t, 0.0, 1.0)
+    below, middle = b + np.where(m1 >= m0, root, -root), np.full_like(q0, 0.5)
+    t = np.clip(np.divide(-m0, below, out=middle, where=m0 * m1 < 0), 0.0, 1.0)
     return np.asarray(((a * t + b) * t + m0) * t + q0)
 
 
@@ -425,11 +423,7 @@ def backlash(rng: Generator, stage: Stage) -> Effect:
         widths = 2 * a * scale * ratio[:, None] * gains / gains.max()
         return Push(dq=play(stage, ways, widths, weights) * wear)
 
-    return Effect(
-        name="backlash",
-        push=push,
-        blocks=blocks,
-    )
+    return Effect(name="backlash", push=push, blocks=blocks)
 
 
 def friction(rng: Generator, stage: Stage) -> Effect:
@@ -438,16 +432,13 @@ def friction(rng: Generator, stage: Stage) -> Effect:
     """
     gains, blocks = pick_legs(rng, stage.machine.legs)
     q, rate = stage.motion.q, stage.motion.rate
-    slide = float(
-        np.exp(rng.uniform(np.log(0.03e-3), np.log(0.6e-3)))
-    )  # m, presliding of drives
-    swing = rng.uniform(0.05, 0.2) * np.sin(
-        rng.uniform(1.5, 4.0) * stage.stroke + rng.uniform(0, 2 * np.pi)
-    )
+    # m, presliding of drives
+    slide = float(np.exp(rng.uniform(np.log(0.03e-3), np.log(0.6e-3))))
+    height, turns = rng.uniform(0.05, 0.2), rng.uniform(1.5, 4.0) * stage.stroke
+    swing = height * np.sin(turns + rng.uniform(0, 2 * np.pi))
     slow = np.median(np.abs(rate)) * rng.uniform(0.2, 0.8)
-    level = (1.0 + swing) * (
-        1.0 + rng.uniform(0.05, 0.3) * np.exp(-np.abs(rate) / slow)
-    )
+    stribeck = 1.0 + rng.uniform(0.05, 0.3) * np.exp(-np.abs(rate) / slow)
+    level = (1.0 + swing) * stribeck
     yielding = 1.0 + rng.uniform(0.5, 1.5) * (q - q.mean(0)) / q.mean(0)
     dq = -gains * level * yielding * _dahl(stage, slide)
     return linear("friction", Push(dq=dq), blocks)
@@ -479,11 +470,8 @@ def servo_lag(rng: Generator, stage: Stage) -> Effect:
     top = float(np.abs(rate).max())
     curve = rng.uniform(0.0, 0.35)
     lag = rate * (1.0 - curve * np.abs(rate) / top)
-    second = (
-        rng.uniform(-0.4, 0.4)
-        * acc
-        * (np.abs(lag).max() / max(float(np.abs(acc).max()), 1e-12))
-    )
+    share = np.abs(lag).max() / max(float(np.abs(acc).max()), 1e-12)
+    second = rng.uniform(-0.4, 0.4) * acc * share
     return linear("servo_lag", Push(dq=-gains * (lag + second)), blocks)
 
 
@@ -528,42 +516,32 @@ def pitch_accumulation(rng: Generator, stage: Stage) -> Effect:
     dq = np.zeros_like(u)
     for leg in range(u.shape[1]):
         curve = smooth(rng, u[:, leg], int(rng.integers(5, 9)))
-        worn = rng.uniform(0.0, 1.2) * np.exp(
-            -(((u[:, leg] - rng.uniform(-0.6, 0.6)) / 0.25) ** 2)
-        )
+        size, place = rng.uniform(0.0, 1.2), rng.uniform(-0.6, 0.6)
+        worn = size * np.exp(-(((u[:, leg] - place) / 0.25) ** 2))
         dq[:, leg] = gains[leg] * (curve + worn)
     return linear("pitch_accumulation", Push(dq=dq), blocks)
 
 
-def _harmonics(
-    rng: Generator, phase: Array, orders: tuple[int, ...], first: float
-) -> Array:
-    wave = first * np.sin(phase + rng.uniform(0, 2 * np.pi))
+def _harmonics(rng: Generator, phase: Array, orders: tuple[int, ...]) -> Array:
+    wave = np.sin(phase + rng.uniform(0, 2 * np.pi))
     for order in orders:
-        wave = wave + rng.uniform(0.1, 0.5) * np.sin(
-            order * phase + rng.uniform(0, 2 * np.pi)
-        )
+        size = rng.uniform(0.1, 0.5)
+        wave = wave + size * np.sin(order * phase + rng.uniform(0, 2 * np.pi))
     return np.asarray(wave)
 
 
 def screw_cyclic(rng: Generator, stage: Stage) -> Effect:
     """Once and more per turn of the screw; the amplitude changes along it."""
-    pitches = (
-        (5.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0)
-        if stage.machine.name != "planar"
-        else (20.0, 25.0, 32.0, 40.0, 50.0)
-    )
+    pitches: tuple[float, ...] = (5.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0)
+    if stage.machine.name == "planar":
+        pitches = (20.0, 25.0, 32.0, 40.0, 50.0)
     pitch = float(rng.choice(pitches)) * 1e-3
     gains, blocks = pick_legs(rng, stage.machine.legs)
     u = stage.stroke
     dq = np.zeros_like(u)
     for leg in range(u.shape[1]):
-        wave = _harmonics(
-            rng,
-            2 * np.pi * stage.motion.q[:, leg] / pitch,
-            (2, 3) if rng.random() < 0.5 else (2,),
-            1.0,
-        )
+        orders = (2, 3) if rng.random() < 0.5 else (2,)
+        wave = _harmonics(rng, 2 * np.pi * stage.motion.q[:, leg] / pitch, orders)
         dq[:, leg] = gains[leg] * wave * (1.0 + rng.uniform(-0.3, 0.3) * u[:, leg])
     return linear("screw_cyclic", Push(dq=dq), blocks)
 
@@ -577,9 +555,8 @@ def encoder_subdivision(rng: Generator, stage: Stage) -> Effect:
     gains, blocks = pick_legs(rng, stage.machine.legs)
     dq = np.zeros_like(stage.motion.q)
     for leg in range(dq.shape[1]):
-        dq[:, leg] = gains[leg] * _harmonics(
-            rng, 2 * np.pi * stage.motion.q[:, leg] / period, (2, 4), 1.0
-        )
+        phase = 2 * np.pi * stage.motion.q[:, leg] / period
+        dq[:, leg] = gains[leg] * _harmonics(rng, phase, (2, 4))
     return linear("encoder_subdivision", Push(dq=dq), blocks)
 
 
@@ -587,30 +564,25 @@ def joint_runout(rng: Generator, stage: Stage) -> Effect:
     """A joint's centre wanders as it swings: harmonics of the leg's direction angle,
     base or platform side.
     """
-    legs = stage.machine.legs
-    chosen = [int(rng.integers(legs))] if rng.random() < 0.6 else list(range(legs))
+    chosen, blocks = some_legs(rng, stage.machine.legs)
     platform = bool(rng.random() < 0.5)
     total = stage.zero()
     for leg in chosen:
         v = stage.motion.leg[:, leg]
         direction = np.einsum("nij,ni->nj", stage.motion.pose.R0, v) if platform else v
-        swing = np.arctan2(
-            direction @ _across(rng, direction),
-            np.abs(direction @ (direction.mean(0) / np.linalg.norm(direction.mean(0)))),
-        )
+        mean = direction.mean(0) / np.linalg.norm(direction.mean(0))
+        swing = np.arctan2(direction @ _across(direction), np.abs(direction @ mean))
         shift = np.zeros((stage.rows, 3))
-        for axis in range(
-            3
-        ):  # eccentricity, ovality, and the waviness of rolling elements
+        # eccentricity, ovality, and the waviness of rolling elements
+        for axis in range(3):
             for orders, size in (((1, 2), 1.0), ((2, 3), 0.7), ((8, 12, 16), 0.15)):
                 wave = np.cos(swing * rng.choice(orders) + rng.uniform(0, 2 * np.pi))
                 shift[:, axis] += size * rng.normal() * wave
         total += place_joints(stage, leg, shift, platform=platform)
-    blocks = (f"leg {chosen[0] + 1}",) if len(chosen) == 1 else ()
     return linear("joint_runout", Push(dp=total), blocks)
 
 
-def _across(rng: Generator, v: Array) -> Array:
+def _across(v: Array) -> Array:
     """The direction (3,) in which the unit vectors v (n, 3) swing most."""
     return np.asarray(np.linalg.svd(v - v.mean(0), full_matrices=False)[2][0])
 
@@ -629,32 +601,21 @@ def mount_drift(rng: Generator, stage: Stage) -> Effect:
     """
     plan = stage.plan
     ds = np.zeros((stage.rows, STATE))
-    only = (
-        int(rng.integers(len(plan.setups)))
-        if len(plan.setups) > 1 and rng.random() < 0.4
-        else None
-    )
+    only = None
+    if len(plan.setups) > 1 and rng.random() < 0.4:
+        only = int(rng.integers(len(plan.setups)))
     for k, setup in enumerate(plan.setups):
         if only is not None and k != only:
             continue
         here = np.flatnonzero(plan.setup == k)
         t = plan.time[here] - plan.time[here[0]]
-        creep = np.log1p(t / rng.uniform(300.0, 3000.0)) + rng.uniform(
-            0.0, 0.6
-        ) * t / max(float(t.max()), 1.0)
-        slip = (
-            rng.uniform(0.0, 0.3) * creep.max() * (t > rng.uniform(0.2, 0.9) * t.max())
-        )
-        way = rng.normal(size=len(setup.instrument.drifts))
-        ds[np.ix_(here, np.array(setup.instrument.drifts))] = (
-            (creep + slip)[:, None] * way / np.linalg.norm(way)
-        )
-    runs = (
-        []
-        if only is None
-        else sorted({int(r) for r in plan.run[(plan.setup == only) & (plan.run >= 0)]})
-    )
-    blocks = tuple(f"run {plan.run_name(r)}" for r in runs)
+        fast = np.log1p(t / rng.uniform(300.0, 3000.0))
+        creep = fast + rng.uniform(0.0, 0.6) * t / max(float(t.max()), 1.0)
+        slip = rng.uniform(0.0, 0.3) * creep.max()
+        slip = slip * (t > rng.uniform(0.2, 0.9) * t.max())
+        ds[here] = moved_mount(rng, setup, creep + slip)
+    runs = set(plan.run[(plan.setup == only) & (plan.run >= 0)].tolist())
+    blocks = tuple(f"run {plan.run_name(r)}" for r in sorted(runs))
     return linear("mount_drift", Push(ds=ds), blocks)
 
 
@@ -669,9 +630,8 @@ def step(rng: Generator, stage: Stage) -> Effect:
     last = spans(plan)
     inside = int(rng.uniform(0.15, 0.85) * stage.rows)
     run = max(int(plan.run[inside]), 0)
-    at = (
-        float(plan.time[inside if rng.random() < 0.3 else plan.runs[run][0]]) - 1.0
-    )  # mostly between runs
+    first = inside if rng.random() < 0.3 else plan.runs[run][0]  # mostly between runs
+    at = float(plan.time[first]) - 1.0
     rows = 1.0 * (plan.time >= at)
     end = last
     if rng.random() < 0.4:
@@ -679,9 +639,8 @@ def step(rng: Generator, stage: Stage) -> Effect:
         rows = rows - gone * (plan.time >= back)
         end = back if gone > 0.5 else last
     blocks: tuple[str, ...] = (f"time {at:.0f}-{end:.0f}",)
-    if (
-        rng.random() < 0.75 or stage.machine.name == "planar"
-    ):  # its mounts are zeroed with every run
+    # the mounts of the planar machine are zeroed with every run
+    if rng.random() < 0.75 or stage.machine.name == "planar":
         leg = int(rng.integers(stage.machine.legs))
         dq = np.zeros_like(stage.motion.q)
         dq[:, leg] = rows
@@ -689,10 +648,7 @@ def step(rng: Generator, stage: Stage) -> Effect:
     ds = np.zeros((stage.rows, STATE))
     for k, setup in enumerate(plan.setups):
         here = plan.setup == k
-        way = rng.normal(size=len(setup.instrument.drifts))
-        ds[np.ix_(here, np.array(setup.instrument.drifts))] = (
-            rows[here, None] * way / np.linalg.norm(way)
-        )
+        ds[here] = moved_mount(rng, setup, rows[here])
     return linear("step", Push(ds=ds), blocks)
 
 
@@ -707,9 +663,8 @@ def cross_talk(rng: Generator, stage: Stage) -> Effect:
     a, b = rng.choice(legs, 2, replace=False)
     other = stage.motion.rate[:, b] / np.abs(stage.motion.rate[:, b]).max()
     dq = np.zeros_like(stage.motion.q)
-    dq[:, a] = other * (
-        1.0 + stage.stroke[:, a] * rng.uniform(0.3, 1.0)
-    ) + 0.4 * np.abs(other)
+    along = 1.0 + stage.stroke[:, a] * rng.uniform(0.3, 1.0)
+    dq[:, a] = other * along + 0.4 * np.abs(other)
     return linear("cross_talk", Push(dq=dq), (f"leg {a + 1}",))
 
 
@@ -722,16 +677,10 @@ def feed_resonance(rng: Generator, stage: Stage) -> Effect:
     wave = feed * rng.uniform(2.0, 7.0)  # m of path a cycle: aliased by the readings
     shape = np.sin(2 * np.pi * stage.motion.arc / (wave * 0.37) + rng.uniform(0, 6.28))
     swell = 1.0 + 0.6 * np.sin(2 * stage.plan.phase + rng.uniform(0, 6.28))
-    way = rng.normal(size=3)
-    if stage.machine.name == "planar":
-        way[0] = 0.0
     on = np.isclose(stage.plan.feed, feed)
-    field = (on * swell * (0.5 + shape))[:, None] * way / np.linalg.norm(way)
-    runs = tuple(
-        f"run {stage.plan.run_name(r)}"
-        for r in sorted({int(v) for v in stage.plan.run[on]})
-    )
-    blocks = () if len(feeds) == 1 else runs
+    field = some_way(rng, stage.machine, on * swell * (0.5 + shape))
+    runs = sorted(set(stage.plan.run[on].tolist())) if len(feeds) > 1 else []
+    blocks = tuple(f"run {stage.plan.run_name(r)}" for r in runs)
     return linear("feed_resonance", Push(dtip=field), blocks)
 
 
@@ -754,12 +703,10 @@ def spindle_growth(rng: Generator, stage: Stage) -> Effect:
 def humidity_wave(rng: Generator, stage: Stage) -> Effect:
     """A composite swells one way with the room's moisture, a slow wave of hours."""
     t = stage.plan.time
-    wave = np.sin(
-        2 * np.pi * t / (3600.0 * rng.uniform(1.5, 4.0)) + rng.uniform(0, 6.28)
-    )
-    wave += 0.4 * np.sin(
-        2 * np.pi * t / (3600.0 * rng.uniform(0.7, 1.5)) + rng.uniform(0, 6.28)
-    )
+    wave = np.zeros_like(t)
+    for size, hours in ((1.0, (1.5, 4.0)), (0.4, (0.7, 1.5))):
+        turn = 2 * np.pi * t / (3600.0 * rng.uniform(*hours))
+        wave += size * np.sin(turn + rng.uniform(0, 6.28))
     total = stage.zero()
     for leg in range(stage.machine.legs):
         shift = np.ones((stage.rows, 1)) * rng.normal(size=3)
@@ -806,10 +753,8 @@ def interference(rng: Generator, stage: Stage) -> Effect:
     wave = np.sin(2 * np.pi * t / period + rng.uniform(0, 6.28))
     wave = wave + 0.5 * np.sign(np.sin(4 * np.pi * t / period))
     channel = stage.layout.channel == rng.integers(stage.layout.channel.max() + 1)
-    return linear(
-        "interference",
-        Push(dy=wave * channel * stage.layout.sigma / stage.layout.sigma.max()),
-    )
+    sigma = stage.layout.sigma
+    return linear("interference", Push(dy=wave * channel * sigma / sigma.max()))
 
 
 def table_sag(rng: Generator, stage: Stage) -> Effect:
@@ -817,9 +762,8 @@ def table_sag(rng: Generator, stage: Stage) -> Effect:
     place = stage.motion.tip
     reach = max(float(np.ptp(place, axis=0).max()), 1e-9)
     centre = place[int(rng.integers(stage.rows))]
-    dip = np.exp(
-        -((place - centre) ** 2).sum(-1) / (rng.uniform(0.1, 0.22) * reach) ** 2
-    )
+    wide = rng.uniform(0.1, 0.22) * reach
+    dip = np.exp(-((place - centre) ** 2).sum(-1) / wide**2)
     ds = np.zeros((stage.rows, STATE))
     for k, setup in enumerate(stage.plan.setups):
         here = stage.plan.setup == k
@@ -835,10 +779,8 @@ def wrong_table(rng: Generator, stage: Stage) -> Effect:
     legs = stage.machine.legs
     a, b = rng.choice(legs, 2, replace=False)
     centre = stage.stroke[int(rng.integers(stage.rows))]
-    near = np.exp(
-        -(np.abs(stage.stroke[:, [a, b]] - centre[[a, b]]) ** 4)
-        / rng.uniform(0.2, 0.3) ** 4
-    )
+    away = np.abs(stage.stroke[:, [a, b]] - centre[[a, b]])
+    near = np.exp(-(away**4) / rng.uniform(0.2, 0.3) ** 4)
     dq = np.zeros_like(stage.motion.q)
     dq[:, a], dq[:, b] = near.prod(1), rng.uniform(-1.0, 1.0) * near.prod(1)
     return linear("wrong_table", Push(dq=dq), (f"leg {a + 1}", f"leg {b + 1}"))
@@ -859,10 +801,7 @@ def run_in(rng: Generator, stage: Stage) -> Effect:
     lengths = rng.uniform(1.5, 4.5)
     for here in stage.plan.runs:
         fade[here] = np.exp(-np.arange(len(here)) / lengths) * rng.uniform(0.6, 1.4)
-    way = rng.normal(size=3)
-    if stage.machine.name == "planar":
-        way[0] = 0.0
-    return linear("run_in", Push(dtip=fade[:, None] * way / np.linalg.norm(way)))
+    return linear("run_in", Push(dtip=some_way(rng, stage.machine, fade)))
 
 
 def stick(rng: Generator, stage: Stage) -> Effect:
@@ -870,20 +809,16 @@ def stick(rng: Generator, stage: Stage) -> Effect:
     way = 1.0 if rng.random() < 0.5 else -1.0
     phase = stage.plan.phase
     centre = rng.choice(phase[stage.plan.run >= 0])
-    wide = 0.5 if np.ptp(phase) > 3.0 else 0.2
-    gap = (
-        np.angle(np.exp(1j * (phase - centre)))
-        if np.ptp(phase) > 3.0
-        else phase - centre
-    )
+    round_trip = np.ptp(phase) > 3.0
+    wide, gap = (0.5 if round_trip else 0.2), phase - centre
+    if round_trip:
+        gap = np.angle(np.exp(1j * gap))
     patch = np.exp(-((gap / wide) ** 2)) * (stage.plan.direction == way)
     dq = patch[:, None] * rng.normal(size=stage.machine.legs)
     blocks: tuple[str, ...] = (f"direction {way:+.0f}",)
-    if np.ptp(phase) > 3.0:
-        low, high = (
-            np.rad2deg(centre - 1.2 * wide) % 360,
-            np.rad2deg(centre + 1.2 * wide) % 360,
-        )
+    if round_trip:
+        ends = np.rad2deg(centre + 1.2 * wide * np.array([-1.0, 1.0]))
+        low, high = ends % 360
         blocks = (*blocks, f"phase {low:.0f}-{high:.0f}")
     return linear("stick", Push(dq=dq), blocks)
 
@@ -893,48 +828,19 @@ def stick(rng: Generator, stage: Stage) -> Effect:
 
 Form = Callable[[Generator, Stage], Effect]
 
-KNOWN: dict[str, Form] = {
-    "leg_thermal": leg_thermal,
-    "frame_thermal": frame_thermal,
-    "gravity": gravity,
-    "frame_bending": frame_bending,
-    "backlash": backlash,
-    "friction": friction,
-    "servo_lag": servo_lag,
-    "encoder_scale": encoder_scale,
-    "pitch_accumulation": pitch_accumulation,
-    "screw_cyclic": screw_cyclic,
-    "encoder_subdivision": encoder_subdivision,
-    "guideway": guideway,
-    "joint_runout": joint_runout,
-    "joint_clearance": joint_clearance,
-    "bar_length": bar_length,
-    "bar_thermal": bar_thermal,
-    "mount_drift": mount_drift,
-    "step": step,
-}
-UNKNOWN: dict[str, Form] = {
-    f.__name__: f
-    for f in (
-        cross_talk,
-        feed_resonance,
-        spindle_growth,
-        humidity_wave,
-        cable_drag,
-        platform_torsion,
-        interference,
-        table_sag,
-        wrong_table,
-        pump,
-        run_in,
-        stick,
-    )
-}
+_KNOWN: tuple[Form, ...] = (
+    leg_thermal, frame_thermal, gravity, frame_bending, backlash, friction, servo_lag,
+    encoder_scale, pitch_accumulation, screw_cyclic, encoder_subdivision, guideway,
+    joint_runout, joint_clearance, bar_length, bar_thermal, mount_drift, step,
+)  # fmt: skip
+_UNKNOWN: tuple[Form, ...] = (
+    cross_talk, feed_resonance, spindle_growth, humidity_wave, cable_drag,
+    platform_torsion, interference, table_sag, wrong_table, pump, run_in, stick,
+)  # fmt: skip
+KNOWN = {f.__name__: f for f in _KNOWN}
+UNKNOWN = {f.__name__: f for f in _UNKNOWN}
 #: the exact class: one bar and one tool cannot tell these two
-EXACT: dict[str, Form] = {
-    "encoder_scale": common_scale,
-    "bar_length": bar_length,
-}
+EXACT: dict[str, Form] = {"encoder_scale": common_scale, "bar_length": bar_length}
 
 _BARS = ("bar_length", "bar_thermal")
 #: sliders have guideways, bars need a ball bar, gaps need a pull; relative readings of

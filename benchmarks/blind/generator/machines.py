@@ -128,11 +128,12 @@ def points(p: Array, start: int, nominal: Array) -> Array:
     return nominal + p[:, start : start + 3 * k].reshape(-1, k, 3)
 
 
-def growth_points(
-    start: int,
-    places: Array,
-    width: int,
-) -> Callable[[Array], Array]:
+def _struts(point: Array, R0: Array, local: Array, base: Array) -> Array:
+    """Struts (n, k, 3) from base joints to platform joints, at tool points and rotations."""
+    return point[:, None] + local @ np.swapaxes(R0, 1, 2) - base
+
+
+def growth_points(start: int, places: Array, width: int) -> Callable[[Array], Array]:
     """Growth of points: dp (width,) with places (k, 3) from column `start` on."""
 
     def growth(spread: Array) -> Array:
@@ -156,7 +157,7 @@ def slope(f: Callable[[Array], Array], v: Array) -> Array:
 # -- A3 head: three extensible struts on revolute joints -------------------------------
 
 
-_A, _B, _C, _D = 0.250, 0.250, 0.526, 0.540  # m, Tian et al. 2016, Table 1
+_A, _B, _C = 0.250, 0.250, 0.526  # m, Tian et al. 2016, Table 1
 _FI = 2 * np.pi * np.arange(3) / 3 - np.pi / 2
 _OUT = np.stack([np.cos(_FI), np.sin(_FI), np.zeros(3)], -1)
 _AXIS = np.stack([-np.sin(_FI), np.cos(_FI), np.zeros(3)], -1)  # of the revolute joints
@@ -167,25 +168,18 @@ def _a3_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
     R = R0 @ cayley(x[:, 3:6])
     joint = x[:, None, :3] + points(p, 12, _A3_LOCAL) @ np.swapaxes(R, 1, 2)
     v, length = joint - points(p, 3, _A3_BASE), q + p[:, 0:3]
-    return np.concatenate(
-        [norm(v) - length, (v * _AXIS).sum(-1) - length * np.sin(p[:, 21:24])], -1
-    )
+    across = (v * _AXIS).sum(-1) - length * np.sin(p[:, 21:24])
+    return np.concatenate([norm(v) - length, across], -1)
 
 
 def _a3_inverse(command: Array, tool: Array) -> Pose:
     z, psi, theta = command.T
     R0 = about(2, psi) @ about(0, theta) @ about(2, -psi)
     lean, reach = _A / 2 * (1 - np.cos(theta)), (_C + tool) * np.sin(theta)
-    point = np.stack(
-        [
-            lean * np.sin(2 * psi) + reach * np.sin(psi),
-            lean * np.cos(2 * psi) - reach * np.cos(psi),
-            z,
-        ],
-        -1,
-    )
-    point = point - tool[:, None] * R0[:, :, 2]
-    legs = point[:, None] + _A3_LOCAL @ np.swapaxes(R0, 1, 2) - _A3_BASE
+    x = lean * np.sin(2 * psi) + reach * np.sin(psi)
+    y = lean * np.cos(2 * psi) - reach * np.cos(psi)
+    point = np.stack([x, y, z], -1) - tool[:, None] * R0[:, :, 2]
+    legs = _struts(point, R0, _A3_LOCAL, _A3_BASE)
     return Pose(np.hstack([point, np.zeros((len(z), 3))]), R0, norm(legs))
 
 
@@ -195,7 +189,7 @@ _A3_NAMES = (
     *(f"da{i}{k}" for i in (1, 2, 3) for k in XYZ),
     *(f"beta{i}" for i in (1, 2, 3)),
 )
-_HELD = ("db1x", "db2y", "db3y", "db1z", "db2z", "db3z")
+_FIXED = ("db1x", "db2y", "db3y", "db1z", "db2z", "db3z")
 A3 = Machine(
     name="a3",
     command=(("z", "mm"), ("psi", "deg"), ("theta", "deg")),
@@ -203,10 +197,7 @@ A3 = Machine(
     parameters=_A3_NAMES,
     nominal=np.zeros(24),
     tolerance=np.array(
-        [
-            0.0 if n in _HELD else 10e-3 if n.startswith("beta") else 1e-3
-            for n in _A3_NAMES
-        ]
+        [0.0 if n in _FIXED else 1e-3 for n in _A3_NAMES[:21]] + [0.01] * 3
     ),
     extras=(),
     closure=_a3_closure,
@@ -216,12 +207,6 @@ A3 = Machine(
     com=-0.25,
     growth=growth_points(3, _A3_BASE, 24),
 )
-
-
-def _a3_legs(pose: Pose) -> Array:
-    """Legs (n, 3, 3) of the nominal machine, base joint to platform, m."""
-    platform = pose.x[:, None, :3] + _A3_LOCAL @ np.swapaxes(pose.R0, 1, 2)
-    return platform - _A3_BASE
 
 
 # -- planar manipulator: two sliders, two struts ---------------------------------------
@@ -282,15 +267,7 @@ _DR, _DL, _DE = 0.16175, 0.345, 0.420  # m, FLSun V400
 _DA = np.deg2rad([210.0, 330.0, 90.0])
 _DELTA_NAMES = (
     "radius",
-    "arm1",
-    "arm2",
-    "arm3",
-    "angle1",
-    "angle2",
-    "angle3",
-    "endstop1",
-    "endstop2",
-    "endstop3",
+    *(f"{stem}{i}" for stem in ("arm", "angle", "endstop") for i in (1, 2, 3)),
 )
 
 
@@ -300,18 +277,13 @@ def _delta_closure(x: Array, R0: Array, q: Array, p: Array) -> Array:
     outward, sideways = radius + p[:, 10:13], p[:, 13:16]
     cx = outward * np.cos(angle) - sideways * np.sin(angle)
     cy = outward * np.sin(angle) + sideways * np.cos(angle)
-    return (
-        np.sqrt(
-            (x[:, 0:1] - cx) ** 2 + (x[:, 1:2] - cy) ** 2 + (x[:, 2:3] - height) ** 2
-        )
-        - arm
-    )
+    flat = (x[:, 0:1] - cx) ** 2 + (x[:, 1:2] - cy) ** 2
+    return np.sqrt(flat + (x[:, 2:3] - height) ** 2) - arm
 
 
 def _delta_inverse(command: Array, tool: Array) -> Pose:
-    flat = (command[:, :1] - _DR * np.cos(_DA)) ** 2 + (
-        command[:, 1:2] - _DR * np.sin(_DA)
-    ) ** 2
+    flat = (command[:, :1] - _DR * np.cos(_DA)) ** 2
+    flat = flat + (command[:, 1:2] - _DR * np.sin(_DA)) ** 2
     q = _DE + np.sqrt(_DL**2 - _DR**2) - command[:, 2:] - np.sqrt(_DL**2 - flat)
     return Pose(command.copy(), np.tile(np.eye(3), (len(command), 1, 1)), q)
 
@@ -353,12 +325,9 @@ def _delta_legs(pose: Pose) -> Array:
 
 
 def _ring(radius: float, half: float, height: float) -> Array:
-    angle = np.deg2rad(
-        [120.0 * (i // 2) + (half if i % 2 else -half) for i in range(6)]
-    )
-    return np.stack(
-        [radius * np.cos(angle), radius * np.sin(angle), np.full(6, height)], -1
-    )
+    degrees = [120.0 * (i // 2) + (half if i % 2 else -half) for i in range(6)]
+    angle, z = np.deg2rad(degrees), np.full(6, height)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], -1)
 
 
 _HEX_BASE, _HEX_LOCAL = _ring(0.300, 15.0, 0.0), _ring(0.200, 45.0, 0.100)
@@ -376,20 +345,13 @@ def _hexapod_inverse(command: Array, tool: Array) -> Pose:
     theta, psi = np.hypot(rx, ry), np.arctan2(ry, rx)
     R0 = about(2, psi) @ about(0, theta) @ about(2, -psi) @ about(2, spin)
     point = command[:, :3] - tool[:, None] * R0[:, :, 2]
-    legs = point[:, None] + _HEX_LOCAL @ np.swapaxes(R0, 1, 2) - _HEX_BASE
+    legs = _struts(point, R0, _HEX_LOCAL, _HEX_BASE)
     return Pose(np.hstack([point, np.zeros((len(rx), 3))]), R0, norm(legs))
 
 
 HEXAPOD = Machine(
     name="hexapod",
-    command=(
-        ("x", "mm"),
-        ("y", "mm"),
-        ("z", "mm"),
-        ("rx", "deg"),
-        ("ry", "deg"),
-        ("spin", "deg"),
-    ),
+    command=(*((n, "mm") for n in XYZ), ("rx", "deg"), ("ry", "deg"), ("spin", "deg")),
     legs=6,
     parameters=(
         *(f"db{i}{k}" for i in range(1, 7) for k in XYZ),
@@ -408,21 +370,16 @@ HEXAPOD = Machine(
 )
 
 
-def _hexapod_legs(pose: Pose) -> Array:
-    """Legs (n, 6, 3) of the nominal machine, base joint to platform, m."""
-    platform = pose.x[:, None, :3] + _HEX_LOCAL @ np.swapaxes(pose.R0, 1, 2)
-    return platform - _HEX_BASE
-
-
 # -- all of them -----------------------------------------------------------------------
 
 
 MACHINES = {m.name: m for m in (A3, PLANAR, DELTA, HEXAPOD)}
-LEG_VECTORS = {
-    "a3": _a3_legs,
+#: legs (n, legs, 3) of the nominal machine, m
+LEG_VECTORS: dict[str, Callable[[Pose], Array]] = {
+    "a3": lambda pose: _struts(pose.x[:, :3], pose.R0, _A3_LOCAL, _A3_BASE),
     "planar": _planar_legs,
     "delta": _delta_legs,
-    "hexapod": _hexapod_legs,
+    "hexapod": lambda pose: _struts(pose.x[:, :3], pose.R0, _HEX_LOCAL, _HEX_BASE),
 }
 
 

@@ -52,32 +52,28 @@ class Law:
 def draw(rng: Generator, name: str) -> Law:
     """A law of a kind. Raises ValueError for an unknown kind."""
     level = float(rng.uniform(0.85, 1.2))
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
     if name == "white":
         return Law(name=name, level=level)
     if name == "correlated":
-        return Law(
-            name=name,
-            level=0.7 * level,
-            along=float(rng.uniform(0.6, 1.2)),
-            length=float(rng.uniform(2.0, 8.0)),
-        )
+        along, length = between(0.6, 1.2), between(2.0, 8.0)
+        return Law(name=name, level=0.7 * level, along=along, length=length)
     if name == "heavy":
         return Law(name=name, **_tail(rng, level))
     if name == "run":
-        return Law(
-            name=name,
-            level=level,
-            offset=float(rng.uniform(0.5, 1.6)),
-            wave=float(rng.uniform(0.0, 0.6)),
-        )
+        offset, wave = between(0.5, 1.6), between(0.0, 0.6)
+        return Law(name=name, level=level, offset=offset, wave=wave)
     if name == "combined":
         return Law(
             name=name,
             **_tail(rng, 0.75 * level),
-            along=float(rng.uniform(0.3, 0.8)),
-            length=float(rng.uniform(2.0, 6.0)),
-            offset=float(rng.uniform(0.3, 1.0)),
-            wave=float(rng.uniform(0.0, 0.4)),
+            along=between(0.3, 0.8),
+            length=between(2.0, 6.0),
+            offset=between(0.3, 1.0),
+            wave=between(0.0, 0.4),
         )
     raise ValueError(f"there is no noise law {name!r}; there are {', '.join(LAWS)}")
 
@@ -156,7 +152,6 @@ def sample(rng: Generator, law: Law, group: Grouping) -> Array:
     for at in group.groups():
         shared = _shared(law, group, at)
         if shared.any():
-            noise[at] += np.linalg.cholesky(
-                shared + 1e-12 * np.eye(len(at))
-            ) @ rng.normal(size=len(at))
+            root = np.linalg.cholesky(shared + 1e-12 * np.eye(len(at)))
+            noise[at] += root @ rng.normal(size=len(at))
     return np.asarray(noise * group.sigma)

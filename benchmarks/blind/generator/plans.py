@@ -31,6 +31,7 @@ from benchmarks.blind.generator.machines import (
 
 
 STATE = 6  # columns of s
+Settings = Mapping[str, float]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ class Instrument:
 
     name: str
     channels: tuple[tuple[str, float], ...]
-    read: Callable[[Array, Array, Array, Array, Mapping[str, float]], Array]
+    read: Callable[[Array, Array, Array, Array, Settings], Array]
     nuisances: Mapping[int, float]
     drifts: tuple[int, ...]
     reference: str | None = None
@@ -61,46 +62,34 @@ class Setup:
     name: str
     instrument: Instrument
     tool: float = 0.0
-    settings: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    settings: Settings = dataclasses.field(default_factory=dict)
     teach: tuple[float, ...] | None = None
 
 
-def _taught(
-    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
-) -> Array:
+def _taught(tip: Array, ref: Array, s: Array, sref: Array, k: Settings) -> Array:
     return norm(tip - ref - s[:, :3])[:, None]
 
 
-def _free(
-    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
-) -> Array:
+def _free(tip: Array, ref: Array, s: Array, sref: Array, k: Settings) -> Array:
     return norm(tip - s[:, :3] - np.array([k["at_x"], k["at_y"], k["at_z"]]))[:, None]
 
 
-def _rm4(
-    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
-) -> Array:
+def _rm4(tip: Array, ref: Array, s: Array, sref: Array, k: Settings) -> Array:
     d = tip - ref
     return (d[:, 1] - s[:, 0] * d[:, 2] + s[:, 1] - sref[:, 1])[:, None]
 
 
-def _rm5(
-    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
-) -> Array:
+def _rm5(tip: Array, ref: Array, s: Array, sref: Array, k: Settings) -> Array:
     d = tip - ref
     across = d[:, 2] - s[:, 0] * d[:, 1] + s[:, 2] - sref[:, 2]
     return np.stack([d[:, 1] + s[:, 1] - sref[:, 1], across], -1)
 
 
-def _probe(
-    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
-) -> Array:
+def _probe(tip: Array, ref: Array, s: Array, sref: Array, k: Settings) -> Array:
     return (tip[:, 2] + s[:, 0])[:, None]
 
 
-def _tracker(
-    tip: Array, ref: Array, s: Array, sref: Array, k: Mapping[str, float]
-) -> Array:
+def _tracker(tip: Array, ref: Array, s: Array, sref: Array, k: Settings) -> Array:
     flat = np.array([0.5, 0.5, 0.0])  # half the angle: the Gibbs vector of a small turn
     turn = cayley(s[:, 3:6] * flat) @ cayley(s[:, 3:6] * np.array([0.0, 0.0, 0.5]))
     return np.einsum("nij,nj->ni", turn, tip) + s[:, :3]
@@ -165,7 +154,7 @@ MM_MIN = 1e-3 / 60.0
 Path = tuple[Array, Array]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Run:
     """One pass along a path.
 
@@ -187,30 +176,6 @@ class Run:
     direction: int
     feed: float
     payload: float
-
-
-def _pass(
-    setup: int,
-    path: str,
-    route: Path,
-    way: int,
-    feed: float,
-    load: float,
-    closed: bool,
-) -> Run:
-    command, phase = route
-    if way < 0:
-        command, phase = command[::-1], phase[::-1]
-    return Run(
-        setup=setup,
-        path=path,
-        command=command,
-        phase=phase,
-        closed=closed,
-        direction=way,
-        feed=feed,
-        payload=load,
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,41 +203,34 @@ def spread(
     passed with the other feed and payload. Half of the other combinations of direction,
     feed and payload are passed on the reference path.
     """
+
+    def run(name: str, way: int, a: int, b: int) -> Run:
+        """One pass with feed number a and payload number b."""
+        command, phase = (values[::way] for values in paths[name])
+        return Run(
+            setup, name, command, phase, closed, way, levels.feed[a], levels.load[b]
+        )
+
     runs = []
-    for k, (name, route) in enumerate(paths.items()):
+    for k, name in enumerate(paths):
         for j, way in enumerate((1, -1)):
             a, b = (k + j + int(rng.integers(2))) % 2, (k // 2 + j) % 2
-            feed, load = levels.feed[a], levels.load[b]
-            runs.append(_pass(setup, name, route, way, feed, load, closed))
+            runs.append(run(name, way, a, b))
             if twice:
-                feed, load = levels.feed[1 - a], levels.load[1 - b]
-                runs.append(_pass(setup, name, route, way, feed, load, closed))
-    route = paths[reference]
+                runs.append(run(name, way, 1 - a, 1 - b))
     others = [(-1, 0, 0), (1, 1, 0), (1, 0, 1), (-1, 1, 1)]
-    for way, a, b in others[: max(0, min(4, again))]:
-        feed, load = levels.feed[a], levels.load[b]
-        runs.append(_pass(setup, reference, route, way, feed, load, closed))
+    runs += [run(reference, *other) for other in others[: max(0, min(4, again))]]
     rng.shuffle(runs)
-    feed, load = levels.feed[0], levels.load[0]
-    base = _pass(setup, reference, route, 1, feed, load, closed)
+    base = run(reference, 1, 0, 0)
     for place in np.linspace(0, len(runs), again).astype(int)[::-1]:
         runs.insert(int(place), base)
     return runs
 
 
 #: feeds (mm/min) and payloads (N) of the machines, lower first
-FEEDS = {
-    "a3": (600, 2400),
-    "planar": (2000, 8000),
-    "delta": (1500, 6000),
-    "hexapod": (600, 2400),
-}
-LOADS = {
-    "a3": (0, 300),
-    "planar": (0, 500),
-    "delta": (0, 5),
-    "hexapod": (0, 200),
-}
+FEEDS = {"a3": (600, 2400), "planar": (2000, 8000), "delta": (1500, 6000)}
+FEEDS["hexapod"] = FEEDS["a3"]
+LOADS = {"a3": (0, 300), "planar": (0, 500), "delta": (0, 5), "hexapod": (0, 200)}
 
 
 def plan_levels(machine: str, name: str) -> Levels:
@@ -281,9 +239,8 @@ def plan_levels(machine: str, name: str) -> Levels:
     if name == "poor":
         middle = np.sqrt(feed[0] * feed[1]) * MM_MIN
         return Levels((middle, middle), (0.0, 0.0))
-    return Levels(
-        (feed[0] * MM_MIN, feed[1] * MM_MIN), (float(load[0]), float(load[1]))
-    )
+    slow, fast = (value * MM_MIN for value in feed)
+    return Levels((slow, fast), (float(load[0]), float(load[1])))
 
 
 # -- paths: commands with their phases -------------------------------------------------
@@ -299,12 +256,11 @@ def a3_circle(z: float, tool: float, count: int) -> Path:
     psi = 2 * np.pi * (np.arange(count) + 0.37) / count  # no leg turns at a reading
     machine = MACHINES["a3"]
 
+    length, cup = np.full(count, tool), np.array([0.0, 0.0, TEACH_Z + tool])
+
     def excess(theta: Array) -> Array:
-        c = np.stack([np.full(count, z), psi, theta], -1)
-        pose = machine.inverse(c, np.full(count, tool))
-        away = tip(machine, pose.x, pose.R0, np.full(count, tool)) - np.array(
-            [0.0, 0.0, TEACH_Z + tool]
-        )
+        pose = machine.inverse(np.stack([np.full(count, z), psi, theta], -1), length)
+        away = tip(machine, pose.x, pose.R0, length) - cup
         return np.asarray(np.sqrt((away**2).sum(-1)) - BAR_LENGTH)
 
     low, high = np.full(count, 1e-3), np.full(count, np.deg2rad(40.0))
@@ -359,62 +315,40 @@ def hex_circle(number: int, tool: float, count: int) -> Path:
     rx, ry, spin, wave = np.deg2rad(_TILTS[number % len(_TILTS)])
     a = 2 * np.pi * (np.arange(count) + 0.37) / count
     z = 0.200 + tool + np.sqrt(BAR_LENGTH**2 - radius**2)
-    tilt = [
-        rx + wave * np.cos(2 * a + number),
-        ry + wave * np.sin(a),
-        np.full(count, spin),
-    ]
-    return (
-        np.stack(
-            [radius * np.cos(a), radius * np.sin(a), np.full(count, z), *tilt], -1
-        ),
-        a,
-    )
+    place = [radius * np.cos(a), radius * np.sin(a), np.full(count, z)]
+    tilt = [rx + wave * np.cos(2 * a + number), ry + wave * np.sin(a)]
+    return np.stack([*place, *tilt, np.full(count, spin)], -1), a
 
 
 # -- set-ups and runs of each machine --------------------------------------------------
 
 
+A3_HEIGHTS: tuple[float, ...] = (1.066, 1.116, 1.166, 1.216, 1.266)
 SetupsAndRuns = tuple[tuple[Setup, ...], list[list[Run]]]
 
 
 def _a3(rng: Generator, name: str) -> SetupsAndRuns:
-    cup = Setup(
-        name="cup",
-        instrument=BAR,
-        settings={"length": BAR_LENGTH},
-        teach=(TEACH_Z, 0.0, 0.0),
+    cup, long = (
+        Setup(name=label, instrument=BAR, tool=tool, teach=(TEACH_Z + tool, 0.0, 0.0))
+        for label, tool in (("cup", 0.0), ("long_tool", 0.1))
     )
-    long = dataclasses.replace(
-        cup, name="long_tool", tool=0.1, teach=(TEACH_Z + 0.1, 0.0, 0.0)
-    )
-    count = 30 if name == "poor" else 24
-    heights = (
-        (1.066, 1.146, 1.206, 1.266)
-        if name == "poor"
-        else (1.066, 1.116, 1.166, 1.216, 1.266)
-    )
-    levels = plan_levels("a3", name)
+    levels, count, heights = plan_levels("a3", name), 24, A3_HEIGHTS
+    if name == "poor":
+        count, heights = 30, (1.066, 1.146, 1.206, 1.266)
     paths = {f"z{1e3 * z:.0f}": a3_circle(z, 0.0, count) for z in heights}
     reference = "z1206" if name == "poor" else "z1166"
     again = {"full": 4, "single": 4, "poor": 3}[name]
-    first = spread(
-        rng, 0, paths, reference, levels, True, again=again, twice=name == "single"
-    )
+    twice = name == "single"
+    first = spread(rng, 0, paths, reference, levels, True, again=again, twice=twice)
     if name != "full":
         return (cup,), [first]
-    paths = {
-        f"z{1e3 * z + 100:.0f}": a3_circle(z + 0.1, 0.1, count)
-        for z in (1.066, 1.166, 1.266)
-    }
+    high = {f"z{1e3 * z + 100:.0f}": z + 0.1 for z in A3_HEIGHTS[::2]}
+    paths = {label: a3_circle(z, 0.1, count) for label, z in high.items()}
     return (cup, long), [first, spread(rng, 1, paths, "z1266", levels, True, again=3)]
 
 
 def _planar(rng: Generator, name: str) -> SetupsAndRuns:
-    rm5, rm4 = (
-        Setup(name="rm5", instrument=RM5),
-        Setup(name="rm4", instrument=RM4),
-    )
+    rm5, rm4 = (Setup(name=i.name, instrument=i) for i in (RM5, RM4))
     levels = plan_levels("planar", name)
     z = (0.0, 0.375, 0.75, 1.125, 1.5) if name == "full" else (0.0, 0.75, 1.5)
     y = (-1.5, -0.75, 0.0, 0.75, 1.5) if name == "full" else (-1.5, 0.0, 1.5)
@@ -429,40 +363,27 @@ def _planar(rng: Generator, name: str) -> SetupsAndRuns:
 
 
 def _delta(rng: Generator, name: str) -> SetupsAndRuns:
-    tracker, probe = (
-        Setup(name="tracker", instrument=TRACKER),
-        Setup(name="probe", instrument=PROBE),
-    )
+    tracker = Setup(name="tracker", instrument=TRACKER)
+    probe = Setup(name="probe", instrument=PROBE)
     levels = plan_levels("delta", name)
-    rings: tuple[tuple[float, float], ...] = (
-        (0.06, 0.06),
-        (0.13, 0.06),
-        (0.13, 0.18),
-        (0.06, 0.30),
-        (0.12, 0.30),
-    )
-    rings = rings if name == "full" else (rings[1], rings[4])
+    again = 3 if name == "full" else 2
+    rings = [(0.06, 0.06), (0.13, 0.06), (0.13, 0.18), (0.06, 0.30), (0.12, 0.30)]
+    rings = rings if name == "full" else [rings[1], rings[4]]
     paths = {f"r{1e3 * r:.0f}z{1e3 * z:.0f}": delta_circle(r, z, 13) for r, z in rings}
     reference = "r130z180" if name == "full" else "r130z60"
-    # one way each but on the reference circle: three channels a row are many readings
-    # soon
-    ring = spread(
-        rng, 0, paths, reference, levels, True, again=3 if name == "full" else 2
-    )
-    ring = [
-        r for k, r in enumerate(ring) if r.path == reference or k % 3 or name == "poor"
-    ]
-    rows = {
-        f"y{1e3 * v:.0f}": delta_row(v, 10)
-        for v in (-0.11, -0.075, -0.035, 0.005, 0.04, 0.08, 0.12)
-    }
-    bed = spread(rng, 1, rows, "y5", levels, False, again=3 if name == "full" else 2)
+    # some circles are left out: three channels a row are many readings soon
+    ring = spread(rng, 0, paths, reference, levels, True, again=again)
+    if name != "poor":
+        ring = [r for k, r in enumerate(ring) if r.path == reference or k % 3]
+    places = (-0.11, -0.075, -0.035, 0.005, 0.04, 0.08, 0.12)
+    rows = {f"y{1e3 * v:.0f}": delta_row(v, 10) for v in places}
+    bed = spread(rng, 1, rows, "y5", levels, False, again=again)
     return (tracker, probe), [ring, bed]
 
 
 def _hexapod(rng: Generator, name: str) -> SetupsAndRuns:
     def cup(label: str, tool: float) -> Setup:
-        settings = {"length": BAR_LENGTH, "at_x": 0.0, "at_y": 0.0, "at_z": 0.2 + tool}
+        settings = {"at_x": 0.0, "at_y": 0.0, "at_z": 0.2 + tool}
         return Setup(name=label, instrument=FREE_BAR, tool=tool, settings=settings)
 
     levels = plan_levels("hexapod", name)
@@ -473,18 +394,13 @@ def _hexapod(rng: Generator, name: str) -> SetupsAndRuns:
     if name == "poor":
         return (cup("bar", 0.0),), [first]
     paths = {f"c{k + 1}": hex_circle(k, 0.1, count) for k in (1, 4, 5, 8, 9)}
-    return (cup("bar", 0.0), cup("long_tool", 0.1)), [
-        first,
-        spread(rng, 1, paths, "c2", levels, True, again=2),
-    ]
+    second = spread(rng, 1, paths, "c2", levels, True, again=2)
+    return (cup("bar", 0.0), cup("long_tool", 0.1)), [first, second]
 
 
-SETUPS_AND_RUNS: dict[str, Callable[[Generator, str], SetupsAndRuns]] = {
-    "a3": _a3,
-    "planar": _planar,
-    "delta": _delta,
-    "hexapod": _hexapod,
-}
+SETUPS_AND_RUNS: dict[str, Callable[[Generator, str], SetupsAndRuns]] = dict(
+    a3=_a3, planar=_planar, delta=_delta, hexapod=_hexapod
+)
 PLANS = {
     "a3": ("full", "single", "poor"),
     **dict.fromkeys(("planar", "delta", "hexapod"), ("full", "poor")),
@@ -590,11 +506,7 @@ class _Session:
     """Rows of a plan in the order in which they are taken, with the clock."""
 
     def __init__(
-        self,
-        rng: Generator,
-        machine: Machine,
-        setups: tuple[Setup, ...],
-        total: int,
+        self, rng: Generator, machine: Machine, setups: tuple[Setup, ...], total: int
     ) -> None:
         """Start the clock; `total` is the number of runs."""
         self._rng, self._machine, self._setups = rng, machine, setups
@@ -623,9 +535,7 @@ class _Session:
 
     def plan(self, name: str, columns: tuple[str, ...]) -> Plan:
         """The plan of all that was taken."""
-        rows: dict[str, Any] = {}
-        for key, parts in self._rows.items():
-            rows[key] = np.concatenate(parts)
+        rows: dict[str, Any] = {k: np.concatenate(v) for k, v in self._rows.items()}
         return Plan(
             machine=self._machine,
             name=name,

@@ -9,6 +9,7 @@ their first order, for what only needs that.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +39,8 @@ class Push:
 
     def times(self, factor: float) -> Push:
         """The same, larger."""
-        return Push(
-            **{k: None if v is None else factor * v for k, v in self._parts().items()}
-        )
+        parts = self._parts()
+        return Push(**{k: v if v is None else factor * v for k, v in parts.items()})
 
     def plus(self, other: Push) -> Push:
         """Both at once."""
@@ -49,10 +49,8 @@ class Push:
 
     def peak(self) -> float:
         """Largest addition, whatever it is added to."""
-        return max(
-            (float(np.abs(v).max()) for v in self._parts().values() if v is not None),
-            default=0.0,
-        )
+        parts = [v for v in self._parts().values() if v is not None]
+        return max((float(np.abs(v).max()) for v in parts), default=0.0)
 
     def _parts(self) -> dict[str, Array | None]:
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
@@ -109,10 +107,8 @@ class Motion:
         rate = np.gradient(self.q[ring], s, axis=0)
         bend = np.gradient(rate, s, axis=0)
         keep = slice(2, -2) if closed else slice(None)
-        self.rate[here], self.acceleration[here] = (
-            feed * rate[keep],
-            feed**2 * bend[keep],
-        )
+        self.rate[here] = feed * rate[keep]
+        self.acceleration[here] = feed**2 * bend[keep]
         self.arc[here] = s[keep] - s[keep][0]
 
     def _lifts(self, plan: Plan) -> tuple[Array, Array]:
@@ -166,12 +162,8 @@ class Scene:
         if push.dq is not None or push.dp is not None:
             q = pose.q if push.dq is None else pose.q + push.dq
             p = self.p if push.dp is None else self.p + push.dp
-            at = tip(
-                machine,
-                nearby(machine, self.x, self.inverse, pose.R0, q, p),
-                pose.R0,
-                self.plan.tool,
-            )
+            x = nearby(machine, self.x, self.inverse, pose.R0, q, p)
+            at = tip(machine, x, pose.R0, self.plan.tool)
         if push.dtip is not None:
             at = at + push.dtip
         y = self._observe(at, self.s if push.ds is None else self.s + push.ds)
@@ -189,32 +181,25 @@ class Scene:
         row, ref = self.layout.row, self.layout.ref
         dy = (self.at_tip * moved[row]).sum(-1) + (self.at_ref * moved[ref]).sum(-1)
         if push.ds is not None:
-            dy += (self.at_s * push.ds[row]).sum(-1) + (
-                self.at_sref * push.ds[ref]
-            ).sum(-1)
+            own = (self.at_s * push.ds[row]).sum(-1)
+            dy += own + (self.at_sref * push.ds[ref]).sum(-1)
         return np.asarray(dy if push.dy is None else dy + push.dy)
 
     def _observe(self, at: Array, s: Array) -> Array:
         parts = []
         for setup, rows in zip(self.plan.setups, self.layout.rows, strict=True):
-            ref = self.plan.ref[rows]
-            parts.append(
-                setup.instrument.read(
-                    at[rows], at[ref], s[rows], s[ref], setup.settings
-                ).ravel()
-            )
+            ref, read = self.plan.ref[rows], setup.instrument.read
+            values = read(at[rows], at[ref], s[rows], s[ref], setup.settings)
+            parts.append(values.ravel())
         return np.concatenate(parts)
 
     def _slopes(self) -> None:
         machine, pose, tool = self.plan.machine, self.motion.pose, self.plan.tool
         by_x = slope(lambda v: tip(machine, v, pose.R0, tool), self.x)
         carry = by_x @ -self.inverse
-        self.by_q = carry @ slope(
-            lambda v: machine.closure(self.x, pose.R0, v, self.p), pose.q
-        )
-        self.by_p = carry @ slope(
-            lambda v: machine.closure(self.x, pose.R0, pose.q, v), self.p
-        )
+        x, R0, q, p = self.x, pose.R0, pose.q, self.p
+        self.by_q = carry @ slope(lambda v: machine.closure(x, R0, v, p), q)
+        self.by_p = carry @ slope(lambda v: machine.closure(x, R0, q, v), p)
         parts: list[list[Array]] = [[], [], [], []]
         for setup, rows in zip(self.plan.setups, self.layout.rows, strict=True):
             ref = self.plan.ref[rows]
@@ -222,12 +207,10 @@ class Scene:
             for k in range(4):
 
                 def one(
-                    v: Array, k: int = k, known: list[Array] = known, setup=setup
-                ) -> Array:  # type: ignore[no-untyped-def]
-                    return setup.instrument.read(
-                        *[v if j == k else a for j, a in enumerate(known)],
-                        setup.settings,
-                    )
+                    v: Array, k: int = k, known: Any = known, at: Any = setup
+                ) -> Array:
+                    points = [*known[:k], v, *known[k + 1 :]]
+                    return at.instrument.read(*points, at.settings)
 
                 parts[k].append(slope(one, known[k]).reshape(-1, known[k].shape[1]))
         self.at_tip, self.at_ref, self.at_s, self.at_sref = (
@@ -245,18 +228,13 @@ class Scene:
         for k, setup in enumerate(self.plan.setups):
             here = self.plan.setup[row] == k
             for column, tolerance in setup.instrument.nuisances.items():
-                J.append(
-                    (here * (self.at_s[:, column] + self.at_sref[:, column]))[:, None]
-                )
+                both = self.at_s[:, column] + self.at_sref[:, column]
+                J.append((here * both)[:, None])
                 names.append(f"{setup.name}.s{column}")
                 values.append(state[k, column])
                 prior.append(tolerance)
-        self.names, self.theta, self.prior, self.J = (
-            tuple(names),
-            np.array(values),
-            np.array(prior),
-            np.hstack(J),
-        )
+        self.names, self.theta = tuple(names), np.array(values)
+        self.prior, self.J = np.array(prior), np.hstack(J)
 
 
 def draw(rng: np.random.Generator, plan: Plan) -> Scene:
