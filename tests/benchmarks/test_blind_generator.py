@@ -188,12 +188,13 @@ def dense_lambda(case, dy):
     return float(dy @ np.linalg.solve(sigma + (J * prior**2) @ J.T, dy))
 
 
+@pytest.mark.parametrize("count", [1, pytest.param(8, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "kind", ["single", "pair", "unknown", "exact", "known_unknown"]
 )
-def test_sizes_are_as_labelled(kind):
+def test_sizes_are_as_labelled(kind, count):
     numbers = [k for k in range(400) if cases.role(5, "blind", k).kind == kind]
-    for number in numbers[:2]:
+    for number in numbers[:count]:
         case = cases.make(5, "blind", number)
         label = cases.label(case)
         changes = [sized.change for sized in case.sized]

@@ -55,6 +55,8 @@ z_mm = [10.0, 200.0]
 x_mm = [-60.0, 0.0, 60.0]
 y_mm = [-60.0, 60.0]
 z_mm = [20.0, 150.0]
+[identify]
+effects = ["encoder_scale"]
 [posterior]
 enabled = false
 [report]

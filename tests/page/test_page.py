@@ -272,7 +272,7 @@ def test_a_job_s_error_is_shown_below_its_stages(tmp_path: Path) -> None:
     """A command that prints stages, then fails: its error reaches the page."""
     job = BackgroundCommand()
     readings = tmp_path / "none.csv"
-    command = ["identify", "a3_ball_bar", "--readings", readings]
+    command = ["identify", "planar_step_calibration", "--readings", readings]
     job.start("identify", [*command, "--out", tmp_path / "out"])
     while job.state.runs:
         time.sleep(0.05)

@@ -11,11 +11,12 @@ import report_fixture
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from report_fixture import check_inside, result_of, text_of
+from sketches import Sketches
 
 from oed.gap import assemble
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
-from pkm_reports.page import build_document, render_html, render_pdf
+from pkm_reports.page import build_document, document, render_html, render_pdf
 from pkm_reports.sections import gap as chapter
 from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
@@ -81,7 +82,11 @@ def test_the_page_has_findings_causes_places_and_closure(
 
 
 @pytest.mark.parametrize("verdict", ["none", "unknown", "class", "mixture"])
-def test_every_verdict_has_a_page(gap: GapSection, verdict: str) -> None:
+def test_every_verdict_has_a_page(
+    gap: GapSection, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its figures are drawn and not written."""
+    monkeypatch.setattr(document, "drawn_image", lambda p: Sketches()(p))
     section = replace(gap, verdict=verdict)
     if verdict in ("none", "unknown"):
         section = _without_effects(section)

@@ -69,7 +69,7 @@ def test_the_ten_lines_of_the_readme_run(study, tmp_path, monkeypatch) -> None:
     (code,) = re.findall(r"```python\n(import oed\n.*?)```", text, re.DOTALL)
     assert '"a3_ball_bar"' in code
     if study == "small":
-        (tmp_path / "small.study.toml").write_text(sample.STUDY + SMALL, "utf-8")
+        small_study(tmp_path)
         code = code.replace('"a3_ball_bar"', '"small.study.toml"')
     lines = [line for line in code.splitlines() if line.strip()]
     assert len(lines) <= 10
@@ -229,17 +229,23 @@ def test_a_posterior_goes_to_arviz(estimate) -> None:
 # -- without readings; at the machine --------------------------------------------------
 
 
-def test_a_study_is_no_readings() -> None:
-    study = oed.load_study("planar_step_calibration")
+def small_study(folder: Path) -> Path:
+    """The file of the small study, in a folder."""
+    path = folder / "small.study.toml"
+    path.write_text(sample.STUDY + SMALL, encoding="utf-8")
+    return path
+
+
+def test_a_study_is_no_readings(tmp_path: Path) -> None:
+    study = oed.load_study(small_study(tmp_path))
     with pytest.raises(oed.InputError, match=r"no readings .*oed\.read_readings"):
         oed.identify(study)  # type: ignore[arg-type]
     with pytest.raises(oed.InputError, match="no readings"):
-        oed.diagnose(oed.choose_design(oed.load_study("a3_ball_bar")))  # type: ignore[arg-type]
+        oed.diagnose(oed.choose_design(study))  # type: ignore[arg-type]
 
 
 def test_the_acceptance_test_is_a_function(tmp_path: Path) -> None:
-    study = oed.load_study("planar_step_calibration")
-    oed.run(study, tmp_path / "run")
+    oed.run(oed.load_study(small_study(tmp_path)), tmp_path / "run")
     test = oed.verify(tmp_path / "run")
     assert len(test.outcome.poses) > 0
     assert (tmp_path / "run" / "acceptance.csv").is_file()

@@ -50,7 +50,9 @@ def best_of_all(p: StepProblem, reach: int) -> dict[int, float]:
     return {k: float(np.sqrt(squares[lengths == k].min())) for k in range(6)}
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 8))]
+)
 def test_the_list_is_that_of_an_exhaustive_search(seed: int) -> None:
     p = problem(np.random.default_rng(seed), step=0.5, most=3.0)
     amounts = choose_steps(p)
