@@ -308,7 +308,7 @@ def rough_then_fine(
     return fine, changes
 
 
-@pytest.mark.parametrize("machines", [2, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("machines", [1, pytest.param(40, marks=pytest.mark.slow)])
 def test_a_home_error_of_8_mm_converges(
     grid: np.ndarray, d_optimal: Choice, taught: Measurement, machines: int
 ) -> None:

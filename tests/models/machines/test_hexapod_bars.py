@@ -63,24 +63,6 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
         assert np.abs(rotation[0] - expected_rotation).max() < 1e-12
 
 
-def test_slopes_are_those_of_the_oracle(rng: np.random.Generator) -> None:
-    x, q = KINEMATICS.inverse(commands(rng, 4))
-    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.slopes.over_parameters(
-        x, q, MACHINE.nominal
-    )
-    for xi, qi, slope in zip(x, q, slopes, strict=True):
-        for k in range(42):
-            move = 1e-5 * np.eye(42)[k]
-            (up, turned), (down, back) = (
-                assembled(s * move, qi, xi) for s in (1.0, -1.0)
-            )
-            turn = (turned @ back.T - back @ turned.T) / 4e-5
-            expected = np.concatenate(
-                [(up - down) / 2e-5, [turn[2, 1], turn[0, 2], turn[1, 0]]]
-            )
-            assert slope[:, k] == pytest.approx(expected, abs=1e-7)
-
-
 def test_the_legs_at_home_are_told_by_the_generic_geometry() -> None:
     """Base and platform joint of a leg are 30 degrees apart on circles of 300 and 200
     mm, 600 mm over each other.

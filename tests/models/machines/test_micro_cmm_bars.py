@@ -68,16 +68,6 @@ def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(
     assert np.abs(found - points).max() > 1e-4  # the machines differ
 
 
-def test_slopes_are_those_of_the_oracle() -> None:
-    points, p = grid(3, 3), MACHINE.nominal
-    _, q = KINEMATICS.inverse(points)
-    slopes = KINEMATICS.slopes.over_parameters(points, q, p)
-    for k in range(len(p)):
-        moved = p + 1e-30j * np.eye(len(p))[k]
-        expected = oracle.probe(q + moved[12:], centres(moved)[None]).imag / 1e-30
-        assert np.abs(slopes[:, :, k] - expected).max() < 1e-12
-
-
 # -- the closed forms (6)-(8), as the extracted text has them ---------------------------
 
 
