@@ -1,14 +1,13 @@
 """`oed next` against the fixed plan, over virtual machines.
 
     PYTHONPATH=. oed campaign --allow-code benchmarks/next_reading.campaign.toml
-    python -m benchmarks.next_reading
+    python -m benchmarks.harness next_reading
 
 Each machine is drawn from the tolerances and read with noise, one reading after another,
 always the one that is advised, until the advice is to stop: once every component is as
 accurate as the study's plan would be on this machine, as far as it is known
-(`--wanted plan`). The second command prints, or writes into a page, how many readings
-that takes, and the accuracy of both at the machine's true parameters, which the advice
-never knows.
+(`--wanted plan`). The second command prints how many readings that takes, and the
+accuracy of both at the machine's true parameters, which the advice never knows.
 """
 
 from __future__ import annotations
@@ -17,17 +16,15 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
-import argparse
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.harness import pages
 from oed.base import Array
 from oed.design import Candidates
 from oed.measurement import Series, draw_readings
@@ -118,8 +115,9 @@ def _adviser(study: str) -> Adviser:
     return Adviser(load(shipped.study_path(Path(study))), "plan")
 
 
-def markdown(sessions: pd.DataFrame) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table: readings, and the accuracy of each component."""
+    sessions = pd.DataFrame(rows)
     fixed = int(sessions["fixed"].iloc[0])
     needed = sessions["readings"].to_numpy(dtype=float)
     mean, half = needed.mean(), _half(needed)
@@ -160,21 +158,3 @@ def _half(values: Array) -> float:
     if len(values) < 2:
         return float("inf")
     return float(1.96 * values.std(ddof=1) / np.sqrt(len(values)))
-
-
-def main() -> None:
-    """Print or write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.next_reading")
-    parser.add_argument("--out", type=Path, default=Path("out/next_reading"))
-    parser.add_argument("--page", type=Path, help="page to write the table into")
-    options = parser.parse_args()
-    sessions = pd.read_parquet(options.out / "cases.parquet")
-    text = markdown(sessions[sessions["error"] == ""])
-    if options.page is None:
-        print(text)
-    else:
-        pages.write_block(options.page, "next table", text)
-
-
-if __name__ == "__main__":
-    main()

@@ -25,6 +25,7 @@ TABLES = {
     "third": "harness.judge:table",
     "visits": "visits.cases:table",
     "coverage": "coverage.intervals:table",
+    "next_reading": "next_reading:table",
     "ranks": "coverage.ranks:table",
     "random_machines": "random_machines.cases:table",
     "real_machines": "real_machines.cases:accuracy_table",

@@ -308,6 +308,21 @@ class Bench:
         """Errors within tolerances."""
         return parameter_errors(np.array(tolerances), self.rng)
 
+    def registered(
+        self,
+        shift: float,
+        turn: float,
+        axes: Sequence[int] = (0, 1, 2),
+        turns: str = "xyz",
+    ) -> tuple[dict[str, float], Array, Array]:
+        """A frame of an instrument's own: tolerances (m, rad), offset (3,), rotation (3, 3)."""
+        tolerance = {f"shift_{XYZ[k]}_mm": 1e3 * shift for k in axes}
+        tolerance |= {f"turn_{k}_mrad": 1e3 * turn for k in turns}
+        offset, angles = np.zeros((2, 3))
+        offset[list(axes)] = self.unknowns(*[shift] * len(axes))
+        angles[3 - len(turns) :] = self.unknowns(*[turn] * len(turns))
+        return tolerance, offset, rotations(angles[None])[0]
+
 
 def _lengths(bench: Bench, names: Sequence[str]) -> dict[str, float]:
     return {f"{name}_um": 1e6 * bench.sigma for name in names}
@@ -331,19 +346,11 @@ def ball_bar(bench: Bench, name: str, length: float, cup: Array) -> Mounted:
 def position(bench: Bench, name: str, kind: str) -> Mounted:
     """A camera or tracker that reads positions in a frame of its own."""
     shift = {"camera": 5e-3, "pose_tracker_position": 0.05e-3}.get(kind, 5e-3)
-    shift, turn = min(shift, 5e-3 * bench.size), 1e-3
-    axes = (0, 1) if kind == "planar_position" else (0, 1, 2)
-    turns = (
-        ("turn_z",) if kind == "planar_position" else tuple(f"turn_{k}" for k in XYZ)
-    )
-    table: dict[str, Any] = {"name": name, "instrument": kind}
-    table["tolerance"] = {f"shift_{XYZ[k]}_mm": 1e3 * shift for k in axes}
-    table["tolerance"] |= {n: 1e3 * turn for n in (f"{t}_mrad" for t in turns)}
-    offset = np.zeros(3)
-    offset[list(axes)] = bench.unknowns(*[shift] * len(axes))
-    angles = np.zeros(3)
-    angles[3 - len(turns) :] = bench.unknowns(*[turn] * len(turns))
-    frame = rotations(angles[None])[0]
+    planar = kind == "planar_position"
+    axes, turns = ((0, 1), "z") if planar else ((0, 1, 2), "xyz")
+    shift = min(shift, 5e-3 * bench.size)
+    tolerance, offset, frame = bench.registered(shift, 1e-3, axes, turns)
+    table = {"name": name, "instrument": kind, "tolerance": tolerance}
     names = [f"read_{XYZ[k]}" for k in axes]
 
     def read(point: Array, rotation: Array, errors: Array) -> Array:
@@ -356,12 +363,8 @@ def position(bench: Bench, name: str, kind: str) -> Mounted:
 
 def pose_tracker(bench: Bench, name: str) -> Mounted:
     """A tracker of position and orientation."""
-    shift, turn = 0.05e-3, 0.05e-3
-    table: dict[str, Any] = {"name": name, "instrument": "pose_tracker"}
-    table["tolerance"] = {f"shift_{k}_mm": 1e3 * shift for k in XYZ}
-    table["tolerance"] |= {f"turn_{k}_mrad": 1e3 * turn for k in XYZ}
-    offset = bench.unknowns(*[shift] * 3)
-    frame = rotations(bench.unknowns(*[turn] * 3)[None])[0]
+    tolerance, offset, frame = bench.registered(0.05e-3, 0.05e-3)
+    table = {"name": name, "instrument": "pose_tracker", "tolerance": tolerance}
     angle_sigma = bench.sigma / bench.size
     angles = ("alpha", "beta", "gamma")
     noise = _lengths(bench, [f"read_{k}" for k in XYZ])
@@ -384,16 +387,13 @@ def pose_tracker(bench: Bench, name: str) -> Mounted:
 def laser_ball_bar(bench: Bench, name: str) -> Mounted:
     """A laser ball bar on a gimbal beside the workspace: range and two angles."""
     away = bench.centre + bench.size * np.array([0.6, -1.1, -0.5])
-    shift, turn = 0.1e-3, 0.1e-3
+    tolerance, offset, frame = bench.registered(0.1e-3, 0.1e-3)
     angle_sigma = bench.sigma / bench.size
     table: dict[str, Any] = {"name": name, "instrument": "laser_ball_bar_position"}
     table |= {f"at_{k}_mm": 1e3 * float(v) for k, v in zip(XYZ, away, strict=True)}
     table["range_noise_um"] = 1e6 * bench.sigma
     table["angle_noise_urad"] = 1e6 * angle_sigma
-    table["tolerance"] = {f"shift_{k}_mm": 1e3 * shift for k in XYZ}
-    table["tolerance"] |= {f"turn_{k}_mrad": 1e3 * turn for k in XYZ}
-    offset = bench.unknowns(*[shift] * 3)
-    frame = rotations(bench.unknowns(*[turn] * 3)[None])[0]
+    table["tolerance"] = tolerance
 
     def read(point: Array, rotation: Array, errors: Array) -> Array:
         d = (point - away) @ frame.T + offset

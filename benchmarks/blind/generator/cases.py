@@ -202,10 +202,9 @@ def _effects(
 def _single(
     rng: Generator, kind: str, base: Scene, stage: Stage, metric: severity.Metric
 ) -> Sized:
-    if kind == "unknown":
-        target = float(rng.choice(PAIR_LEVELS, p=PAIR_SHARES))
-    else:
-        target = float(rng.choice(LEVELS))
+    rare = (PAIR_LEVELS, PAIR_SHARES)
+    levels, shares = rare if kind == "unknown" else (LEVELS, None)
+    target = float(rng.choice(levels, p=shares))
     for _ in range(4):
         name = _name(rng, kind, stage)
         for _ in range(TRIES):

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import sample
 
@@ -202,7 +201,7 @@ def test_sessions_are_compared_with_the_fixed_plan(
     ratios = [value for name, value in row.items() if name.startswith("ratio_")]
     assert 0.9 < max(ratios) < 1.05
     rows = [{**setting, **row}, {**setting, **row, "readings": row["readings"] + 2}]
-    text = benchmark.markdown(pd.DataFrame(rows))
+    text = benchmark.table(rows)
     assert f"stops after {row['readings'] + 1:.2f} ± 1.96 on average" in text
     assert f"| worst component | {max(ratios):.3f} ± 0.000 |" in text
 
