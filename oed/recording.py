@@ -19,7 +19,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, optimize
+import scipy
 
 from oed.base import Array, Mask
 from oed.effects import CourseColumns
@@ -62,12 +62,12 @@ def remaining_error(
     pose_gradients  (n, c, u) pose errors over the unknowns at n poses, SI
     rest            (c,) mean square that no reading reduces, SI
     """
-    root = linalg.cholesky(information, lower=True)
-    standard = linalg.solve_triangular(root, white.T, lower=True).T
+    root = scipy.linalg.cholesky(information, lower=True)
+    standard = scipy.linalg.solve_triangular(root, white.T, lower=True).T
     rates, vectors = np.linalg.eigh(standard.T @ standard)
     poses, components, unknowns = pose_gradients.shape
     flat = pose_gradients.reshape(-1, unknowns)
-    turned = linalg.solve_triangular(root, flat.T, lower=True).T @ vectors
+    turned = scipy.linalg.solve_triangular(root, flat.T, lower=True).T @ vectors
     by_pose = turned.reshape(poses, components, unknowns)
     return RemainingError((by_pose**2).mean(axis=0), np.maximum(rates, 0.0), rest)
 
@@ -97,7 +97,7 @@ def equal_times(without: RemainingError, reached: Array) -> float:
     end = 1.0
     while excess(end) > 0.0:
         end *= 2.0
-    return float(np.exp(optimize.brentq(excess, 0.0, end, xtol=1e-6)))
+    return float(np.exp(scipy.optimize.brentq(excess, 0.0, end, xtol=1e-6)))
 
 
 def mean_after_once(errors: Sequence[RemainingError]) -> Array:

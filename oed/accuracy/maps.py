@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oed.base import Array, consecutive_slices
 from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model, pose_error
@@ -146,8 +146,10 @@ def relative_to_reference(
         point = np.concatenate([model.point, home.point])
         return _relative(columns, rotation, point, reference, lever)[:, :, 0]
     in_platform = np.einsum("nji,nj->ni", model.rotation, twist[:, 3:])
-    zero = Rotation.from_rotvec(home.rotation[0].T @ home_twist[0, 3:])
-    rotation = Rotation.from_rotvec(in_platform) * zero.inv()
+    zero = scipy.spatial.transform.Rotation.from_rotvec(
+        home.rotation[0].T @ home_twist[0, 3:]
+    )
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(in_platform) * zero.inv()
     in_base = np.einsum("nij,nj->ni", model.rotation, rotation.as_rotvec())
     return np.hstack([twist[:, :3] - home_twist[:, :3], in_base])
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
-from scipy import special
+import scipy
 
 from oed.base import Array, Index
 from oed.checks.session import SessionReadings
@@ -92,7 +92,10 @@ def interpolated_readings(session: SessionReadings) -> Index:
         )
         wide = np.sqrt(2.0 * np.pi) * max(_spread(bend), noise)
         expected += len(bend) * min(3.0 * step / wide, 1.0)
-    if not between or special.pdtrc(len(between) - 1, expected) >= COPY_FALSE_ALARM:
+    if (
+        not between
+        or scipy.special.pdtrc(len(between) - 1, expected) >= COPY_FALSE_ALARM
+    ):
         return np.empty(0, dtype=np.intp)
     return np.unique(np.array(between, dtype=np.intp))
 
@@ -131,7 +134,7 @@ def _unlikely(
     expected = same * agreement(np.zeros((1, channels)))
     expected += float(within @ [agreement(run) for run in runs])
     expected += max(_pairs(np.array([n])) - within.sum(), 0.0) * agreement(table)
-    at_least_as_many = special.pdtrc(pairs - 1, expected)
+    at_least_as_many = scipy.special.pdtrc(pairs - 1, expected)
     return bool(at_least_as_many < COPY_FALSE_ALARM)
 
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg, special
+import scipy
 
 from oed.base import Array, Index, Mask
 from oed.checks.session import SessionReadings
@@ -221,7 +221,7 @@ class _Problem:
         departure: Array = np.zeros(self._count)
         if start is not None:
             away = start[free] - self._measurement.nominal[free]
-            departure = linalg.solve(self._root[free], away)
+            departure = scipy.linalg.solve(self._root[free], away)
         first = np.concatenate([departure, self._amounts / self._steps])
         try:
             minima = minimise(self, first[None], weight=self._weight, steps=MAX_STEPS)
@@ -294,7 +294,7 @@ class _Problem:
             scale=self._scale,
             amounts=x[self._count :] * steps,
             sd=np.sqrt(np.diag(covariance)),
-            precision=linalg.pinvh(covariance) if len(steps) else covariance,
+            precision=scipy.linalg.pinvh(covariance) if len(steps) else covariance,
         )
 
     def _covariance_of_amounts(self, slopes: Array) -> Array:
@@ -303,7 +303,7 @@ class _Problem:
             return np.zeros((0, 0))
         rows = np.vstack([slopes, np.diag(self._weight)])
         norm = np.linalg.norm(rows, axis=0)
-        covariance = linalg.pinvh((rows / norm).T @ (rows / norm))
+        covariance = scipy.linalg.pinvh((rows / norm).T @ (rows / norm))
         scaled = self._steps / norm[self._count :]
         of_amounts = covariance[self._count :, self._count :]
         return np.asarray(of_amounts * np.outer(scaled, scaled))
@@ -312,7 +312,7 @@ class _Problem:
 def residual_weights(slopes: Array) -> Array:
     """Eigenvalues (N,) of 1 - A (1 + A^T A)^-1 A^T, A whitened slopes (N, r)."""
     count = len(slopes)
-    singular = linalg.svdvals(slopes)[:count]
+    singular = scipy.linalg.svdvals(slopes)[:count]
     return np.concatenate([1.0 / (1.0 + singular**2), np.ones(count - len(singular))])
 
 
@@ -320,8 +320,8 @@ def half_covariance(slopes: Array) -> Array:
     """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes (N, r)."""
     # by singular values: a sum of large squares would lose the 1
     count = min(slopes.shape)
-    triangle = linalg.qr(slopes, mode="r")[0][:count]
-    _, singular, vectors = linalg.svd(triangle, full_matrices=True)
+    triangle = scipy.linalg.qr(slopes, mode="r")[0][:count]
+    _, singular, vectors = scipy.linalg.svd(triangle, full_matrices=True)
     size = np.zeros(len(vectors))
     size[: len(singular)] = singular
     return np.asarray(vectors.T / np.hypot(1.0, size))
@@ -415,6 +415,6 @@ def goodness_of(chi2: float, weights: Array) -> Goodness:
         return Goodness(chi2, 0.0, 1.0, 1.0)
     scale, freedom = squares / total, total**2 / squares
     scaled = chi2 / scale
-    p_low = float(special.chdtr(freedom, scaled))
-    p_high = float(special.chdtrc(freedom, scaled))
+    p_low = float(scipy.special.chdtr(freedom, scaled))
+    p_high = float(scipy.special.chdtrc(freedom, scaled))
     return Goodness(chi2, total, p_low, p_high)

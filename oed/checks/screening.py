@@ -16,7 +16,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+import scipy
 
 from oed.base import Array, Index, Mask
 from oed.checks.fit import Fit
@@ -305,7 +305,7 @@ def log_evidence(
         log_share = float(np.log(RIVAL_PROBABILITY / len(rivalling)))
         terms.append(log_share + _rival_density(linear, rival, *few, scales))
     constant = structure.log_unit + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
-    return float(special.logsumexp(terms)) - constant
+    return float(scipy.special.logsumexp(terms)) - constant
 
 
 def rivals(session: SessionReadings) -> list[Mask | None]:
@@ -342,7 +342,7 @@ def _rival_density(
         most = GUESS_RATIO * float(factor.min())
         log_density = _log_marginal(one, slopes, laws, weights, scales, most)
         values.append(log_density + float(np.log(factor).sum()))
-    return float(special.logsumexp(values)) - float(np.log(len(values)))
+    return float(scipy.special.logsumexp(values)) - float(np.log(len(values)))
 
 
 def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
@@ -359,14 +359,14 @@ def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
             axes[prior.names.index(name)] = values
     u = np.array(list(itertools.product(*axes)))
     log_prior = -0.5 * (u**2).sum(axis=1)
-    return prior.laws(u), log_prior - special.logsumexp(log_prior)
+    return prior.laws(u), log_prior - scipy.special.logsumexp(log_prior)
 
 
 def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
     """The likeliest of some laws: a rival stands for what the others hold."""
     best = np.argsort(-weights)[:4]
     some = laws.take([int(k) for k in best])
-    return some, weights[best] - special.logsumexp(weights[best])
+    return some, weights[best] - scipy.special.logsumexp(weights[best])
 
 
 def _log_marginal(
@@ -392,7 +392,7 @@ def _log_marginal(
     log_density -= len(linear.residual) * np.log(scales)
     is_assumed = linear.structure.statement.is_assumed
     prior = log_prior_of_scale(scales, is_assumed=is_assumed)
-    prior = prior - special.logsumexp(prior)
+    prior = prior - scipy.special.logsumexp(prior)
     is_noise = laws.level[:, None] * scales <= most
     log_density += weights[:, None] + prior
-    return float(special.logsumexp(log_density[is_noise]))
+    return float(scipy.special.logsumexp(log_density[is_noise]))

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from scipy import special
+import scipy
 
 from oed import units
 from oed.base import Array, Index, Mask, consecutive_slices
@@ -328,7 +328,7 @@ def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges
     noise = measurement.sigma(series)
     slopes = measurement.jacobian(series, nominal)
     spread = np.linalg.norm(measurement.in_prior_units(slopes), axis=1)
-    factor = float(-special.ndtri(0.5 * RANGE_FALSE_ALARM / len(middle)))
+    factor = float(-scipy.special.ndtri(0.5 * RANGE_FALSE_ALARM / len(middle)))
     machines = draw_parameters(measurement, rng, N_TRIAL_MACHINES)
     exact = measurement.try_readings(series, machines)
     linear = middle + (machines - nominal) @ slopes.T

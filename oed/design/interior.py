@@ -22,7 +22,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from oed.base import Array, Index
 from oed.design import relaxation
@@ -129,7 +129,7 @@ class StepSystem:
         self.border = self._solve(np.append(np.ones(count), [0.0, 0.0]))
 
     def _solve(self, right: Array) -> Array:
-        solution = linalg.cho_solve(self.factor, right * self.scale)
+        solution = scipy.linalg.cho_solve(self.factor, right * self.scale)
         return np.asarray(solution * self.scale)
 
     def move(self, target: float, guess: Move | None) -> Move:
@@ -212,7 +212,7 @@ def _factorise(h: Array) -> tuple[Array, bool]:
     while True:
         try:
             ridged = h + ridge * np.eye(len(h))
-            factor: tuple[Array, bool] = linalg.cho_factor(ridged, lower=True)
+            factor: tuple[Array, bool] = scipy.linalg.cho_factor(ridged, lower=True)
             return factor
         except np.linalg.LinAlgError:
             ridge *= 10.0

@@ -14,7 +14,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index, Mask
@@ -194,7 +194,7 @@ class ExpectedColumns:
             names=tuple(names),
             unknown=np.concatenate([part.discrepancy.unknown for part in parts]),
         )
-        mixing = linalg.block_diag(*[part.mixing for part in parts])
+        mixing = scipy.linalg.block_diag(*[part.mixing for part in parts])
         return cls(discrepancy, tuple(forms), mixing)
 
     def changes(self, problem: GapProblem, session: SessionStates) -> Array:

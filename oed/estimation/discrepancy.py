@@ -20,7 +20,7 @@ import dataclasses
 from typing import ClassVar
 
 import numpy as np
-from scipy import special
+import scipy
 
 from oed.base import Array, Index, Mask
 from oed.linear_algebra import explained_energy
@@ -63,7 +63,7 @@ def sample_effects(
     gain, log_determinant = explained_energy(energy, along**2, sizes**2)
     log_weights = 0.5 * (gain - log_determinant)
     precision = sizes[:, None] ** -2.0 + energy
-    number = rng.choice(len(sizes), size=count, p=special.softmax(log_weights))
+    number = rng.choice(len(sizes), size=count, p=scipy.special.softmax(log_weights))
     # as the coefficients have them: axes of equal energy, as of all that no reading
     # shows, are a matter of rounding
     normal = rng.standard_normal((count, len(score))) @ axes
@@ -71,7 +71,7 @@ def sample_effects(
     return EffectDraws(
         coefficients=drawn @ axes.T,
         size=sizes[number],
-        log_evidence=float(special.logsumexp(log_weights) - np.log(len(sizes))),
+        log_evidence=float(scipy.special.logsumexp(log_weights) - np.log(len(sizes))),
     )
 
 

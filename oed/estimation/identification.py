@@ -17,7 +17,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+import scipy
 
 from oed.base import Array, Index
 from oed.estimation.coordinates import IdentifiableCoordinates, ReadingsProblem
@@ -90,7 +90,7 @@ def stage_with_effects(
         starts.insert(0, (exact.theta, None))
     alternation = _Alternation(fit, exact, structure, prior, discrepancy, rng)
     fits = [alternation.run(*start) for start in starts]
-    weights = special.softmax([one.log_evidence for one in fits])
+    weights = scipy.special.softmax([one.log_evidence for one in fits])
     number = rng.choice(len(fits), size=N_DRAWS, p=weights)
     best = fits[int(np.argmax(weights))]
     parts = [one.taken(np.flatnonzero(number == k)) for k, one in enumerate(fits)]

@@ -26,7 +26,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+import scipy
 
 from oed.base import Array
 from oed.estimation.coordinates import IdentifiableCoordinates
@@ -350,4 +350,4 @@ def _satterthwaite(total: float, expected: Array) -> tuple[float, float]:
         return 0.0, 1.0
     dof = 2.0 * mean**2 / spread
     ratio = total / mean
-    return ratio, float(special.chdtrc(dof, ratio * dof))
+    return ratio, float(scipy.special.chdtrc(dof, ratio * dof))

@@ -16,7 +16,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from oed.base import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
@@ -30,7 +30,7 @@ def reading_structure(
     """Structure of readings, with the Jacobian of renewed unknowns taken at theta (n,)."""
     names: dict[str, int] = {}
     parts = _Parts([], [], [], [], [], [])
-    blocks: list[sparse.csr_array] = []
+    blocks: list[scipy.sparse.csr_array] = []
     runs = 0
     for s in series:
         setup = measurement.setups[s.setup]
@@ -58,7 +58,7 @@ def reading_structure(
     pairs, chain = np.unique(
         np.column_stack([run, channel]), axis=0, return_inverse=True
     )
-    decouple = sparse.csr_array(sparse.block_diag(blocks))
+    decouple = scipy.sparse.csr_array(scipy.sparse.block_diag(blocks))
     diagonal = decouple.diagonal()
     independent = decouple.nnz == len(run)
     errors = _run_errors(measurement, series, theta, parts, decouple)
@@ -85,7 +85,7 @@ def _run_errors(
     series: Sequence[Series],
     theta: Array,
     parts: _Parts,
-    decouple: sparse.csr_array,
+    decouple: scipy.sparse.csr_array,
 ) -> _RunErrors:
     """What the errors that runs share follow from."""
     renewed = renewed_jacobian(measurement, series, theta)
@@ -222,7 +222,7 @@ class _RunErrors:
     seated    (N, s) Jacobian times the stated seating, SI
     """
 
-    decouple: sparse.csr_array
+    decouple: scipy.sparse.csr_array
     channel: Index
     shared: Array
     stated: Mask

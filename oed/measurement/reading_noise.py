@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from oed.base import Array
 from oed.instrument import Series, Setup
@@ -70,15 +70,17 @@ def _errors(readings: SetupReadings, series: Series) -> Errors:
         correlated=np.full(len(order), share),
         shared=shared[order],
         scale=np.ones(len(order)),
-        unmix=sparse.csr_array(unmix[order][:, order]),
+        unmix=scipy.sparse.csr_array(unmix[order][:, order]),
     )
 
 
-def decoupling(covariances: Array) -> sparse.csr_array:
+def decoupling(covariances: Array) -> scipy.sparse.csr_array:
     """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
     inverses = np.linalg.inv(np.linalg.cholesky(covariances))
     count = np.arange(len(inverses) + 1)
-    matrix = sparse.csr_array(sparse.bsr_array((inverses, count[:-1], count)))
+    matrix = scipy.sparse.csr_array(
+        scipy.sparse.bsr_array((inverses, count[:-1], count))
+    )
     matrix.eliminate_zeros()
     return matrix
 

@@ -28,7 +28,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from oed.base import Array, Index
 
@@ -54,7 +54,9 @@ class ChainFactor:
         variance[1:] += self._decay * related
         self._variance, self._slope = variance, -related
         if len(related):  # LAPACK takes no single reading
-            self._variance, self._slope, _ = lapack.dpttrf(variance, -related)
+            self._variance, self._slope, _ = scipy.linalg.lapack.dpttrf(
+                variance, -related
+            )
         if not (self._variance > 0.0).all():
             raise np.linalg.LinAlgError("the noise has no positive variance")
 
@@ -160,7 +162,9 @@ def _solved(below: Array, values: Array, trans: str) -> Array:
     if not below.any() or not values.shape[1]:
         return values
     band = np.vstack([np.ones(len(values)), np.append(below, 0.0)])
-    solved, _ = lapack.dtbtrs(band, values, uplo="L", trans=trans, diag="U")
+    solved, _ = scipy.linalg.lapack.dtbtrs(
+        band, values, uplo="L", trans=trans, diag="U"
+    )
     return np.asarray(solved)
 
 

@@ -26,8 +26,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, sparse
-from scipy.sparse import linalg as sparse_linalg
+import scipy
 
 from oed.base import Array, Index
 from oed.noise.banded import (
@@ -64,7 +63,7 @@ class Errors:
     correlated: Array
     shared: Array
     scale: Array
-    unmix: sparse.csr_array | None = None
+    unmix: scipy.sparse.csr_array | None = None
 
     def standardise(self, values: Array) -> Array:
         """Values (N, m) of the readings in order (k, m), over P and scale."""
@@ -130,7 +129,7 @@ class LinearFactor:
         shared = SharedFactor(self._columns, errors.starts)
         values = self._banded.unwhiten(shared.unwhiten(white)) * errors.scale[:, None]
         if errors.unmix is not None:
-            values = sparse_linalg.spsolve_triangular(errors.unmix, values)
+            values = scipy.sparse.linalg.spsolve_triangular(errors.unmix, values)
         return np.asarray(values)
 
     def precision(self, values: Array) -> Array:
@@ -185,10 +184,10 @@ class WideFactor:
     def __init__(self, factor: LinearFactor, columns: Array) -> None:
         self.alone, self.order = factor, factor.order
         self._columns = columns
-        axes, triangle = linalg.qr(
+        axes, triangle = scipy.linalg.qr(
             factor.whiten(columns), mode="economic", check_finite=False
         )
-        rotation, self.sizes, self.turn = linalg.svd(
+        rotation, self.sizes, self.turn = scipy.linalg.svd(
             triangle, full_matrices=False, check_finite=False
         )
         #: (N, k) B, along which what the columns absorb lies
@@ -246,7 +245,7 @@ def joined(parts: Sequence[Errors]) -> Errors:
         for part in parts
     ]
     unmix = [
-        sparse.eye_array(count) if part.unmix is None else part.unmix
+        scipy.sparse.eye_array(count) if part.unmix is None else part.unmix
         for part, count in zip(parts, counts, strict=True)
     ]
     return Errors(
@@ -257,7 +256,7 @@ def joined(parts: Sequence[Errors]) -> Errors:
         correlated=stacked("correlated"),
         shared=np.concatenate(shared),
         scale=stacked("scale"),
-        unmix=sparse.csr_array(sparse.block_diag(unmix)),
+        unmix=scipy.sparse.csr_array(scipy.sparse.block_diag(unmix)),
     )
 
 
@@ -314,7 +313,9 @@ class Chains:
         neighbour = -decay[1:] / fresh[1:]
         # pivots from the last reading on: each given the one before, the later ones out
         band = np.vstack([diagonal[::-1], [*neighbour[::-1], 0.0]])
-        pivot = linalg.cholesky_banded(band, lower=True, check_finite=False)[0, ::-1]
+        pivot = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)[
+            0, ::-1
+        ]
         variance = 1.0 / pivot**2
         step = np.concatenate([[0.0], -neighbour * variance[1:]])
         # steps multiply along a chain: sums of logarithms

@@ -24,7 +24,7 @@ import functools
 import math
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from oed.base import Array, Index
 from oed.noise.banded import ChainFactor, chain_errors, taken_out
@@ -170,7 +170,7 @@ def _reading_errors(structure: ReadingStructure, errors: Errors) -> Errors:
     order = errors.order
     if structure.decouple is None:
         return dataclasses.replace(errors, scale=errors.scale * structure.unit[order])
-    unmix = sparse.csr_array(structure.decouple[order][:, order])
+    unmix = scipy.sparse.csr_array(structure.decouple[order][:, order])
     return dataclasses.replace(errors, unmix=unmix)
 
 

@@ -12,8 +12,7 @@ import enum
 import functools
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import inv, spsolve
+import scipy
 
 from oed.base import Array, Index, Mask
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -62,7 +61,7 @@ class ReadingStructure:
     run: Index
     position: Array
     unit: Array
-    decouple: sparse.csr_array | None
+    decouple: scipy.sparse.csr_array | None
     columns: Array
     kinds: Index
     statement: NoiseStatement = NOTHING_STATED
@@ -138,11 +137,13 @@ class ReadingStructure:
     @functools.cached_property
     def variances(self) -> Array:
         """Mean variances (G, G), SI, of each group's readings by each decoupled group."""
-        mixing = sparse.csr_array(sparse.diags_array(self.unit))
+        mixing = scipy.sparse.csr_array(scipy.sparse.diags_array(self.unit))
         if self.decouple is not None:
-            mixing = sparse.csr_array(inv(self.decouple.tocsc()))
+            mixing = scipy.sparse.csr_array(
+                scipy.sparse.linalg.inv(self.decouple.tocsc())
+            )
         entries = (np.arange(len(self)), self.group)
-        members = sparse.csr_array((np.ones(len(self)), entries))
+        members = scipy.sparse.csr_array((np.ones(len(self)), entries))
         squares = (members.T @ mixing.power(2) @ members).toarray()
         return np.asarray(squares / np.bincount(self.group)[:, None])
 
@@ -163,7 +164,9 @@ class ReadingStructure:
         """The structure of readings that are divided by noises sigma (N,), SI."""
         decouple = self.decouple
         if decouple is not None:
-            decouple = sparse.csr_array(decouple @ sparse.diags_array(sigma))
+            decouple = scipy.sparse.csr_array(
+                decouple @ scipy.sparse.diags_array(sigma)
+            )
         return dataclasses.replace(self, unit=self.unit / sigma, decouple=decouple)
 
     def standardise(self, values: Array) -> Array:
@@ -177,5 +180,5 @@ class ReadingStructure:
         if self.decouple is None:
             return values * self.unit
         flat = values.reshape(-1, len(self))
-        solution = spsolve(self.decouple.tocsc(), flat.T)
+        solution = scipy.sparse.linalg.spsolve(self.decouple.tocsc(), flat.T)
         return np.asarray(solution).T.reshape(values.shape)

@@ -27,8 +27,7 @@ import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import optimize, special
-from scipy.linalg import lapack
+import scipy
 
 from oed.base import Array, Index
 from oed.linear_algebra import eigenvectors, triangle_of_sums
@@ -67,7 +66,7 @@ def find_mode(cost: Cost, starts: Array, farthest: float) -> Array:
 
     limits = [(-farthest, farthest)] * dimensions
     minima = [
-        optimize.minimize(
+        scipy.optimize.minimize(
             cost_and_gradient,
             start,
             jac=True,
@@ -153,7 +152,7 @@ def draw_laws(
     if not len(sample):
         return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
     log_weights = -cost(sample) - proposal.log_density(sample)
-    total = float(special.logsumexp(log_weights))
+    total = float(scipy.special.logsumexp(log_weights))
     rows = _systematic(sample, np.exp(log_weights - total), draws)
     return DrawnLaws(sample[rows], mode, total - float(np.log(points)))
 
@@ -213,7 +212,7 @@ class SplitStudent:
         level, chi2 = uniform[:, :-1], _chi2(uniform[:, -1:])
         below = 0.5 * level / share
         above = 1.0 - 0.5 * (1.0 - level) / (1.0 - share)
-        normal = special.ndtri(np.where(level < share, below, above))
+        normal = scipy.special.ndtri(np.where(level < share, below, above))
         student = normal / np.sqrt(chi2 / STUDENT_DOF)
         width = np.where(student < 0.0, self.behind, self.ahead)
         return np.asarray(self.mode + (width * student) @ self.root.T)
@@ -245,7 +244,7 @@ class KernelMixture:
         uniform = _sobol(count, self.centres.shape[1] + 2)
         ends = np.cumsum(self.weights)
         number = np.searchsorted(ends, uniform[:, -2] * ends[-1])
-        normal = special.ndtri(uniform[:, :-2])
+        normal = scipy.special.ndtri(uniform[:, :-2])
         student = normal / np.sqrt(_chi2(uniform[:, -1:]) / STUDENT_DOF)
         return np.asarray(self.centres[number] + student @ self.root.T)
 
@@ -267,7 +266,7 @@ class KernelMixture:
         offsets = (u[:, None] - self.centres).reshape(-1, u.shape[1])
         student = np.asarray(np.linalg.solve(self.root, offsets.T).T, dtype=float)
         kernels = _log_student(student).reshape(len(u), -1)
-        total = special.logsumexp(kernels, axis=1, b=self.weights)
+        total = scipy.special.logsumexp(kernels, axis=1, b=self.weights)
         return np.asarray(total - np.linalg.slogdet(self.root)[1])
 
 
@@ -310,13 +309,13 @@ def _log_student(student: Array) -> Array:
     """Log density (L,) of a Student t of unit scale at points (L, d)."""
     d = student.shape[1]
     power = 0.5 * (STUDENT_DOF + d)
-    size = special.gammaln(power) - special.gammaln(0.5 * STUDENT_DOF)
+    size = scipy.special.gammaln(power) - scipy.special.gammaln(0.5 * STUDENT_DOF)
     size -= 0.5 * d * np.log(np.pi * STUDENT_DOF)
     return np.asarray(size - power * np.log1p((student**2).sum(axis=1) / STUDENT_DOF))
 
 
 def _chi2(uniform: Array) -> Array:
-    return np.asarray(special.chdtri(STUDENT_DOF, 1.0 - uniform))
+    return np.asarray(scipy.special.chdtri(STUDENT_DOF, 1.0 - uniform))
 
 
 @functools.cache
@@ -398,7 +397,7 @@ class ResidualModel:
         first = split_student(cost, mode, root)
         draws, solutions, target = self._solve_at(prior, first.points(N_DRAWS))
         log_weights = target - first.log_density(draws)
-        weights = special.softmax(log_weights)
+        weights = scipy.special.softmax(log_weights)
         if 1.0 / (weights @ weights) < MIN_EFFECTIVE_DRAWS:
             second = kernels_at(draws, log_weights)
             further, more, more_target = self._solve_at(prior, second.points(N_DRAWS))
@@ -406,7 +405,7 @@ class ResidualModel:
             solutions = concatenate_solutions([solutions, more])
             target = np.concatenate([target, more_target])
             densities = first.log_density(draws), second.log_density(draws)
-            weights = special.softmax(target - np.logaddexp(*densities))
+            weights = scipy.special.softmax(target - np.logaddexp(*densities))
         mean = weights @ solutions.mean
         offsets = solutions.mean - mean
         of_law = solutions.root
@@ -475,7 +474,9 @@ class Solutions:
     def root(self) -> Array:
         """Root (L, r, r) of the covariance of z, triangular."""
         triangles = self.triangle[:, :-1, :-1]
-        return np.array([lapack.dtrtri(t, lower=1)[0].T for t in triangles])
+        return np.array(
+            [scipy.linalg.lapack.dtrtri(t, lower=1)[0].T for t in triangles]
+        )
 
     @functools.cached_property
     def mean(self) -> Array:

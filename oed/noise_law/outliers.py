@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from scipy import optimize, special
+import scipy
 
 from oed.base import Array
 from oed.noise import NOTHING_STATED, Laws, NoiseLaw, NoiseStatement, ReadingStructure
@@ -59,8 +59,8 @@ class StudentT:
         """Of errors in units of the scale."""
         n = self.dof
         norm = (
-            special.gammaln(0.5 * (n + 1.0))
-            - special.gammaln(0.5 * n)
+            scipy.special.gammaln(0.5 * (n + 1.0))
+            - scipy.special.gammaln(0.5 * n)
             - 0.5 * np.log(n * np.pi)
         )
         return np.asarray(norm - 0.5 * (n + 1.0) * np.log1p(e**2 / n))
@@ -91,7 +91,7 @@ class ContaminatedNormal:
     def weight(self, e: Array) -> Array:
         """s(e) / e."""
         core, far = self._parts(e)
-        ordinary = special.expit(core - far)
+        ordinary = scipy.special.expit(core - far)
         return np.asarray(ordinary + (1.0 - ordinary) / self.outlier_scale**2)
 
 
@@ -228,7 +228,7 @@ def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:
         )
 
     middle = np.log(np.median(np.abs(errors)) + 1e-12)
-    minimum = optimize.minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         cost, bounds=(middle - 2.0, middle + 2.0), method="bounded"
     )
     return float(np.exp(minimum.x)), -float(minimum.fun)

@@ -13,7 +13,7 @@ import dataclasses
 from typing import ClassVar
 
 import numpy as np
-from scipy import special
+import scipy
 
 from oed.base import Array
 from oed.noise import (
@@ -199,13 +199,13 @@ class NoisePrior:
         """
         stated = self.statement.correlated
         if stated is None and self.is_sparse:
-            middle = special.logit(SPARSE_SHARE)
-            return np.asarray(special.expit(middle + SPARSE_SHARE_SD * u))
+            middle = scipy.special.logit(SPARSE_SHARE)
+            return np.asarray(scipy.special.expit(middle + SPARSE_SHARE_SD * u))
         if stated is None:
-            share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
+            share = np.sin(0.5 * np.pi * scipy.special.ndtr(u)) ** 2
         else:
-            middle = special.logit(np.clip(stated, MIN_SHARE, 1.0 - MIN_SHARE))
-            share = special.expit(middle + STATED_SHARE_SD * u)
+            middle = scipy.special.logit(np.clip(stated, MIN_SHARE, 1.0 - MIN_SHARE))
+            share = scipy.special.expit(middle + STATED_SHARE_SD * u)
         return np.asarray(np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE))
 
     def _reach(self, u: Array) -> Array:

@@ -24,8 +24,8 @@ import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.distance import cdist
 
 from oed.base import Array, Index, Mask
 from oed.instrument import Setup
@@ -184,7 +184,9 @@ def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
     speed = np.broadcast_to(np.asarray(speeds, dtype=float), before.shape[1:])
     if not (speed > 0.0).all():
         raise ValueError("speeds must be positive")
-    return np.asarray(cdist(before / speed, after / speed, "chebyshev"))
+    return np.asarray(
+        scipy.spatial.distance.cdist(before / speed, after / speed, "chebyshev")
+    )
 
 
 def travel_between(

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from oed import units
 from oed.base import Array, Index, Mask
@@ -107,7 +107,7 @@ def _offsets_of_stretches(data: Suspect) -> Iterator[MistakeTrial]:
     size lessens their misfit by (c^T P r)^2 / c^T P c.
     """
     covariance = data.slopes @ data.slopes.T + np.diag(data.sigma**2)
-    precision = linalg.inv(covariance)
+    precision = scipy.linalg.inv(covariance)
     pull = precision @ (data.session.y - data.predicted)
     for channel in dict.fromkeys(data.channel[data.shown]):
         gains: list[tuple[float, Index]] = []

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from scipy import linalg
 
 from oed.base import Array, Index
 from oed.checks.findings import rounded
@@ -45,7 +44,7 @@ FIXED: dict[str, Callable[[int], Array]] = {
 #: Q of a number of readings n and a share a that the display holds of the reading before,
 #: as it was shown or as it should be
 LAGS: dict[str, Callable[[int, float], Array]] = {
-    "of the reading before as it was shown": lambda n, a: linalg.solve(
+    "of the reading before as it was shown": lambda n, a: np.linalg.solve(
         _chain(n, 1.0, -a), _chain(n, 1.0 - a)
     ),
     "of the reading before": lambda n, a: _chain(n, 1.0 - a, a),

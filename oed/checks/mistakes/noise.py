@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from scipy import special
+import scipy
 
 from oed.base import Array, Mask
 from oed.checks.mistakes.moved import commanded, pose_table, shifted
@@ -156,4 +156,4 @@ def _trend_p_value(commands: Array, residual: Array) -> float:
     explained = float(np.sum((basis.T @ residual) ** 2))
     rest = float(residual @ residual) - explained
     ratio = explained / basis.shape[1] / max(rest / freedom, 1e-300)
-    return float(special.fdtrc(basis.shape[1], freedom, ratio))
+    return float(scipy.special.fdtrc(basis.shape[1], freedom, ratio))

@@ -15,7 +15,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from oed.base import Array, Index
 from oed.design.forms.protocol import (
@@ -161,7 +161,7 @@ class Determinant(Criterion):
         log_det = _symbolic_log_det(m)
         if self.interest is None:
             return log_det
-        nuisance = np.asarray(linalg.null_space(self.interest.T))
+        nuisance = np.asarray(scipy.linalg.null_space(self.interest.T))
         nuisance = nuisance.reshape(m.shape[0], -1)
         if nuisance.shape[1]:
             log_det = log_det - _symbolic_log_det(nuisance.T @ m @ nuisance)
