@@ -123,10 +123,14 @@ PROPOSAL_DOF = 20.0
 N_DRAWS = 2000
 #: rounds of draws until enough keep to the bounds
 MAX_ROUNDS = 30
-#: Gauss-Newton steps that keep the readings as they were along null directions
-N_CORRECTIONS = 2
+#: change of all readings together along null directions, over the noise, that a draw may
+#: keep, and draws that are brought below it at once: two steps leave up to 5e-4
+MAX_EXCESS = 5e-4
+CORRECTED_AT_ONCE = 100
 #: readings of draws that are predicted at once: 2 MB
 BATCH_READINGS = 200_000
+#: numbers in the readings that are kept for the draws among the points: 32 MB
+MAX_NUMBERS = 4_000_000
 #: spread of the points that readings are interpolated between, over the posterior's
 SPREAD_OF_POINTS = 1.5
 #: movement by a lost direction, in tolerances, below which it is rounding
@@ -194,6 +198,8 @@ class LogDensity:
         largest = np.abs(self.coordinates.basis).max(axis=1)
         self.moving = np.flatnonzero(largest > 0)
         self.interrupted = False
+        # readings (N,) where the density was asked for, by the coordinates' bytes
+        self._known: dict[bytes, Array] = {}
         robust = estimate.robust_readings
         self._y = y if robust is None else robust
         self._series, self._theta = series, estimate.theta
@@ -267,11 +273,20 @@ class LogDensity:
         """Log density of points whose readings fit into memory."""
         z, u = points[:, : self.r], points[:, self.r :]
         theta = self.coordinates.to_theta(z)
-        residual = self._readings(theta) - self._y
+        readings = self._readings(theta)
+        if (len(self._known) + len(z)) * len(self._y) <= MAX_NUMBERS:
+            self._known.update(zip(map(np.ndarray.tobytes, z), readings, strict=True))
         prior = np.sum(points**2, axis=1)
-        value = -0.5 * (self._misfit(residual, u) + prior)
+        value = -0.5 * (self._misfit(readings - self._y, u) + prior)
         possible = np.isfinite(value) & self.measurement.in_bounds(theta, self._bounded)
         return np.where(possible, value, -np.inf)
+
+    def _known_readings(self, z: Array) -> Array | None:
+        """Exact readings (m, N) at coordinates (m, r), where all of them are known."""
+        keys = [row.tobytes() for row in z]
+        if len(self._y) >= LEAST_READINGS or not all(k in self._known for k in keys):
+            return None
+        return np.array([self._known[k] for k in keys])
 
     def linear_model(self) -> ResidualModel:
         """Readings as a linear model about the estimate, for an estimated noise law."""
@@ -354,16 +369,22 @@ class LogDensity:
         """Parameters (..., n) at coordinates (..., r), null directions from their prior."""
         null = self.coordinates.null_basis
         change = rng.standard_normal((*z.shape[:-1], null.shape[1])) @ null.T
-        return self.move_along_null(self.coordinates.to_theta(z), change)
+        known = self._known_readings(z.reshape(-1, self.r))
+        return self.move_along_null(self.coordinates.to_theta(z), change, known)
 
-    def move_along_null(self, theta: Array, change: Array) -> Array:
+    def move_along_null(
+        self, theta: Array, change: Array, known: Array | None = None
+    ) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.
 
+        known  (m, N) readings of the draws, one after the other, where they are known
+
         A null direction is straight to first order only: turning joints by a
-        millimetre's tolerance moves a reading by a micrometre to second order. Two
-        Gauss-Newton steps over the identifiable coordinates take that out. Their prior
-        holds what the readings hardly determine: without it what a second-order change
-        leaves there is divided by next to nothing.
+        millimetre's tolerance moves a reading by a micrometre to second order. Gauss-Newton
+        steps over the identifiable coordinates take that out: two for the draws that the
+        first moves farthest, until some need no second one. Their prior holds what the
+        readings hardly determine: without it what a second-order change leaves there is
+        divided by next to nothing.
         """
         if not self.coordinates.null_basis.size:
             return theta
@@ -372,10 +393,17 @@ class LogDensity:
         step = self._slope @ np.linalg.solve(self._precision, self.coordinates.basis.T)
         readings = self._readings_along_null
         for batch in self._batches(before):
-            exact = readings(before[batch])
-            for _ in range(N_CORRECTIONS):
-                excess = readings(after[batch]) - exact
-                after[batch] = after[batch] - self._noise.whiten_last(excess) @ step
+            exact = readings(before[batch]) if known is None else known[batch]
+            excess = self._noise.whiten_last(readings(after[batch]) - exact)
+            moved = after[batch] - excess @ step
+            farthest = np.argsort(-np.linalg.norm(excess, axis=1))
+            for k in range(0, len(moved), CORRECTED_AT_ONCE):
+                rows = farthest[k : k + CORRECTED_AT_ONCE]
+                excess = self._noise.whiten_last(readings(moved[rows]) - exact[rows])
+                moved[rows] -= excess @ step
+                if not (np.linalg.norm(excess, axis=1) > MAX_EXCESS).any():
+                    break
+            after[batch] = moved
         return after.reshape(theta.shape)
 
 
