@@ -23,7 +23,7 @@ weight from the least wanted candidate to the most wanted one.
 from __future__ import annotations
 
 import dataclasses
-import functools
+from collections.abc import Callable
 
 import numpy as np
 
@@ -95,39 +95,19 @@ def scale_to_size(weights: Array, size: float, caps: Array) -> Array:
     return np.minimum(weights, caps)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Start:
-    """Where a step starts: weights (A,) of the active set (A,), caps and gradient (A,)."""
-
-    objective: Objective
-    active: Index
-    weights: Array
-    caps: Array
-    gradient: Array
-
-    @functools.cached_property
-    def value(self) -> float:
-        """Of the objective."""
-        return self.objective.value(self.active, self.weights)
-
-    def is_exceeded_at(self, trial: Array) -> bool:
-        """Whether the value at other weights (A,) is larger.
-
-        The objective is concave and stays below its tangent: where that rises by less
-        than the value's rounding, there is nothing to find.
-        """
-        rise = float(self.gradient @ (trial - self.weights))
-        if rise <= VALUE_ROUNDING * max(1.0, abs(self.value)):
-            return False
-        return self.objective.value(self.active, trial) > self.value
-
-
 def _one_step(
     objective: Objective, active: Index, weights: Array, caps: Array
 ) -> Array | None:
     """Weights after one step that raises the value; None where no step does."""
     gradient, curvature = objective.gradient_and_curvature(active, weights)
-    start = _Start(objective, active, weights, caps, gradient)
+    value = objective.value(active, weights)
+
+    def is_better(trial: Array) -> bool:
+        # concave, it stays below its tangent: rounding is no rise
+        rise = float(gradient @ (trial - weights))
+        rounded = rise <= VALUE_ROUNDING * max(1.0, abs(value))
+        return not rounded and objective.value(active, trial) > value
+
     longest: tuple[Array, Index] | None = None
     for damping in DAMPING_FACTORS:
         step, free = _newton_direction(gradient, curvature, weights, caps, damping)
@@ -137,17 +117,17 @@ def _one_step(
         total = float(weights[free].sum())
         bent = weights.copy()
         bent[free] = project_to_sum(weights[free] + step, total, caps[free])
-        if start.is_exceeded_at(bent):
+        if is_better(bent):
             return bent
     # last: it releases one weight at a time, and wide blocks have hundreds to release
     if longest is not None:
-        straight = _straight_step(start, *longest)
+        straight = _straight_step(is_better, weights, *longest, caps)
         if straight is not None:
             return straight
     step, free = _pair_direction(gradient, curvature, weights, caps)
     if not free.size:
         return None
-    return _straight_step(start, step, free)
+    return _straight_step(is_better, weights, step, free, caps)
 
 
 def _newton_direction(
@@ -203,19 +183,25 @@ def _pair_direction(
     return np.array([step, -step]), pair
 
 
-def _straight_step(start: _Start, step: Array, free: Index) -> Array | None:
+def _straight_step(
+    is_better: Callable[[Array], bool],
+    weights: Array,
+    step: Array,
+    free: Index,
+    caps: Array,
+) -> Array | None:
     """Weights after the longest feasible share of a step that raises the value."""
-    weights, caps = start.weights[free], start.caps[free]
+    start = weights[free]
     with np.errstate(divide="ignore", invalid="ignore"):
-        to_cap = np.where(step > 0, (caps - weights) / step, np.inf)
-        room = np.where(step < 0, weights / -step, to_cap)
+        to_cap = np.where(step > 0, (caps[free] - start) / step, np.inf)
+        room = np.where(step < 0, start / -step, to_cap)
     share = min(1.0, float(room.min()))
     if share < MIN_STEP_SHARE:
         return None
     for _ in range(MAX_HALVINGS):
-        trial = start.weights.copy()
-        trial[free] = np.clip(weights + share * step, 0.0, caps)
-        if start.is_exceeded_at(trial):
+        trial = weights.copy()
+        trial[free] = np.clip(start + share * step, 0.0, caps[free])
+        if is_better(trial):
             return trial
         share *= 0.5
     return None

@@ -15,8 +15,6 @@ home pose from that of the machine as drawn, in steps that keep the mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import casadi as ca
 import numpy as np
 
@@ -107,12 +105,13 @@ class InverseKinematics:
         mirrored = ~failed & _differ(self.modes(z, command, p, tool), mode)
         lost = np.flatnonzero(failed | mirrored)
         z[lost], reached = home, np.zeros(len(z))
+        begin = self.machine.home_command, self.machine.nominal, np.zeros(3)
         for steps in PATH_STEPS:
             if not lost.size:
                 break
             at, of_lost = command[lost], _rows_of(p, lost)
-            z[lost], reached[lost] = self._follow_from_home(
-                (z[lost], reached[lost]), mode, at, of_lost, tool, steps
+            z[lost], reached[lost] = self._follow(
+                (z[lost], reached[lost]), mode, begin, (at, of_lost, tool), steps
             )
             done = reached[lost] == 1.0
             regular = self._has_slopes(z[lost], at, of_lost, tool)
@@ -147,9 +146,7 @@ class InverseKinematics:
     def modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         """Signs (n, 2 + nq) of the mode; 0 where the machine does not define one."""
         parts = [
-            self._modes(
-                z[rows], command[rows], _rows_of(p, rows), _rows_of(tool, rows)
-            )
+            self._modes(z[rows], command[rows], _rows_of(p, rows), _rows_of(tool, rows))
             for rows in newton.blocks(len(z))
         ]
         return np.concatenate([np.empty((0, 2 + len(self.machine.joints))), *parts])
@@ -208,15 +205,12 @@ class InverseKinematics:
         mode: Array,
     ) -> Array | None:
         """Home, followed from that of the machine as drawn; None where the way ends."""
-        z, drawn_command, drawn_p = drawn
-
-        def point(share: Array, rows: Index) -> tuple[Array, Array, Array]:
-            passed = drawn_command + share * (command - drawn_command)
-            return passed, drawn_p + share * (p - drawn_p), share * 0.0 + tool
-
-        followed, reached = z[None], np.zeros(1)
+        z, *begin = drawn
+        followed, reached, end = z[None], np.zeros(1), (command, p, tool)
         for steps in PATH_STEPS:
-            followed, reached = self._follow((followed, reached), mode, point, steps)
+            followed, reached = self._follow(
+                (followed, reached), mode, (*begin, tool), end, steps
+            )
             if reached[0] == 1.0:
                 return np.asarray(followed[0])
         return None
@@ -259,37 +253,19 @@ class InverseKinematics:
 
     # -- paths -------------------------------------------------------------------------
 
-    def _follow_from_home(
-        self,
-        begun: tuple[Array, Array],
-        mode: Array,
-        command: Array,
-        p: Array,
-        tool: Array,
-        steps: int,
-    ) -> tuple[Array, Array]:
-        """Solutions followed from the home pose towards commands; as `_follow`."""
-        start_command, start_p = self.machine.home_command, self.machine.nominal
-
-        def point(share: Array, rows: Index) -> tuple[Array, Array, Array]:
-            passed = start_command + share * (command[rows] - start_command)
-            to = _rows_of(p, rows)
-            return passed, start_p + share * (to - start_p), share * tool
-
-        return self._follow(begun, mode, point, steps)
-
     def _follow(
         self,
         begun: tuple[Array, Array],
         mode: Array,
-        point: Callable[[Array, Index], tuple[Array, Array, Array]],
+        begin: tuple[Array, Array, Array],
+        end: tuple[Array, Array, Array],
         steps: int,
     ) -> tuple[Array, Array]:
         """Follow solutions in steps that keep the mode, each as far as it goes.
 
         begun  solutions (n, nx + nq), and shares (n,) of the way at which they are
-        point  commands, parameters and tools (k, ...) of some rows (k,) at their shares
-               (k, 1) of the way, 0 to 1
+        begin  command, parameters and tool where each way begins
+        end    where it ends, the command (n, n_dof)
 
         Returns the last solutions, and their shares: 1 of those that arrived.
         """
@@ -297,7 +273,10 @@ class InverseKinematics:
         rows = np.flatnonzero(reached < 1.0)
         while rows.size:
             share = (np.floor(reached[rows] * steps) + 1.0) / steps
-            command, p, tool = point(share[:, None], rows)
+            command, p, tool = (
+                a + share[:, None] * (_rows_of(b, rows) - a)
+                for a, b in zip(begin, end, strict=True)
+            )
             next_z, failed = self._newton(z[rows], command, p, tool)
             next_z = np.where(np.isfinite(next_z), next_z, 0.0)
             assembled = ~failed & ~_differ(self.modes(next_z, command, p, tool), mode)

@@ -61,11 +61,11 @@ class Target:
 
     def among(self, columns: Index) -> Target:
         """The target with its columns numbered among some (k,), ascending."""
-        sets = [
+        form, rival = (
             dataclasses.replace(one, at=np.searchsorted(columns, one.at))
             for one in (self.form, self.rival)
-        ]
-        return dataclasses.replace(self, form=sets[0], rival=sets[1])
+        )
+        return dataclasses.replace(self, form=form, rival=rival)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
