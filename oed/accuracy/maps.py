@@ -146,10 +146,9 @@ def relative_to_reference(
         point = np.concatenate([model.point, home.point])
         return _relative(columns, rotation, point, reference, lever)[:, :, 0]
     in_platform = np.einsum("nji,nj->ni", model.rotation, twist[:, 3:])
-    zero = scipy.spatial.transform.Rotation.from_rotvec(
-        home.rotation[0].T @ home_twist[0, 3:]
-    )
-    rotation = scipy.spatial.transform.Rotation.from_rotvec(in_platform) * zero.inv()
+    turn = scipy.spatial.transform.Rotation.from_rotvec
+    zero = turn(home.rotation[0].T @ home_twist[0, 3:])
+    rotation = turn(in_platform) * zero.inv()
     in_base = np.einsum("nij,nj->ni", model.rotation, rotation.as_rotvec())
     return np.hstack([twist[:, :3] - home_twist[:, :3], in_base])
 

@@ -92,10 +92,8 @@ def interpolated_readings(session: SessionReadings) -> Index:
         )
         wide = np.sqrt(2.0 * np.pi) * max(_spread(bend), noise)
         expected += len(bend) * min(3.0 * step / wide, 1.0)
-    if (
-        not between
-        or scipy.special.pdtrc(len(between) - 1, expected) >= COPY_FALSE_ALARM
-    ):
+    at_least_as_many = scipy.special.pdtrc(len(between) - 1, expected)
+    if not between or at_least_as_many >= COPY_FALSE_ALARM:
         return np.empty(0, dtype=np.intp)
     return np.unique(np.array(between, dtype=np.intp))
 

@@ -64,9 +64,8 @@ def _find_roots(
         going = is_bracket & ~is_done
         if not going.any():
             break
-        rows, x1, f1, x2, f2, x3, f3 = (
-            a[going] for a in (rows, x1, f1, x2, f2, x3, f3)
-        )
+        rows = rows[going]
+        x1, f1, x2, f2, x3, f3 = np.array([x1, f1, x2, f2, x3, f3])[:, going]
         with np.errstate(divide="ignore", invalid="ignore"):  # x3 = x2 at first
             xi, phi = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
             is_safe = (1.0 - np.sqrt(1.0 - xi) < phi) & (phi < np.sqrt(xi))

@@ -78,9 +78,8 @@ def decoupling(covariances: Array) -> scipy.sparse.csr_array:
     """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
     inverses = np.linalg.inv(np.linalg.cholesky(covariances))
     count = np.arange(len(inverses) + 1)
-    matrix = scipy.sparse.csr_array(
-        scipy.sparse.bsr_array((inverses, count[:-1], count))
-    )
+    blocks = scipy.sparse.bsr_array((inverses, count[:-1], count))
+    matrix = scipy.sparse.csr_array(blocks)
     matrix.eliminate_zeros()
     return matrix
 

@@ -54,9 +54,8 @@ class ChainFactor:
         variance[1:] += self._decay * related
         self._variance, self._slope = variance, -related
         if len(related):  # LAPACK takes no single reading
-            self._variance, self._slope, _ = scipy.linalg.lapack.dpttrf(
-                variance, -related
-            )
+            factors = scipy.linalg.lapack.dpttrf(variance, -related)
+            self._variance, self._slope, _ = factors
         if not (self._variance > 0.0).all():
             raise np.linalg.LinAlgError("the noise has no positive variance")
 

@@ -139,9 +139,8 @@ class ReadingStructure:
         """Mean variances (G, G), SI, of each group's readings by each decoupled group."""
         mixing = scipy.sparse.csr_array(scipy.sparse.diags_array(self.unit))
         if self.decouple is not None:
-            mixing = scipy.sparse.csr_array(
-                scipy.sparse.linalg.inv(self.decouple.tocsc())
-            )
+            mixed = scipy.sparse.linalg.inv(self.decouple.tocsc())
+            mixing = scipy.sparse.csr_array(mixed)
         entries = (np.arange(len(self)), self.group)
         members = scipy.sparse.csr_array((np.ones(len(self)), entries))
         squares = (members.T @ mixing.power(2) @ members).toarray()
@@ -164,9 +163,8 @@ class ReadingStructure:
         """The structure of readings that are divided by noises sigma (N,), SI."""
         decouple = self.decouple
         if decouple is not None:
-            decouple = scipy.sparse.csr_array(
-                decouple @ scipy.sparse.diags_array(sigma)
-            )
+            scaled = decouple @ scipy.sparse.diags_array(sigma)
+            decouple = scipy.sparse.csr_array(scaled)
         return dataclasses.replace(self, unit=self.unit / sigma, decouple=decouple)
 
     def standardise(self, values: Array) -> Array:

@@ -44,8 +44,8 @@ FIXED: dict[str, Callable[[int], Array]] = {
 #: Q of a number of readings n and a share a that the display holds of the reading before,
 #: as it was shown or as it should be
 LAGS: dict[str, Callable[[int, float], Array]] = {
-    "of the reading before as it was shown": lambda n, a: np.linalg.solve(
-        _chain(n, 1.0, -a), _chain(n, 1.0 - a)
+    "of the reading before as it was shown": lambda n, a: np.asarray(
+        np.linalg.solve(_chain(n, 1.0, -a), _chain(n, 1.0 - a))
     ),
     "of the reading before": lambda n, a: _chain(n, 1.0 - a, a),
 }
