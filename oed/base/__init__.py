@@ -4,7 +4,6 @@ door           a room's `__getattr__` for the names that it hands out
 Array          an array of numbers
 Index          an array of indices
 Mask           an array of truth values
-rows_by_label  the rows of each label
 consecutive_slices  slices of some sizes, one after the other
 grid_nodes     the nodes of a rectilinear grid
 Orientation    three angles of a platform, by their order
@@ -27,14 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oed.base.arrays import (
-        Array,
-        Index,
-        Mask,
-        consecutive_slices,
-        grid_nodes,
-        rows_by_label,
-    )
+    from oed.base.arrays import Array, Index, Mask, consecutive_slices, grid_nodes
     from oed.base.orientation import (
         Orientation,
         along,

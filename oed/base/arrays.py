@@ -12,13 +12,6 @@ Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 
-def rows_by_label(labels: NDArray[np.str_]) -> list[Index]:
-    """Rows of each label, in order; the labels are sorted."""
-    _, number, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    order = np.argsort(number, kind="stable")
-    return np.split(order, np.cumsum(counts)[:-1])
-
-
 def consecutive_slices(sizes: Sequence[int]) -> tuple[slice, ...]:
     """Slices of these sizes, one after the other."""
     ends = np.cumsum(sizes, dtype=int).tolist()

@@ -23,9 +23,6 @@ from numpy.typing import NDArray
 from oed.base import Array
 from oed.model import Machine
 
-#: coefficient in expected sizes beyond which it is implausible: a normal one of that
-#: spread is there once in two million
-IMPLAUSIBLE = 5.0
 #: coefficient in expected sizes that no machine has, whatever it is of
 IMPOSSIBLE = 1e4
 #: coefficients, SI, that no machine has: grease and plastics end within 100 K of the shop,

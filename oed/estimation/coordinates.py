@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.base import Array, Index
 from oed.estimation.fitter import minimise
-from oed.identifiability import analyse, whiten
+from oed.identifiability import analyse
 from oed.linear_algebra import canonical_rows, right_singular
 from oed.measurement import Measurement, Series
 from oed.noise import Noise
@@ -65,7 +65,7 @@ class IdentifiableCoordinates:
         free = np.flatnonzero(scale > 0)
         unit, root = scale[free], measurement.correlation_root(free)
         jacobian = measurement.jacobian(series, theta)
-        whitened = whiten(jacobian, noise)[:, free] * unit
+        whitened = Noise.of(noise).whiten(jacobian)[:, free] * unit
         whitened = whitened if root is None else whitened @ root
         null_space = _null_space(measurement, series, jacobian, free) / unit
         lost, determined = _split_directions(_solved(root, null_space.T).T)

@@ -14,7 +14,6 @@ posterior_covariance  covariance by readings and prior, in units of tolerances
 prior_information     information of the prior, in units of tolerances
 recoveries            trials that recover lost directions, in phrases
 scaled                Jacobian of readings, whitened and scaled
-whiten                rows by the noise of their readings
 """
 
 from typing import TYPE_CHECKING
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
         posterior_covariance,
         prior_information,
         scaled,
-        whiten,
     )
     from oed.identifiability.sentences import combination_text, explain
 else:

@@ -19,7 +19,6 @@ import numpy as np
 
 from oed.base import Array
 from oed.measurement import Measurement, Series
-from oed.noise import Noise
 
 Scaling = Literal["si", "length", "tolerance"]
 
@@ -33,14 +32,6 @@ def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
     if scaling == "tolerance":
         return measurement.tolerance
     raise ValueError(f"scaling {scaling!r} is none of {get_args(Scaling)}")
-
-
-def whiten(rows: Array, noise: Noise | Array) -> Array:
-    """Rows (N, ...) whitened by their noise.
-
-    `noise` is a Noise, or standard deviations (N,) of independent readings.
-    """
-    return Noise.of(noise).whiten(rows)
 
 
 def scaled(

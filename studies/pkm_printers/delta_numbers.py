@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Final
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from oed.model import Machine
 from pkm_printers.delta_geometry import SLOPES, TOWERS, DeltaGeometry
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation
-from pkm_studies.tables import NOT_KNOWN, ControllerTable
+from pkm_studies.tables import ControllerTable
 
 #: parameters of a delta with one radius, and of one with a radius for each tower
 ONE_RADIUS = ("arm", "angle", "endstop")
@@ -115,6 +116,10 @@ def trim_notes(compensation: Compensation, name: str) -> list[str]:
                 f"trims of the {what} by tower stay in the firmware: {listed} mm"
             )
     return sentences
+
+
+#: of a home height: the study has that of the firmware, whatever it counts to
+NOT_KNOWN: Final = "not known"
 
 
 def home_notes(compensation: Compensation, name: str) -> list[str]:

@@ -25,6 +25,7 @@ from oed.base import Array
 from pkm_printers import facts, gcode
 from pkm_printers.bed_mesh import ROUNDING, BedMesh, ProbedPoint
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
+from pkm_printers.delta_numbers import NOT_KNOWN
 from pkm_printers.delta_probe import delta_session
 from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import Command, TextLine
@@ -46,7 +47,7 @@ from pkm_printers.marlin_version import (
 from pkm_printers.repeated import repeated_in_log
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
 from pkm_studies.importers import ImportedSession, ImportRequest
-from pkm_studies.tables import NOT_KNOWN, ControllerTable
+from pkm_studies.tables import ControllerTable
 
 RADII: Final = refused(
     "versions and forks mean trims of the towers' radii, or of their angles, by it",

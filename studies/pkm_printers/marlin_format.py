@@ -11,6 +11,7 @@ from oed.base import Array
 from pkm_printers import marlin_version
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
+    NOT_KNOWN,
     check_level,
     delta_joints,
     delta_numbers,
@@ -31,7 +32,7 @@ from pkm_printers.marlin_version import (
 )
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
-from pkm_studies.tables import NOT_KNOWN, ControllerTable
+from pkm_studies.tables import ControllerTable
 
 NAME = "marlin"
 #: mm by which rods may differ and count as one length: what four decimals hold

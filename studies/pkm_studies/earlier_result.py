@@ -20,44 +20,10 @@ from oed.result import (
     StudyResult,
 )
 from pkm_studies.base import Location
-from pkm_studies.results import load_result
-from pkm_studies.study import Study
 
 FILE = "posterior.nc"
 #: difference of two nominal numbers, in their unit and relative, that is rounding
 SAME = 1e-9
-
-
-def named_result(
-    study: Study, name: str, location: Location, machine: Machine
-) -> tuple[StudyResult, Path]:
-    """The result in a folder that a study names at a place, and the folder.
-
-    A relative name starts at the study's file. Raises InputError where there is no
-    result with an identification, or one of another machine.
-    """
-    folder = result_folder(study, name, location)
-    result = load_result(folder)
-    difference = machine_difference(result.machine, machine)
-    if difference is not None:
-        problem = f"it is the result of another machine: {difference}"
-        raise location.error(problem, "name a result of this machine", name)
-    if result.final_estimate is None:
-        remedy = "make it with `oed identify STUDY --readings CSV --out DIR`"
-        raise location.error("nothing was identified there", remedy, name)
-    return result, folder
-
-
-def result_folder(study: Study, name: str, location: Location) -> Path:
-    """The folder that a study names at a place. Raises InputError without a result."""
-    folder = study.folder / name
-    if not (folder / "result.json").is_file():
-        problem = f"there is no result.json in {folder}"
-        if not folder.is_dir():
-            problem = f"there is no folder {folder}"
-        remedy = "name the folder of an `oed identify`, relative to the study's file"
-        raise location.error(problem, remedy, name)
-    return folder
 
 
 def machine_difference(stored: MachineInfo, machine: Machine) -> str | None:

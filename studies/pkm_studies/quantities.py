@@ -102,14 +102,6 @@ def format_as(value: float, si: str, key: str) -> str:
     return f"{float(units.from_si(value, unit)):.9g} {unit}"
 
 
-def check_not_negative(value: float, location: Location) -> None:
-    """Raises InputError for a tolerance below 0."""
-    if value < 0.0:
-        raise location.error(
-            "a tolerance is a standard deviation", "give a number >= 0", value
-        )
-
-
 def component_values(text: str, option: str, machine: Machine) -> dict[str, float]:
     """Positive values by component, SI, of `z_um=30,theta_arcsec=20`.
 

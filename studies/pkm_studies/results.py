@@ -27,7 +27,7 @@ from typing import Any
 import msgspec
 
 from oed import trust
-from oed.result import BudgetLine, BudgetSection, Claim, StudyResult, breaches
+from oed.result import BudgetLine, Claim, StudyResult, breaches
 from oed.text import shorten, suggest
 from pkm_studies import files
 from pkm_studies.base import Location, check_name
@@ -231,35 +231,6 @@ IMPROVEMENTS = {
 
 #: rms errors by component, in its fine unit
 Values = Mapping[str, float]
-
-
-def unmodelled_sentence(
-    section: BudgetSection, after: Values, driven: Mapping[str, str]
-) -> str | None:
-    """What the effect that adds most does to the accuracy, and the remedy.
-
-    after   rms error of each component with geometry alone
-    driven  {component: unit} of those that the controller corrects
-    """
-    if not section.unmodelled:
-        return None
-    worst = section.unmodelled[0]
-    usual = section.usual
-    opening = f"This is geometry alone ({error_quantities(after, driven)})."
-    counted = ""
-    if usual is not None and usual.components:
-        errors = {name: usual.components[name].after.rms for name in driven}
-        number = len(usual.effects)
-        acting = f"all {number} usual effects" if number > 1 else "the usual effect"
-        counted = (
-            f" With {acting} at the expected size, fitted beside the geometry, the"
-            f" parameters sent leave {error_quantities(errors, driven)}; with effects"
-            f" corrected too {error_quantities(usual.fitted, driven)}."
-        )
-    return (
-        f"{opening}{counted} Most is {worst.effect} of its expected size"
-        f" ({worst.expected}), which can be ten times larger or smaller. Remedy: {worst.remedy}."
-    )
 
 
 def advice_on(

@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
-from oed.base import Array, Index, rows_by_label
+from oed.base import Array, Index
 from oed.dataset import temperature_body
 from oed.effect_model import State
 from oed.measurement import Measurement, Series
@@ -94,6 +94,13 @@ def motion(
         rate[poses] = along.rate * speed
         acceleration[poses] = along.acceleration * speed**2
     return Motion(sense, rate, acceleration, reversal)
+
+
+def rows_by_label(labels: NDArray[np.str_]) -> list[Index]:
+    """Rows of each label, in order; the labels are sorted."""
+    _, number, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.cumsum(counts)[:-1])
 
 
 def tool_places(tip: Array, rotation: Array, lever: float) -> Array:

@@ -14,12 +14,11 @@ import numpy as np
 from oed import checks
 from oed.mechanism import AssemblyError, Kinematics, closest_closure
 from oed.model import Machine
-from pkm_studies import catalogue, files, shipped, sources, stages
+from pkm_studies import catalogue, files, quantities, shipped, sources, stages
 from pkm_studies.base import InputError, Location, SourceAbsentError, Stream
 from pkm_studies.resolve import (
     ResolvedStudy,
     check_home,
-    doubtful_lengths,
     resolve,
     study_machine,
     unreachable,
@@ -94,6 +93,27 @@ def _doubts(kinematics: Kinematics) -> list[str]:
     """Sentences on a machine whose ranges or lengths do not fit one another."""
     sentences = doubtful_lengths(kinematics.machine), unreachable(kinematics)
     return [sentence for sentence in sentences if sentence]
+
+
+#: times what a machine moves by beyond which a length is in doubt: a long arm has ten
+#: times its stroke, and mm in place of m a thousand
+VERY_LONG = 100.0
+
+
+def doubtful_lengths(machine: Machine) -> str | None:
+    """A sentence on a parameter that is very long beside the machine; None without."""
+    moved = [c for c in (*machine.command, *machine.joints) if c.unit == "m"]
+    ends = np.abs([(c.lower, c.upper) for c in moved]).ravel()
+    size = max([*ends[np.isfinite(ends)], machine.lever])
+    lengths = [p for p in machine.parameters if p.unit == "m"]
+    longest = max(lengths, key=lambda p: abs(p.nominal), default=None)
+    if longest is None or abs(longest.nominal) < VERY_LONG * size:
+        return None
+    length, whole = (quantities.format_value(v, "m") for v in (longest.nominal, size))
+    return (
+        f"{longest.name} is {length}, and nothing of the machine moves beyond {whole}:"
+        " lengths of a machine's file are in m"
+    )
 
 
 def _check_study(

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from oed.instrument import Instrument
 from oed.mechanism import AssemblyError
-from pkm_studies import files
+from pkm_studies import catalogue, files
 from pkm_studies.base import InputError
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
-from pkm_studies.resolve import comments_of_study, resolve
-from pkm_studies.study import SUFFIX, load, parse
+from pkm_studies.resolve import readings_comments, resolve, study_machine
+from pkm_studies.study import SUFFIX, Study, load, parse
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, is_file
 
@@ -105,6 +106,17 @@ def _readings(session: ImportedSession, path: Path, consent: Consent) -> str:
     except InputError:
         return base.readings_text(session.rows)
     return base.readings_text(session.rows, comments)
+
+
+def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
+    """`readings_comments` of a study, over the names of the columns. Raises InputError."""
+    machine = study_machine(study)
+    setups = {}
+    for i, table in enumerate(study.setup):
+        field = study.location.key("setup").item(i).key("instrument")
+        listed: Instrument = catalogue.instrument(table.instrument, study.origin, field)
+        setups[table.name] = listed.for_machine(machine)
+    return lambda header: readings_comments(machine, setups, header)
 
 
 def study_name(text: str) -> str:

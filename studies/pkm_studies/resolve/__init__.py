@@ -7,7 +7,6 @@ described_machine            the machine of a table [machine]
 study_machine                the model with the study's numbers
 study_kinematics             its kinematics
 check_home                   an error where a machine does not close at home
-doubtful_lengths             a sentence on a parameter that is very long
 unreachable                  a sentence on poses that joints do not reach
 replace_nominal              a machine with other nominal numbers
 replace_mean_and_covariance  a machine with other nominal numbers and their covariance
@@ -43,7 +42,6 @@ workspace_axes               axes of the box that holds the workspace
 conventions_listing          the catalogue of a kind, with frames and columns
 readings_comments            lines that open a file of readings: frames and columns
 comments_of                  such lines of a machine with its set-ups
-comments_of_study            such lines of a study
 """
 
 from typing import TYPE_CHECKING
@@ -53,7 +51,6 @@ from oed.base import door
 if TYPE_CHECKING:
     from pkm_studies.resolve.conventions import (
         comments_of,
-        comments_of_study,
         conventions_listing,
         readings_comments,
     )
@@ -79,7 +76,6 @@ if TYPE_CHECKING:
     from pkm_studies.resolve.machine import (
         check_home,
         described_machine,
-        doubtful_lengths,
         replace_nominal,
         study_kinematics,
         study_machine,

@@ -18,7 +18,6 @@ from pkm_studies.quantities import column
 
 if TYPE_CHECKING:
     from oed.measurement import Measurement
-    from pkm_studies.study import Study
 
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
@@ -108,19 +107,6 @@ def comments_of(measurement: Measurement) -> Callable[[Sequence[str]], Sequence[
     """`readings_comments` of a measurement, over the names of the columns."""
     setups = {name: s.instrument for name, s in measurement.setups.items()}
     return lambda header: readings_comments(measurement.machine, setups, header)
-
-
-def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
-    """`readings_comments` of a study, over the names of the columns. Raises InputError."""
-    from pkm_studies.resolve.machine import study_machine
-
-    machine = study_machine(study)
-    setups = {}
-    for i, table in enumerate(study.setup):
-        field = study.location.key("setup").item(i).key("instrument")
-        listed: Instrument = catalogue.instrument(table.instrument, study.origin, field)
-        setups[table.name] = listed.for_machine(machine)
-    return lambda header: readings_comments(machine, setups, header)
 
 
 def _statement(

@@ -26,7 +26,6 @@ from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 from pkm_studies.tables import (
-    PLAN,
     ActingTable,
     ConditionsTable,
     DriveTable,
@@ -588,6 +587,10 @@ def _condition_si(condition: RunCondition) -> dict[str, float]:
 
 
 # What [gap.design] requests: effects to separate, candidate runs, rules of choice.
+
+
+#: `keep` with this name is the plan that [plan] makes
+PLAN = "plan"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -183,9 +183,6 @@ def _words(by: str, name: str) -> str:
 
 #: values of each coordinate at which the workspace is tried
 TRIED = 3
-#: times what a machine moves by beyond which a length is in doubt: a long arm has ten
-#: times its stroke, and mm in place of m a thousand
-VERY_LONG = 100.0
 #: most poses that are tried
 MOST_TRIED = 729
 #: how parameters say that they are the zero of a joint's scale: `zero of leg 1`
@@ -263,22 +260,6 @@ def _check_drive(table: DriveTable, machine: Machine, location: Location) -> Non
     if table.ratio is not None and table.stages:
         remedy = "give one of the two: ratio is the product of stages"
         raise location.key("stages").error("ratio is given as well", remedy)
-
-
-def doubtful_lengths(machine: Machine) -> str | None:
-    """A sentence on a parameter that is very long beside the machine; None without."""
-    moved = [c for c in (*machine.command, *machine.joints) if c.unit == "m"]
-    ends = np.abs([(c.lower, c.upper) for c in moved]).ravel()
-    size = max([*ends[np.isfinite(ends)], machine.lever])
-    lengths = [p for p in machine.parameters if p.unit == "m"]
-    longest = max(lengths, key=lambda p: abs(p.nominal), default=None)
-    if longest is None or abs(longest.nominal) < VERY_LONG * size:
-        return None
-    length, whole = (quantities.format_value(v, "m") for v in (longest.nominal, size))
-    return (
-        f"{longest.name} is {length}, and nothing of the machine moves beyond {whole}:"
-        " lengths of a machine's file are in m"
-    )
 
 
 def unreachable(kinematics: Kinematics) -> str | None:

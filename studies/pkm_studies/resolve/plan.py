@@ -21,6 +21,7 @@ from pkm_studies.base import Location
 from pkm_studies.resolve import grids
 from pkm_studies.resolve.gap import (
     NO_EFFECTS,
+    PLAN,
     effects_of_planned,
     gap_request,
     named_effects,
@@ -28,7 +29,7 @@ from pkm_studies.resolve.gap import (
 from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
-from pkm_studies.tables import PLAN, GridTable, MeasuredTable, PlanTable
+from pkm_studies.tables import GridTable, MeasuredTable, PlanTable
 
 if TYPE_CHECKING:
     from oed.design import Nuisances

@@ -29,13 +29,8 @@ from oed.result import StudyResult
 from oed.text import suggest
 from pkm_studies import catalogue, csv_table, files, quantities, user_code
 from pkm_studies.base import InputError, Location
-from pkm_studies.earlier_result import (
-    SAME,
-    controller_values,
-    named_result,
-    result_folder,
-)
-from pkm_studies.quantities import check_not_negative, column, display_unit
+from pkm_studies.earlier_result import SAME, controller_values
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import grids
 from pkm_studies.resolve.design import (
     DesignRequest,
@@ -70,7 +65,12 @@ from pkm_studies.resolve.prediction import (
     prediction_request,
     wanted_accuracy,
 )
-from pkm_studies.resolve.tolerances import replace_tolerances
+from pkm_studies.resolve.tolerances import (
+    check_not_negative,
+    named_result,
+    replace_tolerances,
+    result_folder,
+)
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
 from pkm_studies.tables import SetupTable

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import scipy  # its parts load when first used
@@ -19,8 +20,7 @@ from oed.result import StudyResult
 from oed.text import suggest
 from pkm_studies import quantities
 from pkm_studies.base import Location
-from pkm_studies.earlier_result import known_parameters, named_result, result_folder
-from pkm_studies.quantities import check_not_negative
+from pkm_studies.earlier_result import known_parameters, machine_difference
 from pkm_studies.resolve.machine import matching_names, names_of_one_unit
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
@@ -209,6 +209,18 @@ def fleet_knowledge(
     return nominal + tolerance * prior.mean, covariance
 
 
+def result_folder(study: Study, name: str, location: Location) -> Path:
+    """The folder that a study names at a place. Raises InputError without a result."""
+    folder = study.folder / name
+    if not (folder / "result.json").is_file():
+        problem = f"there is no result.json in {folder}"
+        if not folder.is_dir():
+            problem = f"there is no folder {folder}"
+        remedy = "name the folder of an `oed identify`, relative to the study's file"
+        raise location.error(problem, remedy, name)
+    return folder
+
+
 def _check(
     result: StudyResult,
     machine: Machine,
@@ -375,6 +387,14 @@ def _matching_tolerances(
     return dict.fromkeys(matched, sigma)
 
 
+def check_not_negative(value: float, location: Location) -> None:
+    """Raises InputError for a tolerance below 0."""
+    if value < 0.0:
+        raise location.error(
+            "a tolerance is a standard deviation", "give a number >= 0", value
+        )
+
+
 def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None:
     if study.machine.fixed is None:
         return None
@@ -531,6 +551,26 @@ def add_earlier(study: Study, machine: Machine) -> Machine:
     result, folder = named_result(study, prior.earlier, field_location, machine)
     mean, covariance, _ = known_parameters(result, machine.name, free, folder)
     return replace_mean_and_covariance(machine, free, mean, covariance)
+
+
+def named_result(
+    study: Study, name: str, location: Location, machine: Machine
+) -> tuple[StudyResult, Path]:
+    """The result in a folder that a study names at a place, and the folder.
+
+    A relative name starts at the study's file. Raises InputError where there is no
+    result with an identification, or one of another machine.
+    """
+    folder = result_folder(study, name, location)
+    result = load_result(folder)
+    difference = machine_difference(result.machine, machine)
+    if difference is not None:
+        problem = f"it is the result of another machine: {difference}"
+        raise location.error(problem, "name a result of this machine", name)
+    if result.final_estimate is None:
+        remedy = "make it with `oed identify STUDY --readings CSV --out DIR`"
+        raise location.error("nothing was identified there", remedy, name)
+    return result, folder
 
 
 def replace_mean_and_covariance(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from oed import safe_files, verdict
 from oed.design import CRITERIA
 from oed.result import (
+    BudgetSection,
     CorrectedSection,
     DesignSection,
     EstimateSection,
@@ -28,7 +29,7 @@ from oed.text import format_number, guaranteed_percent, join_words
 from oed.verdict import accuracy_verdicts
 from pkm_studies import console, result_folder
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.results import unmodelled_sentence
+from pkm_studies.results import Values, error_quantities
 from pkm_studies.stages import forecast
 from pkm_studies.stages.gap.sentences import noise_words, plain_name
 from pkm_studies.stages.plan.plan import percent, plan_sentences
@@ -304,6 +305,35 @@ def _unmodelled(section: PredictionSection | None) -> list[str]:
     after = {name: section.components[name].after.rms for name in driven}
     sentence = unmodelled_sentence(section.budget, after, driven)
     return [] if sentence is None else [sentence]
+
+
+def unmodelled_sentence(
+    section: BudgetSection, after: Values, driven: Mapping[str, str]
+) -> str | None:
+    """What the effect that adds most does to the accuracy, and the remedy.
+
+    after   rms error of each component with geometry alone
+    driven  {component: unit} of those that the controller corrects
+    """
+    if not section.unmodelled:
+        return None
+    worst = section.unmodelled[0]
+    usual = section.usual
+    opening = f"This is geometry alone ({error_quantities(after, driven)})."
+    counted = ""
+    if usual is not None and usual.components:
+        errors = {name: usual.components[name].after.rms for name in driven}
+        number = len(usual.effects)
+        acting = f"all {number} usual effects" if number > 1 else "the usual effect"
+        counted = (
+            f" With {acting} at the expected size, fitted beside the geometry, the"
+            f" parameters sent leave {error_quantities(errors, driven)}; with effects"
+            f" corrected too {error_quantities(usual.fitted, driven)}."
+        )
+    return (
+        f"{opening}{counted} Most is {worst.effect} of its expected size"
+        f" ({worst.expected}), which can be ten times larger or smaller. Remedy: {worst.remedy}."
+    )
 
 
 def _held_out(sections: Sequence[HeldOutSection]) -> list[str]:

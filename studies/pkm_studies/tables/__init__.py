@@ -32,7 +32,6 @@ from pkm_studies.tables.fit import (
     ReadingsTable,
 )
 from pkm_studies.tables.gap import (
-    PLAN,
     ActingTable,
     ConditionsTable,
     GapDesignTable,
@@ -49,7 +48,6 @@ from pkm_studies.tables.grids import (
     Span,
 )
 from pkm_studies.tables.machine import (
-    NOT_KNOWN,
     AdjustTable,
     BoundsTable,
     ControllerTable,

@@ -11,10 +11,6 @@ from pkm_studies.tables.base import NotNegative, Positive, RunCount, StudyTable
 # Tables of [gap.design]: runs that separate effects, and their conditions.
 
 
-#: `keep` with this name is the plan that [plan] makes
-PLAN = "plan"
-
-
 class RunCondition(StudyTable, frozen=True, kw_only=True):
     """A condition under which a run can be taken.
 

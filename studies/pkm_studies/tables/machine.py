@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -149,10 +149,6 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     student_dof: Annotated[float, msgspec.Meta(gt=2)] | None = None
     outlier_share: Annotated[float, msgspec.Meta(ge=0, le=0.5)] | None = None
     sigma: dict[str, float | dict[str, float]] = {}
-
-
-#: of a home height: the study has that of the firmware, whatever it counts to
-NOT_KNOWN: Final = "not known"
 
 
 class ControllerTable(StudyTable, frozen=True, kw_only=True):

@@ -17,7 +17,6 @@ from oed.identifiability import (
     posterior_covariance,
     prior_information,
     recoveries,
-    whiten,
 )
 from oed.identifiability.assessment import free_parameters
 from oed.instrument import mount
@@ -60,7 +59,6 @@ def test_covariances_are_inverses_of_prior_and_information(
     in_si = parameter_covariance(delta, heights, delta.nominal)
     outer = np.outer(delta.tolerance, delta.tolerance)
     np.testing.assert_allclose(in_si, whole * outer, atol=1e-9 * outer.max())
-    np.testing.assert_allclose(whiten(slopes, noise), slopes / noise[:, None])
 
 
 def test_each_scaling_has_its_units(delta: Measurement, heights: list[Series]) -> None:

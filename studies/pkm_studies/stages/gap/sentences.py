@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import msgspec
 
 from oed import units
-from oed.effect_model import IMPLAUSIBLE, Effect, State
+from oed.effect_model import Effect, State
 from oed.gap import untestable
 from oed.result import (
     UNKNOWN,
@@ -66,6 +66,11 @@ def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
 
 
 # States in sentences which coefficients are far beyond their expected sizes.
+
+
+#: coefficient in expected sizes beyond which it is implausible: a normal one of that
+#: spread is there once in two million
+IMPLAUSIBLE = 5.0
 
 
 def implausible_sentences(
