@@ -24,10 +24,16 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg, optimize, special
 
 from oed.base import Array, Index
-from oed.compensate import CommandGrid, GridAxis, choose_command_grid, joint_motion
+from oed.compensate import (
+    CommandGrid,
+    GridAxis,
+    InterpolationTable,
+    choose_command_grid,
+    joint_motion,
+)
 from oed.forecast.joint_errors import ErrorRows, JointErrors
 from oed.poses import Belief
 
@@ -145,6 +151,7 @@ class ErrorField:
     model   of the errors
     rows    (n, k) of the readings
     read    (r,) which components of which rows were read, flat
+    node    (r,) number of the node of each reading; repeats are of one
     errors  (r,) readings less what the parameters predict, SI
     sigma   (r,) their noise, SI
     kernel  of the joints' errors
@@ -154,6 +161,7 @@ class ErrorField:
     model: JointErrors
     rows: ErrorRows
     read: Index
+    node: Index
     errors: Array
     sigma: Array
     kernel: Kernel
@@ -171,18 +179,18 @@ class ErrorField:
         reduction = cross @ linalg.cho_solve(self._factor, cross.T)
         return np.asarray(self.prior.variance(self.kernel, rows, rows) - reduction)
 
-    def left_out(self, group: Index) -> tuple[Array, Array]:
-        """Readings less their prediction by the other groups, and its sd, (r,), SI.
+    def left_out(self) -> tuple[Array, Array]:
+        """Readings less their prediction by the other nodes, and its sd, (n, k), SI.
 
-        group  (r,) number of the node of each reading
+        NaN where none was read.
         """
         inverse = linalg.cho_solve(self._factor, np.eye(len(self.errors)))
-        residual, sd = np.empty(len(group)), np.empty(len(group))
-        for number in np.unique(group):
-            members = np.flatnonzero(group == number)
+        residual, sd = np.full((2, *self.rows.local.shape[:2]), np.nan)
+        for number in np.unique(self.node):
+            members = np.flatnonzero(self.node == number)
             covariance = np.linalg.inv(inverse[np.ix_(members, members)])
-            residual[members] = covariance @ self._weights[members]
-            sd[members] = np.sqrt(np.diag(covariance))
+            residual.ravel()[self.read[members]] = covariance @ self._weights[members]
+            sd.ravel()[self.read[members]] = np.sqrt(np.diag(covariance))
         return residual, sd
 
     def _cross(self, rows: ErrorRows) -> Array:
@@ -223,16 +231,17 @@ def fit_error_field(
     """
     rows = model.rows(command)
     needed = rows.positions.shape[1] + 2
-    nodes = len(np.unique(np.round(command[~np.isnan(errors).all(axis=1)], 9), axis=0))
-    if nodes < needed:
-        raise ValueError(f"{nodes} nodes are too few: read {needed} or more")
     read = np.flatnonzero(~np.isnan(errors).ravel())
+    rounded = np.round(command[read // errors.shape[1]], 9)
+    nodes, node = np.unique(rounded, axis=0, return_inverse=True)
+    if len(nodes) < needed:
+        raise ValueError(f"{len(nodes)} nodes are too few: read {needed} or more")
     values, noise = errors.ravel()[read], sigma.ravel()[read]
     of_noise = joint_size(rows, np.where(np.isnan(errors), np.nan, sigma))
     size = max(joint_size(rows, errors), of_noise)
     prior = _Prior(model.home_place, TREND_SIZE * size, of_noise)
     kernel = _fit_kernel(prior, rows, read, values, noise, size)
-    return ErrorField(model, rows, read, values, noise, kernel, prior)
+    return ErrorField(model, rows, read, node.ravel(), values, noise, kernel, prior)
 
 
 def joint_size(rows: ErrorRows, errors: Array) -> float:
@@ -290,10 +299,29 @@ class NodeDesign:
 
     indices    chosen candidates, the most useful one first
     predicted  (k,) rms error that interpolation between these readings leaves, SI
+    expected   (k,) rms error before any reading, SI
     """
 
     indices: Index
     predicted: Array
+    expected: Array
+
+
+def plan_nodes(
+    model: JointErrors,
+    candidates: Array,
+    most: int,
+    expected: Array,
+    sigma: Array,
+    target: Array,
+) -> NodeDesign:
+    """`design_nodes` for expected rms errors (k,), SI; NaN where none is stated."""
+    rows = model.rows(model.command)
+    size = joint_size(rows, np.broadcast_to(expected, rows.local.shape[:2]))
+    kernel = expected_kernel(size, rows.positions.shape[1])
+    design = design_nodes(model, candidates, most, kernel, sigma, target)
+    stated = np.where(np.isnan(expected), design.expected, expected)
+    return dataclasses.replace(design, expected=stated)
 
 
 def design_nodes(
@@ -320,7 +348,9 @@ def design_nodes(
     while len(chosen) < most and belief.open_components(target):
         chosen.append(belief.best_candidate(blocks, target))
         belief = belief.after(blocks[chosen[-1]])
-    return NodeDesign(np.array(chosen), np.sqrt(belief.variances))
+    local = model.rows(model.command).local
+    expected = kernel.size * np.sqrt((local**2).sum(axis=2).mean(axis=0))
+    return NodeDesign(np.array(chosen), np.sqrt(belief.variances), expected)
 
 
 def _linear(
@@ -368,16 +398,57 @@ INTERVAL_LEVELS = (0.025, 0.975)
 class Forecast:
     """A controller's table and what it leaves.
 
+    field      of errors
     grid       commands of the table
     joints     (n, nq) to add to the joints at its commands, SI
     predicted  (k,) rms over the workspace, SI: of the field and of interpolation
     interval   (2, k) 95 % interval of it, SI
     """
 
+    field: ErrorField
     grid: CommandGrid
     joints: Array
     predicted: Array
     interval: Array
+
+    @property
+    def table(self) -> InterpolationTable:
+        """What to add to the joints, interpolated between the commands."""
+        names = tuple(axis.name for axis in self.grid.axes)
+        values = self.joints.reshape(*self.grid.counts, -1)
+        return InterpolationTable(names, self.grid.knots, values, self.grid.turns)
+
+    def checked(
+        self, command: Array, errors: Array, sigma: Array
+    ) -> tuple[Forecast, Array, Array]:
+        """The forecast as nodes (n, n_dof) that were not fitted widen it.
+
+        errors, sigma  (n, k) and their noise, SI; NaN where none was read
+
+        Errors there beyond those predicted, as of waves that the fitted nodes do not see,
+        add to what is predicted: of n residuals of mean square s, that of the machine is
+        within n s / chi2 of n degrees of freedom. Returns also what the table leaves
+        there (n, k), and its predicted rms (k,).
+        """
+        motion = joint_motion(self.field.model.kinematics, command)
+        residual = errors + np.einsum("nkq,nq->nk", motion, self.table.at(command))
+        of_field = np.diag(self.field.covariance(command)).reshape(errors.shape)
+        variance = (of_field + sigma**2).mean(axis=0)
+        count = np.isfinite(residual).sum(axis=0)
+        square = np.nansum(residual**2, axis=0)
+        upper, lower = (special.chdtri(count, level) for level in INTERVAL_LEVELS)
+        predicted, low, high = (
+            np.sqrt(size**2 + np.maximum(square / freedom - variance, 0.0))
+            for size, freedom in (
+                (self.predicted, count),
+                (self.interval[0], upper),
+                (self.interval[1], lower),
+            )
+        )
+        widened = dataclasses.replace(
+            self, predicted=predicted, interval=np.array([low, high])
+        )
+        return widened, residual, np.sqrt(variance)
 
 
 def forecast_table(
@@ -420,6 +491,7 @@ def forecast_table(
     drawn = _rms_draws(covariance, shape, rng)
     low, high = np.quantile(drawn**2 + interpolation, INTERVAL_LEVELS, axis=0)
     return Forecast(
+        field=field,
         grid=grid,
         joints=correction(grid.commands)[:, 0],
         predicted=np.sqrt(variance + interpolation),

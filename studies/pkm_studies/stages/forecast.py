@@ -8,31 +8,23 @@ from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
-from scipy import special
 
 from oed import csv_text, units
 from oed.accuracy import driven_errors
-from oed.base import Array, Index, grid_nodes
+from oed.base import Array, grid_nodes
 from oed.compensate import (
     GridAxis,
-    InterpolationTable,
     box_axes,
     commands_of_added,
-    joint_motion,
 )
 from oed.dataset import commented
 from oed.forecast import (
-    INTERVAL_LEVELS,
-    ErrorField,
     Forecast,
     JointErrors,
-    Kernel,
     NodeDesign,
-    design_nodes,
-    expected_kernel,
     fit_error_field,
     forecast_table,
-    joint_size,
+    plan_nodes,
 )
 from oed.instrument import Setup
 from oed.mechanism import AssemblyError, Kinematics
@@ -150,13 +142,6 @@ class ForecastTask:
     def kinematics(self) -> Kinematics:
         """Of the machine."""
         return self.model.kinematics
-
-    @property
-    def kernel(self) -> Kernel:
-        """The kernel before any reading."""
-        rows = self.model.rows(self.model.command)
-        errors = np.broadcast_to(self.expected, rows.local.shape[:2])
-        return expected_kernel(joint_size(rows, errors), rows.positions.shape[1])
 
     def predicted_errors(self, command: Array) -> Array:
         """Errors (n, k) of the nodes that the parameters predict, SI.
@@ -327,11 +312,11 @@ REPEATS = (
 
 def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
     """The section with the nodes (n, n_dof), SI, to measure."""
-    design = design_nodes(
+    design = plan_nodes(
         task.model,
         task.candidates,
         task.table.nodes,
-        task.kernel,
+        task.expected,
         task.sigma,
         task.wanted,
     )
@@ -353,12 +338,9 @@ def _components(task: ForecastTask, design: NodeDesign) -> dict[str, ForecastCom
     components = {}
     for k, c in enumerate(task.model.driven):
         unit = units.FINE[c.unit]
-        rows = task.model.rows(task.model.command)
-        size = task.kernel.size * np.sqrt((rows.local[:, k] ** 2).sum(axis=1).mean())
-        expected = size if np.isnan(task.expected[k]) else task.expected[k]
         components[c.name] = ForecastComponent(
             unit=unit,
-            expected=units.number(float(expected), unit),
+            expected=units.number(float(design.expected[k]), unit),
             planned=units.number(float(design.predicted[k]), unit),
         )
     return components
@@ -411,13 +393,26 @@ def measured(
     forecast = forecast_table(
         field, task.predicted_errors, task.axes, task.table.commands, rng
     )
-    node = _node_of_readings(field, command)
-    figures = _figures(errors, field, forecast, node)
-    sentences = [*section.sentences, *_doubts(task, field, command, node)]
+    residual, sd = field.left_out()
+    figures = {
+        "measured": _rms(errors),
+        "left_out": _rms(residual),
+        "left_out_predicted": _rms(sd),
+    }
+    sentences = [*section.sentences, *_doubts(task, command, residual / sd)]
     if check is None:
         sentences += _unseen_waves(task, command)
     else:
-        figures |= _checked(task, field, forecast, check, figures)
+        nodes = read_nodes(task, check)
+        forecast, residual, predicted = forecast.checked(*nodes)
+        figures |= {
+            "checked": _rms(residual),
+            "checked_predicted": predicted,
+            "checked_max": np.nanmax(np.abs(residual), axis=0),
+            "checked_max_before": np.nanmax(np.abs(nodes[1]), axis=0),
+        }
+    low, high = forecast.interval
+    figures |= {"predicted": forecast.predicted, "low": low, "high": high}
     if not forecast.grid.is_fine:
         sentences.append(
             f"the table has {len(forecast.joints)} commands, and interpolation in it"
@@ -481,80 +476,10 @@ def _doubtful_sizes(components: dict[str, ForecastComponent]) -> Iterator[str]:
             )
 
 
-#: figures (k,) of the components by name, SI
-Figures = dict[str, Array]
-
-
-def _node_of_readings(field: ErrorField, command: Array) -> Index:
-    """Number (r,) of the node of each reading; repeats are of one node."""
-    count = field.rows.local.shape[1]
-    _, node = np.unique(np.round(command, 9), axis=0, return_inverse=True)
-    return np.asarray(node.ravel()[field.read // count])
-
-
-def _figures(
-    errors: Array, field: ErrorField, forecast: Forecast, node: Index
-) -> Figures:
-    component = field.read % errors.shape[1]
-    residual, sd = field.left_out(node)
-    return {
-        "measured": _rms(errors),
-        "predicted": forecast.predicted,
-        "low": forecast.interval[0],
-        "high": forecast.interval[1],
-        "left_out": _rms_by(component, residual, errors.shape[1]),
-        "left_out_predicted": _rms_by(component, sd, errors.shape[1]),
-    }
-
-
-def _rms_by(component: Index, values: Array, count: int) -> Array:
-    parts = [values[component == k] for k in range(count)]
-    return np.array([np.sqrt(np.mean(p**2)) if len(p) else np.nan for p in parts])
-
-
-def _rms(errors: Array) -> Array:
-    read = ~np.isnan(errors)
-    component = np.nonzero(read)[1]
-    return _rms_by(component, errors[read], errors.shape[1])
-
-
-def _checked(
-    task: ForecastTask,
-    field: ErrorField,
-    forecast: Forecast,
-    path: Path,
-    figures: Figures,
-) -> Figures:
-    """What the table leaves at nodes that were not fitted, with their noise.
-
-    Errors there beyond those predicted, as of waves that the fitted nodes do not see,
-    widen the predicted `figures`: of n residuals of mean square s, that of the machine is
-    within n s / chi2 of n degrees of freedom.
-    """
-    command, errors, sigma = read_nodes(task, path)
-    grid = forecast.grid
-    table = InterpolationTable(
-        tuple(axis.name for axis in grid.axes),
-        grid.knots,
-        forecast.joints.reshape(*grid.counts, -1),
-        grid.turns,
-    )
-    motion = joint_motion(task.kinematics, command)
-    residual = errors + np.einsum("nkq,nq->nk", motion, table.at(command))
-    variance = np.diag(field.covariance(command)).reshape(errors.shape) + sigma**2
-    count = np.isfinite(residual).sum(axis=0)
-    square = np.nansum(residual**2, axis=0)
-    upper, lower = (special.chdtri(count, level) for level in INTERVAL_LEVELS)
-    widened = {}
-    for name, freedom in (("predicted", count), ("low", upper), ("high", lower)):
-        beyond = np.maximum(square / freedom - variance.mean(axis=0), 0.0)
-        widened[name] = np.sqrt(figures[name] ** 2 + beyond)
-    return widened | {
-        "checked": _rms(residual),
-        "checked_predicted": np.sqrt(variance.mean(axis=0)),
-        "checked_max": np.nanmax(np.abs(residual), axis=0),
-        "checked_max_before": np.nanmax(np.abs(errors), axis=0),
-    }
+def _rms(values: Array) -> Array:
+    """Rms (k,) of the values (n, k) that are not NaN; NaN where all are."""
+    read = [column[~np.isnan(column)] for column in values.T]
+    return np.array([np.sqrt(np.mean(r**2)) if len(r) else np.nan for r in read])
 
 
 def _add_figures(
@@ -573,21 +498,18 @@ def _add_figures(
     return filled
 
 
-def _doubts(
-    task: ForecastTask, field: ErrorField, command: Array, node: Index
-) -> Iterator[str]:
-    """A sentence on each node that the others contradict."""
-    k = len(task.model.driven)
-    residual, sd = field.left_out(node)
-    pull = np.abs(residual / sd)
-    for worst in np.flatnonzero(pull > DOUBT):
-        row, component = divmod(int(field.read[worst]), k)
+def _doubts(task: ForecastTask, command: Array, pull: Array) -> Iterator[str]:
+    """A sentence on each node that the others contradict.
+
+    pull  (n, k) residuals over their standard deviations; NaN where none was read
+    """
+    for row, k in np.argwhere(np.abs(pull) > DOUBT):
         pose = describe.displayed_command(task.kinematics.machine, command[row])
         pose_text = ", ".join(f"{name} = {value:.6g}" for name, value in pose.items())
         yield (
-            f"the error in {task.model.driven[component].name} at {pose_text} is"
-            f" {pull[worst]:.1f} standard deviations off what the other nodes predict:"
-            " measure it again"
+            f"the error in {task.model.driven[k].name} at {pose_text} is"
+            f" {abs(pull[row, k]):.1f} standard deviations off what the other nodes"
+            " predict: measure it again"
         )
 
 

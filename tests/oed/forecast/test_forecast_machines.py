@@ -13,15 +13,8 @@ from oracles.forecast_machines import A3, DELTA, PLANAR, PRS, Kind, Yielding
 from shipped_models import a3_head, hexapod_ups, linear_delta, planar_2dof, prs_spindle
 
 from oed.compensate import GridAxis, InterpolationTable, joint_motion
-from oed.forecast import (
-    Forecast,
-    JointErrors,
-    design_nodes,
-    expected_kernel,
-    fit_error_field,
-    forecast_table,
-    joint_size,
-)
+from oed.forecast import Forecast, JointErrors, fit_error_field, forecast_table
+from oed.forecast.error_field import design_nodes, expected_kernel, joint_size
 from oed.mechanism import Kinematics
 from oed.model import Machine
 
@@ -82,10 +75,7 @@ def forecast(
     table = forecast_table(
         field, lambda c: np.zeros((len(c), len(sigma))), axes, 5000, rng
     )
-    grid = table.grid
-    joints = table.joints.reshape(*grid.counts, -1)
-    names = tuple(axis.name for axis in axes)
-    return table, InterpolationTable(names, grid.knots, joints, grid.turns)
+    return table, table.table
 
 
 def ratio(name: str, seeds: range) -> np.ndarray:
