@@ -84,6 +84,11 @@ class Cause:
     chi2: float
     p_value: float
 
+    @property
+    def explains_all(self) -> bool:
+        """Whether what they leave is no more than chance."""
+        return self.p_value >= P_EXPLAINED
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SessionChange:
@@ -134,27 +139,6 @@ class ChangeEstimate:
     def dof(self) -> int:
         """Number of determined directions."""
         return len(self.white)
-
-
-def compare_sessions(
-    names: Sequence[str], nominal: Array, tolerance: Array, sessions: Sequence[Session]
-) -> SessionChange:
-    """Compare two sessions under the prior N(nominal (n,), diag(tolerance (n,))^2).
-
-    Set-ups are mounted anew in each session: the parameters are the machine's alone,
-    and the covariances marginal to them. Raises ValueError unless there are two.
-    """
-    first, second = sessions
-    change = estimate_change([first, second], nominal, tolerance, np.array([0.0, 1.0]))
-    root, white = change.root, change.white
-    return SessionChange(
-        chi2=change.chi2,
-        dof=change.dof,
-        p_value=float(special.chdtrc(change.dof, change.chi2)) if change.dof else 1.0,
-        combinations=combinations(names, tolerance, root, white),
-        causes=_causes(names, tolerance, root, white),
-        undetermined=len(names) - change.dof,
-    )
 
 
 def estimate_change(
@@ -267,7 +251,7 @@ def _causes(
         sets = itertools.combinations(determined, size)
         tried = [_cause(names, tolerance, root, white, ks, widening) for ks in sets]
         causes = sorted((c for c in tried if c is not None), key=lambda c: c.chi2)
-        if not causes or causes[0].p_value >= P_EXPLAINED:
+        if not causes or causes[0].explains_all:
             break
     return tuple(causes)
 
@@ -301,6 +285,19 @@ def _cause(
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
+class NextCalibration:
+    """When the error reaches its limit, in time after the last session.
+
+    time       median over the drifts that the sessions allow; inf where it never does
+    low, high  95 % interval
+    """
+
+    time: float
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
 class SessionDrift:
     """Drift over the sessions, per unit of time, in the units of the parameters.
 
@@ -326,47 +323,30 @@ class SessionDrift:
     covariance: Array
     undetermined: int
 
+    def next_calibration(
+        self,
+        maps: Array,
+        after: float,
+        limit: float,
+        rng: np.random.Generator,
+        draws: int = 4000,
+    ) -> NextCalibration:
+        """When the rms error of a component over the workspace exceeds a limit, SI.
 
-def estimate_drift(
-    names: Sequence[str],
-    nominal: Array,
-    tolerance: Array,
-    sessions: Sequence[Session],
-    times: Array,
-) -> SessionDrift:
-    """Drift of parameters (n,) over sessions at times (k,), priors as in `compare_sessions`.
+        maps   (m, np) pose errors per parameter, in the order of the drift's names
+        after  rms error right after the last calibration
 
-    Raises ValueError for fewer than two different times.
-    """
-    since = np.asarray(times, dtype=float) - np.max(times)
-    span = float(np.ptp(since))
-    if span <= 0.0:
-        raise ValueError("a drift needs sessions at two different times")
-    change = estimate_change(sessions, nominal, tolerance, since / span)
-    root, white, dof = change.root, change.white, change.dof
-    rest, rest_dof = change.rest, change.rest_dof
-    uneven = rest_dof > 0 and special.chdtrc(rest_dof, rest) < P_UNEVEN
-    widening = float(np.sqrt(rest / rest_dof)) if uneven else 1.0
-    scale = tolerance / span
-    back = np.linalg.pinv(root) if dof else np.zeros((len(tolerance), 0))
-    covariance = widening**2 * back @ back.T * np.outer(scale, scale)
-    rates = [
-        _per_time(c, span, widening)
-        for c in combinations(names, tolerance, root, white)
-    ]
-    return SessionDrift(
-        chi2=change.chi2,
-        dof=dof,
-        p_value=_p_value(change.chi2, dof, widening),
-        rest=rest,
-        rest_dof=rest_dof,
-        widening=widening,
-        combinations=tuple(rates),
-        causes=_causes(names, scale, root, white, widening),
-        rate=(back @ white) * scale,
-        covariance=covariance,
-        undetermined=len(tolerance) - dof,
-    )
+        With the drift v the squared rms error is after^2 + t^2 mean (maps v)^2.
+        """
+        root = covariance_root(self.covariance)
+        normal = rng.standard_normal((draws, len(self.rate)))
+        rates = self.rate + normal @ root.T
+        growth = np.sqrt(np.mean((rates @ maps.T) ** 2, axis=1))
+        room = np.sqrt(max(limit**2 - after**2, 0.0))
+        with np.errstate(divide="ignore"):
+            times = room / growth
+        low, median, high = np.quantile(times, [0.025, 0.5, 0.975], method="lower")
+        return NextCalibration(float(median), float(low), float(high))
 
 
 def _p_value(chi2: float, dof: int, widening: float) -> float:
@@ -383,86 +363,114 @@ def _per_time(
     )
 
 
-def provable_growth(
-    maps: Array,
-    sessions: Sequence[Session],
-    nominal: Array,
-    tolerance: Array,
-    counts: Sequence[int],
-    alarm: float,
-    power: float,
-    rng: np.random.Generator,
-) -> Array:
-    """Growth (len(counts),) of an rms error, SI a session, that so many sessions prove.
+@dataclasses.dataclass(frozen=True)
+class MachineSessions:
+    """Sessions of one machine under the prior N(nominal (n,), diag(tolerance (n,))^2).
 
-    maps    (m, np) pose errors per parameter
-    counts  of equally spaced sessions, each with the mean information of those given
-    alarm   probability of a false alarm
-    power   probability of the proof
-
-    The drift's direction is random in the tolerances. Its proof is by the noncentral chi2
-    of the test: n sessions have the information L n (n^2 -
-    1) / 12 of the change between two of them, L that of one.
-    """
-    from scipy import stats  # takes a second to import
-
-    roots = [likelihood(s, nominal, tolerance)[0] for s in sessions]
-    _, singular, right = np.linalg.svd(np.vstack(roots), full_matrices=False)
-    informed = singular >= np.sqrt(len(sessions))
-    root = singular[informed, None] / np.sqrt(len(sessions)) * right[informed]
-    direction = (
-        rng.standard_normal((N_DIRECTIONS, int(informed.sum()))) @ right[informed]
-    )
-    growth = np.sqrt(np.mean((direction * tolerance @ maps.T) ** 2, axis=1))
-    information = np.sum((direction @ root.T) ** 2, axis=1) / growth**2
-    dof = int(informed.sum())
-    critical = special.chdtri(dof, alarm)
-
-    def excess(log_growth: float, count: int) -> float:
-        times = count * (count**2 - 1) / 12.0
-        squared = np.exp(2.0 * log_growth) * information * times
-        return float(np.mean(stats.ncx2.sf(critical, dof, squared)) - power)
-
-    usual = -0.5 * float(np.median(np.log(information)))
-    bracket = (usual - LOG_BRACKET, usual + LOG_BRACKET)
-    solutions = [optimize.brentq(excess, *bracket, args=(n,)) for n in counts]
-    return np.exp(solutions)
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class NextCalibration:
-    """When the error reaches its limit, in time after the last session.
-
-    time       median over the drifts that the sessions allow; inf where it never does
-    low, high  95 % interval
+    names       of the machine's parameters
+    posteriors  one a session, marginal to its set-ups, which are mounted anew in each
     """
 
-    time: float
-    low: float
-    high: float
+    names: Sequence[str]
+    nominal: Array
+    tolerance: Array
+    posteriors: Sequence[Session]
 
+    def change(self) -> SessionChange:
+        """Compare two sessions. Raises ValueError unless there are two."""
+        first, second = self.posteriors
+        names, tolerance = self.names, self.tolerance
+        change = estimate_change(
+            [first, second], self.nominal, tolerance, np.array([0.0, 1.0])
+        )
+        root, white = change.root, change.white
+        return SessionChange(
+            chi2=change.chi2,
+            dof=change.dof,
+            p_value=float(special.chdtrc(change.dof, change.chi2))
+            if change.dof
+            else 1.0,
+            combinations=combinations(names, tolerance, root, white),
+            causes=_causes(names, tolerance, root, white),
+            undetermined=len(names) - change.dof,
+        )
 
-def next_calibration(
-    maps: Array,
-    drifted: SessionDrift,
-    after: float,
-    limit: float,
-    rng: np.random.Generator,
-    draws: int = 4000,
-) -> NextCalibration:
-    """When the rms error of a component over the workspace exceeds a limit, SI.
+    def drift(self, times: Array) -> SessionDrift:
+        """Drift of the parameters (n,) over the sessions at times (k,).
 
-    maps   (m, np) pose errors per parameter, in the order of the drift's names
-    after  rms error right after the last calibration
+        Raises ValueError for fewer than two different times.
+        """
+        names, tolerance = self.names, self.tolerance
+        since = np.asarray(times, dtype=float) - np.max(times)
+        span = float(np.ptp(since))
+        if span <= 0.0:
+            raise ValueError("a drift needs sessions at two different times")
+        change = estimate_change(self.posteriors, self.nominal, tolerance, since / span)
+        root, white, dof = change.root, change.white, change.dof
+        rest, rest_dof = change.rest, change.rest_dof
+        uneven = rest_dof > 0 and special.chdtrc(rest_dof, rest) < P_UNEVEN
+        widening = float(np.sqrt(rest / rest_dof)) if uneven else 1.0
+        scale = tolerance / span
+        back = np.linalg.pinv(root) if dof else np.zeros((len(tolerance), 0))
+        covariance = widening**2 * back @ back.T * np.outer(scale, scale)
+        rates = [
+            _per_time(c, span, widening)
+            for c in combinations(names, tolerance, root, white)
+        ]
+        return SessionDrift(
+            chi2=change.chi2,
+            dof=dof,
+            p_value=_p_value(change.chi2, dof, widening),
+            rest=rest,
+            rest_dof=rest_dof,
+            widening=widening,
+            combinations=tuple(rates),
+            causes=_causes(names, scale, root, white, widening),
+            rate=(back @ white) * scale,
+            covariance=covariance,
+            undetermined=len(tolerance) - dof,
+        )
 
-    With the drift v the squared rms error is after^2 + t^2 mean (maps v)^2.
-    """
-    root = covariance_root(drifted.covariance)
-    normal = rng.standard_normal((draws, len(drifted.rate)))
-    rates = drifted.rate + normal @ root.T
-    growth = np.sqrt(np.mean((rates @ maps.T) ** 2, axis=1))
-    room = np.sqrt(max(limit**2 - after**2, 0.0))
-    with np.errstate(divide="ignore"):
-        times = room / growth
-    low, median, high = np.quantile(times, [0.025, 0.5, 0.975], method="lower")
-    return NextCalibration(float(median), float(low), float(high))
+    def provable_growth(
+        self,
+        maps: Array,
+        counts: Sequence[int],
+        alarm: float,
+        power: float,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Growth (len(counts),) of an rms error, SI a session, that so many sessions prove.
+
+        maps    (m, np) pose errors per parameter
+        counts  of equally spaced sessions, each with the mean information of those given
+        alarm   probability of a false alarm
+        power   probability of the proof
+
+        The drift's direction is random in the tolerances. Its proof is by the noncentral chi2
+        of the test: n sessions have the information L n (n^2 -
+        1) / 12 of the change between two of them, L that of one.
+        """
+        from scipy import stats  # takes a second to import
+
+        sessions, tolerance = self.posteriors, self.tolerance
+        roots = [likelihood(s, self.nominal, tolerance)[0] for s in sessions]
+        _, singular, right = np.linalg.svd(np.vstack(roots), full_matrices=False)
+        informed = singular >= np.sqrt(len(sessions))
+        root = singular[informed, None] / np.sqrt(len(sessions)) * right[informed]
+        direction = (
+            rng.standard_normal((N_DIRECTIONS, int(informed.sum()))) @ right[informed]
+        )
+        growth = np.sqrt(np.mean((direction * tolerance @ maps.T) ** 2, axis=1))
+        information = np.sum((direction @ root.T) ** 2, axis=1) / growth**2
+        dof = int(informed.sum())
+        critical = special.chdtri(dof, alarm)
+
+        def excess(log_growth: float, count: int) -> float:
+            times = count * (count**2 - 1) / 12.0
+            squared = np.exp(2.0 * log_growth) * information * times
+            return float(np.mean(stats.ncx2.sf(critical, dof, squared)) - power)
+
+        usual = -0.5 * float(np.median(np.log(information)))
+        bracket = (usual - LOG_BRACKET, usual + LOG_BRACKET)
+        solutions = [optimize.brentq(excess, *bracket, args=(n,)) for n in counts]
+        return np.exp(solutions)

@@ -13,16 +13,11 @@ import numpy as np
 from oed import trust, units
 from oed.base import Array
 from oed.history import (
-    P_EXPLAINED,
-    Cause,
     CombinationChange,
+    MachineSessions,
     Session,
     SessionChange,
     SessionDrift,
-    compare_sessions,
-    estimate_drift,
-    next_calibration,
-    provable_growth,
 )
 from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
 from oed.text import format_p_value
@@ -66,29 +61,15 @@ def compare(before: Path, after: Path) -> SessionReport:
     folders = (before, after)
     results = [load_result(folder) for folder in folders]
     refuse_same_sessions(results, folders)
-    estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
-    tables = [
-        _machine_parameters(result, estimate)
-        for result, estimate in zip(results, estimates, strict=True)
-    ]
-    _check_same(tables, results, after)
-    names = list(tables[0])
-    shared = tables[0].values()
-    change = compare_sessions(
-        names,
-        np.array([p.nominal for p in shared]),
-        np.array([p.prior_sd for p in shared]),
-        [_session(names, estimate) for estimate in estimates],
-    )
-    units = {name: p.unit for name, p in tables[0].items()}
+    sessions, units = sessions_of(results, folders)
     doubts = warnings(results, folders)
-    return SessionReport([*doubts, *_sentences(change, units)], not doubts)
+    return SessionReport([*doubts, *_sentences(sessions.change(), units)], not doubts)
 
 
-def posteriors_of(
+def sessions_of(
     results: Sequence[StudyResult], folders: Sequence[Path]
-) -> tuple[list[str], dict[str, ParameterEstimate], list[Session]]:
-    """Names, table and posteriors of the machine's parameters in several results.
+) -> tuple[MachineSessions, dict[str, str]]:
+    """The sessions of several results, and the unit of each parameter.
 
     Raises InputError where a folder holds no estimate, or not of the same machine.
     """
@@ -99,8 +80,14 @@ def posteriors_of(
     ]
     for table, result, folder in zip(tables, results, folders, strict=True):
         _check_same([tables[0], table], [results[0], result], folder)
-    names = list(tables[0])
-    return names, tables[0], [_session(names, estimate) for estimate in estimates]
+    names, shared = list(tables[0]), tables[0].values()
+    sessions = MachineSessions(
+        names,
+        np.array([p.nominal for p in shared]),
+        np.array([p.prior_sd for p in shared]),
+        [_session(names, estimate) for estimate in estimates],
+    )
+    return sessions, {name: p.unit for name, p in tables[0].items()}
 
 
 def warnings(results: Sequence[StudyResult], folders: Sequence[Path]) -> list[str]:
@@ -203,7 +190,7 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
             " both sessions: a change there stays unseen."
         )
     if change.p_value < ALARM:
-        yield from explanations(change.causes, units)
+        yield from explanations(change, units)
     # Sidak: the smallest of dof p-values, each uniform where nothing changed
     threshold = 1.0 - (1.0 - ALARM) ** (1.0 / change.dof)
     yield f"Changes (* beyond chance among {change.dof}, at {ALARM:g}):"
@@ -244,26 +231,22 @@ def _amount(size: float, unit: str, of_unit: str) -> str:
 
 
 def explanations(
-    causes: Sequence[Cause], units: Mapping[str, str], per: str = ""
+    change: SessionChange | SessionDrift, units: Mapping[str, str], per: str = ""
 ) -> Iterator[str]:
     """Parameters whose change explains all of it, or that no two do; `per`: a time."""
-    enough = [cause for cause in causes if cause.p_value >= P_EXPLAINED]
+    enough = [cause for cause in change.causes if cause.explains_all]
     if not enough:
         yield "No single parameter explains the change, nor do two."
         return
     count = "one parameter" if len(enough[0].changes) == 1 else "two parameters"
     yield f"A change of {count} alone explains all of it:"
     for cause in enough[:MAX_COMBINATIONS]:
-        yield f"    {_cause(cause, units, per)}"
-
-
-def _cause(cause: Cause, units: Mapping[str, str], per: str) -> str:
-    parts = [
-        f"{name}: {change:+.4g} {units[name]}{per}, sd {cause.sds[name]:.2g} {units[name]}"
-        for name, change in cause.changes.items()
-    ]
-    rest = f"chi2 falls to {cause.chi2:.4g}, p {format_p_value(cause.p_value)}"
-    return f"{' and '.join(parts)}; {rest}"
+        parts = [
+            f"{name}: {size:+.4g} {units[name]}{per}, sd {cause.sds[name]:.2g} {units[name]}"
+            for name, size in cause.changes.items()
+        ]
+        rest = f"chi2 falls to {cause.chi2:.4g}, p {format_p_value(cause.p_value)}"
+        yield f"    {' and '.join(parts)}; {rest}"
 
 
 def write_comparison(folders: Sequence[Path], out: Path) -> tuple[Path, ...]:
@@ -345,18 +328,11 @@ def machine_history(
     results of different machines.
     """
     sessions = _sessions(folders)
-    names, table, posteriors = posteriors_of(sessions.results, sessions.folders)
-    drifted = estimate_drift(
-        names,
-        np.array([p.nominal for p in table.values()]),
-        np.array([p.prior_sd for p in table.values()]),
-        posteriors,
-        sessions.times,
-    )
-    shown = {name: p.unit for name, p in table.items()}
+    machine_sessions, shown = sessions_of(sessions.results, sessions.folders)
+    drifted = machine_sessions.drift(sessions.times)
     doubts = warnings(sessions.results, sessions.folders)
-    errors = _errors(sessions, names, shown, limits, study_file, consent)
-    outlook = _provable(sessions, errors, table, posteriors)
+    errors = _errors(sessions, shown, limits, study_file, consent)
+    outlook = _provable(sessions, errors, machine_sessions)
     if drifted.p_value < ALARM:
         outlook = _due(sessions, errors, drifted)
     sentences = [
@@ -456,7 +432,7 @@ def _verdict(drifted: SessionDrift) -> Iterator[str]:
 def _causes(drifted: SessionDrift, shown: dict[str, str], unit: str) -> Iterator[str]:
     """Parameters whose drift explains all of a proven one."""
     if drifted.dof and drifted.p_value < ALARM:
-        yield from explanations(drifted.causes, shown, f" a {unit}")
+        yield from explanations(drifted, shown, f" a {unit}")
 
 
 def _combinations(
@@ -499,7 +475,6 @@ class _Error:
 
 def _errors(
     sessions: Sessions,
-    names: Sequence[str],
     shown: dict[str, str],
     limits: str,
     study_file: Path | None,
@@ -513,8 +488,8 @@ def _errors(
     study = result_study(latest, folder, study_file, consent)
     accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
     component_limits = component_values(limits, "--limit", accuracy.machine)
-    columns = [accuracy.machine.index(name) for name in names]
-    factors = np.array([units.factor(shown[name]) for name in names])
+    columns = [accuracy.machine.index(name) for name in shown]
+    factors = np.array([units.factor(unit) for unit in shown.values()])
     errors = []
     for k, component in enumerate(accuracy.components):
         after = float(accuracy.promise.rms[k])
@@ -536,7 +511,7 @@ def _due(
     """When the rms error of each component reaches its limit."""
     rng = Stream.HISTORY.rng(sessions.results[-1].seed)
     for error in errors:
-        due = next_calibration(error.maps, drifted, error.after, error.limit, rng)
+        due = drifted.next_calibration(error.maps, error.after, error.limit, rng)
         after, limit = (units.number(v, error.unit) for v in (error.after, error.limit))
         yield (
             f"{error.name}: rms {after:.3g} {error.unit} right after the last session;"
@@ -547,10 +522,7 @@ def _due(
 
 
 def _provable(
-    sessions: Sessions,
-    errors: Sequence[_Error],
-    table: Mapping[str, ParameterEstimate],
-    posteriors: Sequence[Session],
+    sessions: Sessions, errors: Sequence[_Error], machine_sessions: MachineSessions
 ) -> Iterator[str]:
     """How many sessions would prove a drift of which size."""
     count = len(sessions.folders)
@@ -563,16 +535,7 @@ def _provable(
         f" probability {POWER:g} that an rms error grows a {sessions.unit} by"
     )
     for error in errors:
-        growth = provable_growth(
-            error.maps,
-            posteriors,
-            np.array([p.nominal for p in table.values()]),
-            np.array([p.prior_sd for p in table.values()]),
-            more,
-            ALARM,
-            POWER,
-            rng,
-        )
+        growth = machine_sessions.provable_growth(error.maps, more, ALARM, POWER, rng)
         sizes = units.from_si(growth, error.unit) / spacing
         parts = [
             f"{size:.2g} {error.unit} ({number} sessions)"

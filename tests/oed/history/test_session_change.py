@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed import history
-from oed.history import Session
+from oed.history import MachineSessions, Session
 
 N, SETUP = 5, 2
 NAMES = [f"p{k}" for k in range(N)]
@@ -43,9 +42,9 @@ def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
     machine = TOLERANCE * rng.standard_normal(N)
     y1 = readings(rng, h1, machine)
     y2 = readings(rng, h2, machine + np.array([0.9, 0, 0, 0, 0]))
-    change = history.compare_sessions(
+    change = MachineSessions(
         NAMES, NOMINAL, TOLERANCE, [session(h1, y1), session(h2, y2)]
-    )
+    ).change()
     assert (change.dof, change.undetermined) == (4, 1)
     # columns: machine, change, set-up 1, set-up 2; then their prior rows
     rows1 = np.hstack([h1[:, :N], 0 * h1[:, :N], h1[:, N:], 0 * h1[:, N:]])
@@ -80,10 +79,10 @@ def test_two_changes_at_once_are_two_parameters() -> None:
         session(h, readings(rng, h, machine))
         for h, machine in ((h1, np.zeros(N)), (h2, moved))
     ]
-    change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
+    change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
     first = change.causes[0]
     assert set(first.changes) == {"p0", "p2"}
-    assert first.p_value > history.P_EXPLAINED
+    assert first.explains_all
     for name, true in (("p0", 0.9), ("p2", -1.5)):
         assert first.changes[name] == pytest.approx(true, abs=4 * first.sds[name])
     assert first.chi2 < change.chi2 - 100.0
@@ -111,7 +110,7 @@ def turned_sessions(angle: float) -> list[Session]:
 def test_what_no_session_determines_hides_no_other_change() -> None:
     """p0 is determined by both, however their open directions are turned."""
     sessions = turned_sessions(1e-4)
-    change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
+    change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
     assert (change.dof, change.undetermined) == (4, 1)
     (single,) = [c for c in change.combinations if c.coefficients == {"p0": 1.0}]
     variances = [s.covariance[0, 0] for s in sessions]
@@ -123,9 +122,9 @@ def test_what_no_session_determines_hides_no_other_change() -> None:
 @pytest.mark.parametrize("angle", [0.0, 1e-4, 1e-3])
 def test_a_drift_of_two_sessions_is_their_change(angle: float) -> None:
     sessions = turned_sessions(angle)
-    change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
+    change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
     times = np.array([0.0, 2.0])
-    drifted = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, sessions, times)
+    drifted = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(times)
     assert drifted.chi2 == pytest.approx(change.chi2, rel=1e-9)
     assert (drifted.dof, drifted.rest_dof) == (change.dof, 0)
     assert drifted.p_value == pytest.approx(change.p_value, rel=1e-9)
@@ -141,6 +140,6 @@ def test_no_change_gives_uniform_p_values() -> None:
         h1, h2 = slopes(rng, 12), slopes(rng, 9)
         machine = TOLERANCE * rng.standard_normal(N)
         sessions = [session(h, readings(rng, h, machine)) for h in (h1, h2)]
-        change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
+        change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
         p_values.append(change.p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01

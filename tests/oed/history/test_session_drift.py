@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from oed import history
-from oed.history import Session
+from oed.history import MachineSessions, Session
 
 N = 4
 NAMES = [f"p{k}" for k in range(N)]
@@ -42,7 +41,7 @@ def drifting_sessions(
 def test_the_drift_is_that_of_one_fit_of_all_sessions() -> None:
     rate = np.array([2e-3, 0.0, 0.0, 0.0])
     design, y, sessions = drifting_sessions(np.random.default_rng(2), rate)
-    drifted = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, sessions, TIMES)
+    drifted = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
     fitted, _, _, _ = np.linalg.lstsq(design, y)
     covariance = np.linalg.inv(design.T @ design)[N:, N:]
     assert drifted.rate == pytest.approx(fitted[N:], rel=1e-5, abs=1e-8)
@@ -62,7 +61,7 @@ def test_the_drift_is_that_of_one_fit_of_all_sessions() -> None:
 
 def test_a_knock_is_not_reported_as_an_even_drift() -> None:
     _, _, sessions = drifting_sessions(np.random.default_rng(3), np.zeros(N), knock=0.5)
-    drifted = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, sessions, TIMES)
+    drifted = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
     assert drifted.widening > 2.0
     assert drifted.p_value > 0.001
 
@@ -72,7 +71,7 @@ def test_intervals_hold_the_true_rate() -> None:
     inside = []
     for _ in range(150):
         _, _, sessions = drifting_sessions(rng, rate)
-        d = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, sessions, TIMES)
+        d = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
         inside.append(np.abs(d.rate - rate) < 1.96 * np.sqrt(np.diag(d.covariance)))
     assert 0.92 < np.mean(inside) < 0.98
 
@@ -80,16 +79,16 @@ def test_intervals_hold_the_true_rate() -> None:
 def test_the_next_calibration_is_when_the_error_reaches_its_limit() -> None:
     rate = np.array([2e-3, 0.0, 0.0, 0.0])
     _, _, sessions = drifting_sessions(np.random.default_rng(5), rate)
-    d = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, sessions, TIMES)
+    d = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
     maps = np.zeros((7, N))
     maps[:, 0] = 1.0
     rng = np.random.default_rng(6)
-    due = history.next_calibration(maps, d, after=0.3, limit=0.5, rng=rng)
+    due = d.next_calibration(maps, after=0.3, limit=0.5, rng=rng)
     # the median of 4000 draws
     assert due.time == pytest.approx(0.4 / d.rate[0], rel=2e-3)
     assert due.low < due.time < due.high
     assert due.low < 200.0 < due.high
-    late = history.next_calibration(maps, d, after=0.6, limit=0.5, rng=rng)
+    late = d.next_calibration(maps, after=0.6, limit=0.5, rng=rng)
     assert late.time == 0.0
 
 
@@ -98,8 +97,8 @@ def test_a_drift_of_the_provable_size_is_proven_as_often_as_said() -> None:
     rng = np.random.default_rng(8)
     maps = rng.standard_normal((9, N)) / TOLERANCE
     _, _, sessions = drifting_sessions(rng, np.zeros(N))
-    growth = history.provable_growth(
-        maps, sessions, NOMINAL, TOLERANCE, [5], 0.01, 0.9, rng
+    growth = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).provable_growth(
+        maps, [5], 0.01, 0.9, rng
     )
     times = np.arange(5.0)
     proven = 0
@@ -108,6 +107,6 @@ def test_a_drift_of_the_provable_size_is_proven_as_often_as_said() -> None:
         rate = direction * growth[0] / np.sqrt(np.mean((maps @ direction) ** 2))
         start = TOLERANCE * rng.standard_normal(N)
         drifting = [measured(rng, start + t * rate)[2] for t in times]
-        found = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, drifting, times)
+        found = MachineSessions(NAMES, NOMINAL, TOLERANCE, drifting).drift(times)
         proven += found.p_value < 0.01
     assert 0.83 < proven / 200 < 0.96
