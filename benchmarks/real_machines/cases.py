@@ -31,7 +31,6 @@ from oed.corrected import (
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
-    with_constants,
 )
 from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
 from oed.estimation import Discrepancy, Estimate, identify
@@ -275,7 +274,7 @@ def _corrected(
     """The fit with the effects that the diagnosis decides for, as in `oed diagnose`."""
     by_name = {effect.name: effect for effect in bench.effects}
     effects = [
-        with_constants(by_name[name], diagnosis.constants[name])
+        by_name[name].with_constants(diagnosis.constants[name])
         for name in diagnosis.answers[0].effects
         if name in diagnosis.constants
     ]

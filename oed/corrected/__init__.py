@@ -5,7 +5,6 @@ estimate_with_effects   estimates parameters and effects together
 CorrectedEstimate       what that gives
 MeasurementWithEffects  a measurement whose parameters include effects' coefficients
 ChosenForm              the form of an effect that suits the readings best
-with_constants          an effect at given constants
 AnswerFits              how the answers of a diagnosis are fitted
 AnswerMixture           what is known of the machine over all hypotheses
 TurnedRuns              runs that were driven the other way than their rows say
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.corrected.answer_fits import AnswerFits, AnswerMixture, with_constants
+    from oed.corrected.answer_fits import AnswerFits, AnswerMixture
     from oed.corrected.fit import (
         CorrectedEstimate,
         EffectReadings,

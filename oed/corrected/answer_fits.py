@@ -329,7 +329,7 @@ class AnswerFits:
                 return corrected
         by_name = {effect.name: effect for effect in self.effects}
         acting = [
-            with_constants(by_name[name], constants)
+            by_name[name].with_constants(constants)
             for name, constants in candidate.constants.items()
         ]
         return estimate_with_effects(
@@ -411,9 +411,3 @@ def _share_beside(candidate: _Candidate, estimate: Estimate) -> float:
         return 1.0
     log_odds = special.logit(UNSEEN_SHARE) + estimate.effects.log_evidence
     return float(special.expit(log_odds))
-
-
-def with_constants(effect: Effect, constants: Mapping[str, float]) -> Effect:
-    """The effect with these constants at one value each."""
-    values = {name: (value,) for name, value in constants.items()}
-    return dataclasses.replace(effect, constants={**effect.constants, **values})

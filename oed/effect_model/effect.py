@@ -323,6 +323,11 @@ class Effect:
             units.append("m")
         return tuple(dict.fromkeys(units))
 
+    def with_constants(self, constants: Mapping[str, float]) -> Effect:
+        """The effect with these constants at one value each."""
+        values = {name: (value,) for name, value in constants.items()}
+        return dataclasses.replace(self, constants={**self.constants, **values})
+
     def with_expected_size(self, unit: str, size: float) -> Effect:
         """The effect with its coefficients of an SI unit expected to be `size`, SI.
 

@@ -101,7 +101,7 @@ def identify(
             "give a STUDY, or --machine NAME, with --set NAME_UNIT=NUMBER for its numbers",
         )
     if study is None:
-        from pkm_studies.own_numbers import import_numbers
+        from pkm_studies.commands.own_numbers import import_numbers
 
         given = consent(allow_code=allow_code)
         numbers = numbers or []
@@ -121,7 +121,10 @@ def identify(
             effects=effects.replace(",", " ").split() if effects else (),
         )
     if machine is not None and not quiet:
-        from pkm_studies.own_numbers import calibration_answer, parameter_sentence
+        from pkm_studies.commands.own_numbers import (
+            calibration_answer,
+            parameter_sentence,
+        )
 
         print(calibration_answer(loaded, result, folder))
         print(parameter_sentence(loaded, result))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -83,6 +83,18 @@ class PosteriorTable(StudyTable, frozen=True, kw_only=True):
     ess: Count = 1000
     draws: Count | None = None
     thin: Count = 1
+
+    @property
+    def sampler_options(self) -> dict[str, Any]:
+        """Options of the sampler."""
+        return {
+            "sampler": self.sampler,
+            "walkers": self.walkers,
+            "ess": float(self.ess),
+            "max_steps": self.steps,
+            "max_draws": self.draws,
+            "thin": self.thin,
+        }
 
 
 class ForecastTable(StudyTable, frozen=True, kw_only=True):

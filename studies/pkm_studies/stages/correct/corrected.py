@@ -30,7 +30,6 @@ from oed.corrected import (
     find_turned_runs,
     predict_corrected,
     tabled_effects,
-    with_constants,
 )
 from oed.effect_model import Effect
 from oed.estimation import IdentificationError
@@ -65,7 +64,6 @@ from pkm_studies.stages.fit.estimate import (
     estimate_section,
     marginal,
     readings_with_covariates,
-    sampler_options,
     sampling_warnings,
     with_noise,
 )
@@ -539,40 +537,6 @@ def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, 
     }
 
 
-def turned_sentence(corrected: CorrectedSection, turned: TurnedRuns) -> str:
-    """Which runs were driven the other way than their rows say."""
-    names = ", ".join(run for _, run in turned.runs)
-    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
-    effects = " and ".join(corrected.constants)
-    return (
-        f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
-        f" order of the rows says, or all others were (residuals with {effects}:"
-        f" {rounded(turned.before)} times the stated noise; with the order of {names} reversed:"
-        f" {rounded(turned.after)} times)."
-    )
-
-
-def add_turned_runs(
-    section: GoodnessSection, corrected: CorrectedSection, turned: TurnedRuns
-) -> GoodnessSection:
-    """The section with that mistake as its first finding."""
-    sentence = turned_sentence(corrected, turned)
-    names = ", ".join(run for _, run in turned.runs)
-    mistake = MistakeRecord(
-        what=f"direction reversed: {names}",
-        evidence=(
-            f"residuals {turned.before:.3g} times the stated noise as given,"
-            f" {turned.after:.3g} times with this undone"
-        ),
-    )
-    return msgspec.structs.replace(
-        section,
-        findings=[sentence, *section.findings],
-        mistakes=[mistake, *section.mistakes],
-        bad_fit=True,
-    )
-
-
 def is_about_the_fit(finding: CheckFinding) -> bool:
     """Whether an effect of the machine may be behind a finding."""
     kinds = ("fit", *PHYSICAL_KINDS)
@@ -633,7 +597,7 @@ def _effects(
     by_name = {effect.name: effect for effect in request.effects}
     # with the constants of the forms that the diagnosis selected
     return [
-        with_constants(by_name[name], gap.constants.get(name, {}))
+        by_name[name].with_constants(gap.constants.get(name, {}))
         for name in gap.selected
         if name in by_name
     ]
@@ -720,9 +684,29 @@ def _add_section(
 def _mark_turned_runs(
     state: Fitted, section: CorrectedSection, turned: TurnedRuns
 ) -> Fitted:
-    """The state that names runs which were driven the other way than written."""
-    sentence = turned_sentence(section, turned)
-    goodness = add_turned_runs(state.goodness, section, turned)
+    """The state whose first finding is runs that were driven the other way than written."""
+    names = ", ".join(run for _, run in turned.runs)
+    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
+    effects = " and ".join(section.constants)
+    sentence = (
+        f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
+        f" order of the rows says, or all others were (residuals with {effects}:"
+        f" {rounded(turned.before)} times the stated noise; with the order of {names} reversed:"
+        f" {rounded(turned.after)} times)."
+    )
+    mistake = MistakeRecord(
+        what=f"direction reversed: {names}",
+        evidence=(
+            f"residuals {turned.before:.3g} times the stated noise as given,"
+            f" {turned.after:.3g} times with this undone"
+        ),
+    )
+    goodness = msgspec.structs.replace(
+        state.goodness,
+        findings=[sentence, *state.goodness.findings],
+        mistakes=[mistake, *state.goodness.mistakes],
+        bad_fit=True,
+    )
     warnings = [*section.warnings, sentence]
     section = msgspec.structs.replace(section, warnings=warnings)
     state = state.add_sections(corrected=section, goodness=goodness)
@@ -767,6 +751,6 @@ def _sample(
         corrected.readings.y,
         corrected.estimate,
         rng,
-        **sampler_options(state.study.posterior),
+        **state.study.posterior.sampler_options,
         progress=state.progress.share,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
@@ -63,7 +63,6 @@ from pkm_studies.stages.fit.goodness import (
 )
 from pkm_studies.stages.gap.diagnosis import covariates_of, rms_by_channel
 from pkm_studies.stages.run_state import Fitted, Measured, MeasuredReadings, promote
-from pkm_studies.tables import PosteriorTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -414,18 +413,6 @@ CORNER_DRAWS = 1500
 NAMED = 3
 
 
-def sampler_options(table: PosteriorTable) -> dict[str, Any]:
-    """Options of the sampler, as [posterior] states them."""
-    return {
-        "sampler": table.sampler,
-        "walkers": table.walkers,
-        "ess": float(table.ess),
-        "max_steps": table.steps,
-        "max_draws": table.draws,
-        "thin": table.thin,
-    }
-
-
 def posterior_section(
     measurement: Measurement, estimate: Estimate, posterior: Posterior, corner: int
 ) -> PosteriorSection:
@@ -711,7 +698,7 @@ def sample_posterior(state: Fitted) -> Fitted:
         state.readings.y,
         state.estimate,
         state.rng(Stream.SAMPLER),
-        **sampler_options(table),
+        **table.sampler_options,
         progress=state.progress.share,
         checkpoint=state.checkpoint,
         resumed=lambda steps: state.progress.stage(

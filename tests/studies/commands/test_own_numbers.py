@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from pkm_studies import stages
 from pkm_studies.base import InputError
-from pkm_studies.own_numbers import calibration_answer, import_numbers
+from pkm_studies.commands.own_numbers import calibration_answer, import_numbers
 from pkm_studies.study import load
 from pkm_studies.user_code import Consent
 
