@@ -51,6 +51,27 @@ class RemainingError:
         share = undetermined if np.isinf(times) else 1.0 / (1.0 + times * self.rates)
         return np.asarray(self.rest + self.shares @ share)
 
+    def equal_times(self, reached: Array) -> float:
+        """How often readings must be taken to leave the mean squares `reached` (c,).
+
+        By the root mean square of the components, in units of what the readings taken once
+        leave. Infinite where no number does.
+        """
+        unit = self.after(1.0)
+        target = relative(reached, unit)
+
+        def excess(log_times: float) -> float:
+            return relative(self.after(float(np.exp(log_times))), unit) - target
+
+        if excess(0.0) <= 0.0:
+            return 1.0
+        if relative(self.after(np.inf), unit) >= target:
+            return float("inf")
+        end = 1.0
+        while excess(end) > 0.0:
+            end *= 2.0
+        return float(np.exp(scipy.optimize.brentq(excess, 0.0, end, xtol=1e-6)))
+
 
 def remaining_error(
     white: Array, information: Array, pose_gradients: Array, rest: Array
@@ -76,28 +97,6 @@ def relative(mean_squares: Array, unit: Array) -> float:
     """Root mean square over the components, each in units of its own (c,); 0 left out."""
     counted = unit > 0.0
     return float(np.sqrt((mean_squares[counted] / unit[counted]).mean()))
-
-
-def equal_times(without: RemainingError, reached: Array) -> float:
-    """How often readings must be taken to leave the mean squares `reached` (c,).
-
-    By the root mean square of the components, in units of what the readings taken once
-    leave. Infinite where no number does.
-    """
-    unit = without.after(1.0)
-    target = relative(reached, unit)
-
-    def excess(log_times: float) -> float:
-        return relative(without.after(float(np.exp(log_times))), unit) - target
-
-    if excess(0.0) <= 0.0:
-        return 1.0
-    if relative(without.after(np.inf), unit) >= target:
-        return float("inf")
-    end = 1.0
-    while excess(end) > 0.0:
-        end *= 2.0
-    return float(np.exp(scipy.optimize.brentq(excess, 0.0, end, xtol=1e-6)))
 
 
 def mean_after_once(errors: Sequence[RemainingError]) -> Array:

@@ -26,12 +26,7 @@ from benchmarks.real_machines import world
 from oed import posterior
 from oed.accuracy import ErrorMaps
 from oed.base import Array
-from oed.corrected import (
-    AnswerFits,
-    CorrectedEstimate,
-    EffectReadings,
-    estimate_with_effects,
-)
+from oed.corrected import AnswerFits, CorrectedEstimate, EffectReadings
 from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
 from oed.estimation import Discrepancy, Estimate, identify
 from oed.gap import Diagnosis, GapProblem, assemble, explain_residuals, prepare
@@ -280,7 +275,7 @@ def _corrected(
     ]
     if diagnosis.verdict in ("none", "scatter") or not effects:
         return None
-    return estimate_with_effects(given, effects, theta)
+    return given.estimate(effects, theta)
 
 
 def _of_best(

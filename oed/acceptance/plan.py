@@ -151,6 +151,67 @@ class Promise:
         fields = np.einsum("mb,dbk->dmk", self.smooth, weights, optimize=True)
         return np.asarray(fields)
 
+    def plan(
+        self,
+        candidates: Index,
+        rng: np.random.Generator,
+        *,
+        miss: float = 1.2,
+        false_alarm: float = 0.05,
+        power: float = 0.9,
+        most: int = 12,
+    ) -> AcceptancePlan:
+        """The fewest poses of the candidates that reach the power, or the best `most`.
+
+        candidates  numbers of the workspace poses that may be measured
+
+        Raises ValueError for no candidates.
+        """
+        if not len(candidates):
+            raise ValueError("there are no poses to choose from")
+        fields = self.fields(N_CHOOSING, rng)
+        sizes = (self.rms * fields[:, candidates]) ** 2
+        noise = self.uncertainty**2
+        total = np.zeros((N_CHOOSING, len(self.names)))
+        free = list(range(len(candidates)))
+        chosen: list[int] = []
+        while True:
+            scores = [
+                _separation(total + sizes[:, j], noise, len(chosen) + 1, miss)
+                for j in free
+            ]
+            best = free.pop(int(np.argmax(scores)))
+            chosen.append(best)
+            total = total + sizes[:, best]
+            poses = candidates[chosen]
+            plan = self.limits_at(poses, rng, miss=miss, false_alarm=false_alarm)
+            if plan.power.min() >= power or not free or len(chosen) >= most:
+                return plan
+
+    def limits_at(
+        self,
+        poses: Index,
+        rng: np.random.Generator,
+        *,
+        miss: float = 1.2,
+        false_alarm: float = 0.05,
+    ) -> AcceptancePlan:
+        """Limits and power of poses, on machines that had no part in choosing them."""
+        good = _statistics(self, poses, 1.0, rng)
+        bad = _statistics(self, poses, miss, rng)
+        each = 1.0 - (1.0 - false_alarm) ** (1.0 / len(self.names))
+        limits = np.quantile(good, 1.0 - each, axis=0)
+        power = np.mean(bad > limits, axis=0)
+        confirms = np.minimum(np.quantile(bad, FALSE_CONFIRMATION, axis=0), limits)
+        return AcceptancePlan(
+            poses=np.asarray(poses),
+            limits=limits,
+            confirms=np.where(power >= MIN_POWER, confirms, np.nan),
+            power=power,
+            miss=miss,
+            false_alarm=float(np.mean((good > limits).any(axis=1))),
+        )
+
 
 def smooth_functions(command: Array, home: Array | None) -> Array:
     """Linear and quadratic functions (m, b) of commands (m, n_dof), over their ranges.
@@ -189,68 +250,6 @@ class AcceptancePlan:
     power: Array
     miss: float
     false_alarm: float
-
-
-def plan_acceptance(
-    promise: Promise,
-    candidates: Index,
-    rng: np.random.Generator,
-    *,
-    miss: float = 1.2,
-    false_alarm: float = 0.05,
-    power: float = 0.9,
-    most: int = 12,
-) -> AcceptancePlan:
-    """The fewest poses of the candidates that reach the power, or the best `most`.
-
-    candidates  numbers of the workspace poses that may be measured
-
-    Raises ValueError for no candidates.
-    """
-    if not len(candidates):
-        raise ValueError("there are no poses to choose from")
-    fields = promise.fields(N_CHOOSING, rng)
-    sizes = (promise.rms * fields[:, candidates]) ** 2
-    noise = promise.uncertainty**2
-    total = np.zeros((N_CHOOSING, len(promise.names)))
-    free = list(range(len(candidates)))
-    chosen: list[int] = []
-    while True:
-        scores = [
-            _separation(total + sizes[:, j], noise, len(chosen) + 1, miss) for j in free
-        ]
-        best = free.pop(int(np.argmax(scores)))
-        chosen.append(best)
-        total = total + sizes[:, best]
-        poses = candidates[chosen]
-        plan = state_limits(promise, poses, rng, miss=miss, false_alarm=false_alarm)
-        if plan.power.min() >= power or not free or len(chosen) >= most:
-            return plan
-
-
-def state_limits(
-    promise: Promise,
-    poses: Index,
-    rng: np.random.Generator,
-    *,
-    miss: float = 1.2,
-    false_alarm: float = 0.05,
-) -> AcceptancePlan:
-    """Limits and power of poses, on machines that had no part in choosing them."""
-    good = _statistics(promise, poses, 1.0, rng)
-    bad = _statistics(promise, poses, miss, rng)
-    each = 1.0 - (1.0 - false_alarm) ** (1.0 / len(promise.names))
-    limits = np.quantile(good, 1.0 - each, axis=0)
-    power = np.mean(bad > limits, axis=0)
-    confirms = np.minimum(np.quantile(bad, FALSE_CONFIRMATION, axis=0), limits)
-    return AcceptancePlan(
-        poses=np.asarray(poses),
-        limits=limits,
-        confirms=np.where(power >= MIN_POWER, confirms, np.nan),
-        power=power,
-        miss=miss,
-        false_alarm=float(np.mean((good > limits).any(axis=1))),
-    )
 
 
 def _separation(squares: Array, noise: Array, count: int, miss: float) -> float:

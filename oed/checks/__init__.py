@@ -11,7 +11,6 @@ Severity               how harmful a finding is
 check_session          all checks on one session
 goodness_of_delivered  goodness of the parameters that are delivered
 misfits                how far readings miss with and without a mistake, in words
-predict_ranges         predicted range of every reading
 session_readings       the readings of series, for checks
 unseen_mistakes        mistakes that readings cannot reveal
 """
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from oed.checks.mistakes import PHYSICAL_KINDS
     from oed.checks.outlier_odds import FarReading
     from oed.checks.sentences import misfits
-    from oed.checks.session import SessionReadings, predict_ranges, session_readings
+    from oed.checks.session import SessionReadings, session_readings
 else:
     # imported when first used: a plan checks no readings
     __getattr__ = door(__name__)

@@ -16,7 +16,7 @@ from oed.checks.judgement import Judgement, judge
 from oed.checks.mistakes import PHYSICAL_KINDS
 from oed.checks.outliers import OutlierSearch
 from oed.checks.sentences import contradictions
-from oed.checks.session import Ranges, SessionReadings, predict_ranges
+from oed.checks.session import Ranges, SessionReadings
 from oed.checks.times import wrong_times
 from oed.dataset import ReadingsColumn, temperature_body
 from oed.fit_limits import ALARM_PROBABILITY
@@ -210,7 +210,7 @@ def check_session(
     to `oed.fit_limits.GUESS_RATIO` times as large are no bad fit. Raises AssemblyError where
     the nominal machine cannot be read.
     """
-    ranges = predict_ranges(session, rng)
+    ranges = session.predict_ranges(rng)
     outside = ranges.outside(session.y)
     suspects = np.unique(session.reading_of_value[outside])
     judgement = judge(

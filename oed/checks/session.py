@@ -232,6 +232,29 @@ class SessionReadings:
         number, unit = written(value, si)
         return f"{number:.4g} {unit}"
 
+    def predict_ranges(self, rng: np.random.Generator) -> Ranges:
+        """Ranges of a session's readings. Raises AssemblyError at the nominal machine."""
+        measurement, series = self.measurement, self.series
+        nominal = measurement.nominal
+        middle = measurement.readings(series, nominal)
+        noise = measurement.sigma(series)
+        slopes = measurement.jacobian(series, nominal)
+        spread = np.linalg.norm(measurement.in_prior_units(slopes), axis=1)
+        factor = float(-scipy.special.ndtri(0.5 * RANGE_FALSE_ALARM / len(middle)))
+        machines = draw_parameters(measurement, rng, N_TRIAL_MACHINES)
+        exact = measurement.try_readings(series, machines)
+        linear = middle + (machines - nominal) @ slopes.T
+        curved = np.sqrt(np.mean((exact - linear) ** 2, axis=0))
+        if (curved <= MAX_CURVATURE * spread + noise).all():
+            return Ranges(middle, middle, np.hypot(spread, noise), factor)
+        machines = draw_parameters(measurement, rng, N_MACHINES)
+        few = max(VALUES_AT_ONCE // len(middle), 1)
+        parts = np.split(machines, range(few, N_MACHINES, few))
+        exact = np.vstack([measurement.try_readings(series, part) for part in parts])
+        drawn = np.nanstd(exact, axis=0)
+        mean, sd = np.nanmean(exact, axis=0), np.hypot(drawn, noise)
+        return Ranges(middle, mean, sd, factor)
+
 
 def session_readings(
     measurement: Measurement,
@@ -318,27 +341,3 @@ class Ranges:
     def outside(self, y: Array) -> Index:
         """Values, by number, that lie outside."""
         return np.flatnonzero(np.abs(y - self.middle) > self.factor * self.sd)
-
-
-def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges:
-    """Ranges of a session's readings. Raises AssemblyError at the nominal machine."""
-    measurement, series = session.measurement, session.series
-    nominal = measurement.nominal
-    middle = measurement.readings(series, nominal)
-    noise = measurement.sigma(series)
-    slopes = measurement.jacobian(series, nominal)
-    spread = np.linalg.norm(measurement.in_prior_units(slopes), axis=1)
-    factor = float(-scipy.special.ndtri(0.5 * RANGE_FALSE_ALARM / len(middle)))
-    machines = draw_parameters(measurement, rng, N_TRIAL_MACHINES)
-    exact = measurement.try_readings(series, machines)
-    linear = middle + (machines - nominal) @ slopes.T
-    curved = np.sqrt(np.mean((exact - linear) ** 2, axis=0))
-    if (curved <= MAX_CURVATURE * spread + noise).all():
-        return Ranges(middle, middle, np.hypot(spread, noise), factor)
-    machines = draw_parameters(measurement, rng, N_MACHINES)
-    few = max(VALUES_AT_ONCE // len(middle), 1)
-    parts = np.split(machines, range(few, N_MACHINES, few))
-    exact = np.vstack([measurement.try_readings(series, part) for part in parts])
-    drawn = np.nanstd(exact, axis=0)
-    mean, sd = np.nanmean(exact, axis=0), np.hypot(drawn, noise)
-    return Ranges(middle, mean, sd, factor)

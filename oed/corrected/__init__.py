@@ -1,7 +1,6 @@
 """Parameters and effects estimated together, their mixture, tables and accuracy.
 
 EffectReadings          readings with the covariates that effects are functions of
-estimate_with_effects   estimates parameters and effects together
 CorrectedEstimate       what that gives
 MeasurementWithEffects  a measurement whose parameters include effects' coefficients
 ChosenForm              the form of an effect that suits the readings best
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
         CorrectedEstimate,
         EffectReadings,
         MeasurementWithEffects,
-        estimate_with_effects,
     )
     from oed.corrected.forms import ChosenForm
     from oed.corrected.senses import TurnedRuns, find_turned_runs

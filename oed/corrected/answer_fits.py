@@ -24,7 +24,7 @@ from scipy import special
 
 from oed import posterior
 from oed.base import Array, Index
-from oed.corrected.fit import CorrectedEstimate, EffectReadings, estimate_with_effects
+from oed.corrected.fit import CorrectedEstimate, EffectReadings
 from oed.effect_model import Effect
 from oed.effects import ExpectedColumns
 from oed.estimation import Discrepancy, Estimate, IdentificationError, identify
@@ -332,8 +332,7 @@ class AnswerFits:
             by_name[name].with_constants(constants)
             for name, constants in candidate.constants.items()
         ]
-        return estimate_with_effects(
-            self.readings,
+        return self.readings.estimate(
             acting,
             without_effects.theta,
             estimate_noise=self.estimate_noise,

@@ -144,6 +144,38 @@ class EffectReadings:
             gravity=self.gravity,
         )
 
+    def estimate(
+        self,
+        effects: Sequence[Effect],
+        theta: Array,
+        *,
+        stages: Sequence[Sequence[str]] = (("*",),),
+        estimate_noise: bool = True,
+        max_iterations: int = 100,
+    ) -> CorrectedEstimate | None:
+        """Estimate parameters and effects together, starting at theta (n,), SI.
+
+        None where no effect changes a reading. Raises IdentificationError.
+        """
+        fit = _JointFit(self, estimate_noise, max_iterations)
+        start = fit.start(theta, effects)
+        if not start.forms:
+            return None
+        patterns = [["*"]] if start.settled else [*stages[:-1], ["*"]]
+        corrected = fit.settle(start, patterns)
+        clean = corrected.estimate.robust_readings
+        if clean is None:
+            return corrected
+        # Few readings far off inflate the noise level, next to which forms are chosen.
+        cleaned = _JointFit(
+            dataclasses.replace(self, y=clean), estimate_noise, max_iterations
+        )
+        theta = corrected.estimate.theta[: corrected.parameters]
+        again = cleaned.start(theta, effects)
+        if not again.forms or _same_constants(start.forms, again.forms):
+            return corrected
+        return fit.settle(again, [["*"]])
+
 
 @dataclasses.dataclass(frozen=True)
 class CorrectedEstimate:
@@ -198,39 +230,6 @@ class CorrectedEstimate:
             unknown=np.zeros(count, dtype=bool),
         )
         return ExpectedColumns(discrepancy, acting, np.eye(count))
-
-
-def estimate_with_effects(
-    readings: EffectReadings,
-    effects: Sequence[Effect],
-    theta: Array,
-    *,
-    stages: Sequence[Sequence[str]] = (("*",),),
-    estimate_noise: bool = True,
-    max_iterations: int = 100,
-) -> CorrectedEstimate | None:
-    """Estimate parameters and effects together, starting at theta (n,), SI.
-
-    None where no effect changes a reading. Raises IdentificationError.
-    """
-    fit = _JointFit(readings, estimate_noise, max_iterations)
-    start = fit.start(theta, effects)
-    if not start.forms:
-        return None
-    patterns = [["*"]] if start.settled else [*stages[:-1], ["*"]]
-    corrected = fit.settle(start, patterns)
-    clean = corrected.estimate.robust_readings
-    if clean is None:
-        return corrected
-    # Few readings far off inflate the noise level, next to which forms are chosen.
-    cleaned = _JointFit(
-        dataclasses.replace(readings, y=clean), estimate_noise, max_iterations
-    )
-    theta = corrected.estimate.theta[: corrected.parameters]
-    again = cleaned.start(theta, effects)
-    if not again.forms or _same_constants(start.forms, again.forms):
-        return corrected
-    return fit.settle(again, [["*"]])
 
 
 @dataclasses.dataclass(frozen=True)

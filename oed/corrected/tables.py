@@ -18,7 +18,6 @@ from oed.base import Array
 from oed.corrected.fit import SEPARATOR, CorrectedEstimate
 from oed.corrected.forms import ChosenForm
 from oed.effect_model import State
-from oed.effects import workspace_state
 from oed.mechanism import ErrorModel, error_model
 
 #: axis of what depends on the pose alone
@@ -101,7 +100,7 @@ def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
     session = corrected.session
     theta = corrected.estimate.theta[: corrected.parameters]
     rng = np.random.default_rng(0)
-    state = workspace_state(session, theta, command, rng, still=True)
+    state = session.workspace_state(theta, command, rng, still=True)
     count, still = len(state), np.zeros_like(state.joints)
     started = np.full(count, session.states[0].session_span[0])
     return dataclasses.replace(

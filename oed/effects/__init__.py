@@ -2,7 +2,6 @@
 
 ActingForm        an effect at its constants, with the coefficients that count
 SessionStates     states of a session, from which those of the workspace are drawn
-workspace_state   the machine's state at commands, drawn from a session
 ExpectedColumns   effects at their expected sizes, as columns of the readings
 expected_columns  the columns of the effects that a machine can have
 ExpectedEffect    errors by one effect that a model lacks
@@ -24,12 +23,7 @@ from oed.base import door
 if TYPE_CHECKING:
     from oed.effects.columns import ExpectedColumns, expected_columns
     from oed.effects.courses import Course, CourseColumns, draw_courses, over_courses
-    from oed.effects.effect_maps import (
-        ActingForm,
-        SessionStates,
-        absorbing_shift,
-        workspace_state,
-    )
+    from oed.effects.effect_maps import ActingForm, SessionStates, absorbing_shift
     from oed.effects.planned import PlannedEffects, planned_effects
     from oed.effects.unmodelled import (
         ExpectedEffect,

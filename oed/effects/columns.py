@@ -19,13 +19,7 @@ import scipy
 from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index, Mask
 from oed.effect_model import Column, Effect, State
-from oed.effects.effect_maps import (
-    ActingForm,
-    SessionStates,
-    effect_maps,
-    in_session,
-    workspace_state,
-)
+from oed.effects.effect_maps import ActingForm, SessionStates, effect_maps, in_session
 from oed.estimation import Discrepancy
 from oed.gap import GapProblem, Signature
 from oed.mechanism import NO_TOOL
@@ -244,7 +238,7 @@ class ExpectedColumns:
 
         The commands are those of a tool point (3,).
         """
-        state = workspace_state(session, theta, command, rng, tool=tool)
+        state = session.workspace_state(theta, command, rng, tool=tool)
         kinematics = session.measurement.kinematics
         parameters = theta[: len(session.measurement.machine.parameters)]
         maps = effect_maps(

@@ -106,48 +106,47 @@ class SessionStates:
             **{name: rng.choice(values, count) for name, values in self.used.items()}
         )
 
+    def workspace_state(
+        self,
+        theta: Array,
+        command: Array,
+        rng: np.random.Generator,
+        *,
+        tool: Array = NO_TOOL,
+        still: bool = False,
+    ) -> State:
+        """The machine's state at commands, then at home, in drawn states of the session.
 
-def workspace_state(
-    session: SessionStates,
-    theta: Array,
-    command: Array,
-    rng: np.random.Generator,
-    *,
-    tool: Array = NO_TOOL,
-    still: bool = False,
-) -> State:
-    """The machine's state at commands, then at home, in drawn states of the session.
+        The commands are those of a tool point (3,), which no set-up's tool replaces. The
+        joints are those of a controller that knows the parameters `theta`: where an effect is
+        periodic in them, a correction of some tenths of a millimetre shifts its phase. The
+        machine moves from one command to the next, or stands at each of them (`still`).
 
-    The commands are those of a tool point (3,), which no set-up's tool replaces. The
-    joints are those of a controller that knows the parameters `theta`: where an effect is
-    periodic in them, a correction of some tenths of a millimetre shifts its phase. The
-    machine moves from one command to the next, or stands at each of them (`still`).
-
-    At home the states are those of the session's first reading. Covariates that the
-    machine is used at are drawn from their values, each by itself. Unless a feed is among
-    them, joints go no faster than in the session.
-    """
-    measurement, first = session.measurement, session.states[0]
-    poses = measurement.machine.and_home(command, tool)
-    sent = theta[: len(measurement.machine.parameters)]
-    x, q = measurement.kinematics.inverse(poses, sent, tool)
-    index = np.arange(len(poses))[:, None]
-    run = index[:, 0].astype(str) if still else np.array(["1"] * len(poses))
-    series = Series(first.setup, q, x, poses, index, run)
-    rows = session.draw(len(q), rng)
-    rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))
-    rows.iloc[-1] = _first_row(session.covariates, rows)
-    (state,) = gap.states(
-        measurement,
-        (series,),
-        rows.reset_index(drop=True),
-        theta,
-        session.gravity,
-        tool,
-    )
-    if "feed" not in session.used:
-        state = _slowed(state, session.states)
-    return in_session(state, first)
+        At home the states are those of the session's first reading. Covariates that the
+        machine is used at are drawn from their values, each by itself. Unless a feed is among
+        them, joints go no faster than in the session.
+        """
+        measurement, first = self.measurement, self.states[0]
+        poses = measurement.machine.and_home(command, tool)
+        sent = theta[: len(measurement.machine.parameters)]
+        x, q = measurement.kinematics.inverse(poses, sent, tool)
+        index = np.arange(len(poses))[:, None]
+        run = index[:, 0].astype(str) if still else np.array(["1"] * len(poses))
+        series = Series(first.setup, q, x, poses, index, run)
+        rows = self.draw(len(q), rng)
+        rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))
+        rows.iloc[-1] = _first_row(self.covariates, rows)
+        (state,) = gap.states(
+            measurement,
+            (series,),
+            rows.reset_index(drop=True),
+            theta,
+            self.gravity,
+            tool,
+        )
+        if "feed" not in self.used:
+            state = _slowed(state, self.states)
+        return in_session(state, first)
 
 
 def _slowed(state: State, recorded: Sequence[State]) -> State:

@@ -32,7 +32,6 @@ from oed.effects.effect_maps import (
     SessionStates,
     absorbing_shift,
     effect_maps,
-    workspace_state,
 )
 from oed.gap import GapProblem, untestable
 from oed.linear_algebra import covariance_root
@@ -125,7 +124,7 @@ def expected_effects(
     """
     machine = session.measurement.machine
     states = [
-        workspace_state(session, problem.theta, maps.command, rng) for _ in range(2)
+        session.workspace_state(problem.theta, maps.command, rng) for _ in range(2)
     ]
     forms = [
         form

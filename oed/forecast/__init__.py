@@ -5,7 +5,6 @@ NodeDesign       candidates to read, and the error between them
 plan_nodes       chooses them until the wanted accuracy
 fit_error_field  the field that readings make most probable
 Forecast         a controller's table and what it leaves
-forecast_table   the table of an estimated field
 """
 
 from typing import TYPE_CHECKING
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
         Forecast,
         NodeDesign,
         fit_error_field,
-        forecast_table,
         plan_nodes,
     )
     from oed.forecast.joint_errors import JointErrors

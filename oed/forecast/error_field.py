@@ -208,6 +208,55 @@ class ErrorField:
     def _weights(self) -> Array:
         return np.asarray(linalg.cho_solve(self._factor, self.errors))
 
+    def forecast(
+        self,
+        predicted_errors: Callable[[Array], Array],
+        axes: tuple[GridAxis, ...],
+        largest: int,
+        rng: np.random.Generator,
+    ) -> Forecast:
+        """The table of an estimated field of errors.
+
+        predicted_errors  errors (n, k) that the parameters predict, at commands, SI
+        axes              of the table
+        largest           number of its commands
+
+        Raises AssemblyError where a place of the box is out of reach.
+        """
+        kinematics = self.model.kinematics
+        workspace = self.model.command
+        covariance = self.covariance(workspace)
+        shape = (len(workspace), -1)
+        variance = np.maximum(np.diag(covariance), 0.0).reshape(shape).mean(axis=0)
+
+        def errors(command: Array) -> Array:
+            return predicted_errors(command) + self.mean(command)
+
+        def correction(command: Array) -> Array:
+            inverse = np.linalg.pinv(joint_motion(kinematics, command))
+            return np.asarray(
+                -np.einsum("nqk,nk->nq", inverse, errors(command))[:, None]
+            )
+
+        grid = choose_command_grid(
+            axes,
+            correction,
+            lambda command: joint_motion(kinematics, command),
+            INTERPOLATION_SHARE * np.sqrt(variance),
+            largest,
+            rng,
+        )
+        interpolation = grid.errors.max(axis=0) ** 2
+        drawn = _rms_draws(covariance, shape, rng)
+        low, high = np.quantile(drawn**2 + interpolation, INTERVAL_LEVELS, axis=0)
+        return Forecast(
+            field=self,
+            grid=grid,
+            joints=correction(grid.commands)[:, 0],
+            predicted=np.sqrt(variance + interpolation),
+            interval=np.sqrt([low, high]),
+        )
+
 
 def _covariance(
     prior: _Prior, kernel: Kernel, rows: ErrorRows, read: Index, sigma: Array
@@ -449,54 +498,6 @@ class Forecast:
             self, predicted=predicted, interval=np.array([low, high])
         )
         return widened, residual, np.sqrt(variance)
-
-
-def forecast_table(
-    field: ErrorField,
-    predicted_errors: Callable[[Array], Array],
-    axes: tuple[GridAxis, ...],
-    largest: int,
-    rng: np.random.Generator,
-) -> Forecast:
-    """The table of an estimated field of errors.
-
-    predicted_errors  errors (n, k) that the parameters predict, at commands, SI
-    axes              of the table
-    largest           number of its commands
-
-    Raises AssemblyError where a place of the box is out of reach.
-    """
-    kinematics = field.model.kinematics
-    workspace = field.model.command
-    covariance = field.covariance(workspace)
-    shape = (len(workspace), -1)
-    variance = np.maximum(np.diag(covariance), 0.0).reshape(shape).mean(axis=0)
-
-    def errors(command: Array) -> Array:
-        return predicted_errors(command) + field.mean(command)
-
-    def correction(command: Array) -> Array:
-        inverse = np.linalg.pinv(joint_motion(kinematics, command))
-        return np.asarray(-np.einsum("nqk,nk->nq", inverse, errors(command))[:, None])
-
-    grid = choose_command_grid(
-        axes,
-        correction,
-        lambda command: joint_motion(kinematics, command),
-        INTERPOLATION_SHARE * np.sqrt(variance),
-        largest,
-        rng,
-    )
-    interpolation = grid.errors.max(axis=0) ** 2
-    drawn = _rms_draws(covariance, shape, rng)
-    low, high = np.quantile(drawn**2 + interpolation, INTERVAL_LEVELS, axis=0)
-    return Forecast(
-        field=field,
-        grid=grid,
-        joints=correction(grid.commands)[:, 0],
-        predicted=np.sqrt(variance + interpolation),
-        interval=np.sqrt([low, high]),
-    )
 
 
 def _rms_draws(

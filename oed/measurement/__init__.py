@@ -7,7 +7,6 @@ commands_at_fixed_reading  commands at which an instrument keeps its reading
 draw_errors                errors of readings, by the stated noise
 draw_parameters            true parameters of virtual machines
 draw_readings              noisy readings of virtual machines
-mode_jumps                 poses on another side of a singularity than the nominal ones
 reading_covariances        covariance of each reading by itself
 reading_sigma              standard deviation of each reading by itself
 reading_structure          runs, chains and courses that readings belong to
@@ -21,7 +20,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.measurement.fixed_reading import commands_at_fixed_reading
-    from oed.measurement.measurement import Measurement, Response, Series, mode_jumps
+    from oed.measurement.measurement import Measurement, Response, Series
     from oed.measurement.noise_structure import reading_structure
     from oed.measurement.reading_noise import (
         reading_covariances,

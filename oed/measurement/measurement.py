@@ -252,24 +252,21 @@ class Measurement(ParameterVector):
         """Jacobian (m, N of the series, n) at theta (m, n)."""
         return self.of(series).jacobian(series, theta)
 
+    def mode_jumps(self, series: Sequence[Series], theta: Array) -> tuple[int, int]:
+        """Number of poses whose det(phi_x) has another sign at theta (n,), and of all.
 
-def mode_jumps(
-    measurement: Measurement, series: Sequence[Series], theta: Array
-) -> tuple[int, int]:
-    """Number of poses whose det(phi_x) has another sign at theta (n,), and of all.
-
-    Against the nominal poses. 0 where the machine is redundant, which has no such sign.
-    """
-    kinematics, nominal = measurement.kinematics, measurement.machine.nominal
-    p = theta[: len(nominal)]
-    jumps = count = 0
-    for s in series:
-        start = s.start if s.start.ndim == 2 else s.start[0]
-        before = kinematics.assembly_side(start, s.q, nominal)
-        after = kinematics.assembly_side(measurement.poses(s, theta), s.q, p)
-        jumps += int(np.count_nonzero(before * after < 0.0))
-        count += len(start)
-    return jumps, count
+        Against the nominal poses. 0 where the machine is redundant, which has no such sign.
+        """
+        kinematics, nominal = self.kinematics, self.machine.nominal
+        p = theta[: len(nominal)]
+        jumps = count = 0
+        for s in series:
+            start = s.start if s.start.ndim == 2 else s.start[0]
+            before = kinematics.assembly_side(start, s.q, nominal)
+            after = kinematics.assembly_side(self.poses(s, theta), s.q, p)
+            jumps += int(np.count_nonzero(before * after < 0.0))
+            count += len(start)
+        return jumps, count
 
 
 def _run_labels(run: Sequence[str] | None, count: int) -> np.ndarray:

@@ -35,3 +35,8 @@ def table(rows: Sequence[Sequence[float | None]]) -> Array:
     if not rows:
         return np.zeros((0, 0))
     return np.array([array(row) for row in rows])
+
+
+def finite(values: Iterable[float | None]) -> list[float]:
+    """The finite numbers, in order."""
+    return [x for x in map(or_nan, values) if math.isfinite(x)]

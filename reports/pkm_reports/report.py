@@ -6,7 +6,7 @@ from pathlib import Path
 
 from oed.result import StudyResult
 from oed.safe_files import write_own
-from pkm_reports.page import Document, build_document, render_html, render_pdf
+from pkm_reports.page import Document, build_document
 
 
 def write_report(
@@ -41,8 +41,8 @@ def write_document(
     """Write a document as `NAME.html` and `NAME.pdf` into the folder `out`."""
     pages: dict[str, bytes] = {}
     if html:
-        pages[f"{name}.html"] = render_html(report)
+        pages[f"{name}.html"] = report.html()
     if pdf:
-        pages[f"{name}.pdf"] = render_pdf(report, full=full)
+        pages[f"{name}.pdf"] = report.pdf(full=full)
     out.mkdir(parents=True, exist_ok=True)
     return tuple(write_own(out / file, page) for file, page in pages.items())

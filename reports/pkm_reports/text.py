@@ -10,7 +10,7 @@ from typing import Final
 from oed import text as toolkit_text
 from oed import units
 from oed.result import Judgement
-from pkm_reports.missing import or_nan
+from pkm_reports.missing import finite, or_nan
 
 MISSING: Final = "–"
 #: a verdict as a cell, and the mark of its row
@@ -117,11 +117,6 @@ def aligned(
     fractions = [f"{x:.{room}f}".partition(".")[2].rstrip("0") for x in sizes]
     decimals = max(map(len, fractions), default=0)
     return [fixed(x, decimals) for x in numbers]
-
-
-def finite(values: Iterable[float | None]) -> list[float]:
-    """The finite numbers, in order."""
-    return [x for x in map(or_nan, values) if math.isfinite(x)]
 
 
 def decimals_for(sd: float | None) -> int:

@@ -197,6 +197,15 @@ class PageView:
     fields: list[ViewField]
     circles: list[Circle]
 
+    def encoded(self) -> str:
+        """JSON for a script element: no character of it ends the element."""
+        encoded = msgspec.json.encode(self).decode("utf-8")
+        return (
+            encoded.replace("&", "\\u0026")
+            .replace("<", "\\u003c")
+            .replace(">", "\\u003e")
+        )
+
 
 def build_view(result: StudyResult) -> PageView | None:
     """The views of a result; None where nothing is drawn, or far too much."""
@@ -210,14 +219,6 @@ def build_view(result: StudyResult) -> PageView | None:
     readings = _readings(result, drawing)
     shown = circles(result.gap, readings)
     return PageView(lines, labels, readings, _fields(result), shown)
-
-
-def encoded_view(view: PageView) -> str:
-    """JSON for a script element: no character of it ends the element."""
-    encoded = msgspec.json.encode(view).decode("utf-8")
-    return (
-        encoded.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-    )
 
 
 # -- readings --------------------------------------------------------------------------

@@ -15,14 +15,7 @@ from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies import files, shipped
 from pkm_studies.base import InputError, Location, Name
 from pkm_studies.resolve import resolve
-from pkm_studies.study import (
-    Study,
-    combinations,
-    decode_table,
-    load,
-    tables_of,
-    vary_setting,
-)
+from pkm_studies.study import Study, combinations, decode_table, load, tables_of
 from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
@@ -133,7 +126,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """
         if self.varied is None:
             raise LookupError("a campaign of a function varies no study")
-        return vary_setting(self.varied, setting, self.location.key("vary"))
+        return self.varied.vary_setting(setting, self.location.key("vary"))
 
 
 def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:

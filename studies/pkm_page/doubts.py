@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import checks
 from oed.base import Array
-from oed.checks import CheckFinding, Severity, predict_ranges
+from oed.checks import CheckFinding, Severity
 from oed.dataset import written
 from oed.fit_limits import GUESS_RATIO
 from oed.measurement import Measurement, Series
@@ -46,7 +46,7 @@ def interval(
         measurement = adviser.base.measurement
         nothing = np.zeros(len(measurement.sigma(one)))
         session = checks.session_readings(measurement, one, nothing)
-        ranges = predict_ranges(session, adviser.base.rng(Stream.CHECKS))
+        ranges = session.predict_ranges(adviser.base.rng(Stream.CHECKS))
         return ReadingInterval(ranges.middle, ranges.factor * ranges.sd)
     measurement, estimate = fitted.state.measurement, fitted.estimate
     slopes = measurement.jacobian(one, estimate.theta)

@@ -13,7 +13,7 @@ import jinja2
 
 from pkm_page.guard import POLICY
 from pkm_reports import text
-from pkm_reports.view import PageView, encoded_view
+from pkm_reports.view import PageView
 
 #: scripts of the report that the page takes over, and its own
 SHARED: Final = ("page.js", "camera.js", "residuals.js", "view.js")
@@ -44,7 +44,7 @@ def parts(values: dict[str, Any]) -> dict[str, str]:
 
 def encoded(view: PageView | None) -> str:
     """The view as JSON for a script element."""
-    return "null" if view is None else encoded_view(view)
+    return "null" if view is None else view.encoded()
 
 
 def encoded_state(state: dict[str, Any]) -> str:

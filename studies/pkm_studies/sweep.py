@@ -26,7 +26,7 @@ from oed.result import StudyResult
 from pkm_studies import shipped, stages
 from pkm_studies.base import InputError, Location, SourceAbsentError
 from pkm_studies.results import check_claim, claim_failure, load_result, value_at
-from pkm_studies.study import Study, combinations, load, vary_setting
+from pkm_studies.study import Study, combinations, load
 from pkm_studies.tables import ClaimTable
 
 MARK = "study_sweep"
@@ -160,7 +160,7 @@ def _parameters(
     try:
         study = _base(base, folder)
         for setting in combinations(values):
-            varied = vary_setting(study, setting, Location(f"@{MARK}", "vary"))
+            varied = study.vary_setting(setting, Location(f"@{MARK}", "vary"))
             names = [f"{k}={_short(v)}" for k, v in setting.items()]
             if several or not names:
                 names = [study.name, *names]

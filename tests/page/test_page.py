@@ -15,7 +15,6 @@ from pkm_page import readings_log, typed
 from pkm_page.machine_page import BackgroundCommand
 from pkm_page.readings_log import ReadingsLog, StaleError
 from pkm_studies.sessions import Adviser
-from pkm_studies.sessions import advice_sentences as sentences
 from pkm_studies.study import load
 
 # -- measuring -------------------------------------------------------------------------
@@ -35,7 +34,7 @@ def test_page_and_command_decide_alike(machine: Any, page_study: Path) -> None:
         assert shown.candidate == advice.candidate
         assert shown.known == pytest.approx(advice.known, rel=1e-12)
         assert f"Reading {number + 1} of" in state["parts"]["pose"]
-    said = " ".join(sentences(adviser, advice))
+    said = " ".join(adviser.advice_sentences(advice))
     command = dict(
         re.findall(r"(\w+_(?:mm|deg)) = ([-\d.]+)", said.partition("joints")[0])
     )
@@ -253,7 +252,7 @@ def test_a_skipped_pose_is_advised_no_more(machine: Any, page_study: Path) -> No
         assert shown.candidate == advice.candidate != first
         assert first in advice.skipped
         take(client, operator.display())
-    said = sentences(adviser, advice)
+    said = adviser.advice_sentences(advice)
     assert "1 reading is not advised: the file's remarks skip the pose." in said
     status, _ = client.post("/unskip", version=client.state()["version"])
     assert status == 200

@@ -10,7 +10,7 @@ import sample
 
 from pkm_studies import stages, sweep
 from pkm_studies.base import Location
-from pkm_studies.study import load, vary_setting
+from pkm_studies.study import load
 
 #: nothing to choose and nothing to fit: a plan is looked at
 PLAN = sample.changed(
@@ -111,7 +111,7 @@ def test_tests_of_one_combination_share_its_run(
     (tmp_path / "results").mkdir()
     for value in (0.5, 1.0, 0.5):
         setting = {"noise.length_um": value}
-        varied = vary_setting(base, setting, Location("test"))
+        varied = base.vary_setting(setting, Location("test"))
         combination = sweep.Combination(varied, setting)
         case = sweep.VariedStudy(combination, tmp_path / "results")
         assert case.figure("identifiability.n") == 21

@@ -3,8 +3,6 @@
 Content                 title, first page, chapters and appendix of a document
 Document                such a document with its blocks numbered
 build_document          the document of a result
-render_html             a document as one HTML file
-render_pdf              a document as PDF
 script_digest           digest of the page's script, for its content policy
 write_sheet             the sheet that the operator fills in
 write_adjustment_page   what to adjust at the machine, as PDF
@@ -21,8 +19,6 @@ if TYPE_CHECKING:
         Content,
         Document,
         build_document,
-        render_html,
-        render_pdf,
         script_digest,
     )
     from pkm_reports.page.sheet import write_adjustment_page, write_sheet

@@ -46,7 +46,7 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
         chapters=[Section("parameters", "Parameters", _parameters(c))],
         appendix=[],
     )
-    page = document.render_pdf(document.Document(content))
+    page = document.Document(content).pdf()
     return write_own(folder / "certificate.pdf", page)
 
 

@@ -36,7 +36,7 @@ from pkm_reports.blocks import (
     TableColumn,
 )
 from pkm_reports.style import Image
-from pkm_reports.view import PageView, build_view, encoded_view
+from pkm_reports.view import PageView, build_view
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -158,6 +158,30 @@ class Document:
     def printed(self) -> Page:
         """What a short print has."""
         return _page(_printed(self.content), Numbering(self.images))
+
+    def html(self) -> bytes:
+        """The page as UTF-8 bytes; the template engine escapes every text."""
+        view = "" if self.view is None else self.view.encoded()
+        page = _template().render(
+            doc=self.page,
+            # Without a first page there is nothing to read before the chapters.
+            opened=not self.page.answer,
+            images=self.images,
+            view=view,
+            script=_script(),
+            digest=script_digest(),
+        )
+        return page.encode("utf-8")
+
+    def pdf(self, *, full: bool = False) -> bytes:
+        """The bytes of the PDF, of a short print or in full; the same document gives the same.
+
+        Text reaches typst as JSON, hence as strings that it never reads as markup.
+        """
+        page = self.page if full else self.printed
+        images = {f"{name}.svg": _svg(image) for name, image in self.images.items()}
+        encoded = msgspec.json.encode(page)
+        return compile_typst("report.typ", {"report.json": encoded, **images})
 
 
 def build_document(result: StudyResult) -> Document:
@@ -286,21 +310,6 @@ CODE: Final = re.compile("`([^`\n]+)`")
 SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
 
 
-def render_html(document: Document) -> bytes:
-    """The page as UTF-8 bytes; the template engine escapes every text."""
-    view = "" if document.view is None else encoded_view(document.view)
-    page = _template().render(
-        doc=document.page,
-        # Without a first page there is nothing to read before the chapters.
-        opened=not document.page.answer,
-        images=document.images,
-        view=view,
-        script=_script(),
-        digest=script_digest(),
-    )
-    return page.encode("utf-8")
-
-
 @cache
 def _template() -> jinja2.Template:
     loader = jinja2.PackageLoader("pkm_reports")
@@ -339,17 +348,6 @@ def script_digest() -> str:
 
 
 POINTS_PER_INCH = 72.0
-
-
-def render_pdf(document: Document, *, full: bool = False) -> bytes:
-    """The bytes of the PDF, of a short print or in full; the same document gives the same.
-
-    Text reaches typst as JSON, hence as strings that it never reads as markup.
-    """
-    page = document.page if full else document.printed
-    images = {f"{name}.svg": _svg(image) for name, image in document.images.items()}
-    encoded = msgspec.json.encode(page)
-    return compile_typst("report.typ", {"report.json": encoded, **images})
 
 
 def compile_typst(template: str, files: Mapping[str, bytes]) -> bytes:

@@ -41,7 +41,7 @@ def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
         chapters=[],
         appendix=[],
     )
-    page = document.render_pdf(document.Document(content))
+    page = document.Document(content).pdf()
     return write_own(folder / "adjustment.pdf", page)
 
 

@@ -14,15 +14,7 @@ from msgspec.structs import replace
 from scipy import linalg, stats
 
 from oed import csv_text, safe_files, units, verdict
-from oed.acceptance import (
-    MIN_POWER,
-    AcceptancePlan,
-    Promise,
-    judge,
-    plan_acceptance,
-    positioning,
-    state_limits,
-)
+from oed.acceptance import MIN_POWER, AcceptancePlan, Promise, judge, positioning
 from oed.base import Array, Index
 from oed.dataset import commented
 from oed.measurement import Measurement, Series
@@ -234,7 +226,7 @@ def plan_section(
             "every workspace pose is one of the calibration",
             "give more poses in [prediction] of the study",
         )
-    plan = plan_acceptance(accuracy.promise, candidates, rng, power=power, most=most)
+    plan = accuracy.promise.plan(candidates, rng, power=power, most=most)
     further = accuracy.further
     return AcceptanceSection(
         poses=[
@@ -272,7 +264,7 @@ def _further_demands(
     further: FurtherPromise, plan: AcceptancePlan, rng: np.random.Generator
 ) -> dict[str, PromiseRecord]:
     """Demands at the same poses on what no drive corrects, with additional axes."""
-    stated = state_limits(further.promise, plan.poses, rng, miss=plan.miss)
+    stated = further.promise.limits_at(plan.poses, rng, miss=plan.miss)
     demands = _demands(further.components, further.promise, stated)
     return {
         name: msgspec.structs.replace(demand, without=units.number(rms, demand.unit))

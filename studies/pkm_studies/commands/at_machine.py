@@ -43,12 +43,12 @@ def next_reading(
         return DONE
     if readings is None:
         raise _no_readings()
-    from pkm_studies.sessions import Adviser, advice_sentences
+    from pkm_studies.sessions import Adviser
 
     adviser = Adviser(loaded, wanted)
     if not follow:
         advice = adviser.advise(readings)
-        print("\n".join(advice_sentences(adviser, advice)))
+        print("\n".join(adviser.advice_sentences(advice)))
         return FAILED if advice.objections else DONE
     for lines in adviser.watch(readings):
         print("\n".join([*lines, ""]), flush=True)

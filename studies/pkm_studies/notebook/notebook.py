@@ -307,11 +307,11 @@ def next_reading(study: Study, readings: str | Path, *, wanted: str = "") -> Sai
     >>> 0.0 < advice.outcome.gain < 1.0
     True
     """
-    from pkm_studies.sessions import Adviser, advice_sentences
+    from pkm_studies.sessions import Adviser
 
     adviser = Adviser(study, wanted)
     advice = adviser.advise(Path(readings))
-    return Said(tuple(advice_sentences(adviser, advice)), advice)
+    return Said(tuple(adviser.advice_sentences(advice)), advice)
 
 
 def verify(

@@ -22,7 +22,6 @@ ActingEffect                 an effect of the virtual machine
 GapDesignRequest             what [gap.design] means to the kernel
 NO_EFFECTS                   the value of `effects` that allows none
 ALL_EFFECTS                  the value of `effects` that allows the whole catalogue
-named_effects                the effects of a table's `effects`
 effects_of_planned           what effects do to planned readings and the workspace
 pose_error_slopes            pose errors per unit of each column of candidates
 planned_courses              planned readings in courses that a session may take
@@ -67,7 +66,6 @@ if TYPE_CHECKING:
         GapRequest,
         effects_of_planned,
         gap_request,
-        named_effects,
         planned_courses,
         planned_covariates,
         pose_error_slopes,

@@ -137,20 +137,6 @@ DRAWN_COURSES = 8
 SESSION_SECONDS = 7200.0
 
 
-def named_effects(
-    request: GapRequest, names: str | Sequence[str], location: Location
-) -> list[Effect]:
-    """The effects named, or with a word all. Raises InputError for other names."""
-    if isinstance(names, str):
-        return list(request.effects)
-    by_name = {effect.name: effect for effect in request.effects}
-    for k, name in enumerate(names):
-        if name not in by_name:
-            remedy = f"name some of {', '.join(by_name)}"
-            raise location.item(k).error("no such effect is tried", remedy, name)
-    return [by_name[name] for name in dict.fromkeys(names)]
-
-
 def effects_of_planned(
     measurement: Measurement,
     series: Sequence[Series],
@@ -267,6 +253,19 @@ class GapRequest:
     gravity: tuple[float, float, float]
     acting: tuple[ActingEffect, ...]
     conditions: ConditionsTable
+
+    def named_effects(
+        self, names: str | Sequence[str], location: Location
+    ) -> list[Effect]:
+        """The effects named, or with a word all. Raises InputError for other names."""
+        if isinstance(names, str):
+            return list(self.effects)
+        by_name = {effect.name: effect for effect in self.effects}
+        for k, name in enumerate(names):
+            if name not in by_name:
+                remedy = f"name some of {', '.join(by_name)}"
+                raise location.item(k).error("no such effect is tried", remedy, name)
+        return [by_name[name] for name in dict.fromkeys(names)]
 
 
 def stated_request(study: Study, machine: Machine) -> GapRequest | None:

@@ -19,13 +19,7 @@ from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids
-from pkm_studies.resolve.gap import (
-    NO_EFFECTS,
-    PLAN,
-    effects_of_planned,
-    gap_request,
-    named_effects,
-)
+from pkm_studies.resolve.gap import NO_EFFECTS, PLAN, effects_of_planned, gap_request
 from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
@@ -178,7 +172,7 @@ def _effects(
     return effects_of_planned(
         measurement,
         series,
-        named_effects(gap, table.effects, location),
+        gap.named_effects(table.effects, location),
         gap,
         prediction,
         np.random.default_rng(STATES),

@@ -46,7 +46,6 @@ from pkm_studies.resolve.gap import (
     effect_with_sizes,
     gap_design_request,
     gap_request,
-    named_effects,
     stated_request,
 )
 from pkm_studies.resolve.grids import Circles, ReferencePlan
@@ -598,7 +597,7 @@ class ResolvedStudy:
         """
         request, names = self.gap_or_default, self.study.identify.effects
         location = self.study.location.key("identify").key("effects")
-        named = named_effects(request, names or ALL_EFFECTS, location)
+        named = request.named_effects(names or ALL_EFFECTS, location)
         return dataclasses.replace(request, effects=tuple(named))
 
     def with_dataset(self, dataset: Dataset | None) -> Self:
@@ -659,7 +658,7 @@ class ResolvedStudy:
         for key, table in tables.items():
             if table is not None and table.effects is not None:
                 location = self.study.location.key(key).key("effects")
-                named_effects(self.gap_or_default, table.effects, location)
+                self.gap_or_default.named_effects(table.effects, location)
 
     @property
     def has_own_numbers(self) -> bool:

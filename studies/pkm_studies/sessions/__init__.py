@@ -3,7 +3,6 @@
 Adviser               advises the next reading of a study, and says when to stop
 Advice                what it says: accuracy known so far, the next reading, its effect
 FittedReadings        the readings of a file with their fit, as the adviser takes them
-advice_sentences      an advice in lines
 reading_of            the series and row of a candidate's number
 SKIPPED               how the remark of a skipped pose begins
 is_skipped            whether a row of a readings file skips its pose
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
         Advice,
         Adviser,
         FittedReadings,
-        advice_sentences,
         is_skipped,
         reading_of,
         skipped_in_rows,

@@ -34,7 +34,6 @@ from pkm_studies.resolve import (
     MAX_EFFECT_UNKNOWNS,
     NO_EFFECTS,
     effects_of_planned,
-    named_effects,
     pose_error_slopes,
 )
 from pkm_studies.result_folder import VISIT
@@ -135,7 +134,7 @@ def effects_at(
     return effects_of_planned(
         measurement,
         [*taken, *resolved.candidates],
-        named_effects(request, names, location),
+        request.named_effects(names, location),
         request,
         resolved.prediction,
         Stream.PLANNED_COURSES.rng(state.study.seed),
@@ -252,7 +251,7 @@ class Adviser:
             if stamp != last:
                 last = stamp
                 try:
-                    yield advice_sentences(self, self.advise(readings))
+                    yield self.advice_sentences(self.advise(readings))
                 except InputError as error:
                     yield [str(error)]
             time.sleep(PAUSE)
@@ -433,6 +432,31 @@ class Adviser:
             outlook=outlook,
             skipped=tuple(np.flatnonzero(~use).tolist()),
         )
+
+    def advice_sentences(self, advice: Advice) -> list[str]:
+        """The advice in lines: what is known, the next reading, when to stop."""
+        machine = self.base.resolved.machine
+        fine = {c.name: units.FINE[c.unit] for c in machine.components}
+        lines = [
+            f"{advice.readings} readings taken. Rms error over the workspace, unknown part:"
+        ]
+        for k, name in enumerate(advice.names):
+            unit = fine[name]
+            now, then = (units.number(v[k], unit) for v in (advice.known, advice.after))
+            sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
+            line = f"  {name:<6} {sizes} after the next reading"
+            if np.isfinite(advice.limits[k]):
+                wanted = format_number(units.number(advice.limits[k], unit))
+                line += f"   wanted {wanted}{_stated(advice, k)}"
+            lines.append(line)
+        skipped = skips(advice)
+        return [
+            *advice.findings,
+            *lines,
+            *advice.stop_sentences(),
+            *skipped,
+            *_next(self, advice),
+        ]
 
 
 def _plan(
@@ -650,32 +674,6 @@ class Advice:
         if self.planned is None:
             return []
         return [f"The plan has {self.planned} readings."]
-
-
-def advice_sentences(adviser: Adviser, advice: Advice) -> list[str]:
-    """The advice in lines: what is known, the next reading, when to stop."""
-    machine = adviser.base.resolved.machine
-    fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    lines = [
-        f"{advice.readings} readings taken. Rms error over the workspace, unknown part:"
-    ]
-    for k, name in enumerate(advice.names):
-        unit = fine[name]
-        now, then = (units.number(v[k], unit) for v in (advice.known, advice.after))
-        sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
-        line = f"  {name:<6} {sizes} after the next reading"
-        if np.isfinite(advice.limits[k]):
-            wanted = format_number(units.number(advice.limits[k], unit))
-            line += f"   wanted {wanted}{_stated(advice, k)}"
-        lines.append(line)
-    skipped = skips(advice)
-    return [
-        *advice.findings,
-        *lines,
-        *advice.stop_sentences(),
-        *skipped,
-        *_next(adviser, advice),
-    ]
 
 
 def _stated(advice: Advice, component: int) -> str:

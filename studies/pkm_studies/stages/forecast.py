@@ -18,14 +18,7 @@ from oed.compensate import (
     commands_of_added,
 )
 from oed.dataset import commented
-from oed.forecast import (
-    Forecast,
-    JointErrors,
-    NodeDesign,
-    fit_error_field,
-    forecast_table,
-    plan_nodes,
-)
+from oed.forecast import Forecast, JointErrors, NodeDesign, fit_error_field, plan_nodes
 from oed.instrument import Setup
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Component
@@ -390,8 +383,8 @@ def measured(
         field = fit_error_field(task.model, command, errors - correctable, sigma)
     except ValueError as error:
         raise InputError(str(error), "measure more nodes", file=str(path)) from error
-    forecast = forecast_table(
-        field, task.predicted_errors, task.axes, task.table.commands, rng
+    forecast = field.forecast(
+        task.predicted_errors, task.axes, task.table.commands, rng
     )
     residual, sd = field.left_out()
     figures = {

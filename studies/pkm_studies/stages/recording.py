@@ -26,7 +26,6 @@ from oed.measurement import Measurement, Series
 from oed.recording import (
     PlannedReadings,
     RemainingError,
-    equal_times,
     mean_after_once,
     relative,
     thermometer_scatter,
@@ -126,7 +125,7 @@ def recording_section(plan: PlanToRecord) -> RecordingSection | None:
     choices = []
     for choice in (*_covariates(plan, case), *_further(plan)):
         reached = mean_after_once(choice.errors)
-        times = equal_times(without, reached)
+        times = without.equal_times(reached)
         choices.append(
             RecordedChoice(
                 name=choice.name,

@@ -9,7 +9,6 @@ decode_table  a struct from a table of TOML
 tables_of     the tables of a text in TOML
 SCHEMAS       descriptions of the files, for `oed schema`
 combinations  settings of a sweep, each with each
-vary_setting  a study with other values
 AS_PUBLISHED  the remedy where a published file was changed
 Row           a row of a collection, cells by column
 read_csv      rows of a collection's CSV file
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
         from_tables,
         load,
         parse,
-        vary_setting,
     )
     from pkm_studies.study.schemas import SCHEMAS
 else:

@@ -52,6 +52,18 @@ class Study(StudyFile, frozen=True, kw_only=True):
         """Where the models that it names are looked for, and whether they may run."""
         return Origin(self.folder, self.consent)
 
+    def vary_setting(self, setting: Mapping[str, Any], location: Location) -> Study:
+        """The study with other values of some fields. Raises InputError.
+
+        A field is addressed by its table and name; an entry of a list by its own name, as in
+        `setup.cup.length_mm`.
+        """
+        tables = copy.deepcopy(tomllib.loads(self.text))
+        for field, value in setting.items():
+            _assign(tables, field, value, location.key(field))
+        text = msgspec.toml.encode(tables).decode()
+        return parse(text, self.path, self.consent)
+
 
 def load(path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
     """Read and check a study file.
@@ -155,19 +167,6 @@ def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     """Every value of each field with every value of the others, in their order."""
     values = itertools.product(*vary.values())
     return [dict(zip(vary, combination, strict=True)) for combination in values]
-
-
-def vary_setting(study: Study, setting: Mapping[str, Any], location: Location) -> Study:
-    """The study with other values of some fields. Raises InputError.
-
-    A field is addressed by its table and name; an entry of a list by its own name, as in
-    `setup.cup.length_mm`.
-    """
-    tables = copy.deepcopy(tomllib.loads(study.text))
-    for field, value in setting.items():
-        _assign(tables, field, value, location.key(field))
-    text = msgspec.toml.encode(tables).decode()
-    return parse(text, study.path, study.consent)
 
 
 def _assign(tables: Any, field: str, value: Any, location: Location) -> None:

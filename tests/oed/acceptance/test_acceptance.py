@@ -10,10 +10,8 @@ from oed.acceptance.plan import (
     AcceptancePlan,
     Promise,
     judge,
-    plan_acceptance,
     positioning,
     smooth_functions,
-    state_limits,
 )
 from oed.result import PromiseRecord
 
@@ -70,7 +68,7 @@ def check_power(count: int) -> None:
     rng = np.random.default_rng(3)
     p = promise(rng)
     candidates = np.arange(0, POSES, 2)
-    plan = plan_acceptance(p, candidates, rng, power=0.6, most=8)
+    plan = p.plan(candidates, rng, power=0.6, most=8)
     assert set(plan.poses) <= set(candidates)
     missed = caught(p, plan, plan.miss, count, 11).mean(axis=0)
     for share, power in zip(missed, plan.power, strict=True):
@@ -86,7 +84,7 @@ def test_a_machine_that_misses_is_rarely_confirmed() -> None:
     p = promise(np.random.default_rng(3))
     accurate = dataclasses.replace(p, uncertainty=0.05 * p.rms)
     rng = np.random.default_rng(4)
-    plan = plan_acceptance(accurate, np.arange(POSES), rng, power=0.9, most=30)
+    plan = accurate.plan(np.arange(POSES), rng, power=0.9, most=30)
     assert (plan.power >= 0.8).all()
     wrong = measured_rms(accurate, plan, plan.miss, 400, 21) <= plan.confirms
     assert (wrong.mean(axis=0) <= band(400, 0.05)[1]).all()
@@ -104,7 +102,7 @@ def test_shapes_that_no_parameter_makes_are_rarely_confirmed() -> None:
     confirmed = []
     for promised in (known, dataclasses.replace(known, smooth=np.zeros((0, 0)))):
         rng = np.random.default_rng(4)
-        plan = state_limits(promised, np.arange(0, POSES, 4), rng)
+        plan = promised.limits_at(np.arange(0, POSES, 4), rng)
         rng = np.random.default_rng(5)
         weights = rng.standard_normal((600, 2)) * (
             rng.integers(3, size=(600, 1)) != [1, 0]
@@ -121,7 +119,7 @@ def test_shapes_that_no_parameter_makes_are_rarely_confirmed() -> None:
 def test_a_weak_test_confirms_nothing() -> None:
     p = promise(np.random.default_rng(3))
     rough = dataclasses.replace(p, uncertainty=5.0 * p.rms)
-    plan = plan_acceptance(rough, np.arange(POSES), np.random.default_rng(4), most=4)
+    plan = rough.plan(np.arange(POSES), np.random.default_rng(4), most=4)
     assert (plan.power < 0.8).all()
     assert np.isnan(plan.confirms).all()
 
@@ -139,8 +137,8 @@ def test_the_stated_power_holds_in_a_thousand_trials() -> None:
 def test_chosen_poses_are_better_than_the_first_ones() -> None:
     rng = np.random.default_rng(4)
     p = promise(rng)
-    plan = plan_acceptance(p, np.arange(POSES), rng, power=1.0, most=8)
-    first = plan_acceptance(p, np.arange(8), rng, power=1.0, most=8)
+    plan = p.plan(np.arange(POSES), rng, power=1.0, most=8)
+    first = p.plan(np.arange(8), rng, power=1.0, most=8)
     assert plan.power.min() > first.power.min() + 0.05
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from shipped_models import planar_2dof, relative
 
-from oed.acceptance import Promise, state_limits
+from oed.acceptance import Promise
 from oed.accuracy import budget_model, error_maps, variance_over_machines
 from oed.instrument import mount
 from oed.measurement import Measurement, draw_parameters
@@ -26,7 +26,7 @@ def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(
         rms=np.array([size]),
         uncertainty=np.array([uncertainty]),
     )
-    plan = state_limits(promise, np.arange(count), rng, miss=1.5, false_alarm=0.1)
+    plan = promise.limits_at(np.arange(count), rng, miss=1.5, false_alarm=0.1)
     at_promise, beyond = (
         stats.ncx2(count, count * (factor * size / uncertainty) ** 2)
         for factor in (1.0, 1.5)

@@ -17,7 +17,7 @@ from oed.checks.outlier_odds import FarReading, LeaveOneOut, alike_readings
 from oed.checks.outliers import far_readings, find_outliers
 from oed.checks.screening import linear_readings, log_evidence
 from oed.checks.sentences import contradictions
-from oed.checks.session import SessionReadings, predict_ranges
+from oed.checks.session import SessionReadings
 from oed.noise import Noise
 
 SIGMA = 0.5e-6
@@ -43,7 +43,7 @@ def spoiled(session: SessionReadings, errors: dict[int, float]) -> SessionReadin
 def test_ranges_are_those_of_drawn_machines(
     session: SessionReadings, rng: np.random.Generator
 ) -> None:
-    ranges = predict_ranges(session, rng)
+    ranges = session.predict_ranges(rng)
     m = session.measurement
     draws = m.nominal + m.tolerance * rng.standard_normal((400, len(m.nominal)))
     read = m.readings(session.series, draws)
@@ -77,7 +77,7 @@ def test_equal_readings_at_other_poses_are_copies(session: SessionReadings) -> N
 def test_computed_readings_are_those_of_the_nominal_machine(
     session: SessionReadings, rng: np.random.Generator
 ) -> None:
-    ranges = predict_ranges(session, rng)
+    ranges = session.predict_ranges(rng)
     nominal = session.with_y(ranges.nominal)
     computed = copies.computed_readings(nominal, ranges.nominal, ranges.sd)
     assert len(computed) == len(session)

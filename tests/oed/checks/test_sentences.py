@@ -7,7 +7,7 @@ import pytest
 from oed.checks import sentences
 from oed.checks.copies import CoarseReadings, EqualReadings
 from oed.checks.findings import Severity
-from oed.checks.session import Ranges, SessionReadings, predict_ranges
+from oed.checks.session import Ranges, SessionReadings
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_a_step_is_in_the_unit_of_its_column(session: SessionReadings) -> None:
 def test_a_value_outside_its_range_is_the_farthest(
     session: SessionReadings, rng: np.random.Generator
 ) -> None:
-    ranges: Ranges = predict_ranges(session, rng)
+    ranges: Ranges = session.predict_ranges(rng)
     y = session.y.copy()
     y[4] += 20.0 * ranges.sd[4]
     y[9] -= 90.0 * ranges.sd[9]

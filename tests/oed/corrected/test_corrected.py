@@ -28,7 +28,6 @@ from oed.compensate import box_axes
 from oed.corrected import (
     CorrectedEstimate,
     EffectReadings,
-    estimate_with_effects,
     predict_corrected,
     tabled_effects,
 )
@@ -53,7 +52,7 @@ def session(m: Measurement, rng: np.random.Generator) -> Session:
     plain = identify(m, [series], y)
     effects = [leg_thermal.effect, backlash.effect]
     readings = EffectReadings(m, (series,), y, rows)
-    corrected = estimate_with_effects(readings, effects, plain.theta)
+    corrected = readings.estimate(effects, plain.theta)
     assert corrected is not None
     return Session(truth, plain, corrected)
 
@@ -94,8 +93,8 @@ def test_few_readings_far_off_do_not_make_an_effect_look_small() -> None:
     rng = np.random.default_rng(4)
     y = a3.ball_bar_reading(np.zeros(24), q, cup) + NOISE * rng.standard_normal(len(q))
     y[rng.choice(len(y), 12, replace=False)] += 80.0 * NOISE
-    corrected = estimate_with_effects(
-        EffectReadings(m, (series,), y, rows), [backlash.effect], m.nominal
+    corrected = EffectReadings(m, (series,), y, rows).estimate(
+        [backlash.effect], m.nominal
     )
     assert corrected is not None
     start = corrected.parameters

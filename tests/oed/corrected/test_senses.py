@@ -11,12 +11,7 @@ from kernel import a3_plans, warm_head
 from kernel.warm_head import turned
 from oed import checks
 from oed.checks.sentences import contradictions
-from oed.corrected import (
-    CorrectedEstimate,
-    EffectReadings,
-    estimate_with_effects,
-    find_turned_runs,
-)
+from oed.corrected import CorrectedEstimate, EffectReadings, find_turned_runs
 from oed.estimation import identify
 from oed.measurement import Measurement, Series
 
@@ -31,7 +26,7 @@ def corrected(seed: int, runs: list[str]) -> CorrectedEstimate:
     y = warm_head.read(series, rows, truth, rng)
     theta = identify(m, [series], y).theta
     given = EffectReadings(m, (series,), y, turned(rows, runs))
-    estimate = estimate_with_effects(given, EFFECTS, theta, estimate_noise=False)
+    estimate = given.estimate(EFFECTS, theta, estimate_noise=False)
     assert estimate is not None
     return estimate
 

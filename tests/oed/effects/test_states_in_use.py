@@ -11,7 +11,7 @@ from shipped_models import encoder_scale, hexapod, pose_tracker
 
 from oed import Measurement, mount
 from oed.accuracy import driven_errors
-from oed.effects import SessionStates, expected_columns, workspace_state
+from oed.effects import SessionStates, expected_columns
 from oed.gap import DOWN, GapProblem, assemble
 from oed.mechanism import NO_TOOL
 
@@ -59,7 +59,7 @@ def session(names: tuple[str, ...], feed: float = FEED) -> GapProblem:
 
 def in_use(problem: GapProblem, used: dict[str, np.ndarray] | None = None):
     of = SessionStates.of(problem, used)
-    return workspace_state(of, problem.theta, COMMAND, np.random.default_rng(1))
+    return of.workspace_state(problem.theta, COMMAND, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("names", [("one", "two"), ("two", "one")])
@@ -133,7 +133,7 @@ def test_the_joints_are_those_that_hold_the_command_on_the_identified_machine() 
     (leg,) = [k for k, p in enumerate(machine.parameters) if p.name == "dl1"]
     theta[leg] += 5e-3
     of = SessionStates.of(problem)
-    moved = workspace_state(of, theta, COMMAND, np.random.default_rng(1))
+    moved = of.workspace_state(theta, COMMAND, np.random.default_rng(1))
     nominal = in_use(problem)
     np.testing.assert_allclose(moved.tool, nominal.tool, atol=1e-9)
     change = np.abs(moved.joints - nominal.joints)

@@ -12,12 +12,7 @@ from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
 from oed.accuracy import Prediction, Reference, budget_model, error_maps
 from oed.effect_model import Column, Effect, State
-from oed.effects import (
-    ExpectedEffects,
-    SessionStates,
-    expected_effects,
-    workspace_state,
-)
+from oed.effects import ExpectedEffects, SessionStates, expected_effects
 from oed.estimation import identify
 from oed.gap import DOWN, assemble
 
@@ -59,7 +54,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
     believed = identify(m, [series], a3.ball_bar_reading(np.zeros(24), q, cup)).theta
     drawn = np.random.default_rng(3)
-    state = workspace_state(session, m.nominal, command, drawn)
+    state = session.workspace_state(m.nominal, command, drawn)
     joints = compensate.compensated_joints(m.kinematics, command, believed[:24])
     warm = state.temperature["leg2"][:-1]
     joints[:, WARM_LEG] *= 1.0 + PER_KELVIN * warm
@@ -92,7 +87,7 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     cold = a3.ball_bar_reading(np.zeros(24), q, cup)
     q[:, WARM_LEG] *= 1.0 + PER_KELVIN * rows["temp_leg2"].to_numpy()
     change = a3.ball_bar_reading(np.zeros(24), q, cup) - cold
-    state = workspace_state(session, m.nominal, command, np.random.default_rng(3))
+    state = session.workspace_state(m.nominal, command, np.random.default_rng(3))
     nominal = np.zeros(24)
     joints = compensate.compensated_joints(m.kinematics, command, nominal)
     joints[:, WARM_LEG] *= 1.0 + PER_KELVIN * state.temperature["leg2"][:-1]
@@ -165,7 +160,7 @@ def test_an_effect_acts_in_the_states_of_use() -> None:
     used = SessionStates.of(problem, {"temp_leg2": np.array([0.0, 20.0])})
 
     def states(of: SessionStates) -> State:
-        return workspace_state(of, m.nominal, command, np.random.default_rng(3))
+        return of.workspace_state(m.nominal, command, np.random.default_rng(3))
 
     before, after = states(session), states(used)
     start = before.start_temperature["leg2"]

@@ -13,7 +13,7 @@ from oracles.forecast_machines import A3, DELTA, PLANAR, PRS, Kind, Yielding
 from shipped_models import a3_head, hexapod_ups, linear_delta, planar_2dof, prs_spindle
 
 from oed.compensate import GridAxis, InterpolationTable, joint_motion
-from oed.forecast import Forecast, JointErrors, fit_error_field, forecast_table
+from oed.forecast import Forecast, JointErrors, fit_error_field
 from oed.forecast.error_field import design_nodes, expected_kernel, joint_size
 from oed.mechanism import Kinematics
 from oed.model import Machine
@@ -72,9 +72,7 @@ def forecast(
         GridAxis(c.name, c.unit, low, high, c.name == "psi")
         for c, low, high in zip(machine.command, kind.low, kind.high, strict=True)
     )
-    table = forecast_table(
-        field, lambda c: np.zeros((len(c), len(sigma))), axes, 5000, rng
-    )
+    table = field.forecast(lambda c: np.zeros((len(c), len(sigma))), axes, 5000, rng)
     return table, table.table
 
 

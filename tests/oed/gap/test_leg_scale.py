@@ -8,7 +8,7 @@ import pytest
 from shipped_models import encoder_scale
 
 from kernel.laws import STATED_LAW
-from oed.corrected import EffectReadings, estimate_with_effects
+from oed.corrected import EffectReadings
 from oed.dataset import Dataset
 from oed.estimation import identify
 from oed.gap.data import linearisation, problem
@@ -41,7 +41,7 @@ def test_the_joint_estimate_is_that_of_least_squares(
     measurement, data = _session(tmp_path, scale)
     plain = identify(measurement, data.series, data.y)
     given = EffectReadings(measurement, tuple(data.series), data.y, data.covariates)
-    corrected = estimate_with_effects(given, [encoder_scale.effect], plain.theta)
+    corrected = given.estimate([encoder_scale.effect], plain.theta)
     assert corrected is not None
     start = corrected.parameters
     values = corrected.estimate.theta[start:] * corrected.scales

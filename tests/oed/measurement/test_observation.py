@@ -10,7 +10,6 @@ from oed.instrument import Setup, mount
 from oed.measurement import (
     Measurement,
     Series,
-    mode_jumps,
     reading_covariances,
     reading_structure,
     run_errors,
@@ -120,7 +119,7 @@ def test_a_machine_near_nominal_stays_in_its_mode(
     circle: tuple[Measurement, Series],
 ) -> None:
     m, series = circle
-    assert mode_jumps(m, [series], m.nominal) == (0, len(series.command))
+    assert m.mode_jumps([series], m.nominal) == (0, len(series.command))
 
 
 def test_a_coordinate_is_solved_where_there_is_a_solution() -> None:

@@ -11,7 +11,7 @@ from shipped_models import planar_2dof, pose_tracker
 from oed import Measurement, mount
 from oed.effect_model import Column, Effect
 from oed.effects import CourseColumns, SessionStates, expected_columns, over_courses
-from oed.recording import PlannedReadings, equal_times, relative, remaining_error
+from oed.recording import PlannedReadings, relative, remaining_error
 from pkm_reports.blocks import Table
 from pkm_reports.sections.stages import recording_blocks
 from pkm_studies.resolve import GapRequest, planned_courses
@@ -83,10 +83,10 @@ def test_equal_times_are_where_the_errors_meet() -> None:
     arguments = unknowns(np.random.default_rng(2))
     error, unit = remaining_error(*arguments), dense(*arguments, 1.0)
     reached = dense(*arguments, 6.0)
-    assert equal_times(error, reached) == pytest.approx(6.0, rel=1e-4)
-    assert equal_times(error, 2.0 * unit) == 1.0
+    assert error.equal_times(reached) == pytest.approx(6.0, rel=1e-4)
+    assert error.equal_times(2.0 * unit) == 1.0
     floor = dense(*arguments, 1e12)
-    assert equal_times(error, 0.99 * floor) == np.inf
+    assert error.equal_times(0.99 * floor) == np.inf
     assert relative(unit, unit) == pytest.approx(1.0)
 
 

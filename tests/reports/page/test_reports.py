@@ -20,7 +20,7 @@ from oed import safe_files
 from oed.result import StudyResult
 from pkm_reports import sections, style, write_report
 from pkm_reports.blocks import Paragraph, Picture
-from pkm_reports.page import build_document, document, render_html, render_pdf
+from pkm_reports.page import build_document, document
 from pkm_studies import result_folder
 from pkm_studies.results import load_result
 
@@ -183,10 +183,10 @@ def test_the_same_result_gives_the_same_page(
 def test_users_settings_change_nothing(tmp_path: Path) -> None:
     drawing = report_fixture.sample()["drawing"]
     drawn = result_of(report_fixture.bare() | {"drawing": drawing})
-    expected = render_html(build_document(drawn))
+    expected = build_document(drawn).html()
     settings = {"font.size": 30.0, "axes.grid": False, "text.usetex": False}
     with matplotlib.style.context(settings):
-        assert render_html(build_document(drawn)) == expected
+        assert build_document(drawn).html() == expected
 
 
 def test_a_failed_write_leaves_the_old_report(
@@ -221,7 +221,7 @@ def test_a_result_of_an_older_version_lacks_a_key(missing: str) -> None:
     raw = report_fixture.bare()
     raw.pop(missing, None)
     report = build_document(result_of(raw))
-    assert render_pdf(report).startswith(b"%PDF")
+    assert report.pdf().startswith(b"%PDF")
 
 
 def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
@@ -322,7 +322,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(
 
     monkeypatch.setattr(document, "drawn_image", sketch)
     report = build_document(result_of(report_fixture.sample()))
-    render_pdf(report)
+    report.pdf()
     printed = [
         block.name
         for section in (*report.printed.answer, *report.printed.sections)
@@ -330,7 +330,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(
         if isinstance(block, document.PictureBlock)
     ]
     assert sorted(drawn) == sorted(printed)
-    render_html(report)
+    report.html()
     assert len(drawn) > len(printed)
     assert len(drawn) == len(set(drawn))  # each once, for print and screen
 
@@ -340,7 +340,7 @@ def test_the_print_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
     report = build_document(result_of(report_fixture.sample()))
     pages = [
-        max(int(n) for n in re.findall(rb"/Count (\d+)", render_pdf(report, full=full)))
+        max(int(n) for n in re.findall(rb"/Count (\d+)", report.pdf(full=full)))
         for full in (False, True)
     ]
     assert pages[0] <= 4

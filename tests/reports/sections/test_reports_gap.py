@@ -16,7 +16,7 @@ from sketches import Sketches
 from oed.gap import assemble
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
-from pkm_reports.page import build_document, document, render_html, render_pdf
+from pkm_reports.page import build_document, document
 from pkm_reports.sections import gap as chapter
 from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
@@ -91,9 +91,9 @@ def test_every_verdict_has_a_page(
     if verdict in ("none", "unknown"):
         section = _without_effects(section)
     report = build_document(_result(section))
-    page = render_html(report)
+    page = report.html()
     assert page.rstrip().endswith(b"</html>")
-    assert render_pdf(report).startswith(b"%PDF")
+    assert report.pdf().startswith(b"%PDF")
     explained_by_noise = "no effect: noise alone" in text_of(page.decode())
     assert explained_by_noise == (verdict in ("none", "class", "mixture"))
 
@@ -135,7 +135,7 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap: GapSection) -> None:
         "confusable",
     )
     old = {key: stored[key] for key in contract}
-    assert render_pdf(build_document(_result(old))).startswith(b"%PDF")
+    assert build_document(_result(old)).pdf().startswith(b"%PDF")
 
 
 # -- tables ----------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from report_fixture import check_box, result_of, shown_text
 from oed.result import PlannedReading, PlanSection, StudyResult
 from pkm_reports import sections, style, write_sheet
 from pkm_reports.blocks import Paragraph, Picture
-from pkm_reports.page import build_document, render_html, render_pdf, sheet
+from pkm_reports.page import build_document, sheet
 from pkm_reports.sections import stages
 
 pytestmark = pytest.mark.pictures
@@ -189,7 +189,7 @@ def _check(result: StudyResult, *, draw: bool) -> None:
     ]
     assert not {"nan", "None"} & set(re.findall(r"\w+", " ".join(texts)))
     if draw:
-        assert render_pdf(build_document(result)).startswith(b"%PDF")
+        assert build_document(result).pdf().startswith(b"%PDF")
 
 
 def test_names_are_never_markup(tmp_path: Path) -> None:
@@ -205,10 +205,10 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
     plan["compared"][0] |= {"name": NASTY, "words": NASTY}
     result = replace(_small(plan), title=NASTY)
     report = build_document(result)
-    page = render_html(report).decode()
+    page = report.html().decode()
     assert "<b>&" not in page
     assert page.count("</script>") == 1
-    assert render_pdf(report).startswith(b"%PDF")
+    assert report.pdf().startswith(b"%PDF")
     poses = [PlannedReading(NASTY, NASTY, 0, {NASTY: 1.0}, {NASTY: 1.0})]
     printed = write_sheet(result, poses, tmp_path)
     assert printed.read_bytes().startswith(b"%PDF")

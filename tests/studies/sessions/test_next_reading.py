@@ -122,7 +122,8 @@ def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = next_reading.advice_sentences(*_advised(study, sheet))
+    adviser, advice = _advised(study, sheet)
+    lines = adviser.advice_sentences(advice)
     assert lines[0].startswith("0 readings taken")
     assert any(line.startswith("Next: ") for line in lines)
 

@@ -100,7 +100,7 @@ def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = advice.advice_sentences(adviser, adviser.advise(sheet))
+    lines = adviser.advice_sentences(adviser.advise(sheet))
     (line,) = [line for line in lines if "wanted 20: " in line]
     assert line.endswith("fail (within it with under 1 %)")
     option = advice.Adviser(load(study), "z_um=5")

@@ -26,7 +26,6 @@ from oed.corrected import (
     StateTable,
     TabledEffects,
     TurnedRuns,
-    estimate_with_effects,
     find_turned_runs,
     predict_corrected,
     tabled_effects,
@@ -556,8 +555,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
     effect_readings = readings_with_covariates(state, request)
     refusal = f"nothing is corrected for {', '.join(e.name for e in effects)}, because"
     try:
-        corrected = estimate_with_effects(
-            effect_readings,
+        corrected = effect_readings.estimate(
             effects,
             state.estimate.theta,
             stages=state.resolved.identification_stages,

@@ -47,7 +47,6 @@ from pkm_studies.resolve import (
     PredictionRequest,
     ResolvedStudy,
     effects_of_planned,
-    named_effects,
     pose_error_slopes,
 )
 from pkm_studies.stages.design import order
@@ -759,7 +758,7 @@ def allowed_effects(
     return effects_of_planned(
         resolved.measurement,
         resolved.candidates,
-        named_effects(gap, table.effects, location),
+        gap.named_effects(table.effects, location),
         gap,
         where,
         rng,
@@ -864,7 +863,7 @@ def recording(
             measurement=measurement,
             series=tuple(series),
             planned=criteria.effects,
-            effects=named_effects(gap, table.effects, location),
+            effects=gap.named_effects(table.effects, location),
             request=gap,
             prediction=resolved.prediction,
             information=prior_information(measurement),

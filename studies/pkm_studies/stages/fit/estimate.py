@@ -31,7 +31,7 @@ from oed.gap import GapProblem
 from oed.identifiability import Identifiability
 from oed.instrument import Setup
 from oed.linear_algebra import by_size
-from oed.measurement import Measurement, Series, mode_jumps
+from oed.measurement import Measurement, Series
 from oed.model import Machine
 from oed.noise import reach_phrase
 from oed.posterior import MIXED_RHAT, Posterior
@@ -677,7 +677,7 @@ def _goodness(state: Measured, estimate: Estimate) -> GoodnessSection:
 
 def _refuse_mode_jump(state: Measured, theta: Array) -> None:
     """Raises IdentificationError where the fit mirrors the machine."""
-    jumps, count = mode_jumps(state.measurement, state.readings.series, theta)
+    jumps, count = state.measurement.mode_jumps(state.readings.series, theta)
     if jumps:
         raise IdentificationError(
             f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"

@@ -26,7 +26,7 @@ from oed.planning import (
     propagate,
 )
 from pkm_studies.base import InputError, Progress
-from pkm_studies.resolve import PlanRequest, ResolvedStudy, named_effects
+from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import ANY_LOSS, EarlierSession, PlanTask, build_task
 from pkm_studies.stages.recording import PlanToRecord, recording_section
@@ -303,7 +303,7 @@ def _recording(
             measurement=measurement,
             series=outcome.series,
             planned=effects,
-            effects=named_effects(gap, task.table.effects, location),
+            effects=gap.named_effects(task.table.effects, location),
             request=gap,
             prediction=request.prediction,
             information=np.asarray(

@@ -19,7 +19,7 @@ from oed.result import (
     StudyResult,
 )
 from pkm_reports import style
-from pkm_reports.page import build_document, render_pdf
+from pkm_reports.page import build_document
 from pkm_reports.sections import design, plan
 
 pytestmark = pytest.mark.pictures
@@ -139,7 +139,7 @@ def test_numbers_that_were_not_finite_leave_gaps() -> None:
     design["how_many"]["accuracy"]["z_um"][0] = None
     design["how_many"] |= {"fewest": None, "wanted": {}, "words": ""}
     report = build_document(_with_design(design))
-    assert render_pdf(report).startswith(b"%PDF")
+    assert report.pdf().startswith(b"%PDF")
 
 
 def test_an_old_result_still_has_its_certificate() -> None:

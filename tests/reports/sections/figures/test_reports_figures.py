@@ -13,7 +13,7 @@ from report_fixture import check_inside, result_of
 
 from oed.result import Drawing
 from pkm_reports import style
-from pkm_reports.page import build_document, render_html, render_pdf
+from pkm_reports.page import build_document
 from pkm_reports.sections import (
     acceptance,
     accuracy,
@@ -141,9 +141,9 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
         "channels": ["length"] * 6000,
     }
     report = build_document(result_of(raw))
-    assert b"data:image/png" in render_html(report)
+    assert b"data:image/png" in report.html()
     assert report.images["residuals"].kind == "png"
-    assert render_pdf(report).startswith(b"%PDF")
+    assert report.pdf().startswith(b"%PDF")
 
 
 def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(
