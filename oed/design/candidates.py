@@ -31,7 +31,7 @@ from oed.design.forms import Criterion
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 from oed.identifiability import Scaling, column_scale
-from oed.measurement import Measurement, Series, reading_covariances, run_errors
+from oed.measurement import Measurement, Series
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -362,7 +362,7 @@ def _series_blocks(
         none = np.zeros((count, k, 0))
         return _SeriesBlocks(rows, none, single, none)
     factor = np.linalg.inv(
-        np.linalg.cholesky(reading_covariances(measurement.of(series), series))
+        np.linalg.cholesky(measurement.of(series).reading_covariances(series))
     )
     shared = _shared_columns(measurement, series)
     white, white_shared = weight * (factor @ rows), weight * (factor @ shared)
@@ -379,7 +379,7 @@ def _weight(measurement: Measurement, series: Series, nuisances: Nuisances) -> A
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:
     """Gradient (n, k, r) of the readings by the errors that their runs share."""
-    errors = run_errors(measurement.of(series), series)
+    errors = measurement.of(series).run_errors(series)
     count, channels, k = errors.shape
     runs = list(dict.fromkeys(series.run))
     columns = np.zeros((count, channels, len(runs) * k))

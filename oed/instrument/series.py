@@ -118,6 +118,13 @@ class Series:
             command=self.command[poses],
         )
 
+    def reading_sigma(self, stated: Sequence[float]) -> Array:
+        """Standard deviation (n, channels), SI, of each reading: its own, or as stated."""
+        common = np.tile(stated, (len(self), 1))
+        if self.sigma is None:
+            return common
+        return np.where(np.isfinite(self.sigma), self.sigma, common)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TakenReadings:

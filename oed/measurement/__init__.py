@@ -7,11 +7,7 @@ commands_at_fixed_reading  commands at which an instrument keeps its reading
 draw_errors                errors of readings, by the stated noise
 draw_parameters            true parameters of virtual machines
 draw_readings              noisy readings of virtual machines
-reading_covariances        covariance of each reading by itself
-reading_sigma              standard deviation of each reading by itself
 reading_structure          runs, chains and courses that readings belong to
-run_errors                 how readings move with the errors that their run shares
-source_gradients           how readings move with the errors inside an instrument
 """
 
 from typing import TYPE_CHECKING
@@ -22,12 +18,6 @@ if TYPE_CHECKING:
     from oed.measurement.fixed_reading import commands_at_fixed_reading
     from oed.measurement.measurement import Measurement, Response, Series
     from oed.measurement.noise_structure import reading_structure
-    from oed.measurement.reading_noise import (
-        reading_covariances,
-        reading_sigma,
-        run_errors,
-        source_gradients,
-    )
     from oed.measurement.simulation import draw_errors, draw_parameters, draw_readings
 else:
     # imported when first used: CasADi takes time to load

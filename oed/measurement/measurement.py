@@ -11,8 +11,7 @@ import numpy as np
 
 from oed.base import Array, Mask
 from oed.instrument import ParameterVector, Series, Setup, TakenReadings
-from oed.measurement.reading_noise import stated_noise
-from oed.measurement.setup_readings import Response, SetupReadings
+from oed.measurement.setup_readings import Response, SetupReadings, stated_noise
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
 from oed.noise import Noise

@@ -20,7 +20,7 @@ import scipy
 
 from oed.base import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import decoupling, reading_covariances
+from oed.measurement.setup_readings import decoupling
 from oed.noise import NOTHING_STATED, NoiseStatement, ReadingStructure, SharedError
 
 
@@ -49,7 +49,7 @@ def reading_structure(
         parts.shared.append(np.tile(common, len(s)))
         stated = [c.name in setup.statement.levels for c in channels]
         parts.stated.append(np.tile(stated, len(s)))
-        blocks.append(decoupling(reading_covariances(measurement.of(s), s)))
+        blocks.append(decoupling(measurement.of(s).reading_covariances(s)))
         runs += len(number)
     run, channel = (
         np.concatenate(parts.run),

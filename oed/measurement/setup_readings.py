@@ -14,11 +14,13 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from oed.base import Array, Mask
 from oed.instrument import Series, Setup
 from oed.mechanism import BatchedFunction, Kinematics, MachineFrame, symbols
 from oed.model import Machine
+from oed.noise import Errors, FactoredNoise, Noise
 
 
 class ObservationModel:
@@ -280,3 +282,107 @@ class SetupReadings:
     ) -> tuple[list[Array], Array, Array | None]:
         """Jacobian of the readings, as `ObservationModel.jacobians`, m times n."""
         return self.model.jacobians(self._inputs(series, x, theta))
+
+    def source_gradients(self, series: Series) -> Array:
+        """Jacobian (n, channels, sources), SI, over the errors inside an instrument.
+
+        Each error is in its standard deviation. Only for instruments that state them.
+        """
+        poses = [series.start[k] for k in series.pose_indices()]
+        nuisances = np.array([n.nominal for n in self.setup.nuisances])
+        return self.model.sources(poses, nuisances)
+
+    def run_errors(self, series: Series) -> Array:
+        """Jacobian (n, channels, k), SI, over the k stated errors that a run shares.
+
+        Each error is standard normal: levels of channels, then unknowns that the run
+        seats anew. Jacobian are those at the nominal poses.
+        """
+        setup = self.setup
+        pairs = zip(setup.instrument.channels, setup.sigma, strict=True)
+        shared = [channel.shared * sigma for channel, sigma in pairs]
+        errors = np.diag(shared)[:, np.flatnonzero(shared)]
+        levels = np.tile(errors, (len(series), 1, 1))
+        if not setup.statement.seating:
+            return levels
+        renewed = [n.name in setup.instrument.renewed for n in setup.nuisances]
+        jacobian = self.nominal_jacobian(series)[:, :, renewed]
+        return np.concatenate([levels, jacobian * setup.statement.seating], axis=2)
+
+    def reading_covariances(self, series: Series) -> Array:
+        """Covariance (n, channels, channels), SI, of each reading without its run's error."""
+        setup, instrument = self.setup, self.setup.instrument
+        sigma = series.reading_sigma(setup.sigma)
+        if instrument.sources is None:
+            return np.square(sigma)[:, :, None] * np.eye(sigma.shape[1])
+        default = np.array([c.sigma for c in instrument.channels])
+        root = self.source_gradients(series) * (sigma / default)[:, :, None]
+        return np.asarray(root @ np.swapaxes(root, 1, 2))
+
+
+# Noise of readings, as instrument and study state it.
+
+
+def stated_noise(several: Sequence[tuple[SetupReadings, Series]]) -> Noise:
+    """Noise of the readings of several series at their nominal poses, SI.
+
+    It is independent, unless an instrument's channels have common sources, the readings
+    of a run share errors, or an error is carried along a run; then it is related within
+    each run.
+    """
+    if all(_is_independent(readings, series) for readings, series in several):
+        sigmas = [
+            series.reading_sigma(readings.setup.sigma) for readings, series in several
+        ]
+        return Noise(np.concatenate([sigma.ravel() for sigma in sigmas]))
+    errors = [_errors(readings, series) for readings, series in several]
+    variances = [_variances(readings, series) for readings, series in several]
+    sigma = np.sqrt(np.concatenate(variances))
+    return FactoredNoise.of_errors(sigma, errors)
+
+
+def _is_independent(readings: SetupReadings, series: Series) -> bool:
+    """Whether no two readings of a series have an error in common."""
+    setup = readings.setup
+    alone = setup.instrument.sources is None and not setup.statement.correlated_share
+    return alone and not readings.run_errors(series).size
+
+
+def _variances(readings: SetupReadings, series: Series) -> Array:
+    """Variances (N,) of the readings of a series."""
+    alone = np.einsum("ncc->nc", readings.reading_covariances(series))
+    shared = np.square(readings.run_errors(series)).sum(axis=2)
+    return np.asarray((alone + shared).ravel())
+
+
+def _errors(readings: SetupReadings, series: Series) -> Errors:
+    """What the covariance of the readings of a series consists of, run by run."""
+    setup = readings.setup
+    channels, share = len(setup.sigma), setup.statement.correlated_share
+    run = np.repeat(np.unique(series.run, return_inverse=True)[1], channels)
+    channel = np.tile(np.arange(channels), len(series))
+    order = np.lexsort((channel, run))
+    first = np.diff(channels * run[order] + channel[order], prepend=-1) > 0
+    decay = np.where(first, 0.0, np.exp(-1.0 / setup.statement.reach_median))
+    unmix = decoupling(readings.reading_covariances(series))
+    shared = unmix @ readings.run_errors(series).reshape(len(order), -1)
+    return Errors(
+        order=order,
+        starts=np.flatnonzero(np.diff(run[order], prepend=-1)),
+        decay=decay if share else np.zeros(len(order)),
+        single=np.full(len(order), 1.0 - share),
+        correlated=np.full(len(order), share),
+        shared=shared[order],
+        scale=np.ones(len(order)),
+        unmix=scipy.sparse.csr_array(unmix[order][:, order]),
+    )
+
+
+def decoupling(covariances: Array) -> scipy.sparse.csr_array:
+    """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
+    inverses = np.linalg.inv(np.linalg.cholesky(covariances))
+    count = np.arange(len(inverses) + 1)
+    blocks = scipy.sparse.bsr_array((inverses, count[:-1], count))
+    matrix = scipy.sparse.csr_array(blocks)
+    matrix.eliminate_zeros()
+    return matrix

@@ -52,7 +52,7 @@ import numpy as np
 
 from oed.base import Array, Index, Mask
 from oed.linear_algebra import symmetric_inverse, symmetric_root
-from oed.measurement import Series, reading_covariances
+from oed.measurement import Series
 from oed.planning import travel
 from oed.planning.knowledge import Knowledge, Prior, make_knowledge, multiply_each
 from oed.planning.option import Option
@@ -183,7 +183,7 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
     parts = []
     start = 0
     for s in series:
-        root = np.linalg.cholesky(reading_covariances(measurement.of(s), s))
+        root = np.linalg.cholesky(measurement.of(s).reading_covariances(s))
         n, k = root.shape[:2]
         part = values[:, start : start + n * k].reshape(-1, n, k)
         white = np.linalg.solve(root, part.transpose(1, 2, 0))

@@ -14,7 +14,7 @@ import oed
 from oed import units
 from oed.base import Array, Index
 from oed.instrument import Channel, Setup
-from oed.measurement import Measurement, Series, reading_sigma
+from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
 from oed.model import Coordinate, Machine
 from oed.result import (
@@ -216,7 +216,7 @@ def setup_info(
     amounts: Sequence[float] = setup.sigma
     about = instrument.about + _passes(setup)
     if measured:
-        single = np.concatenate([reading_sigma(setup, s) for s in measured])
+        single = np.concatenate([s.reading_sigma(setup.sigma) for s in measured])
         amounts = [float(v) for v in np.sqrt(np.mean(single**2, axis=0))]
         about += "; each reading has its own noise, of which the rms is stated"
     channel_noise = zip(instrument.channels, amounts, strict=True)

@@ -23,7 +23,7 @@ from oed.checks.mistakes.suspect import MIN_PART, Scope, Suspect, rows_scope
 from oed.checks.mistakes.trial import MistakeTrial, Words, amount, in_scopes, in_values
 from oed.checks.session import SessionReadings
 from oed.instrument import InnerReading
-from oed.measurement import Series, source_gradients
+from oed.measurement import Series
 
 #: log prior of another factor in part of a set-up: it belongs to the instrument
 PART_LOG_PRIOR = -3.0
@@ -306,7 +306,7 @@ def _slopes(data: Suspect, name: str) -> Array:
         for one in setup.instrument.inner:
             if one.name == name:
                 readings = session.measurement.of(series)
-                of_sources = source_gradients(readings, series)
+                of_sources = readings.source_gradients(series)
                 of_errors = of_sources[:, :, list(one.sources)].sum(axis=2)
                 slopes[span] = of_errors.ravel() / setup.settings[one.noise]
     return slopes

@@ -8,7 +8,7 @@ from sample import refused, resolved
 from shipped_models import a3_head, cables_planar, delta
 
 from oed.instrument import mount
-from oed.measurement import Measurement, reading_covariances
+from oed.measurement import Measurement
 from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
 
 ARM = """\
@@ -69,7 +69,7 @@ def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(
     theta[m.nuisance_slice("part")] = theta[m.nuisance_slice("whole")]
     full, taken = (m.readings([s], theta).reshape(2, -1) for s in both)
     assert taken == pytest.approx(full[:, rows], abs=1e-15)
-    covariances = [reading_covariances(m.of(s), s) for s in both]
+    covariances = [m.of(s).reading_covariances(s) for s in both]
     expected = covariances[0][:, rows][:, :, rows]
     assert covariances[1] == pytest.approx(expected, rel=1e-12)
 

@@ -10,7 +10,7 @@ from shipped_models import cables_planar, cables_spatial
 
 from oed.estimation import Estimate, identify
 from oed.instrument import mount
-from oed.measurement import Measurement, reading_covariances
+from oed.measurement import Measurement
 from oed.model import Machine
 from pkm_models.instruments import redundancy
 
@@ -163,14 +163,14 @@ def test_noise_per_leg_is_projected_onto_the_misfits(rng: np.random.Generator) -
     unit = away / np.linalg.norm(away, axis=1)[:, None]
     across = np.eye(4) - unit @ np.linalg.inv(unit.T @ unit) @ unit.T
     expected = across @ np.diag(np.square(list(noise.values()))) @ across / 4.0
-    covariance = reading_covariances(m.of(series), series)[0]
+    covariance = m.of(series).reading_covariances(series)[0]
     values = np.linalg.eigvalsh(expected)[-2:]
     assert np.linalg.eigvalsh(covariance) == pytest.approx(values, rel=1e-9)
 
 
 def _covariances(m: Measurement, name: str, command: np.ndarray) -> np.ndarray:
     series = m.series(name, command)
-    return reading_covariances(m.of(series), series)
+    return m.of(series).reading_covariances(series)
 
 
 def test_equal_legs_have_independent_misfits(rng: np.random.Generator) -> None:

@@ -7,17 +7,9 @@ import pytest
 from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 
 from oed.instrument import Setup, mount
-from oed.measurement import (
-    Measurement,
-    Series,
-    reading_covariances,
-    reading_structure,
-    run_errors,
-    source_gradients,
-)
+from oed.measurement import Measurement, Series, reading_structure
 from oed.measurement.fixed_reading import _solve_coordinate
-from oed.measurement.reading_noise import stated_noise
-from oed.measurement.setup_readings import ObservationModel
+from oed.measurement.setup_readings import ObservationModel, stated_noise
 from oed.model import Coordinate
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
@@ -89,8 +81,8 @@ def test_channels_with_common_sources_have_a_covariance() -> None:
     setup = mount(laser_ball_bar.instrument, "laser", **GIMBAL)
     m = Measurement(prs_spindle.machine, [setup])
     series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
-    covariances = reading_covariances(m.of(series), series)
-    slopes = source_gradients(m.of(series), series)
+    covariances = m.of(series).reading_covariances(series)
+    slopes = m.of(series).source_gradients(series)
     np.testing.assert_allclose(covariances, slopes @ np.swapaxes(slopes, 1, 2))
     assert np.abs(covariances[0] - np.diag(np.diag(covariances[0]))).max() > 0.0
 
@@ -99,7 +91,7 @@ def test_a_level_is_shared_by_its_channel_alone() -> None:
     setup = sharing(mount(laser_ball_bar.instrument, "laser", **GIMBAL), 1, 0.5)
     m = Measurement(prs_spindle.machine, [setup])
     series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
-    errors = run_errors(m.of(series), series)
+    errors = m.of(series).run_errors(series)
     channels = len(setup.instrument.channels)
     assert errors.shape == (2, channels, 1)
     wanted = np.zeros(channels)
