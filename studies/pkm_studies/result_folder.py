@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -31,6 +31,63 @@ def prepare(folder: Path) -> None:
     """
     files.out_folder(folder)
     written_before(folder)
+
+
+def write(
+    folder: Path,
+    result: StudyResult,
+    texts: Mapping[str, str],
+    further: Mapping[str, Callable[[Path], Path]],
+) -> StudyResult:
+    """Write a run's files by name, then result.json, which names them.
+
+    further  writes a file to a path, and returns the path that it took
+
+    A file that the user changed, as by filling readings into poses.csv, stays, and the new
+    one gets another name. Returns the result with the digests of the files. Raises
+    InputError where one of the files cannot be written, once the others are.
+    """
+    earlier_files = written_before(folder)
+    written: dict[str, str] = {}
+    names: dict[str, str] = {}
+    refused: list[OSError] = []
+    for name, text in texts.items():
+        with _collected(refused):
+            path = safe_files.write_own(folder / name, text.encode(), earlier_files)
+            written[path.name] = files.digest(text.encode())
+            names[name] = path.name
+    for name, save in further.items():
+        with _collected(refused):
+            names[name] = save(folder / name).name
+    warnings = [*result.warnings, *renamed_sentences(names), *set_aside_foreign(folder)]
+    warnings += [f"this file was not written: {files.refusal(e)}" for e in refused]
+    result = msgspec.structs.replace(result, written=written, warnings=warnings)
+    write_result(folder, result)
+    if refused:
+        raise files.refusal(refused[0], f"; {RESULT} is written, without this file")
+    return result
+
+
+@contextlib.contextmanager
+def _collected(refused: list[OSError]) -> Iterator[None]:
+    """Collect what the disk refuses: the files after it are still to be written."""
+    try:
+        yield
+    except OSError as error:
+        refused.append(error)
+
+
+def add_files(
+    folder: Path, result: StudyResult, texts: Mapping[str, str]
+) -> StudyResult:
+    """Write further files by name beside a result of the folder, which names them."""
+    earlier_files, written = written_before(folder), dict(result.written)
+    for name, text in texts.items():
+        path = safe_files.write_own(folder / name, text.encode(), earlier_files)
+        written[path.name] = files.digest(text.encode())
+    result = msgspec.structs.replace(result, written=written)
+    rewrite(folder, result)
+    return result
 
 
 def rewrite(folder: Path, result: StudyResult) -> None:

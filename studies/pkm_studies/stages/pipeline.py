@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import collections
-import contextlib
+import functools
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -22,15 +22,7 @@ from oed.result import StudyResult
 from pkm_studies import describe, files, result_folder, sources
 from pkm_studies.base import InputError, Progress, Silent
 from pkm_studies.resolve import comments_of
-from pkm_studies.result_folder import (
-    RESULT,
-    VISIT,
-    renamed_sentences,
-    rewrite,
-    set_aside_foreign,
-    write_result,
-    written_before,
-)
+from pkm_studies.result_folder import VISIT
 from pkm_studies.results import check_claims, load_result
 from pkm_studies.stages import order
 from pkm_studies.stages.design.section import planned_readings
@@ -132,52 +124,18 @@ def write(
 ) -> StudyResult:
     """Write result.json and, as far as made, posterior, poses and plan.
 
-    `sheet` adds the page to print and fill in at the machine. A file that the user
-    changed, as by filling readings into poses.csv, stays, and the new one gets another
-    name. Returns the result with the digests of the files. Raises InputError where one
-    of the files cannot be written, once the others are.
+    `sheet` adds the page to print and fill in at the machine. Returns the result as
+    `result_folder.write` does, and raises as that.
     """
-    earlier_files = written_before(folder)
-    written: dict[str, str] = {}
-    names: dict[str, str] = {}
-    refused: list[OSError] = []
-    for name, text in _result_texts(result, state).items():
-        with _collected(refused):
-            path = safe_files.write_own(folder / name, text.encode(), earlier_files)
-            written[path.name] = files.digest(text.encode())
-            names[name] = path.name
+    further = {}
     if isinstance(state, Fitted) and state.posterior is not None:
-        with _collected(refused):
-            names[POSTERIOR] = _save_posterior(folder, result, state.posterior).name
-    warnings = [*result.warnings, *renamed_sentences(names), *set_aside_foreign(folder)]
-    warnings += [f"this file was not written: {files.refusal(e)}" for e in refused]
-    result = msgspec.structs.replace(result, written=written, warnings=warnings)
-    write_result(folder, result)
-    if refused:
-        raise files.refusal(refused[0], f"; {RESULT} is written, without this file")
+        save = functools.partial(_save_posterior, result, state.posterior)
+        further[POSTERIOR] = save
+    texts = _result_texts(result, state)
+    result = result_folder.write(folder, result, texts, further)
     if sheet:
         _write_sheet(folder, result, state.plan)
     return result
-
-
-def add_forecast(folder: Path, result: StudyResult, state: RunState) -> StudyResult:
-    """Write the files of a forecast beside a result of the folder, which names them."""
-    earlier_files, written = written_before(folder), dict(result.written)
-    for name, text in state.forecast_files.items():
-        path = safe_files.write_own(folder / name, text.encode(), earlier_files)
-        written[path.name] = files.digest(text.encode())
-    result = msgspec.structs.replace(result, written=written)
-    rewrite(folder, result)
-    return result
-
-
-@contextlib.contextmanager
-def _collected(refused: list[OSError]) -> Iterator[None]:
-    """Collect what the disk refuses: the files after it are still to be written."""
-    try:
-        yield
-    except OSError as error:
-        refused.append(error)
 
 
 def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
@@ -199,10 +157,10 @@ def _result_texts(result: StudyResult, state: RunState) -> dict[str, str]:
     return texts
 
 
-def _save_posterior(folder: Path, result: StudyResult, draws: Posterior) -> Path:
+def _save_posterior(result: StudyResult, draws: Posterior, path: Path) -> Path:
     """Write the draws as NetCDF, for xarray and ArviZ."""
     attributes = {"study": result.study, "units": "SI", "seed": str(result.seed)}
-    return posterior.save(draws, folder / POSTERIOR, attributes)
+    return posterior.save(draws, path, attributes)
 
 
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
@@ -448,7 +406,7 @@ def forecast_study(
     names = {claim.claim for claim in checked}
     others = [claim for claim in stored.claims if claim.claim not in names]
     result = msgspec.structs.replace(result, claims=[*others, *checked])
-    return add_forecast(out, result, state)
+    return result_folder.add_files(out, result, state.forecast_files)
 
 
 def _asks_for_forecast_alone(study: Study) -> bool:
