@@ -2,7 +2,6 @@
 
 resolve                      the objects of a study
 ResolvedStudy                a study as the kernel's objects
-measurement_factory          makes the machine with some of the study's set-ups
 described_machine            the machine of a table [machine]
 study_machine                the model with the study's numbers
 study_kinematics             its kinematics
@@ -13,7 +12,6 @@ replace_mean_and_covariance  a machine with other nominal numbers and their cova
 DesignRequest                what [design] means to the kernel
 CommandRanges                lower and upper ends of each command, by set-up
 PlanRequest                  what [plan] means to the kernel
-request_of_table             what the table [plan] of a study means
 PredictionRequest            what [prediction] means to the kernel
 check_states                 an error for a state in use that no reading was recorded at
 GapRequest                   what [gap] means to the kernel
@@ -79,7 +77,7 @@ if TYPE_CHECKING:
         study_machine,
         unreachable,
     )
-    from pkm_studies.resolve.plan import PlanRequest, request_of_table
+    from pkm_studies.resolve.plan import PlanRequest
     from pkm_studies.resolve.prediction import (
         PredictionRequest,
         check_states,
@@ -89,11 +87,7 @@ if TYPE_CHECKING:
         workspace_axes,
         workspace_commands,
     )
-    from pkm_studies.resolve.resolved import (
-        ResolvedStudy,
-        measurement_factory,
-        resolve,
-    )
+    from pkm_studies.resolve.resolved import ResolvedStudy, resolve
     from pkm_studies.resolve.tolerances import (
         replace_mean_and_covariance,
     )

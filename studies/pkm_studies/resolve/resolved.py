@@ -56,7 +56,7 @@ from pkm_studies.resolve.machine import (
     reach_problem,
     study_kinematics,
 )
-from pkm_studies.resolve.plan import PlanRequest, plan_request
+from pkm_studies.resolve.plan import PlanRequest, plan_request, request_of_table
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
     check_reach,
@@ -72,7 +72,7 @@ from pkm_studies.resolve.tolerances import (
 )
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
-from pkm_studies.tables import SetupTable
+from pkm_studies.tables import PlanTable, SetupTable
 
 if TYPE_CHECKING:
     from oed.dataset import Dataset
@@ -599,6 +599,28 @@ class ResolvedStudy:
         location = self.study.location.key("identify").key("effects")
         named = request.named_effects(names or ALL_EFFECTS, location)
         return dataclasses.replace(request, effects=tuple(named))
+
+    def after_readings(
+        self, table: PlanTable, machine: Machine, done: Iterable[str]
+    ) -> tuple[Self, PlanRequest]:
+        """The study about a machine as identified, and what [plan] then requests.
+
+        done  set-ups whose readings are taken: their measurements are left out
+        """
+        controller = self.measurement.kinematics.controller
+        kinematics = Kinematics(machine).with_controller(controller)
+        measurement_with = measurement_factory(kinematics, self.setups)
+        plan = request_of_table(
+            table, self.study, measurement_with, self.setups, self.prediction, done
+        )
+        changed = dataclasses.replace(
+            self,
+            machine=machine,
+            measurement_with=measurement_with,
+            measurement=measurement_with(self.measurement.setups),
+            plan=plan,
+        )
+        return changed, plan
 
     def with_dataset(self, dataset: Dataset | None) -> Self:
         """The study with these readings. Raises InputError where its prior has them."""

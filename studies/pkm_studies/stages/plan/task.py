@@ -12,8 +12,6 @@ import numpy as np
 from oed import result, units
 from oed.accuracy import error_maps
 from oed.base import Array
-from oed.mechanism import Kinematics
-from oed.model import Machine
 from oed.planning import (
     Goal,
     Option,
@@ -29,12 +27,7 @@ from oed.result import StudyResult
 from pkm_studies.base import Location
 from pkm_studies.earlier_result import known_parameters
 from pkm_studies.quantities import fine_units
-from pkm_studies.resolve import (
-    PlanRequest,
-    ResolvedStudy,
-    measurement_factory,
-    request_of_table,
-)
+from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.forecast import EstimatedParameters
 from pkm_studies.tables import PlanTable
 
@@ -215,8 +208,8 @@ def read_earlier_session(
         f" readings, {units.number(seconds, 'min'):.0f} min), with the machine as"
         f" identified from them ({source})."
     )
-    others = machine.with_parameters(parameters)
-    resolved, plan = _drop_done(resolved, request, others, done)
+    identified_machine = machine.with_parameters(parameters)
+    resolved, plan = resolved.after_readings(request.table, identified_machine, done)
     return EarlierSession(
         resolved=resolved,
         plan=plan,
@@ -244,35 +237,6 @@ def stored_knowledge(
     whole = np.zeros((len(values), len(values)))
     whole[np.ix_(indices, indices)] = covariance
     return EstimatedParameters(values, whole)
-
-
-def _drop_done(
-    resolved: ResolvedStudy,
-    request: PlanRequest,
-    machine: Machine,
-    done: Mapping[str, int],
-) -> tuple[ResolvedStudy, PlanRequest]:
-    """The study about another machine, without the measurements that are done."""
-    measurement_with = measurement_factory(
-        Kinematics(machine).with_controller(resolved.measurement.kinematics.controller),
-        resolved.setups,
-    )
-    plan = request_of_table(
-        request.table,
-        resolved.study,
-        measurement_with,
-        resolved.setups,
-        request.prediction,
-        done,
-    )
-    changed = dataclasses.replace(
-        resolved,
-        machine=machine,
-        measurement_with=measurement_with,
-        measurement=measurement_with(resolved.measurement.setups),
-        plan=plan,
-    )
-    return changed, plan
 
 
 def _session_seconds(
