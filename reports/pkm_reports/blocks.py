@@ -73,6 +73,16 @@ class TableColumn:
     number: bool = False
     wide: bool = False
 
+    @classmethod
+    def texts(cls, *titles: str) -> list[TableColumn]:
+        """Columns of words."""
+        return [cls(title) for title in titles]
+
+    @classmethod
+    def numbers(cls, *titles: str) -> list[TableColumn]:
+        """Columns of numbers."""
+        return [cls(title, number=True) for title in titles]
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Table:
@@ -138,21 +148,6 @@ class Chapter:
         blocks = self.blocks(result)
         printed = self.printed(result) if blocks else []
         return Section(self.anchor, self.title, blocks, printed)
-
-
-def text_columns(*titles: str) -> list[TableColumn]:
-    """Columns of words."""
-    return [TableColumn(title) for title in titles]
-
-
-def number_columns(*titles: str) -> list[TableColumn]:
-    """Columns of numbers."""
-    return [TableColumn(title, number=True) for title in titles]
-
-
-def wide_column(title: str) -> TableColumn:
-    """A column of sentences, which takes the width that the others leave."""
-    return TableColumn(title, wide=True)
 
 
 def transposed(columns: Sequence[Sequence[str]]) -> list[list[str]]:

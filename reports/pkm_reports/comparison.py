@@ -26,8 +26,6 @@ from pkm_reports.blocks import (
     Section,
     Table,
     TableColumn,
-    number_columns,
-    wide_column,
 )
 from pkm_reports.page import Content, Document
 from pkm_reports.report import write_document
@@ -286,10 +284,10 @@ def accuracy_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
     )
     names = list(results)
     goals = _goals(results)
-    columns = [TableColumn("Component"), *number_columns(*names)]
+    columns = [TableColumn("Component"), *TableColumn.numbers(*names)]
     with_goals = bool(goals)
     if with_goals:
-        columns += [*number_columns("Wanted"), TableColumn("Passed by")]
+        columns += [*TableColumn.numbers("Wanted"), TableColumn("Passed by")]
     rows = [_accuracy_row(name, of, results, goals) for name, of in sizes.items()]
     width = len(columns)
     table = Table(columns, [row[:width] for row in rows], caption)
@@ -349,7 +347,7 @@ def parameter_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
         return []
     names = list(dict.fromkeys(n for of in estimates.values() for n in of))
     titles = [title for name in estimates for title in (name, "sd")]
-    columns = [TableColumn("Parameter"), *number_columns(*titles, "Tolerance")]
+    columns = [TableColumn("Parameter"), *TableColumn.numbers(*titles, "Tolerance")]
     rows = [_parameter_row(name, list(estimates.values())) for name in names]
     caption = (
         "Identified values with their standard deviations. Values of directions that"
@@ -384,8 +382,8 @@ def cause_blocks(results: Mapping[str, StudyResult]) -> list[Block]:
         return []
     columns = [
         TableColumn("Result"),
-        wide_column("Likeliest explanation"),
-        *number_columns("Probability", "Residual before, rms", "after"),
+        TableColumn("Likeliest explanation", wide=True),
+        *TableColumn.numbers("Probability", "Residual before, rms", "after"),
     ]
     rows = [_cause_row(name, gap) for name, gap in diagnoses.items()]
     caption = "The likeliest explanation of what calibration leaves."
@@ -431,7 +429,7 @@ def _scores(designs: Mapping[str, DesignSection]) -> Table:
     columns = [
         TableColumn("Result"),
         TableColumn("Criterion"),
-        *number_columns("Readings", "Candidates", "log det", "κ", "Certified"),
+        *TableColumn.numbers("Readings", "Candidates", "log det", "κ", "Certified"),
     ]
     rows = [
         [

@@ -13,16 +13,7 @@ from matplotlib.figure import Figure
 import oed
 from pkm_campaign.tables import Campaign
 from pkm_reports import style, text
-from pkm_reports.blocks import (
-    Block,
-    Code,
-    Items,
-    Picture,
-    Section,
-    Table,
-    TableColumn,
-    number_columns,
-)
+from pkm_reports.blocks import Block, Code, Items, Picture, Section, Table, TableColumn
 from pkm_reports.page import Content, Document
 from pkm_reports.report import write_document
 
@@ -115,7 +106,7 @@ def _ratios(row: dict[str, Any]) -> dict[str, float]:
 def _intervals(campaign: Campaign, rows: Rows) -> list[Block]:
     columns = [
         TableColumn("Combination"),
-        *number_columns(
+        *TableColumn.numbers(
             "machines",
             "not fitted",
             "inside 95 %",
@@ -161,7 +152,7 @@ def _accuracy(campaign: Campaign, rows: Rows) -> list[Block]:
     for name in names:
         component, _, unit = name.rpartition("_")
         symbol = text.unit_symbol(unit)
-        columns += number_columns(f"{component} [{symbol}]", "over predicted")
+        columns += TableColumn.numbers(f"{component} [{symbol}]", "over predicted")
     cells = []
     for row in rows:
         line = [campaign.words(row)]
@@ -207,7 +198,10 @@ def function_chapters(campaign: Campaign, rows: Rows) -> list[Section]:
 
 
 def _table(campaign: Campaign, rows: Rows, names: list[str]) -> Table:
-    columns = [TableColumn("Combination"), *number_columns("cases", "failed", *names)]
+    columns = [
+        TableColumn("Combination"),
+        *TableColumn.numbers("cases", "failed", *names),
+    ]
     cells = []
     for row in rows:
         counts = [str(row["cases"]), str(row["failed"])]

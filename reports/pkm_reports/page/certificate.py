@@ -16,9 +16,7 @@ from pkm_reports.blocks import (
     Paragraph,
     Section,
     Table,
-    number_columns,
-    text_columns,
-    wide_column,
+    TableColumn,
 )
 from pkm_reports.page import document
 from pkm_reports.page.document import Content
@@ -112,10 +110,10 @@ def _parameters(c: Certificate) -> list[Block]:
         cells = [p.name, text.number(value, 8), text.number(twice, 2), unit]
         rows.append([*cells, f"{p.about}; {p.source}"])
     columns = [
-        *text_columns("Parameter"),
-        *number_columns("Value", "U"),
-        *text_columns("Unit"),
-        wide_column("What it is, and where the value comes from"),
+        *TableColumn.texts("Parameter"),
+        *TableColumn.numbers("Value", "U"),
+        *TableColumn.texts("Unit"),
+        TableColumn("What it is, and where the value comes from", wide=True),
     ]
     caption = "Identified parameters. U: expanded uncertainty, coverage factor 2."
     blocks: list[Block] = [Table(columns, rows, caption)]
@@ -133,7 +131,7 @@ def _covariance(c: Certificate) -> Table:
         for name, row in zip(names, c.covariance, strict=True)
     ]
     caption = "Covariance of the parameters, in products of their SI units."
-    return Table([*text_columns(""), *number_columns(*names)], rows, caption)
+    return Table([*TableColumn.texts(""), *TableColumn.numbers(*names)], rows, caption)
 
 
 def _accuracy(c: Certificate) -> list[Block]:
@@ -160,9 +158,9 @@ def _errors(accuracies: Sequence[CertifiedAccuracy], caption: str) -> Table:
         ]
         rows.append([a.component, *figures, unit, a.verdict or ""])
     columns = [
-        *text_columns("Component"),
-        *number_columns("Rms", "95th percentile", "Largest", "Limit of rms"),
-        *text_columns("Unit", "Verdict"),
+        *TableColumn.texts("Component"),
+        *TableColumn.numbers("Rms", "95th percentile", "Largest", "Limit of rms"),
+        *TableColumn.texts("Unit", "Verdict"),
     ]
     return Table(columns, rows, caption)
 
@@ -179,12 +177,12 @@ def _conformity(c: Certificate) -> list[Block]:
             [entry.quantity, tolerance, unit, probability, verdict or "", entry.basis]
         )
     columns = [
-        *text_columns("Quantity"),
-        *number_columns("Tolerance"),
-        *text_columns("Unit"),
-        *number_columns("Probability"),
-        *text_columns("Verdict"),
-        wide_column("Rests on"),
+        *TableColumn.texts("Quantity"),
+        *TableColumn.numbers("Tolerance"),
+        *TableColumn.texts("Unit"),
+        *TableColumn.numbers("Probability"),
+        *TableColumn.texts("Verdict"),
+        TableColumn("Rests on", wide=True),
     ]
     caption = (
         "Probability that the true value lies within its tolerance (JCGM 106:2012)."

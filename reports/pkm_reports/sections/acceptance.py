@@ -24,8 +24,6 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
-    wide_column,
 )
 from pkm_reports.sections import identification
 
@@ -102,7 +100,7 @@ def _introduction(acceptance: AcceptanceSection) -> str:
 def _demands(acceptance: AcceptanceSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns(
+        *TableColumn.numbers(
             "Promised rms", "Meets to", "Fails above", "Uncertainty", "Power"
         ),
     ]
@@ -119,8 +117,8 @@ def _demands(acceptance: AcceptanceSection) -> Table:
 def _further_demands(acceptance: AcceptanceSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns("Without", "With: promised", "Meets to", "Fails above"),
-        *number_columns("Uncertainty", "Power"),
+        *TableColumn.numbers("Without", "With: promised", "Meets to", "Fails above"),
+        *TableColumn.numbers("Uncertainty", "Power"),
     ]
     rows = [
         [
@@ -155,13 +153,13 @@ def _demand(demand: PromiseRecord) -> list[str]:
 def _poses(acceptance: AcceptanceSection) -> Table:
     titles = [text.heading(name) for name in acceptance.poses[0]]
     rows = [[text.trimmed(v, 6) for v in pose.values()] for pose in acceptance.poses]
-    return Table(number_columns(*titles), rows, "Poses to measure.")
+    return Table(TableColumn.numbers(*titles), rows, "Poses to measure.")
 
 
 def _verdict(verification: VerificationSection) -> list[Block]:
     columns = [
         TableColumn("Component"),
-        *number_columns("Measured rms", "Limit", "Largest"),
+        *TableColumn.numbers("Measured rms", "Limit", "Largest"),
         TableColumn("Verdict"),
     ]
     rows, marks = [], []
@@ -182,7 +180,7 @@ def _verdict(verification: VerificationSection) -> list[Block]:
 def _further_verdict(verification: VerificationSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns("Without: rms", "With: rms", "Limit", "Largest"),
+        *TableColumn.numbers("Without: rms", "With: rms", "Limit", "Largest"),
         TableColumn("Verdict"),
     ]
     rows, marks = [], []
@@ -202,7 +200,7 @@ def _further_verdict(verification: VerificationSection) -> Table:
 def _positioning(verification: VerificationSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns("Targets", "Approaches", "A", "E", "R", "M", "B"),
+        *TableColumn.numbers("Targets", "Approaches", "A", "E", "R", "M", "B"),
     ]
     rows = []
     for name, p in verification.positioning.items():
@@ -301,9 +299,11 @@ def _is_covered(entry: HeldOutSection) -> bool:
 
 def _coverage_table(sets: Sequence[HeldOutSection]) -> Table:
     columns = [
-        wide_column("Readings"),
+        TableColumn("Readings", wide=True),
         TableColumn("Channel"),
-        *number_columns("Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"),
+        *TableColumn.numbers(
+            "Number", "Rms", "Rms, unadjusted", "Inside 95 % interval"
+        ),
     ]
     rows = [
         [

@@ -21,16 +21,7 @@ from oed.result import (
     UnmodelledLine,
 )
 from pkm_reports import missing, style, text
-from pkm_reports.blocks import (
-    Block,
-    Chapter,
-    Paragraph,
-    Picture,
-    Table,
-    TableColumn,
-    number_columns,
-    wide_column,
-)
+from pkm_reports.blocks import Block, Chapter, Paragraph, Picture, Table, TableColumn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -574,7 +565,7 @@ def _table(components: Components) -> Table:
         states = states[:2]
     columns = [TableColumn("Component"), TableColumn("Correctable")]
     for state in states:
-        columns += number_columns(f"{state}: rms", "p95", "max")
+        columns += TableColumn.numbers(f"{state}: rms", "p95", "max")
     rows = [_row(name, component, states) for name, component in components.items()]
     caption = (
         "Errors before and after compensation: rms, 95th percentile and largest over"
@@ -620,7 +611,9 @@ def _realised(
         rows.append([*cells, text.number(predicted), text.fixed(ratio, 2)])
     columns = [
         TableColumn("Component"),
-        *number_columns("Rms", "p95", "max", "Predicted rms", "Realised / predicted"),
+        *TableColumn.numbers(
+            "Rms", "p95", "max", "Predicted rms", "Realised / predicted"
+        ),
     ]
     caption = (
         "Errors of virtual machines drawn from the tolerances, after their readings of this"
@@ -703,7 +696,7 @@ def range_blocks(prediction: PredictionSection) -> list[Block]:
 
 
 def _intervals(after: Mapping[str, SpreadRecord]) -> Table:
-    columns = [TableColumn("Component"), *number_columns("rms", "p95", "max")]
+    columns = [TableColumn("Component"), *TableColumn.numbers("rms", "p95", "max")]
     rows = []
     for name, spread in after.items():
         cells = [_span(spread, figure) for figure in ("rms", "p95", "max")]
@@ -728,7 +721,7 @@ def _span(spread: SpreadRecord, figure: str) -> str:
 def _references(references: Mapping[str, Mapping[str, SpreadRecord]]) -> Table:
     columns = [TableColumn("Component")]
     for name in references:
-        columns += number_columns(
+        columns += TableColumn.numbers(
             f"{text.meaning(name, FIGURE_NAMES)}: rms", "p95", "max"
         )
     components = next(iter(references.values()))
@@ -755,7 +748,7 @@ def _tools(tools: Sequence[ToolAccuracy]) -> Table:
     columns = [TableColumn("Component")]
     for tool in tools:
         length = text.quantity(tool.length, tool.unit)
-        columns += number_columns(f"{length}: rms", "p95", "max")
+        columns += TableColumn.numbers(f"{length}: rms", "p95", "max")
     rows = []
     for name, spread in tools[0].components.items():
         cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
@@ -818,7 +811,7 @@ def _axes(section: BudgetSection, components: Component_) -> Table:
     ]
     columns = [
         TableColumn("Component"),
-        *number_columns("Without additional axes", "With additional axes"),
+        *TableColumn.numbers("Without additional axes", "With additional axes"),
     ]
     caption = (
         "Rms error of what no drive of this machine corrects, and what stays where"
@@ -828,9 +821,9 @@ def _axes(section: BudgetSection, components: Component_) -> Table:
 
 
 def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:
-    columns = [TableColumn("Source"), wide_column("What it is")]
+    columns = [TableColumn("Source"), TableColumn("What it is", wide=True)]
     for name, unit in units.items():
-        columns += number_columns(f"{name} [{text.unit_symbol(unit)}]", "share")
+        columns += TableColumn.numbers(f"{name} [{text.unit_symbol(unit)}]", "share")
     rows = []
     for line in section.lines:
         row = [line.source, LINE_KINDS.get(line.kind, line.kind)]
@@ -861,8 +854,8 @@ def _unmodelled(
 ) -> Table:
     columns = [TableColumn("Effect"), TableColumn("Expected size")]
     for name, unit in units.items():
-        columns += number_columns(f"{name} [{text.unit_symbol(unit)}]")
-    columns.append(wide_column("What to do"))
+        columns += TableColumn.numbers(f"{name} [{text.unit_symbol(unit)}]")
+    columns.append(TableColumn("What to do", wide=True))
     rows = [["none: geometry alone", "", *(text.number(v) for v in after.values()), ""]]
     for line in lines:
         values = [text.number(line.with_it[name]) for name in after]

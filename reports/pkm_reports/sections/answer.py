@@ -43,9 +43,7 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
     transposed,
-    wide_column,
 )
 from pkm_reports.sections import acceptance, forecast, gap_figures
 from pkm_reports.sections.gap_figures import size_in_readings, spoken
@@ -215,11 +213,11 @@ def _cause_table(
 ) -> Table:
     columns = [
         TableColumn("Cause"),
-        *number_columns("Probability"),
+        *TableColumn.numbers("Probability"),
         # of one channel a number, of six a list
-        wide_column("In the readings, rms"),
-        wide_column("After calibration, rms"),
-        wide_column("Own size"),
+        TableColumn("In the readings, rms", wide=True),
+        TableColumn("After calibration, rms", wide=True),
+        TableColumn("Own size", wide=True),
     ]
     sizes = {size.effect: size for size in gap.sizes}
     rows = []
@@ -337,7 +335,7 @@ def number_blocks(result: StudyResult) -> list[Block]:
     )
     return [
         Table(
-            [TableColumn("Number"), *number_columns("Old", "New", "Change", "sd")],
+            [TableColumn("Number"), *TableColumn.numbers("Old", "New", "Change", "sd")],
             rows,
             caption,
         )
@@ -517,12 +515,12 @@ def _working_order(result: StudyResult) -> list[Block]:
     if not names:
         return []
     cells = [[str(k) for k in range(1, len(shown) + 1)]]
-    columns = [*number_columns("No.")]
+    columns = [*TableColumn.numbers("No.")]
     if len({pose.setup for pose in poses}) > 1:
         columns.append(TableColumn("Set-up"))
         cells.append([pose.setup for pose in shown])
     for name in names:
-        columns += number_columns(text.heading(name))
+        columns += TableColumn.numbers(text.heading(name))
         values = missing.column([pose.command for pose in shown], name)
         cells.append(text.aligned(values))
     of = "" if len(shown) == len(poses) else f", the first {len(shown)} of them"
@@ -620,7 +618,7 @@ def _held_out_table(sections: Sequence[HeldOutSection]) -> Table:
     differ = len(set(verdicts)) > 1
     columns = [
         TableColumn("Channel"),
-        *number_columns("Predicted", "Seen", "Nominal", "Inside"),
+        *TableColumn.numbers("Predicted", "Seen", "Nominal", "Inside"),
         *([TableColumn("Verdict")] if differ else []),
     ]
     several = len({s.name for s in sections}) > 1
@@ -704,7 +702,7 @@ def _predicted_accuracy(
     interval = "95 % of machines" if is_plan(result) else "95 % interval"
     columns = [
         TableColumn("Component"),
-        *number_columns("Before", "Afterwards", interval),
+        *TableColumn.numbers("Before", "Afterwards", interval),
         *(LIMIT_COLUMNS if judged else []),
     ]
     rows, marks = [], []
@@ -796,9 +794,9 @@ def _planned_accuracy(plan: PlanSection) -> Table:
     """Accuracy of a plan of stages, which has no prediction of its own, and no verdict."""
     columns = [
         TableColumn("Component"),
-        *number_columns("Afterwards"),
-        *(number_columns("Wanted") if plan.goal else []),
-        *number_columns("Before"),
+        *TableColumn.numbers("Afterwards"),
+        *(TableColumn.numbers("Wanted") if plan.goal else []),
+        *TableColumn.numbers("Before"),
     ]
     rows = []
     for key, value in plan.accuracy.items():

@@ -22,8 +22,6 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
-    wide_column,
 )
 from pkm_reports.sections import accuracy
 from pkm_reports.sections.accuracy import spread_figures
@@ -67,7 +65,9 @@ def _introduction(corrected: CorrectedSection) -> str:
 def _parameters(result: StudyResult, corrected: CorrectedSection) -> Table:
     columns = [
         TableColumn("Parameter"),
-        *number_columns("Nominal", "Without effects", "Corrected", "sd", "Change / sd"),
+        *TableColumn.numbers(
+            "Nominal", "Without effects", "Corrected", "sd", "Change / sd"
+        ),
     ]
     without = {} if result.estimate is None else result.estimate.parameters
     rows = []
@@ -102,7 +102,10 @@ def _effects(effects: Mapping[str, EffectEstimate]) -> Table:
         for name, e in effects.items()
         if not e.shape or abs(e.value) > CLEAR * e.sd
     }
-    columns = [TableColumn("Coefficient"), *number_columns("Value", "sd", "Expected")]
+    columns = [
+        TableColumn("Coefficient"),
+        *TableColumn.numbers("Value", "sd", "Expected"),
+    ]
     rows = [
         [
             f"{name.replace(e.effect, spoken(e.effect))} [{text.unit_symbol(e.unit)}]",
@@ -122,7 +125,9 @@ def _effects(effects: Mapping[str, EffectEstimate]) -> Table:
 def _accuracy(corrected: CorrectedSection, prediction: PredictionSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns("Before", "Parameters alone", "With effects", "p95", "max"),
+        *TableColumn.numbers(
+            "Before", "Parameters alone", "With effects", "p95", "max"
+        ),
     ]
     rows = []
     for name, c in prediction.components.items():
@@ -194,9 +199,9 @@ def _lines(section: AdjustmentSection, further: tuple[str, ...] = ()) -> Table:
     columns = [
         TableColumn("No."),
         TableColumn("Adjustment"),
-        *number_columns("Amount", "Steps"),
-        wide_column("Moves"),
-        *number_columns("Without it"),
+        *TableColumn.numbers("Amount", "Steps"),
+        TableColumn("Moves", wide=True),
+        *TableColumn.numbers("Without it"),
         *(TableColumn(title) for title in further),
     ]
     rows = [
@@ -232,7 +237,7 @@ def _adjusted_accuracy(section: AdjustmentSection) -> Table:
     columns = [
         TableColumn("After"),
         TableColumn("Controller"),
-        *number_columns("Total", *titles),
+        *TableColumn.numbers("Total", *titles),
     ]
     rows = []
     for k, record in enumerate(section.accuracy):

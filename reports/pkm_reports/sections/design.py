@@ -26,9 +26,7 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    number_columns,
     transposed,
-    wide_column,
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections import stages
@@ -214,7 +212,7 @@ def _polish(design: DesignSection) -> list[Block]:
         sentence += f": {polish.words}"
     content: list[Block] = [Paragraph(text.sentence(sentence))]
     if polish.setups:
-        columns = [TableColumn("Set-up"), wide_column("Set it to")]
+        columns = [TableColumn("Set-up"), TableColumn("Set it to", wide=True)]
         rows = [
             [name, text.named_quantities(settings)]
             for name, settings in polish.setups.items()
@@ -242,8 +240,8 @@ def _effects(design: DesignSection) -> list[Block]:
         f" {design.criterion}; on a machine without effects, this plan {alone}."
     )
     columns = [
-        wide_column("Error after compensation, rms"),
-        *number_columns("before any reading", "this plan", "plan without effects"),
+        TableColumn("Error after compensation, rms", wide=True),
+        *TableColumn.numbers("before any reading", "this plan", "plan without effects"),
     ]
     rows = []
     for key, value in allowed.accuracy.items():
@@ -394,7 +392,10 @@ NO_GAP: Final = 1e-9
 
 def certificate_blocks(design: DesignSection) -> list[Block]:
     """Sentence, numbers, refusals."""
-    columns = [TableColumn("Quantity"), wide_column("Of the chosen readings")]
+    columns = [
+        TableColumn("Quantity"),
+        TableColumn("Of the chosen readings", wide=True),
+    ]
     rows = [[name, value] for name, value in _facts(design) if value]
     table = Table(columns, rows, _certificate_caption(design))
     return [Paragraph(certificate_sentence(design)), table, *_refusals(design)]
@@ -541,7 +542,10 @@ def _refusals(design: DesignSection) -> list[Block]:
                 f"{candidates} {verb} left out before the choice, because they {reason}."
             )
         ]
-    columns = [TableColumn("Candidates", number=True), wide_column("which …")]
+    columns = [
+        TableColumn("Candidates", number=True),
+        TableColumn("which …", wide=True),
+    ]
     rows = [[str(n), text.replace_symbols(why)] for why, n in refused]
     caption = (
         "Candidates left out before the choice; one may have several reasons. Most,"
@@ -746,11 +750,11 @@ def _certificates_text(names: Sequence[str]) -> str:
 
 def _certificate_columns(names: Sequence[str]) -> list[TableColumn]:
     titles = ("Value", "Bound", "Certified", f"Gain over {names[0]}")
-    return [TableColumn("Criterion"), *number_columns(*titles)]
+    return [TableColumn("Criterion"), *TableColumn.numbers(*titles)]
 
 
 def _plan_columns(names: Sequence[str]) -> list[TableColumn]:
-    return number_columns(*[f"plan for {name}" for name in names])
+    return TableColumn.numbers(*[f"plan for {name}" for name in names])
 
 
 def _certificate_row(entry: CriterionComparison) -> list[str]:
@@ -882,7 +886,7 @@ def _scores(design: DesignSection) -> Table:
         if index != criterion:
             values = missing.column([plan.observability for plan in plans], index)
             columns[index] = [text.number(value) for value in values]
-    titles = [wide_column("Plan"), *number_columns(*columns)]
+    titles = [TableColumn("Plan", wide=True), *TableColumn.numbers(*columns)]
     cells = [[plan.name for plan in plans], *columns.values()]
     return Table(titles, transposed(cells), _scores_caption(design), _marks(design))
 
@@ -955,7 +959,7 @@ def _accuracies(design: DesignSection) -> Table:
             rows.append(["… times as accurate", *gains])
             marks.append(mark)
     titles = [text.heading(key) for key in keys]
-    columns = [wide_column("Plan"), *number_columns(*titles)]
+    columns = [TableColumn("Plan", wide=True), *TableColumn.numbers(*titles)]
     caption = _accuracies_caption(design.plans[0], reference)
     return Table(columns, rows, caption, marks)
 

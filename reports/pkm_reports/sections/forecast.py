@@ -13,7 +13,6 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
 )
 
 
@@ -79,7 +78,9 @@ def _table(
         ]
         for name, c in forecast.components.items()
     ]
-    return Table([TableColumn("Component"), *number_columns(*titles)], rows, caption)
+    return Table(
+        [TableColumn("Component"), *TableColumn.numbers(*titles)], rows, caption
+    )
 
 
 def _planned(forecast: ForecastSection) -> Table:
@@ -119,7 +120,9 @@ def _checked(forecast: ForecastSection) -> Table:
 def _nodes(forecast: ForecastSection) -> Table:
     titles = [text.heading(name) for name in forecast.nodes[0]]
     rows = [[text.trimmed(v, 6) for v in node.values()] for node in forecast.nodes]
-    return Table(number_columns(*titles), rows, "Nodes, the most useful one first.")
+    return Table(
+        TableColumn.numbers(*titles), rows, "Nodes, the most useful one first."
+    )
 
 
 CHAPTER: Final = Chapter("forecast", "Forecast compensation", blocks, printed)

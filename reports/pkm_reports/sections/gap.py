@@ -33,8 +33,6 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
-    wide_column,
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections import gap_figures
@@ -334,8 +332,8 @@ def _places(gap: GapSection) -> list[Block]:
     if not places or not gap.effect_reported:
         return []
     columns = [
-        wide_column("Where"),
-        *number_columns("Share of the residual error", "p"),
+        TableColumn("Where", wide=True),
+        *TableColumn.numbers("Share of the residual error", "p"),
     ]
     rows = [
         [_place(p), text.percent(p.strength), text.number(p.p_value, 2)] for p in places
@@ -382,9 +380,11 @@ def _closure(gap: GapSection) -> list[Block]:
     if not closures or not gap.effect_reported:
         return []
     columns = [
-        wide_column("Held out"),
-        *number_columns("Readings", "Removed", "95 % interval", "Probability of harm"),
-        *number_columns("Before", "After", "Noise alone"),
+        TableColumn("Held out", wide=True),
+        *TableColumn.numbers(
+            "Readings", "Removed", "95 % interval", "Probability of harm"
+        ),
+        *TableColumn.numbers("Before", "After", "Noise alone"),
     ]
     rows = [
         [
@@ -535,8 +535,8 @@ def _untested(gap: GapSection) -> list[Block]:
         return []
     columns = [
         TableColumn("Effect"),
-        wide_column("Why not"),
-        wide_column("Record in the readings"),
+        TableColumn("Why not", wide=True),
+        TableColumn("Record in the readings", wide=True),
     ]
     rows = []
     for name in gap.not_testable:
@@ -567,8 +567,8 @@ def _coefficients(gap: GapSection) -> list[Block]:
         return []
     columns = [
         TableColumn("Effect"),
-        wide_column("Coefficient"),
-        *number_columns("Value", "Sd", "In expected sizes"),
+        TableColumn("Coefficient", wide=True),
+        *TableColumn.numbers("Value", "Sd", "In expected sizes"),
     ]
     caption = (
         "Coefficients of the effects found, and in units of the size that was expected"
@@ -651,9 +651,9 @@ def probabilities_caption(gap: GapSection) -> str:
 
 def _explanation_columns() -> list[TableColumn]:
     return [
-        wide_column("Explanation"),
+        TableColumn("Explanation", wide=True),
         TableColumn("Probability", number=True),
-        wide_column("Cannot be distinguished from"),
+        TableColumn("Cannot be distinguished from", wide=True),
     ]
 
 
@@ -721,8 +721,8 @@ def _effect_name(name: str, class_sizes: Mapping[str, int]) -> str:
 def _size_table(gap: GapSection) -> Table:
     columns = [
         TableColumn("Effect"),
-        wide_column("What it is"),
-        *number_columns("Size, rms", "After calibration, rms", "Detectability"),
+        TableColumn("What it is", wide=True),
+        *TableColumn.numbers("Size, rms", "After calibration, rms", "Detectability"),
     ]
     rows = [
         [
@@ -808,7 +808,9 @@ def _compensation_choices(
         "Rms error over the workspace that is expected after each compensation, as the"
         " mean over the hypotheses by their probabilities."
     )
-    return Table([TableColumn("Compensation"), *number_columns(*heads)], rows, caption)
+    return Table(
+        [TableColumn("Compensation"), *TableColumn.numbers(*heads)], rows, caption
+    )
 
 
 def _mixture_accuracy(section: MixtureSection) -> list[Block]:
@@ -821,7 +823,7 @@ def _mixture_accuracy(section: MixtureSection) -> list[Block]:
         if prediction is None:
             continue
         columns = [TableColumn("Component")]
-        columns += number_columns("rms", "p95", "max", "rms of 95 % of machines")
+        columns += TableColumn.numbers("rms", "p95", "max", "rms of 95 % of machines")
         rows = []
         for component, accuracy in prediction.components.items():
             unit = text.unit_symbol(accuracy.after.unit)
@@ -852,8 +854,8 @@ FIXED: Final = 1e-12
 def _mixture_parameters(section: MixtureSection) -> Table:
     columns = [
         TableColumn("Parameter"),
-        *number_columns("Value", "sd", "Within hypotheses", "95 % interval"),
-        *number_columns("For the controller"),
+        *TableColumn.numbers("Value", "sd", "Within hypotheses", "95 % interval"),
+        *TableColumn.numbers("For the controller"),
     ]
     rows = []
     free = {n: p for n, p in section.parameters.items() if p.sd > FIXED * abs(p.value)}

@@ -29,8 +29,6 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
-    wide_column,
 )
 from pkm_reports.sections.gap_figures import VISIBLE, spoken
 
@@ -190,9 +188,9 @@ def _runs_caption(chosen: ChosenRuns) -> str:
 
 def _separations(chosen: ChosenRuns) -> Block:
     columns = [
-        wide_column("Effect"),
+        TableColumn("Effect", wide=True),
         TableColumn("Told from"),
-        *number_columns("Before", "Now", "Without the rival"),
+        *TableColumn.numbers("Before", "Now", "Without the rival"),
     ]
     rows = [
         [
@@ -253,9 +251,9 @@ def _sizes(
 ) -> Block:
     titles = ("Expected rms", "Absorbed", "Detectability", "Chance", "Smallest rms")
     columns = [
-        wide_column("Effect"),
-        *number_columns(*titles),
-        wide_column("Hardest rival"),
+        TableColumn("Effect", wide=True),
+        *TableColumn.numbers(*titles),
+        TableColumn("Hardest rival", wide=True),
     ]
     rows = [
         [
@@ -319,9 +317,9 @@ def _imitated(testable: Sequence[DetectabilityRecord], of: str) -> list[Block]:
     shown = imitations[:MOST]
     columns = [
         TableColumn("Effect"),
-        wide_column("Coefficients"),
+        TableColumn("Coefficients", wide=True),
         TableColumn("Imitated by"),
-        *number_columns("Alone", "With the rival"),
+        *TableColumn.numbers("Alone", "With the rival"),
     ]
     rows = [
         [
@@ -413,8 +411,8 @@ def runs_table(
     titles = [CONDITIONS[name][0] for name in conditions]
     columns = [
         TableColumn("Set-up"),
-        wide_column("Run"),
-        *number_columns(*titles, title),
+        TableColumn("Run", wide=True),
+        *TableColumn.numbers(*titles, title),
     ]
     rows = [
         [run.setup, run.run, *[_condition(run, name) for name in conditions], cell]

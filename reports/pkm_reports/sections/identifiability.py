@@ -24,9 +24,7 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    number_columns,
     transposed,
-    wide_column,
 )
 
 if TYPE_CHECKING:
@@ -160,8 +158,8 @@ def _caption(section: IdentifiabilitySection) -> str:
 def _findings(findings: Sequence[IdentifiabilityFinding]) -> Table:
     columns = [
         TableColumn("Verdict"),
-        wide_column("What"),
-        wide_column("What would determine it"),
+        TableColumn("What", wide=True),
+        TableColumn("What would determine it", wide=True),
     ]
     rows, marks = [], []
     for finding in findings:
@@ -179,7 +177,7 @@ def _directions(
         return []
     columns = [
         TableColumn(noun.capitalize(), number=True),
-        wide_column("Coefficients of the parameters (SI units)"),
+        TableColumn("Coefficients of the parameters (SI units)", wide=True),
     ]
     rows = [
         [str(k), text.linear_combination(terms)]
@@ -201,8 +199,8 @@ def _variants(
     sections = list(entries.values())
     columns = [
         TableColumn("Variant"),
-        *number_columns("Rank", "Lost", "κ"),
-        wide_column("What is lost"),
+        *TableColumn.numbers("Rank", "Lost", "κ"),
+        TableColumn("What is lost", wide=True),
     ]
     cells = [
         list(entries),
@@ -247,7 +245,7 @@ def _indices(
         [plan, str(one.rank), *_values(one, section.indices)]
         for plan, one in entries.items()
     ]
-    columns = [TableColumn("Readings"), *number_columns("Rank", *symbols)]
+    columns = [TableColumn("Readings"), *TableColumn.numbers("Rank", *symbols)]
     sentences = " ".join(map(text.sentence, CRITERIA.sentences(section.indices)))
     caption = (
         "Indices of the identification matrix over the directions that each determines;"
@@ -395,7 +393,7 @@ def _kappa_table(maps: Sequence[KappaMap]) -> Table:
         "The condition numbers behind the figure, over points n and circles m."
         f" {'; '.join(meanings)}."
     )
-    return Table(number_columns(*titles), transposed(cells), caption)
+    return Table(TableColumn.numbers(*titles), transposed(cells), caption)
 
 
 KAPPA_CHAPTER: Final = Chapter(

@@ -29,8 +29,6 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
-    wide_column,
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections.answer import fits_with_effects, is_plan
@@ -114,7 +112,7 @@ def noise_blocks(checked: GoodnessSection | None) -> list[Block]:
     columns = [
         TableColumn("Noise"),
         TableColumn("Of"),
-        *number_columns("Estimate", "sd", "Stated"),
+        *TableColumn.numbers("Estimate", "sd", "Stated"),
         TableColumn("Unit"),
     ]
     rows = [_left_out_row(record) for record in checked.noise.values()]
@@ -134,7 +132,7 @@ def left_out(checked: GoodnessSection | None) -> list[Block]:
     columns = [
         TableColumn("Set-up"),
         TableColumn("Run"),
-        *number_columns("Values", "Errors / predicted", "p", "Log score"),
+        *TableColumn.numbers("Values", "Errors / predicted", "p", "Log score"),
     ]
     worst = sorted(checked.left_out, key=lambda run: run.p_high)[:SHOWN]
     rows = [
@@ -433,7 +431,7 @@ def _pull(estimate: ParameterEstimate) -> float:
 def _table(values: Estimates) -> Table:
     columns = [
         TableColumn("Parameter"),
-        *number_columns("Value", "sd", "Nominal", "Tolerance"),
+        *TableColumn.numbers("Value", "sd", "Nominal", "Tolerance"),
         TableColumn("Unit"),
         TableColumn("Verdict"),
     ]
@@ -443,7 +441,7 @@ def _table(values: Estimates) -> Table:
     )
     with_truth = any(estimate.truth is not None for estimate in values.values())
     if with_truth:
-        columns += number_columns("Truth", "Pull")
+        columns += TableColumn.numbers("Truth", "Pull")
         caption += " Pull: (value − truth) / sd."
     rows = [_row(name, p, with_truth=with_truth) for name, p in values.items()]
     marks = [MARKS.get(estimate.identified, "") for estimate in values.values()]
@@ -473,8 +471,8 @@ def _combinations(combinations: Sequence[CombinationEstimate]) -> list[Block]:
     if not several:
         return []
     columns = [
-        wide_column("Combination"),
-        *number_columns("Value", "sd", "Tolerance"),
+        TableColumn("Combination", wide=True),
+        *TableColumn.numbers("Value", "sd", "Tolerance"),
         TableColumn("Unit"),
     ]
     rows = []

@@ -32,10 +32,7 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
-    text_columns,
     transposed,
-    wide_column,
 )
 from pkm_reports.sections.machine_figures import draw_machine
 from pkm_reports.view import points_mm
@@ -341,10 +338,10 @@ def setup_blocks(setups: Sequence[SetupInfo]) -> list[Block]:
         return []
     columns = [
         TableColumn("Set-up"),
-        wide_column("Instrument"),
-        wide_column("Settings"),
-        wide_column("Noise (1 sigma)"),
-        wide_column("Unknowns and tolerances"),
+        TableColumn("Instrument", wide=True),
+        TableColumn("Settings", wide=True),
+        TableColumn("Noise (1 sigma)", wide=True),
+        TableColumn("Unknowns and tolerances", wide=True),
     ]
     rows = [
         [
@@ -473,10 +470,10 @@ def _readings(poses: Sequence[PlannedReading]) -> list[Block]:
     channels = list(dict.fromkeys(key for pose in poses for key in pose.reading))
     columns = [
         TableColumn("No.", number=True),
-        *text_columns("Set-up", "Run"),
-        *number_columns("Order in run"),
-        *number_columns(*[text.heading(name) for name in commands]),
-        *number_columns(*[f"{text.heading(name)}, nominal" for name in channels]),
+        *TableColumn.texts("Set-up", "Run"),
+        *TableColumn.numbers("Order in run"),
+        *TableColumn.numbers(*[text.heading(name) for name in commands]),
+        *TableColumn.numbers(*[f"{text.heading(name)}, nominal" for name in channels]),
     ]
     cells = [
         [str(k) for k in range(1, len(poses) + 1)],
@@ -525,9 +522,9 @@ def _stages(plan: PlanSection) -> list[Block]:
     columns = [
         TableColumn("Stage", number=True),
         TableColumn("Measurement"),
-        wide_column("Set-ups"),
-        *number_columns("Readings", "Rank", "Cost [min]", "κ"),
-        wide_column("Predicted afterwards"),
+        TableColumn("Set-ups", wide=True),
+        *TableColumn.numbers("Readings", "Rank", "Cost [min]", "κ"),
+        TableColumn("Predicted afterwards", wide=True),
     ]
     rows = [
         [

@@ -19,9 +19,7 @@ from pkm_reports.blocks import (
     Picture,
     Table,
     TableColumn,
-    number_columns,
     transposed,
-    wide_column,
 )
 from pkm_reports.missing import or_nan
 
@@ -265,8 +263,8 @@ def _directions(posterior: PosteriorSection) -> list[Block]:
         return []
     columns = [
         TableColumn("Label"),
-        wide_column("Direction"),
-        *number_columns("Mean", "sd"),
+        TableColumn("Direction", wide=True),
+        *TableColumn.numbers("Mean", "sd"),
     ]
     means = [text.fixed(x, 2) for x in np.mean(draws, axis=0)]
     sds = [text.fixed(x, 2) for x in np.std(draws, axis=0)]
@@ -283,12 +281,14 @@ def _marginals(marginals: Mapping[str, Marginal]) -> list[Block]:
         return []
     columns = [
         TableColumn("Parameter"),
-        *number_columns("Mean", "sd", "2.5 %", "97.5 %"),
+        *TableColumn.numbers("Mean", "sd", "2.5 %", "97.5 %"),
         TableColumn("Unit"),
     ]
     # independent draws have no R-hat
     mixed = any(m.rhat is not None for m in marginals.values())
-    columns += number_columns("R-hat", "ESS") if mixed else number_columns("ESS")
+    columns += (
+        TableColumn.numbers("R-hat", "ESS") if mixed else TableColumn.numbers("ESS")
+    )
     rows = [_marginal_row(name, m, mixed) for name, m in marginals.items()]
     caption = (
         "Marginals of the posterior with sampler diagnostics (ESS: effective sample"
@@ -303,7 +303,7 @@ def _checks(checks: Mapping[str, PredictiveCheckRecord]) -> list[Block]:
         return []
     columns = [
         TableColumn("Of the residuals"),
-        *number_columns("Observed", "2.5 %", "97.5 %", "Probability of more"),
+        *TableColumn.numbers("Observed", "2.5 %", "97.5 %", "Probability of more"),
     ]
     rows = [
         [

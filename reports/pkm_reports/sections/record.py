@@ -7,15 +7,7 @@ from typing import Final
 from oed.result import StudyResult
 from oed.text import shorten
 from pkm_reports import text
-from pkm_reports.blocks import (
-    Block,
-    Chapter,
-    Code,
-    Paragraph,
-    Table,
-    TableColumn,
-    wide_column,
-)
+from pkm_reports.blocks import Block, Chapter, Code, Paragraph, Table, TableColumn
 
 #: characters of a measured value
 LONGEST: Final = 70
@@ -32,7 +24,7 @@ def _claims(result: StudyResult) -> list[Block]:
     columns = [
         TableColumn("Claim"),
         TableColumn("Measured", number=not worded, wide=worded),
-        wide_column("Wanted"),
+        TableColumn("Wanted", wide=True),
         TableColumn("Verdict"),
     ]
     rows = [
@@ -80,7 +72,7 @@ def _versions(result: StudyResult) -> Table:
     others = {n: v for n, v in result.versions.items() if n != "pkm-oed"}
     rows += [[name, version] for name, version in others.items()]
     caption = "Seed and versions: the same ones give the same numbers."
-    return Table([TableColumn("What"), wide_column("Value")], rows, caption)
+    return Table([TableColumn("What"), TableColumn("Value", wide=True)], rows, caption)
 
 
 RECORD: Final = Chapter("record", "Record", _record)

@@ -35,9 +35,7 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
     headed_list,
-    number_columns,
     transposed,
-    wide_column,
 )
 from pkm_reports.missing import or_nan
 from pkm_reports.sections.plan import (
@@ -73,8 +71,11 @@ NO_LOSS: Final = 0.005
 def schedule(plan: PlanSection) -> Table:
     """The stages in order: when, what, how many readings, what they determine."""
     stages = plan.stages
-    columns = number_columns("Stage", "Minutes")
-    columns += [wide_column("Measurement"), wide_column("Set-ups")]
+    columns = TableColumn.numbers("Stage", "Minutes")
+    columns += [
+        TableColumn("Measurement", wide=True),
+        TableColumn("Set-ups", wide=True),
+    ]
     cells = [
         [str(k) for k in range(1, len(stages) + 1)],
         [_span(stage) for stage in stages],
@@ -84,7 +85,9 @@ def schedule(plan: PlanSection) -> Table:
     if any(stage.operator for stage in stages):
         columns.append(TableColumn("Operator"))
         cells.append([stage.operator or text.MISSING for stage in stages])
-    columns += number_columns("Readings", "Expected lost", "Rank alone", "Rank so far")
+    columns += TableColumn.numbers(
+        "Readings", "Expected lost", "Rank alone", "Rank so far"
+    )
     cells += [
         [str(stage.readings) for stage in stages],
         [_lost(stage) for stage in stages],
@@ -92,7 +95,7 @@ def schedule(plan: PlanSection) -> Table:
         [text.MISSING if s.rank is None else str(s.rank) for s in stages],
     ]
     if any(stage.price for stage in stages):
-        columns += number_columns("Price")
+        columns += TableColumn.numbers("Price")
         cells.append([text.trimmed(stage.price) for stage in stages])
     return Table(columns, transposed(cells), _schedule_table_caption(plan))
 
@@ -159,8 +162,8 @@ def improvements(plan: PlanSection, machine: MachineInfo) -> Table:
     columns = [
         TableColumn("Stage", number=True),
         TableColumn("Measurement"),
-        wide_column("Improved most"),
-        wide_column("Not yet determined"),
+        TableColumn("Improved most", wide=True),
+        TableColumn("Not yet determined", wide=True),
     ]
     caption = (
         "What each stage identifies: the parameters whose standard deviations it"
@@ -242,7 +245,7 @@ def accuracy_table(plan: PlanSection) -> Table:
         rows.append([label, *cells(plan.best_reachable, keys)])
         marks.append("")
     titles = [text.heading(key) for key in keys]
-    columns = [wide_column("When"), *number_columns(*titles)]
+    columns = [TableColumn("When", wide=True), *TableColumn.numbers(*titles)]
     caption = "Accuracy of each component, rms over the workspace, stage by stage."
     return Table(columns, rows, caption, marks)
 
@@ -393,8 +396,8 @@ def _effects(plan: PlanSection) -> list[Block]:
     if allowed is None:
         return []
     columns = [
-        wide_column("Error after compensation, rms"),
-        *number_columns(
+        TableColumn("Error after compensation, rms", wide=True),
+        *TableColumn.numbers(
             "promised without effects", "that plan with effects", "this plan"
         ),
     ]
@@ -466,9 +469,9 @@ def _alternatives(plan: PlanSection) -> list[Block]:
     if not others:
         return sentences
     columns = [
-        wide_column("Plan (readings or runs)"),
-        *number_columns("Minutes", "Value"),
-        wide_column("Why not"),
+        TableColumn("Plan (readings or runs)", wide=True),
+        *TableColumn.numbers("Minutes", "Value"),
+        TableColumn("Why not", wide=True),
     ]
     rows = [
         [
@@ -586,9 +589,9 @@ def sequences(plan: PlanSection) -> list[Block]:
 def _ranks(compared: Sequence[SequenceRecord]) -> Table:
     indices = list(dict.fromkeys(key for s in compared for key in s.observability))
     columns = [
-        wide_column("Sequence"),
-        *number_columns("Readings", "Minutes", "Rank", "κ", "Weakest"),
-        *number_columns(*indices, "Lost"),
+        TableColumn("Sequence", wide=True),
+        *TableColumn.numbers("Readings", "Minutes", "Rank", "κ", "Weakest"),
+        *TableColumn.numbers(*indices, "Lost"),
     ]
     cells = [
         [s.name for s in compared],
@@ -631,9 +634,9 @@ def _comparison(compared: Sequence[SequenceRecord]) -> Table:
             rows.append(["… times as accurate", "", "", "", *factors])
             marks.append("chosen")
     columns = [
-        wide_column("Sequence"),
-        *number_columns("Minutes", "Value", "Bound"),
-        *number_columns(*[text.heading(key) for key in keys]),
+        TableColumn("Sequence", wide=True),
+        *TableColumn.numbers("Minutes", "Value", "Bound"),
+        *TableColumn.numbers(*[text.heading(key) for key in keys]),
     ]
     caption = (
         "Each sequence, and below it (marked) the best plan found in its time: value"
@@ -913,9 +916,9 @@ def recording_blocks(recording: RecordingSection | None) -> list[Block]:
         return []
     keys = list(recording.accuracy)
     columns = [
-        wide_column("Record as well"),
-        wide_column("Effects that depend on it"),
-        *number_columns("error falls by", "worth", *map(_accuracy_heading, keys)),
+        TableColumn("Record as well", wide=True),
+        TableColumn("Effects that depend on it", wide=True),
+        *TableColumn.numbers("error falls by", "worth", *map(_accuracy_heading, keys)),
     ]
     rows = [_best_recording(recording)]
     for choice in recording.choices:
