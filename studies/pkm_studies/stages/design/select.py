@@ -52,7 +52,7 @@ from pkm_studies.resolve import (
 from pkm_studies.stages.design import order
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.recording import PlanToRecord, recording_section
-from pkm_studies.tables import DesignTable, HowManyTable, PolishTable, RobustTable
+from pkm_studies.tables import DesignTable
 
 # The time that a plan takes, and the plan section of a study without [plan].
 
@@ -96,20 +96,23 @@ class PolishedPlan:
 
     measurement: Measurement
     series: tuple[Series, ...]
-    summary: PolishSummary
+    summary: PolishSummary | None
 
 
 def polish_plan(
     study_criteria: StudyCriteria,
-    asked: PolishTable,
     measurement: Measurement,
     series: Sequence[Series],
     retained: Sequence[Series],
 ) -> PolishedPlan:
     """The chosen readings polished, or as they are where that gains nothing.
 
-    `retained` readings are part of the plan and do not move. Raises InputError.
+    Also where the study does not ask for it. `retained` readings are part of the plan
+    and do not move. Raises InputError.
     """
+    asked = study_criteria.table.polish
+    if asked is None or not asked.enabled:
+        return PolishedPlan(measurement, tuple(series), None)
     table, name = study_criteria.table, study_criteria.table.judged_by
     location = study_criteria.resolved.study.location.key("design").key("polish")
     ranges = _free_ranges(study_criteria, series, retained, location)
@@ -209,21 +212,23 @@ def accuracy_by_size(
     problem: DesignProblem,
     study_criteria: StudyCriteria,
     chosen: Choice,
-    table: HowManyTable,
-    seed: int,
     location: Location,
-) -> HowManySummary:
+) -> HowManySummary | None:
     """The curve over the candidates, with bounds, and the fewest readings wanted.
 
+    None where the study does not ask for it.
     Where not all set-ups can be mounted, over those of the chosen plan. Raises
     InputError for a component that the machine does not have.
     """
-    c = problem.candidates
+    table = study_criteria.table.how_many
+    if table is None:
+        return None
+    c, location = problem.candidates, location.key("how_many")
     components = {x.name: x.unit for x in c.measurement.machine.components}
     wanted = quantities.read_values(table.wanted, components, location.key("wanted"))
     scale = wanted or _reached_accuracy(study_criteria, problem, chosen)
     names, factors = _factors(study_criteria, problem, scale)
-    seed_key = Stream.HOW_MANY.key(seed)
+    seed_key = Stream.HOW_MANY.key(study_criteria.resolved.study.seed)
     size_curve = problem.size_curve(chosen, names, factors, seed_key)
     count = len(size_curve.blocks)
     points = size_curve.curve([n for n in table.readings if n <= count])
@@ -319,15 +324,18 @@ def choose_robust(
     problem: DesignProblem,
     study_criteria: StudyCriteria,
     nominal: Choice,
-    table: RobustTable,
     rng: np.random.Generator,
     location: Location,
-) -> tuple[Choice, RobustSummary]:
+) -> tuple[Choice, RobustSummary | None]:
     """The robust plan over the nominal plan's set-ups, and what it gains over that.
 
+    The nominal plan alone where the study does not ask for it.
     Raises InputError for criteria that are not smooth, and where drawn machines cannot
     reach the candidates.
     """
+    table, location = study_criteria.table.robust, location.key("robust")
+    if table is None:
+        return nominal, None
     judged_by = study_criteria.table.judged_by
     scenarios = _scenarios(problem, study_criteria, table.scenarios, rng, location)
     criterion = study_criteria.candidates_criterion(judged_by, problem.candidates)
@@ -488,25 +496,14 @@ def select_design(
         at_expected = with_expected, _problem(resolved, with_expected, location)
     summary_of_effects = _compare_rigid(at_expected, choice, rng, location, field)
     compared = _compared(problem, study_criteria, choice, rng, location.key("compare"))
-    robust_summary, size_summary = None, None
-    if table.robust is not None:
-        choice, robust_summary = choose_robust(
-            problem, study_criteria, choice, table.robust, rng, location.key("robust")
-        )
-    if table.how_many is not None:
-        seed, field_location = resolved.study.seed, location.key("how_many")
-        size_summary = accuracy_by_size(
-            problem, study_criteria, choice, table.how_many, seed, field_location
-        )
+    choice, robust_summary = choose_robust(
+        problem, study_criteria, choice, rng, location
+    )
+    size_summary = accuracy_by_size(problem, study_criteria, choice, location)
     series, retained = problem.candidates.readings_of(choice.indices), request.retained
     measurement = _mounted(resolved, [*retained, *series])
-    polish_summary = None
-    if table.polish is not None and table.polish.enabled:
-        polished = polish_plan(
-            study_criteria, table.polish, measurement, series, retained
-        )
-        measurement, series = polished.measurement, polished.series
-        polish_summary = polished.summary
+    polished = polish_plan(study_criteria, measurement, series, retained)
+    measurement, series = polished.measurement, polished.series
     ordered = order.order_plan(table, location, measurement, retained, series, rng)
     return ChosenDesign(
         measurement=measurement,
@@ -518,7 +515,7 @@ def select_design(
         candidates=len(problem.candidates),
         bound_ignores_setups=problem.selects_setups and problem.bound_ignores_setups,
         compared=compared,
-        polish=polish_summary,
+        polish=polished.summary,
         order=ordered.summary,
         robust=robust_summary,
         how_many=size_summary,
