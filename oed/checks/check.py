@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from oed.base import Array, Index, Mask
 from oed.checks import copies, sentences
@@ -14,6 +15,7 @@ from oed.checks.findings import CheckFinding, Severity, listing
 from oed.checks.fit import Goodness, fit, goodness
 from oed.checks.judgement import Judgement, judge
 from oed.checks.mistakes import PHYSICAL_KINDS
+from oed.checks.outlier_odds import FarReading
 from oed.checks.outliers import OutlierSearch
 from oed.checks.sentences import contradictions
 from oed.checks.session import Ranges, SessionReadings
@@ -21,6 +23,7 @@ from oed.checks.times import wrong_times
 from oed.dataset import ReadingsColumn, temperature_body
 from oed.fit_limits import ALARM_PROBABILITY
 from oed.measurement import Measurement
+from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 
 # Covariates that no workshop has: temperatures in kelvin, loads of a thousand tons.
 
@@ -191,6 +194,48 @@ class CheckedSession:
         if self.outliers is None:
             return ()
         return tuple(sorted(self.outliers.readings))
+
+    @property
+    def section(self) -> GoodnessSection:
+        """The check as the result holds it."""
+        outliers = self.outliers
+        none = GoodnessSection(None, None, None, None)
+        return replace(
+            none if self.goodness is None else self.goodness.section,
+            bad_fit=self.bad_fit,
+            outliers=self._records(() if outliers is None else outliers.gross),
+            doubtful=self._records(() if outliers is None else outliers.doubtful),
+            unlocated=self._unlocated_rows(),
+            mistakes=[
+                MistakeRecord(what=one.what, evidence=sentences.evidence(one))
+                for one in self.explanations
+            ],
+            findings=[finding.sentence for finding in self.findings],
+        )
+
+    def _unlocated_rows(self) -> list[int]:
+        """Rows of the file one of which is wrong; none where the readings tell which."""
+        unlocated = () if self.outliers is None else self.outliers.unlocated
+        row = self.session.values["row"].to_numpy()
+        first = np.searchsorted(self.session.reading_of_value, sorted(unlocated))
+        return [int(k) for k in row[first]]
+
+    def _records(self, far: Sequence[FarReading]) -> list[OutlierRecord]:
+        """Readings by their place in the file."""
+        records = []
+        for one in far:
+            row = self.session.values.iloc[one.value]
+            records.append(
+                OutlierRecord(
+                    setup=str(row["setup"]),
+                    run=str(row["run"]),
+                    order=int(row["order"]),
+                    row=int(row["row"]),
+                    file=self.session.file_of(one.value),
+                    pull=one.pull,
+                )
+            )
+        return records
 
 
 def check_session(

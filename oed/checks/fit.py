@@ -26,6 +26,7 @@ from oed.fit_limits import ALARM_PROBABILITY, GUESS_RATIO, noise_ratio
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.noise import Noise
+from oed.result import GoodnessSection
 
 if TYPE_CHECKING:
     from oed.checks.mistakes.trial import MistakeTrial
@@ -349,6 +350,11 @@ class Goodness:
     p_high: float
     law_p_low: float | None = None
     law_p_high: float | None = None
+
+    @property
+    def section(self) -> GoodnessSection:
+        """These figures as the result holds them."""
+        return GoodnessSection(**dataclasses.asdict(self))
 
     @property
     def ratio(self) -> float | None:

@@ -60,6 +60,11 @@ def misfits(before: float, after: float) -> str:
     return f"{as_given}{undone}"
 
 
+def evidence(one: Explanation) -> str:
+    """Probability of a mistake, and the misfit with and without it."""
+    return f"{_percent(one)}; {misfits(one.before, one.after)}"
+
+
 def _percent(one: Explanation) -> str:
     return f"probability {text.percent(one.probability)}"
 

@@ -5,7 +5,6 @@ Estimate                 identified parameters, their covariance, residuals and 
 IdentifiableCoordinates  directions that some reading determines, and the others
 IdentificationError      the readings cannot be fitted
 Minima                   least sums of squares of many machines
-RunPrediction            all runs, each predicted from the others
 add_warnings             adds the sentences for the user to an estimate
 contradicted_parameters  held parameters that readings contradict
 fit_machines             parameters of many machines with the same readings
@@ -29,6 +28,6 @@ if TYPE_CHECKING:
     from oed.estimation.fitter import Minima, minimise
     from oed.estimation.identification import fit_machines, identify
     from oed.estimation.noise_summary import noise_numbers
-    from oed.estimation.run_prediction import RunPrediction, predict_runs
+    from oed.estimation.run_prediction import predict_runs
 else:
     __getattr__ = door(__name__)

@@ -17,16 +17,20 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 from scipy import linalg, special
 
+from oed import text
 from oed.base import Array, Index
 from oed.estimation.estimate import Estimate
 from oed.measurement import Measurement, Series
-from oed.result import LeftOutRun
+from oed.result import GoodnessSection, LeftOutRun
 
 #: probability below which a run is surprising, over the number of runs
 P_SURPRISE = 1e-3
+#: runs that a sentence names
+MAX_NAMED = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +56,30 @@ class RunPrediction:
         limit = P_SURPRISE / len(self.runs)
         far = [one for one in self.runs if one.p_high < limit]
         return tuple(sorted(far, key=lambda one: one.p_high))
+
+    @property
+    def warnings(self) -> list[str]:
+        """Runs that all others contradict, as one sentence; none where there are none."""
+        far = self.surprising
+        if not far:
+            return []
+        phrases = [
+            f"run {one.run} of {one.setup} by {text.rounded(one.ratio)} times what is"
+            f" predicted (p {text.format_p_value(one.p_high)})"
+            for one in far[:MAX_NAMED]
+        ]
+        others = len(far) - MAX_NAMED
+        more = f", and {others} more runs" if others > 0 else ""
+        return [f"all other runs contradict {', '.join(phrases)}{more}"]
+
+    def add_to(self, section: GoodnessSection) -> GoodnessSection:
+        """The section with the runs."""
+        return msgspec.structs.replace(
+            section,
+            left_out=list(self.runs),
+            left_out_score=self.log_score,
+            left_out_sd=self.log_score_sd,
+        )
 
 
 def predict_runs(

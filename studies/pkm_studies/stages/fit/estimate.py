@@ -56,10 +56,7 @@ from pkm_studies.resolve import GapRequest, check_states
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.goodness import (
     add_delivered,
-    add_left_out,
     check_dataset,
-    goodness_section,
-    surprises,
 )
 from pkm_studies.stages.gap.diagnosis import covariates_of, rms_by_channel
 from pkm_studies.stages.run_state import Fitted, Measured, MeasuredReadings, promote
@@ -542,7 +539,7 @@ def check_readings(state: Measured) -> Measured:
     fitted = data.take(dict.fromkeys(s.setup for s in readings.series))
     checked = check_dataset(state.resolved, fitted, state.rng(Stream.CHECKS))
     state = state.replace(checked=checked)
-    state = state.add_sections(goodness=goodness_section(checked))
+    state = state.add_sections(goodness=checked.section)
     state = state.add_warnings(*[f.sentence for f in checked.findings])
     used, covariates = state.resolved.prediction, readings.covariates
     if used is not None and covariates is not None:
@@ -608,9 +605,10 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         section = msgspec.structs.replace(section, combinations=combinations)
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
     runs = predict_runs(measurement, readings.series, estimate)
-    warnings = [*section.warnings, *surprises(runs)]
+    warnings, goodness = section.warnings, _goodness(state, estimate)
+    if runs is not None:
+        warnings, goodness = [*warnings, *runs.warnings], runs.add_to(goodness)
     section = msgspec.structs.replace(section, runs=curves, warnings=warnings)
-    goodness = add_left_out(_goodness(state, estimate), runs)
     fitted = promote(Fitted, state, estimate=estimate)
     fitted = fitted.add_sections(estimate=section, goodness=goodness)
     return fitted.add_warnings(*warnings)
