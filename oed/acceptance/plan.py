@@ -64,19 +64,23 @@ def parameter_within(value: float, sd: float, low: float, high: float) -> float:
 
 
 def rms_within(
-    known: Array, slopes: Array, root: Array, largest: float, rng: np.random.Generator
+    known_errors: Array,
+    slopes: Array,
+    root: Array,
+    largest: float,
+    rng: np.random.Generator,
 ) -> float:
     """Probability that the rms of errors known + slopes d is at most `largest`.
 
-    known   (m,) errors that stay and are known
+    known_errors  (m,) errors that stay and are known
     slopes  (m, p) errors per parameter
     root    (p, k) with root @ root.T the covariance of d
     """
     spread = slopes @ root
     normal = rng.standard_normal((N_MACHINES, root.shape[1]))
     squares = np.einsum("dk,kl,dl->d", normal, spread.T @ spread, normal, optimize=True)
-    squares += 2.0 * (normal @ (spread.T @ known)) + known @ known
-    return float(np.mean(np.sqrt(squares / len(known)) <= largest))
+    squares += 2.0 * (normal @ (spread.T @ known_errors)) + known_errors @ known_errors
+    return float(np.mean(np.sqrt(squares / len(known_errors)) <= largest))
 
 
 def measured_rms_within(

@@ -83,12 +83,12 @@ class ReadingErrors:
         amounts = np.ones(whole.shared.shape[1])
         for name, columns in self.shared.items():
             amounts[columns] = factors.get(name, 1.0)
-        carried = factors.get(CARRIED, 1.0) ** 2 * whole.correlated
+        correlated = factors.get(CARRIED, 1.0) ** 2 * whole.correlated
         changed = dataclasses.replace(
             whole,
             single=variance / whole.scale**2,
-            correlated=carried,
-            decay=whole.decay if carried.any() else np.zeros(len(whole.decay)),
+            correlated=correlated,
+            decay=whole.decay if correlated.any() else np.zeros(len(whole.decay)),
             shared=(whole.shared * amounts)[:, amounts > 0.0],
         )
         return LinearFactor(changed)

@@ -46,8 +46,8 @@ class Pairs(NamedTuple):
 
     def information_after(self, pair: int) -> Array:
         """M' (n, n) after an exchange, by its number in a table (N, C)."""
-        place, block = divmod(pair, len(self.blocks))
-        leaving, coming = self.chosen[place], self.blocks[block]
+        position, block = divmod(pair, len(self.blocks))
+        leaving, coming = self.chosen[position], self.blocks[block]
         return np.asarray(self.m - leaving.T @ leaving + coming.T @ coming)
 
     def factors(self, inverse: Array) -> Array:

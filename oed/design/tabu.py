@@ -58,9 +58,9 @@ def exchange_pairs(
     m = base + information(blocks[chosen])
     value = criterion.value(m)
     for _ in range(exchanges):
-        place, block = _best_pair(blocks, chosen, m, criterion)
+        position, block = _best_pair(blocks, chosen, m, criterion)
         changed = chosen.copy()
-        changed[place] = block
+        changed[position] = block
         m = base + information(blocks[changed])
         after = criterion.value(m)
         if not after > value + MIN_GAIN:
@@ -84,9 +84,9 @@ def _best_pair(
         if not part.size:
             continue
         values = criterion.exchange_values(Pairs(m, blocks[chosen], blocks[part]))
-        place, number = divmod(int(values.argmax()), len(part))
-        if values[place, number] > best[2]:
-            best = place, int(part[number]), float(values[place, number])
+        position, number = divmod(int(values.argmax()), len(part))
+        if values[position, number] > best[2]:
+            best = position, int(part[number]), float(values[position, number])
     return best[0], best[1]
 
 
@@ -221,11 +221,11 @@ class _Trail:
         first, second = divmod(int(values.argmax()), len(others))
         self._exchange(int(places[first]), int(others[second]), rng)
 
-    def _exchange(self, place: int, block: int, rng: np.random.Generator) -> None:
+    def _exchange(self, position: int, block: int, rng: np.random.Generator) -> None:
         """Replaces one candidate; what changed rests."""
-        removed = self.plan[place]
+        removed = self.plan[position]
         until = self.taken + 1 + (self.max_rest * rng.random(2)).astype(np.intp)
-        self.rests_until[removed], self.place_rests_until[place] = until
-        self.plan[place] = block
+        self.rests_until[removed], self.place_rests_until[position] = until
+        self.plan[position] = block
         self.free[removed] += 1
         self.free[block] -= 1

@@ -286,10 +286,10 @@ class Effect:
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {field.name for field in dataclasses.fields(State)}
+        state_fields = {field.name for field in dataclasses.fields(State)}
         for need in self.needs:
             for name in (part.split(":")[0].strip() for part in need.split(" or ")):
-                if name not in known and not name.startswith("temp_"):
+                if name not in state_fields and not name.startswith("temp_"):
                     raise ValueError(f"needs {need!r}: no reading records {name}")
 
     @property

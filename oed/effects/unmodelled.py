@@ -233,8 +233,8 @@ def _variance_of(joint: ErrorMaps, information: Array, acting: Mask) -> Array:
     prior = np.eye(int(acting.sum()))
     covariance = np.linalg.inv(prior + information[np.ix_(acting, acting)])
     undetermined = np.sum((raw @ covariance) * raw, axis=2)
-    known = np.sum((remaining @ (prior - covariance)) * remaining, axis=2)
-    return np.asarray(undetermined + known)
+    explained = np.sum((remaining @ (prior - covariance)) * remaining, axis=2)
+    return np.asarray(undetermined + explained)
 
 
 def _joint_maps(

@@ -133,7 +133,7 @@ class _Solution:
     def is_of(self, arguments: tuple[Array, ...]) -> bool:
         """Whether the poses are those of equal arguments."""
         pairs = zip(self.arguments, arguments, strict=True)
-        return all(np.array_equal(stored, given) for stored, given in pairs)
+        return all(np.array_equal(stored, argument) for stored, argument in pairs)
 
 
 class SetupReadings:

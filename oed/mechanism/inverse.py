@@ -109,12 +109,13 @@ class InverseKinematics:
         for steps in PATH_STEPS:
             if not lost.size:
                 break
-            at, of_lost = command[lost], _rows_of(p, lost)
+            lost_command, of_lost = command[lost], _rows_of(p, lost)
+            end = lost_command, of_lost, tool
             z[lost], reached[lost] = self._follow(
-                (z[lost], reached[lost]), mode, begin, (at, of_lost, tool), steps
+                (z[lost], reached[lost]), mode, begin, end, steps
             )
             done = reached[lost] == 1.0
-            regular = self._has_slopes(z[lost], at, of_lost, tool)
+            regular = self._has_slopes(z[lost], lost_command, of_lost, tool)
             again = lost[done & ~regular]
             z[again], reached[again] = home, 0.0
             lost = lost[~(done & regular)]

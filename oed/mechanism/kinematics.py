@@ -230,8 +230,8 @@ class Kinematics:
     @property
     def held(self) -> Array:
         """Parameters (np,) of the controller, SI."""
-        held = self.controller
-        return self.machine.nominal if held is None else held.parameters
+        controller = self.controller
+        return self.machine.nominal if controller is None else controller.parameters
 
     @functools.cached_property
     def _frame(self) -> BatchedFunction:

@@ -216,8 +216,8 @@ class Clearance:
             self._links = _Links(skeleton, surroundings.links)
         self._bar: _Bar | None = None
         if surroundings.bar is not None:
-            place = cup_position(measurement, setup, cup)
-            self._bar = _Bar(place, surroundings.bar)
+            cup_point = cup_position(measurement, setup, cup)
+            self._bar = _Bar(cup_point, surroundings.bar)
 
     def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
         """Clearance (n,) at poses x (n, nx) with joints q (n, nq), m.
@@ -389,7 +389,7 @@ def travel_probability(
     series: Series,
     covariance: Array,
     travel: float,
-    held: float | None = None,
+    held_reading: float | None = None,
 ) -> Array:
     """Probability (N,) that a reading's first channel stays within `travel`.
 
@@ -397,7 +397,7 @@ def travel_probability(
 
     covariance  (n_theta, n_theta)
     travel      about the value held
-    held        that value; by default what the instrument holds by design
+    held_reading  that value; by default what the instrument holds by design
     """
     from scipy.special import ndtr  # takes a tenth of a second to import
 
@@ -407,7 +407,7 @@ def travel_probability(
             f"the covariance must be {len(theta)} x {len(theta)}, not of shape"
             f" {covariance.shape}"
         )
-    held_value = _held_value(measurement, series, held)
+    held_value = _held_value(measurement, series, held_reading)
     readings = measurement.readings([series], theta)
     error = _first_channel(measurement, series, readings) - held_value
     jacobian = measurement.jacobian([series], theta)
@@ -441,9 +441,11 @@ def _outside_joints(
         yield f"leave the travel of joint {joint.name}", refused
 
 
-def _held_value(measurement: Measurement, series: Series, held: float | None) -> float:
-    if held is not None:
-        return held
+def _held_value(
+    measurement: Measurement, series: Series, held_reading: float | None
+) -> float:
+    if held_reading is not None:
+        return held_reading
     setup = measurement.setups[series.setup]
     if setup.instrument.fixed_reading is None:
         raise ValueError(

@@ -157,12 +157,12 @@ class _TimedPath:
         pose, begins = [-1], [begin]
         clock = begin + self.reference_reading
         for first, end in stretches:
-            for place in range(first, end):
-                move = self.out if place == first else self.path.steps
-                clock += float(move[place])
-                pose.append(int(self.path.indices[place]))
+            for position in range(first, end):
+                move = self.out if position == first else self.path.steps
+                clock += float(move[position])
+                pose.append(int(self.path.indices[position]))
                 begins.append(clock)
-                clock += float(self.reading[place])
+                clock += float(self.reading[position])
             clock += float(self.back[end - 1])
             pose.append(-1)
             begins.append(clock)

@@ -71,11 +71,11 @@ def drawn(value: float | None, error: float | None, digits: int = 3) -> str:
     x, e = or_nan(value), or_nan(error)
     if not math.isfinite(x) or not math.isfinite(e) or e <= 0.0 or x == 0.0:
         return number(value, digits)
-    place = last_place(e)
-    x = round(x, -place)
+    last_decimal = last_place(e)
+    x = round(x, -last_decimal)
     if x == 0.0:
         return "0"
-    allowed = math.floor(math.log10(abs(x))) - place + 1
+    allowed = math.floor(math.log10(abs(x))) - last_decimal + 1
     return number(x, min(digits, max(allowed, 1)))
 
 

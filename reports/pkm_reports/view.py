@@ -277,13 +277,13 @@ def _error_fields(prediction: PredictionSection) -> list[ViewField]:
     points = [point for point in prediction.map if len(point.at) == 3]
     if not points:
         return []
-    at = _mm([point.at for point in points])
+    positions = _mm([point.at for point in points])
     phrases = [text.cleaned(text.named_quantities(p.command, 4)) for p in points]
     return [
         ViewField(
             name=f"error of {text.cleaned(name)}",
             unit=text.unit_symbol(component.after.unit),
-            at=at,
+            at=positions,
             words=phrases,
             before=[rounded(point.before[name]) for point in points],
             after=[rounded(point.after[name]) for point in points],

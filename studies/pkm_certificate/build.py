@@ -352,8 +352,8 @@ def certify_folder(
     path = folder / head.FILE if head_file is None else head_file
     stated, tolerance = head.read(path)
     study = result_study(result, folder, study_file, consent)
-    file, place = str(folder / "result.json"), tolerance_place(path)
-    record = certificate(result, study, stated, tolerance, file, place)
+    file, tolerance_file = str(folder / "result.json"), tolerance_place(path)
+    record = certificate(result, study, stated, tolerance, file, tolerance_file)
     written = safe_files.write_own(folder / XML, dcc.write_xml(record))
     return record, (written, write_certificate_page(record, folder))
 

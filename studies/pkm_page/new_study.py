@@ -240,10 +240,12 @@ def _same(key: str, value: str, usual: str) -> bool:
     """Whether a size is that of the family, one number for all of a list."""
     if not usual:
         return False
-    stated, known = np.array(_parsed(key, value)), np.array(_parsed(key, usual))
+    stated, usual_numbers = np.array(_parsed(key, value)), np.array(_parsed(key, usual))
     try:
-        known = np.broadcast_to(known, stated.shape)
-        return bool(np.allclose(stated, known, rtol=10.0 ** (1 - DIGITS), atol=0.0))
+        usual_numbers = np.broadcast_to(usual_numbers, stated.shape)
+        return bool(
+            np.allclose(stated, usual_numbers, rtol=10.0 ** (1 - DIGITS), atol=0.0)
+        )
     except ValueError:
         return False
 

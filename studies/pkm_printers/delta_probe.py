@@ -177,9 +177,9 @@ def tilt_sentences(
 def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
     """Raises InputError for a point that no machine has."""
     for point in points:
-        place = point.x, point.y, point.z
-        if max(map(abs, place)) > LARGEST:
-            listed = ", ".join(f"{v:g}" for v in place)
+        position = point.x, point.y, point.z
+        if max(map(abs, position)) > LARGEST:
+            listed = ", ".join(f"{v:g}" for v in position)
             raise InputError(
                 f"a point at x, y, z = {listed} mm is on no bed",
                 "correct it in a copy of the file",

@@ -49,10 +49,10 @@ def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
 
 
 def trims(
-    given: Mapping[str, tuple[float, ...]], name: str
+    stated: Mapping[str, tuple[float, ...]], name: str
 ) -> tuple[float, float, float]:
     """Trims of the towers by a user's line of this name, mm; 0 without."""
-    x, y, z = given.get(name, NO_TRIMS)
+    x, y, z = stated.get(name, NO_TRIMS)
     return x, y, z
 
 

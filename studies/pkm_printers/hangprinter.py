@@ -289,9 +289,9 @@ def _rows(turns: Array, places: Array, forces: Array) -> list[Row]:
     for pose, row in zip(poses, forces.tolist(), strict=False):
         pose |= _numbered("tension_{}_N", row)
     rows: list[Row] = []
-    for k, (pose, place) in enumerate(zip(poses, places.tolist(), strict=False), 1):
+    for k, (pose, point) in enumerate(zip(poses, places.tolist(), strict=False), 1):
         label = {"setup": "camera", "run": "1", "order": str(k)}
-        read = {f"read_{a}_mm": repr(v) for a, v in zip("xyz", place, strict=True)}
+        read = {f"read_{a}_mm": repr(v) for a, v in zip("xyz", point, strict=True)}
         rows.append(label | pose | read)
     gaps = dict.fromkeys(_gaps(turns.shape[1]), "0")
     for k, pose in enumerate(poses if gaps else [], start=1):
@@ -375,7 +375,7 @@ def _write(compensation: Compensation) -> Texts:
     retained = [retained_words(compensation, "rrf", name) for name in COMMANDS]
     (spool_words,) = gcode.commands(gcode.lines_of(f"M666 {retained[1]}"))
     buildup = compensation.parameter("buildup") / spool_words.number("O", 1.0)
-    cells = [":".join(f"{v:.4f}" for v in place) for place in places]
+    cells = [":".join(f"{v:.4f}" for v in point) for point in places]
     phrases = [f"{k}{v}" for k, v in zip(LETTERS, cells, strict=False)]
     spools = ":".join(f"{v:.4f}" for v in units.from_si(np.array(radii), "mm"))
     lines = [

@@ -124,21 +124,21 @@ class MarlinImporter:
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""
         lines = gcode.read(request.files)
-        given = facts.numbers(lines)
+        numbers = facts.numbers(lines)
         delta = gcode.merged(lines, "M665", NO_M503)
         version, rules = _rules(lines, delta)
         b: MeaningOfB | None = rules.agreed("b")
         table = word_table(b, has_height="H" in delta.words)
         account = gcode.account_of(lines, table)
-        probed = probing(lines, given, rules)
+        probed = probing(lines, numbers, rules)
         settings = probed.settings
-        home = printer_home(settings, given, rules)
-        geometry = _geometry(settings, given, b, home)
+        home = printer_home(settings, numbers, rules)
+        geometry = _geometry(settings, numbers, b, home)
         points, about_means = points_of_contacts(probed.contacts, geometry)
         points = [
-            point._replace(probe=_probe_place(settings, given)) for point in points
+            point._replace(probe=_probe_place(settings, numbers)) for point in points
         ]
-        meshes, about_grid = mesh_grids(lines, given, probed.offset, points)
+        meshes, about_grid = mesh_grids(lines, numbers, probed.offset, points)
         return delta_session(
             name=request.name,
             controller=ControllerTable(
@@ -148,8 +148,8 @@ class MarlinImporter:
                 home_offset_mm=home.offset,
                 probe_z_mm=home.probe_z,
                 steps_per_mm=home.steps_per_mm,
-                radius_trim_mm=facts.trims(given, "radius_trim_mm"),
-                rod_trim_mm=facts.trims(given, "rod_trim_mm"),
+                radius_trim_mm=facts.trims(numbers, "radius_trim_mm"),
+                rod_trim_mm=facts.trims(numbers, "rod_trim_mm"),
             ),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
@@ -223,10 +223,10 @@ def _text_about_b(b: MeaningOfB | None, delta: Command) -> list[str]:
 
 
 def _geometry(
-    settings: Settings, given: Given, b: MeaningOfB | None, home: Home
+    settings: Settings, numbers: Given, b: MeaningOfB | None, home: Home
 ) -> DeltaGeometry:
     delta = settings.command("M665")
-    trims = facts.trims(given, "rod_trim_mm")
+    trims = facts.trims(numbers, "rod_trim_mm")
     if b == ROD_TRIM:
         trims = tuple(delta.numbers("ABC"))
     rod = delta.number("L")
@@ -235,14 +235,14 @@ def _geometry(
         arms=rod + np.array(trims),
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
         endstops=np.array(home.endstops),
-        radius_trim=np.array(facts.trims(given, "radius_trim_mm")),
+        radius_trim=np.array(facts.trims(numbers, "radius_trim_mm")),
     )
 
 
-def _probe_place(settings: Settings, given: Given) -> Offset:
+def _probe_place(settings: Settings, numbers: Given) -> Offset:
     """Place (2,) of the probe from the nozzle, mm, whichever of the two G33 puts there."""
     stated = settings.command("M851").numbers("XY").tolist()
-    x, y = given.get("probe_offset_mm", stated)
+    x, y = numbers.get("probe_offset_mm", stated)
     return x, y
 
 
@@ -427,14 +427,14 @@ class Home:
 
 
 def printer_home(
-    settings: Settings, given: Mapping[str, tuple[float, ...]], rules: PossibleRules
+    settings: Settings, numbers: Mapping[str, tuple[float, ...]], rules: PossibleRules
 ) -> Home:
     """Home by the settings in force. Raises InputError."""
     probe, notes = settings.command("M851"), list[str]()
     probe_z = probe.number("Z") if "Z" in probe.words else None
     steps_per_mm = _steps(settings.command("M92"))
     offset = home_offset(rules, probe_z, steps_per_mm)
-    height = _height(settings, given) + (offset or 0.0)
+    height = _height(settings, numbers) + (offset or 0.0)
     if offset:
         notes.append(
             f"Home: the nozzle is {offset:+.4g} mm from M665 H there, as this version"
@@ -463,7 +463,7 @@ def _steps(steps: Command) -> float | None:
     return steps.number("X")
 
 
-def _height(settings: Settings, given: Mapping[str, tuple[float, ...]]) -> float:
+def _height(settings: Settings, numbers: Mapping[str, tuple[float, ...]]) -> float:
     """Height at home: M665 H; without, the configuration's and M206 Z. InputError."""
     delta, shift = settings.command("M665"), settings.command("M206")
     for letter in "XY":
@@ -475,7 +475,7 @@ def _height(settings: Settings, given: Mapping[str, tuple[float, ...]]) -> float
             )
     if "H" in delta.words:
         return delta.number("H")
-    stated = given.get("home_height_mm")
+    stated = numbers.get("home_height_mm")
     if stated is None:
         for letter in "LR":  # a command that sets one number alone lacks these as well
             delta.number(letter)

@@ -285,18 +285,18 @@ def report_contacts(
     report: Report,
     delta: Command,
     probe: Command,
-    given: Mapping[str, tuple[float, ...]],
+    numbers: Mapping[str, tuple[float, ...]],
     rules: PossibleRules,
     notes: list[str],
 ) -> list[Contact]:
     """The heights of a report where they were probed; adds sentences.
 
     delta, probe  M665 and M851 as they were
-    given         numbers of lines that a user added
+    numbers       numbers of lines that a user added
 
     G33 puts the nozzle on its places, or with O the probe. Raises InputError.
     """
-    radius = _radius(lines, report, delta, probe, given, rules, notes)
+    radius = _radius(lines, report, delta, probe, numbers, rules, notes)
     words = report.words or {}
     points, unsure = _points(report)
     circles = rules.agreed("circles")
@@ -346,13 +346,13 @@ def _radius(
     report: Report,
     delta: Command,
     probe: Command,
-    given: Mapping[str, tuple[float, ...]],
+    numbers: Mapping[str, tuple[float, ...]],
     rules: PossibleRules,
     notes: list[str],
 ) -> float:
     """The radius, mm, that G33 probed at. Raises InputError."""
-    if "probe_radius_mm" in given:
-        return given["probe_radius_mm"][0]
+    if "probe_radius_mm" in numbers:
+        return numbers["probe_radius_mm"][0]
     matches = ((line, PRINTED_RADIUS.search(line.text)) for line in lines)
     printed = [gcode.finite(match[1], line) for line, match in matches if match]
     if printed:
@@ -455,16 +455,16 @@ class _Taken:
 
 def probing(
     lines: Sequence[TextLine],
-    given: Mapping[str, tuple[float, ...]],
+    numbers: Mapping[str, tuple[float, ...]],
     rules: PossibleRules,
 ) -> Probing:
     """Contacts that were probed with the last geometry. Raises InputError.
 
-    given  numbers of lines that a user added
+    numbers  numbers of lines that a user added
     """
     scan = _Scan(rules)
-    for at, line in enumerate(lines):
-        scan.take(line, at)
+    for number, line in enumerate(lines):
+        scan.take(line, number)
     taken, notes = list(scan.taken), list(scan.notes)
     reports = scan.reports.reports
     if len(reports) > 1:
@@ -473,7 +473,7 @@ def probing(
         settings = scan.settings_of[len(reports) - 1]
         delta, probe = settings.command("M665"), settings.command("M851")
         contacts = report_contacts(
-            lines, reports[-1], delta, probe, given, rules, notes
+            lines, reports[-1], delta, probe, numbers, rules, notes
         )
         taken += [_Taken(contact, settings) for contact in contacts]
     if not taken:
@@ -492,7 +492,7 @@ def probing(
     else:
         used, settings = taken, scan.settings(lines[-1], len(lines))
     contacts = [one.contact for one in used]
-    offset = _offset(settings, given, contacts, notes)
+    offset = _offset(settings, numbers, contacts, notes)
     of_nozzle = [contact.of_nozzle(offset) for contact in contacts]
     return Probing(of_nozzle, settings, notes, offset)
 
@@ -509,12 +509,12 @@ class _Scan:
         self.settings_of: list[Settings] = []
         self.notes: list[str] = []
 
-    def settings(self, line: TextLine, at: int) -> Settings:
+    def settings(self, line: TextLine, number: int) -> Settings:
         """The settings as they are now."""
         words = {name: dict(letters) for name, letters in self.words.items()}
-        return Settings(words, dict(self.places), line, at)
+        return Settings(words, dict(self.places), line, number)
 
-    def take(self, line: TextLine, at: int) -> None:
+    def take(self, line: TextLine, number: int) -> None:
         """Take one line."""
         for command in gcode.commands([line], *FOLLOWED):
             self._take_command(command)
@@ -526,23 +526,23 @@ class _Scan:
         if match:
             x, y, z = (gcode.finite(match[k], line) for k in (1, 2, 3))
             contact = Contact.at(x, y, z, is_probe=True)
-            self.taken.append(_Taken(contact, self.settings(line, at)))
+            self.taken.append(_Taken(contact, self.settings(line, number)))
         if REPORT.search(line.text):
             self._take_change(line)
             if self.reports.take(line):
-                self.settings_of.append(self.settings(line, at))
+                self.settings_of.append(self.settings(line, number))
 
     def _take_command(self, command: Command) -> None:
         """Take the words of a command as the firmware does."""
         words = dict(command.words)
-        known = self.words.setdefault(command.name, {})
+        stored = self.words.setdefault(command.name, {})
         if command.name == "M666":
             words = self._accepted(command)
         elif command.name == "M851":
             self._check_height(command)
         elif command.name == "M665":
             words = self._turned(command)
-        known.update(words)
+        stored.update(words)
         self.places[command.name] = command.line
 
     def _accepted(self, command: Command) -> dict[str, str]:
@@ -572,18 +572,18 @@ class _Scan:
         by = command.number("Z", 0.0)
         if not (by and self.rules.agreed("turns_by_z")):
             return command.words
-        known = Command("M665", self.words["M665"] | command.words, command.line)
-        angles = {k: f"{known.number(k, 0.0) - by!r}" for k in "XY"}
+        geometry = Command("M665", self.words["M665"] | command.words, command.line)
+        angles = {k: f"{geometry.number(k, 0.0) - by!r}" for k in "XY"}
         return command.words | angles | {"Z": "0"}
 
     def _check_height(self, command: Command) -> None:
         """Refuse a change of M851 Z where it changes M665 H. Raises InputError."""
-        known = self.words["M851"].get("Z")
-        if known is None or "Z" not in command.words:
+        offset = self.words["M851"].get("Z")
+        if offset is None or "Z" not in command.words:
             return
         if not self.rules.agreed("probe_moves_height"):
             return
-        if float(known) != command.number("Z"):
+        if float(offset) != command.number("Z"):
             raise command.line.error(
                 "this version changes M665 H with M851 Z",
                 "give a log with one M851 Z: M503, then the probing",
@@ -599,7 +599,7 @@ class _Scan:
 
 def _offset(
     settings: Settings,
-    given: Mapping[str, tuple[float, ...]],
+    numbers: Mapping[str, tuple[float, ...]],
     contacts: Sequence[Contact],
     notes: list[str],
 ) -> tuple[float, float]:
@@ -608,8 +608,8 @@ def _offset(
         notes.append("Places: those of the nozzle, which G33 puts there.")
         return 0.0, 0.0
     probe, source = settings.command("M851"), "M851"
-    if "probe_offset_mm" in given:
-        x, y = given["probe_offset_mm"]
+    if "probe_offset_mm" in numbers:
+        x, y = numbers["probe_offset_mm"]
         source = "probe_offset_mm"
     elif {"X", "Y"} & set(probe.words):
         x, y = probe.number("X", 0.0), probe.number("Y", 0.0)

@@ -104,14 +104,14 @@ class RrfImporter:
         words = rrf_rotary.ROTARY_WORDS if is_rotary else WORDS
         order = execution_order(commands, words)
         lines = order.lines
-        given = facts.numbers(lines)
+        numbers = facts.numbers(lines)
         read = _rotary if is_rotary else _linear
-        printer = read(order, given)
+        printer = read(order, numbers)
         account = gcode.account_of(lines, words)
         points: list[ProbedPoint] = []
         notes: list[str] = []
         if has_heights(order) or not maps or request.mesh != "readings":
-            points, notes = probed_points(order, given)
+            points, notes = probed_points(order, numbers)
         return delta_session(
             name=request.name,
             controller=printer.controller,
@@ -122,7 +122,7 @@ class RrfImporter:
             notes=[*notes, *order.notes, *gcode.order_text(texts)],
             free=facts.factors(lines, printer.factors),
             repeated=repeated_in_log(lines),
-            meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
+            meshes=[height_map(path, mesh_offset(order, numbers)) for path in maps],
             mesh=request.mesh,
             trigger=printer.trigger,
         )
@@ -156,29 +156,29 @@ def _kinematics(lines: Sequence[TextLine]) -> str:
     return number
 
 
-def _linear(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
+def _linear(order: ExecutionOrder, numbers: dict[str, tuple[float, ...]]) -> _Printer:
     """A linear delta by M665 and M666. Raises InputError."""
     delta = gcode.merged(order.lines, "M665", "give the config.g that has M665")
     stops = gcode.optional(order.lines, "M666")
     reach = [f"{k}{delta.words[k]}" for k in "BS" if k in delta.words]
-    controller = _controller(order, {"M665": " ".join(reach)}, given)
-    return _Printer(linear_geometry(delta, stops, given), controller, FACTORS, 0.0)
+    controller = _controller(order, {"M665": " ".join(reach)}, numbers)
+    return _Printer(linear_geometry(delta, stops, numbers), controller, FACTORS, 0.0)
 
 
-def _rotary(order: ExecutionOrder, given: dict[str, tuple[float, ...]]) -> _Printer:
+def _rotary(order: ExecutionOrder, numbers: dict[str, tuple[float, ...]]) -> _Printer:
     """A rotary delta by M669 and M666. Raises InputError."""
     geometry = rrf_rotary.rotary_geometry(order.lines)
-    controller = _controller(order, rrf_rotary.kinematics_words(order.lines), given)
+    controller = _controller(order, rrf_rotary.kinematics_words(order.lines), numbers)
     trigger = rrf_rotary.trigger_height(order.lines)
     return _Printer(geometry, controller, rotary_delta.FACTORS, trigger)
 
 
 def linear_geometry(
-    delta: Command, stops: Command, given: Mapping[str, tuple[float, ...]]
+    delta: Command, stops: Command, numbers: Mapping[str, tuple[float, ...]]
 ) -> DeltaGeometry:
     """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
     arms = delta.values("L", 1, 3)
-    trims = facts.trims(given, "rod_trim_mm")
+    trims = facts.trims(numbers, "rod_trim_mm")
     rods = arms * 3 if len(arms) == 1 else arms
     height = delta.number("H")
     return DeltaGeometry(
@@ -186,13 +186,13 @@ def linear_geometry(
         arms=np.array(rods) + trims,
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
         endstops=height + stops.numbers("XYZ"),
-        radius_trim=np.array(facts.trims(given, "radius_trim_mm")),
+        radius_trim=np.array(facts.trims(numbers, "radius_trim_mm")),
         bed_slope=PERCENT * stops.numbers("AB"),
     )
 
 
 def _controller(
-    order: ExecutionOrder, keep: dict[str, str], given: dict[str, tuple[float, ...]]
+    order: ExecutionOrder, keep: dict[str, str], numbers: dict[str, tuple[float, ...]]
 ) -> ControllerTable:
     """The firmware, with the words that calibration leaves as they are."""
     lines = order.lines
@@ -202,7 +202,7 @@ def _controller(
         version=facts.version(lines) or (printed[-1] if printed else None),
         file=order.stored,
         keep={name: words for name, words in keep.items() if words},
-        radius_trim_mm=facts.trims(given, "radius_trim_mm"),
+        radius_trim_mm=facts.trims(numbers, "radius_trim_mm"),
     )
 
 
@@ -363,18 +363,18 @@ def has_heights(order: ExecutionOrder) -> bool:
 
 
 def probed_points(
-    order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
+    order: ExecutionOrder, numbers: Mapping[str, tuple[float, ...]]
 ) -> tuple[list[ProbedPoint], list[str]]:
     """Points with their heights, and sentences on what was taken. Raises InputError.
 
-    given  numbers of lines that a user added
+    numbers  numbers of lines that a user added
     """
     lines = order.lines
     answers = [(line, HEIGHTS.search(line.text)) for line in lines]
     reports = [(line, match[1].split()) for line, match in answers if match]
     if not reports:
         raise _missing(lines, "no bed probe heights in it", NO_HEIGHTS)
-    points, reset = _points(order, given)
+    points, reset = _points(order, numbers)
     if not points:
         raise _missing(lines, "no probe points in it", NO_POINT)
     line, cells = reports[-1]
@@ -384,7 +384,7 @@ def probed_points(
         problem = f"{len(cells)} heights for {len(points)} probe points"
         raise line.error(problem, "give the bed.g that was probed")
     _check_not_calibrated(lines, line)
-    notes = [*reset, _places_text(points, "probe_offset_mm" in given)]
+    notes = [*reset, _places_text(points, "probe_offset_mm" in numbers)]
     alike = _with_one_geometry(lines, reports)
     if len(alike) > 1:
         notes.append(f"Heights: {len(alike)} passes over all points with one geometry.")
@@ -421,22 +421,22 @@ def _changes(line: TextLine) -> bool:
 
 
 def mesh_offset(
-    order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
+    order: ExecutionOrder, numbers: Mapping[str, tuple[float, ...]]
 ) -> tuple[float, float]:
     """Place of the probe from the nozzle (2,), mm, at the nodes of a mesh."""
     probes = _Probes(order)
-    stated = given.get("probe_offset_mm")
+    stated = numbers.get("probe_offset_mm")
     if stated is not None:
         return stated[0], stated[1]
     return probes.offset(Command("G29", {}, order.lines[0])) or (0.0, 0.0)
 
 
 def _points(
-    order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
+    order: ExecutionOrder, numbers: Mapping[str, tuple[float, ...]]
 ) -> tuple[dict[int, ProbePoint], list[str]]:
     """The last G30 of each point, by its number, and sentences. Raises InputError."""
     probes = _Probes(order)
-    stated = given.get("probe_offset_mm")
+    stated = numbers.get("probe_offset_mm")
     points: dict[int, ProbePoint] = {}
     for command in gcode.commands(order.probing, "M558", "G31", "G30"):
         if command.name != "G30":
@@ -547,8 +547,8 @@ def _check_not_calibrated(lines: Sequence[TextLine], heights: TextLine) -> None:
     if not changed:
         return
     stored = any("config-override" in line.file for line in lines)
-    known = any(gcode.commands(above[changed[-1] :], "M665"))
-    if not (stored or known):
+    is_calibrated = any(gcode.commands(above[changed[-1] :], "M665"))
+    if not (stored or is_calibrated):
         raise above[changed[-1]].error(
             "the firmware calibrated itself before it probed these heights, so config.g"
             " is not the geometry that they belong to",

@@ -80,9 +80,9 @@ class SmoothieImporter:
         """Geometry and probed points. Raises InputError."""
         lines = gcode.read(request.files)
         delta = gcode.merged(lines, "M665", "log the answer of M503 as well")
-        given = facts.numbers(lines)
+        numbers = facts.numbers(lines)
         probe = gcode.optional(lines, "M565").numbers("XY").tolist()
-        x, y = given.get("probe_offset_mm", probe)
+        x, y = numbers.get("probe_offset_mm", probe)
         home = gcode.optional(lines, "M206").number("Z", 0.0)
         return delta_session(
             name=request.name,

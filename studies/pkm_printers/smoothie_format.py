@@ -55,9 +55,9 @@ def _home_offset(compensation: Compensation) -> float:
 
 def notes(compensation: Compensation) -> tuple[str, ...]:
     """What the file does not hold."""
-    known = firmware_of(compensation, NAME) is not None
+    is_recognised = firmware_of(compensation, NAME) is not None
     sentence = "M206 Z must be 0: it adds to the height at home"
-    return (*([] if known else [sentence]), *home_notes(compensation, NAME))
+    return (*([] if is_recognised else [sentence]), *home_notes(compensation, NAME))
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:

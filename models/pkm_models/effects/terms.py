@@ -226,10 +226,12 @@ def fill_gaps(values: Array) -> Array:
     """Values with gaps (NaN) closed from their neighbours; zeros where nothing is
     known.
     """
-    known = np.isfinite(values)
-    if not known.any():
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
         return np.zeros(len(values))
-    return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+    return np.interp(
+        np.arange(len(values)), np.flatnonzero(is_finite), values[is_finite]
+    )
 
 
 def session_time(state: State) -> Array:

@@ -260,8 +260,8 @@ def _right(
     shares = special.softmax(np.log(probability)[:, None] + log_density, axis=0)
     answers: dict[tuple[str, ...], Index] = {}
     for k, explanation in enumerate(explanations):
-        known = answers.get(explanation.effects, np.empty(0, dtype=np.intp))
-        answers[explanation.effects] = np.append(known, k)
+        same_effects = answers.get(explanation.effects, np.empty(0, dtype=np.intp))
+        answers[explanation.effects] = np.append(same_effects, k)
     right = np.array([e.share_right for e in explanations])[:, None] * shares
     joined = np.array([right[numbers].sum(axis=0) for numbers in answers.values()])
     return np.asarray(probability.sum() * joined.max(axis=0))

@@ -624,8 +624,8 @@ def _steps(values: Array, shape: tuple[int, ...]) -> tuple[int, int]:
 
 def address(array: np.ndarray) -> int:
     """Where its numbers are in memory."""
-    place: int = array.__array_interface__["data"][0]
-    return place
+    pointer: int = array.__array_interface__["data"][0]
+    return pointer
 
 
 def share_points(run: Callable[[int, int], None], count: int) -> None:

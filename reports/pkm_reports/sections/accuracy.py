@@ -150,10 +150,10 @@ def _component_row(
         up = commands[layout.up][at_level]
         image = _map_panel(axes, across, up, values[at_level], layout, norm)
     single = len(row) == 1
-    place: Any = {"location": "bottom" if single else "right"}
-    place["pad"] = 0.03 if single else 0.02
+    options: Any = {"location": "bottom" if single else "right"}
+    options["pad"] = 0.03 if single else 0.02
     label = style.label(_error_label(prediction, name))
-    bar: Any = figure.colorbar(image, ax=list(row), shrink=0.85, label=label, **place)
+    bar: Any = figure.colorbar(image, ax=list(row), shrink=0.85, label=label, **options)
     bar.outline.set_visible(False)
     along = "x" if single else "y"
     if isinstance(norm, LogNorm):

@@ -423,8 +423,8 @@ def certificate_sentence(design: DesignSection) -> str:
 
 def criterion_value(criterion: str, value: float | None) -> str:
     """A value of a criterion: logarithms with two decimals."""
-    known = CRITERIA.entry(criterion)
-    if known is not None and known.is_log_det:
+    entry = CRITERIA.entry(criterion)
+    if entry is not None and entry.is_log_det:
         return text.fixed(value, 2)
     return text.number(value, 4)
 
@@ -435,8 +435,8 @@ def criterion_value(criterion: str, value: float | None) -> str:
 def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
     """Name and value of all that is stored; what is missing has an empty value."""
     criterion, setups = design.criterion, design.setups
-    known = CRITERIA.entry(criterion)
-    yield "Criterion", f"{criterion}: {known.meaning}" if known else criterion
+    entry = CRITERIA.entry(criterion)
+    yield "Criterion", f"{criterion}: {entry.meaning}" if entry else criterion
     yield "Shares", _shares(design)
     yield "Value", criterion_value(criterion, design.value)
     yield "Bound", _certified_bound(design)
@@ -468,8 +468,8 @@ def _certified_bound(design: DesignSection) -> str:
 
 
 def _better(design: DesignSection) -> str:
-    known = CRITERIA.entry(design.criterion)
-    return "smaller" if known is not None and known.smaller_is_better else "larger"
+    entry = CRITERIA.entry(design.criterion)
+    return "smaller" if entry is not None and entry.smaller_is_better else "larger"
 
 
 def _certificate(design: DesignSection) -> str:
@@ -608,8 +608,8 @@ def efficiencies(compared: Sequence[CriterionComparison], directions: int = 0) -
 
 def _ratio(criterion: str, value: float, best: float, directions: float) -> float:
     """phi of a design over phi of the best one; NaN for a criterion of another version."""
-    known = CRITERIA.entry(criterion)
-    return math.nan if known is None else known.phi_ratio(value, best, directions)
+    entry = CRITERIA.entry(criterion)
+    return math.nan if entry is None else entry.phi_ratio(value, best, directions)
 
 
 def _counted_directions(
@@ -619,8 +619,10 @@ def _counted_directions(
 
     It follows from the bound or the gain, where these differ from the value itself.
     """
-    known = CRITERIA.entry(entry.name)
-    if known is None or known.form is None:  # a weighted mean of log phi
+    catalogue_entry = CRITERIA.entry(entry.name)
+    if (
+        catalogue_entry is None or catalogue_entry.form is None
+    ):  # a weighted mean of log phi
         return 1.0
     below_bound = entry.value - or_nan(entry.bound)
     above_main = values[entry.name] - values[main]
@@ -631,7 +633,7 @@ def _counted_directions(
     for size in sizes:
         if math.isfinite(size) and size > 0.0:
             return size
-    judges_all = known.needs == "none"
+    judges_all = catalogue_entry.needs == "none"
     return float(directions) if judges_all and directions > 0 else math.nan
 
 

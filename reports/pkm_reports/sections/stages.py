@@ -714,15 +714,15 @@ def stem(key: str) -> str:
 def _component(
     axes: Axes, key: str, plan: PlanSection, colour: str, marker: str
 ) -> None:
-    at = np.arange(len(plan.stages) + 1)
+    positions = np.arange(len(plan.stages) + 1)
     tables = [plan.start_accuracy, *[stage.accuracy for stage in plan.stages]]
     predicted = _positive(missing.column(tables, key))
     label = style.label(text.split_unit(key)[0])
-    axes.plot(at, predicted, color=colour, marker=marker, label=label)
+    axes.plot(positions, predicted, color=colour, marker=marker, label=label)
     tables = [{}, *[realised(stage) for stage in plan.stages]]
     reached = _positive(missing.column(tables, key))
     if np.isfinite(reached).any():
-        axes.plot(at + BESIDE, reached, "D", label=REALISED, **style.DIAMOND)
+        axes.plot(positions + BESIDE, reached, "D", label=REALISED, **style.DIAMOND)
     wanted = missing.entry(plan.goal, key)
     if wanted > 0.0:
         axes.axhline(wanted, color=colour, ls=":", lw=1.0)

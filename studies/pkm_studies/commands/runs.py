@@ -103,9 +103,9 @@ def identify(
     if study is None:
         from pkm_studies.commands.own_numbers import import_numbers
 
-        given = consent(allow_code=allow_code)
+        permission = consent(allow_code=allow_code)
         numbers = numbers or []
-        study, taken = import_numbers(machine or "", numbers, readings, out, given)
+        study, taken = import_numbers(machine or "", numbers, readings, out, permission)
         if not quiet:
             print(*taken, f"Study: {study}", sep="\n")
     loaded, folder = load_for(study, allow_code, out)

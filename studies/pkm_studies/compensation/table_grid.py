@@ -315,10 +315,10 @@ def platform_on_limbs(
         _limb(kinematics, poses, joints, parameters, ends[0, k], local[0, k], k)
         for k in range(count)
     ]
-    known = [limb for limb in limbs if limb is not None]
+    stated_limbs = [limb for limb in limbs if limb is not None]
     return (
-        PlatformOnLimbs(rotation[0], point[0], tuple(known))
-        if len(known) == count
+        PlatformOnLimbs(rotation[0], point[0], tuple(stated_limbs))
+        if len(stated_limbs) == count
         else None
     )
 

@@ -146,8 +146,8 @@ def _ends_as_rows(
     lines = []
     for run, (number, cells) in enumerate(table.lines, start=1):
         for end, length in zip(ends, ("", cells[index[distance]]), strict=True):
-            place = [cells[index[end[stem]]] for stem in ends[0]]
-            lines.append((number, [str(run), *place, length]))
+            end_cells = [cells[index[end[stem]]] for stem in ends[0]]
+            lines.append((number, [str(run), *end_cells, length]))
     return CsvTable(table.file, header, tuple(lines)), {n: n for n in header[1:]}
 
 

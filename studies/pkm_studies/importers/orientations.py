@@ -40,27 +40,27 @@ def source_columns(columns: OrientationColumns | None) -> tuple[str, ...]:
 
 
 def angle_columns(
-    given: OrientationColumns, tool: Instrument, table: CsvTable, location: Location
+    columns: OrientationColumns, tool: Instrument, table: CsvTable, location: Location
 ) -> dict[str, list[str]]:
     """Cells of the instrument's angles, by readings column; empty where one is missing.
 
     Raises InputError.
     """
-    form = _form(given, location)
+    form = _form(columns, location)
     stated = tool.orientation
     if stated is None:
         raise location.error(
             f"{tool.name} reads no orientation",
             "take an instrument that does: see `oed list instruments`",
         )
-    names: Sequence[str] = getattr(given, form)
+    names: Sequence[str] = getattr(columns, form)
     values = np.column_stack([table.numbers(name, gaps=True) for name in names])
     complete: Mask = np.asarray(np.isfinite(values).all(axis=1))
     if form == "quaternion":
         _check_quaternions(values, complete, names, table)
     if form == "direction":
         _check_directions(values, complete, names, table)
-    matrices = _matrices(form, values[complete], inverse=given.inverse)
+    matrices = _matrices(form, values[complete], inverse=columns.inverse)
     wanted = stated.axis_names if form == "direction" else stated.names
     angles = stated.angles(matrices)
     return {
@@ -70,16 +70,16 @@ def angle_columns(
     }
 
 
-def statement(given: OrientationColumns, stated: Orientation) -> str:
+def statement(columns: OrientationColumns, stated: Orientation) -> str:
     """What was taken for an orientation, in a sentence."""
-    form = next(f for f in FORMS if getattr(given, f) is not None)
-    names = ", ".join(getattr(given, form))
+    form = next(f for f in FORMS if getattr(columns, f) is not None)
+    names = ", ".join(getattr(columns, form))
     meaning = {
         "quaternion": f"{names} as the quaternion w, x, y, z",
         "direction": f"{names} as the direction of the tool axis",
     }.get(form, f"{names} as a rotation vector in {form.rpartition('_')[2]}")
     sense = "the platform's frame to the instrument's"
-    if given.inverse:
+    if columns.inverse:
         sense = "the instrument's frame to the platform's"
     return f"Orientation: {meaning}, from {sense}; angles: {stated.formula}."
 
@@ -131,7 +131,7 @@ def check_sense(
     turn: Rotation | None,
     read: Array,
     wanted: Array,
-    given: OrientationColumns | None,
+    columns: OrientationColumns | None,
     file: str,
     *,
     is_whole: bool,
@@ -156,7 +156,7 @@ def check_sense(
     rotation_read = Rotation.from_matrix(stated)
     rms, constant = misfit(rotation_read)
     if rms > WORST_SHARE * spread:
-        for remedy, other in _alternatives(rotation_read, given, is_whole=is_whole):
+        for remedy, other in _alternatives(rotation_read, columns, is_whole=is_whole):
             if ALTERNATIVE * misfit(other)[0] < rms:
                 raise _other_orientation(rms, "", remedy, file)
     if rms > max(WORST_SHARE * spread, WORST_TURN):
@@ -186,26 +186,26 @@ def _turns_about_mean(turns: Rotation, *, is_whole: bool) -> tuple[float, float]
 
 
 def _alternatives(
-    rotation_read: Rotation, given: OrientationColumns | None, *, is_whole: bool
+    rotation_read: Rotation, columns: OrientationColumns | None, *, is_whole: bool
 ) -> Iterator[tuple[str, Rotation]]:
     """What else the columns may mean, with what to write in the map then."""
     if not is_whole:
         return
-    inverse = given is not None and given.inverse
+    inverse = columns is not None and columns.inverse
     flag = f"write inverse = {str(not inverse).lower()} in [orientation] of the map"
-    if given is None:
+    if columns is None:
         flag = (
             "give the angles of the inverse rotations: these take the instrument's frame"
             " into the platform's"
         )
     yield flag, rotation_read.inv()
-    if given is None or given.quaternion is None:
+    if columns is None or columns.quaternion is None:
         return
     written = (rotation_read.inv() if inverse else rotation_read).as_quat(
         scalar_first=True
     )
     for by in (1, -1):
-        names = ", ".join(f'"{name}"' for name in np.roll(given.quaternion, by))
+        names = ", ".join(f'"{name}"' for name in np.roll(columns.quaternion, by))
         order = f"the scalar is another column: write quaternion = [{names}]"
         other = Rotation.from_quat(np.roll(written, by, axis=1), scalar_first=True)
         yield order, other.inv() if inverse else other
@@ -222,8 +222,8 @@ def _other_orientation(angle: float, how: str, remedy: str, file: str) -> InputE
     )
 
 
-def _form(given: OrientationColumns, location: Location) -> str:
-    stated = [form for form in FORMS if getattr(given, form) is not None]
+def _form(columns: OrientationColumns, location: Location) -> str:
+    stated = [form for form in FORMS if getattr(columns, form) is not None]
     if len(stated) == 1:
         return stated[0]
     problem = "one form is needed" if not stated else "two forms are given"

@@ -273,12 +273,12 @@ def _setups(
     tables = []
     for name, read in channels.items():
         table: dict[str, object] = {"name": name, "instrument": reference}
-        place = units.from_si(tool_of(name, mapping), "mm").tolist()
+        tool_mm = units.from_si(tool_of(name, mapping), "mm").tolist()
         table |= {"tolerance": tolerance, **mapping.settings}
         if len(read) < len(tool.channels):
             table["channels"] = list(read)
-        if any(place):
-            table["tool_mm"] = place
+        if any(tool_mm):
+            table["tool_mm"] = tool_mm
         if len(channels) > 1:
             table["station"] = STATION
         tables.append(table)
@@ -458,5 +458,5 @@ def split_by_channels(
 
 def tool_of(setup: str, mapping: ColumnMap) -> Array:
     """The tool point (3,) of a set-up, m."""
-    place = mapping.targets.get(setup.removesuffix(POINTS), mapping.tool_mm)
-    return np.asarray(units.to_si(np.array(place), "mm"))
+    tool_mm = mapping.targets.get(setup.removesuffix(POINTS), mapping.tool_mm)
+    return np.asarray(units.to_si(np.array(tool_mm), "mm"))

@@ -87,8 +87,8 @@ def _value(criterion: str, value: float) -> str:
 
 def _label(criterion: str) -> str:
     """What the criterion's number is called; empty where by the criterion's name."""
-    known = CRITERIA.entry(criterion)
-    return "" if known is None else known.label
+    entry = CRITERIA.entry(criterion)
+    return "" if entry is None else entry.label
 
 
 def _proof(section: DesignSection) -> str:

@@ -54,17 +54,19 @@ def decode_table(kind: type[T], data: object, location: Location) -> T:
         )
     free_keys: str | None = getattr(kind, "free_keys", None)
     fields = msgspec.structs.fields(kind)  # type: ignore[arg-type]
-    known = {f.encode_name: f for f in fields if f.name != free_keys}
+    known_fields = {f.encode_name: f for f in fields if f.name != free_keys}
     values: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for key, value in data.items():
-        if key in known:
-            values[known[key].name] = convert(known[key].type, value, location.key(key))
+        if key in known_fields:
+            values[known_fields[key].name] = convert(
+                known_fields[key].type, value, location.key(key)
+            )
         elif free_keys is not None:
             others[key] = value
         else:
-            raise location.key(key).error("unknown field", suggest(key, known))
-    for field in known.values():
+            raise location.key(key).error("unknown field", suggest(key, known_fields))
+    for field in known_fields.values():
         if field.required and field.name not in values:
             raise _missing(field.encode_name, location)
     if free_keys is not None:
@@ -104,8 +106,8 @@ def _converted_table(
     """A dict with keys and values of two annotated types."""
     converted = {}
     for key, value in table.items():
-        at = location.key(key)
-        converted[_plain(kinds[0], key, at)] = convert(kinds[1], value, at)
+        field = location.key(key)
+        converted[_plain(kinds[0], key, field)] = convert(kinds[1], value, field)
     return converted
 
 
@@ -214,7 +216,7 @@ def _plain_message(message: str) -> str:
     bound = re.search(r"([<>]=? ?-?[\d.]+)", expected)
     if bound:
         wanted += f" {bound.group(1)}"
-    given = re.search(r"`(\w+)`", got)
-    if given:
-        return f"{wanted} is wanted, not {TYPES.get(given.group(1), given.group(1))}"
+    match = re.search(r"`(\w+)`", got)
+    if match:
+        return f"{wanted} is wanted, not {TYPES.get(match.group(1), match.group(1))}"
     return f"{wanted} is wanted"

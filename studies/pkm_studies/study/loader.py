@@ -180,13 +180,13 @@ def _assign(tables: Any, field: str, value: Any, location: Location) -> None:
     entry[last] = value
 
 
-def _entry(at: Any, key: str, location: Location) -> Any:
+def _entry(node: Any, key: str, location: Location) -> Any:
     """What a table or a list of named tables holds under a key."""
-    if isinstance(at, list):
-        named = {str(entry.get("name")): entry for entry in at}
+    if isinstance(node, list):
+        named = {str(entry.get("name")): entry for entry in node}
         if key not in named:
             raise location.error(f"no entry {key!r}", suggest(key, named))
         return named[key]
-    if isinstance(at, dict):
-        return at.setdefault(key, {})
+    if isinstance(node, dict):
+        return node.setdefault(key, {})
     raise location.error(f"{key!r} lies in no table", "name a field of the study")

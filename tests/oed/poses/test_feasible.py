@@ -141,7 +141,9 @@ def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
     first = m.readings([series], m.nominal).reshape(-1, 2)[:, 0]
     feasibility = check_readings(m, series, ReadingLimits(travel=0.5, held=0.0))
     assert feasibility.details["travel"] == pytest.approx(np.abs(first))
-    chance = travel_probability(m, series, np.zeros((len(m.names),) * 2), 0.5, held=0.0)
+    chance = travel_probability(
+        m, series, np.zeros((len(m.names),) * 2), 0.5, held_reading=0.0
+    )
     assert (chance == feasibility.allowed).all()
 
 

@@ -135,12 +135,12 @@ def detached(tree: BodyTree) -> BodyTree:
         ends = [loop.first, loop.second]
         if not all(_is_level_chain(tree.joints(end)) for end in ends):
             return tree
-        at = tree.point(loop.first, loop.on_first)
+        joint_point = tree.point(loop.first, loop.on_first)
         slides = tuple(
             BodyJoint(f"tool {axis}", SLIDE, np.eye(3)["xy".index(axis)], np.zeros(3))
             for axis in "xy"
         )
-        platform = Body(TOOL, WORLD, at, np.eye(3), slides)
+        platform = Body(TOOL, WORLD, joint_point, np.eye(3), slides)
         loops: tuple[BodyLoop, ...] = (
             BodyLoop(loop.first, loop.on_first, TOOL, np.zeros(3)),
             BodyLoop(loop.second, loop.on_second, TOOL, np.zeros(3)),
@@ -153,9 +153,9 @@ def detached(tree: BodyTree) -> BodyTree:
         origin, rotation = tree.frame(name)
         free = (BodyJoint("platform", FREE, np.array([0.0, 0.0, 1.0]), np.zeros(3)),)
         platform = Body(name, WORLD, origin, rotation, free)
-        at = body.joints[0].at
-        on_limb = tree.local(body.parent, tree.point(name, at))
-        loops = (BodyLoop(body.parent, on_limb, name, at), *tree.loops)
+        joint_point = body.joints[0].at
+        on_limb = tree.local(body.parent, tree.point(name, joint_point))
+        loops = (BodyLoop(body.parent, on_limb, name, joint_point), *tree.loops)
     else:
         return tree
     bodies = tree.bodies | {platform.name: platform}

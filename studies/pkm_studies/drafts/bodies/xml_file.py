@@ -411,8 +411,8 @@ class _Reader:
             if body is None or [j.kind for j in body.joints] != [BALL]:
                 continue
             if second in self.bodies or second == WORLD:
-                at = tree.local(body.parent, tree.point(first, body.joints[0].at))
-                return BodyLoop(body.parent, at, second, np.full(3, np.nan))
+                origin = tree.local(body.parent, tree.point(first, body.joints[0].at))
+                return BodyLoop(body.parent, origin, second, np.full(3, np.nan))
         raise self.location.error(
             f"a <weld> joins {' and '.join(map(repr, names))}, neither of which hangs on a"
             " ball joint alone",

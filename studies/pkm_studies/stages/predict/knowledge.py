@@ -134,14 +134,14 @@ def identified(
     measurement: Measurement,
     series: Sequence[Series],
     estimate: Estimate,
-    known: ApproximateDraws,
+    approximate_draws: ApproximateDraws,
 ) -> ParameterKnowledge:
     """After a fit: the estimate, and draws of what is known of the parameters."""
     count = len(measurement.machine.parameters)
     noise = estimate.noise
     laws = noise.law if isinstance(noise, LawNoise) else None
     estimated = estimate.covariance[:count, :count]
-    draws = known.theta[:, :count] - estimate.theta[:count]
+    draws = approximate_draws.theta[:, :count] - estimate.theta[:count]
     return ParameterKnowledge(
         measurement,
         tuple(series),
@@ -149,7 +149,7 @@ def identified(
         draws.T @ draws / len(draws),
         mean=(estimate.theta - measurement.drawn)[:count],
         draws=draws,
-        worth=known.worth,
+        worth=approximate_draws.worth,
         estimated=estimated,
     )
 
@@ -275,8 +275,8 @@ def compared(
     """
     rng, effects = copy.deepcopy(rng), next(iter(candidates.values())).effects
     if effects is not None:
-        known = effects.maps(command, reference, rng)
-        effects = dataclasses.replace(effects, known=known)
+        effect_maps = effects.maps(command, reference, rng)
+        effects = dataclasses.replace(effects, known=effect_maps)
     result = {}
     for name, candidate in candidates.items():
         candidate = dataclasses.replace(candidate, effects=effects)

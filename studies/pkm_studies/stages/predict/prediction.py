@@ -658,17 +658,19 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
     rng = state.rng(Stream.PREDICT)
-    known = _knowledge(state)
+    parameter_knowledge = _knowledge(state)
     others = [r for r in get_args(Reference) if r != table.reference]
-    by_reference = knowledge.accuracy(known, command, [table.reference, *others], rng)
-    section = _section(state, known, by_reference[table.reference])
+    by_reference = knowledge.accuracy(
+        parameter_knowledge, command, [table.reference, *others], rng
+    )
+    section = _section(state, parameter_knowledge, by_reference[table.reference])
     section = msgspec.structs.replace(
         section,
         references={
             reference: component_records(machine, result.prediction)
             for reference, result in by_reference.items()
         },
-        tools=_tools(state, table, known, command),
+        tools=_tools(state, table, parameter_knowledge, command),
     )
     section = add_wanted(section, state.resolved.wanted_accuracy)
     return state.add_sections(prediction=add_realised(section, realised))
@@ -721,12 +723,12 @@ def _draws(state: Fitted) -> ApproximateDraws:
 
 
 def _section(
-    state: Scheduled, known: ParameterKnowledge, main: Accuracy
+    state: Scheduled, parameter_knowledge: ParameterKnowledge, main: Accuracy
 ) -> PredictionSection:
     """The section with its budget."""
-    machine, planned = state.measurement.machine, known.mean is None
-    budget = known.model.budget(
-        main.maps, estimated=known.estimated, predicted=main.variance
+    machine, planned = state.measurement.machine, parameter_knowledge.mean is None
+    budget = parameter_knowledge.model.budget(
+        main.maps, estimated=parameter_knowledge.estimated, predicted=main.variance
     )
     mode = "plan" if planned else "identified"
     section = accuracy_section(
@@ -750,7 +752,10 @@ def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | Non
 
 
 def _tools(
-    state: Scheduled, table: PredictionTable, known: ParameterKnowledge, command: Array
+    state: Scheduled,
+    table: PredictionTable,
+    parameter_knowledge: ParameterKnowledge,
+    command: Array,
 ) -> list[ToolAccuracy]:
     """Accuracy after compensation at tools of the lengths that the study names."""
     machine = state.measurement.machine
@@ -759,7 +764,9 @@ def _tools(
     for length in table.tools:
         tool = np.array([0.0, 0.0, length * MM])
         moved = machine.with_tool(command, tool)
-        result = knowledge.accuracy(known, moved, [table.reference], rng, tool)
+        result = knowledge.accuracy(
+            parameter_knowledge, moved, [table.reference], rng, tool
+        )
         predicted = result[table.reference].prediction
         records.append(tool_accuracy(machine, predicted, length * MM))
     return records
