@@ -306,8 +306,9 @@ class MachineSession:
         pose, fitted = self._pose(), self.state.fitted
         series, row, y = self._read_values(pose, values)
         expected = doubts.interval(self.adviser, fitted, series, row)
-        measurement = self.measurement
-        sentences = doubts.value_doubts(measurement, series.setup, expected, y, entries)
+        sentences = doubts.value_doubts(
+            self.measurement, series.setup, expected, y, entries
+        )
         if sentences:
             return sentences
         try:

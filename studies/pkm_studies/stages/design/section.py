@@ -94,8 +94,7 @@ def _judging(
     those of all plans in comparisons. Criteria of eigenvalues, and plans without
     tolerances, are judged over what their own readings concern.
     """
-    table = judge.table
-    if not table.prior or any(form.spectral for form in _forms(judge)):
+    if not judge.table.prior or any(form.spectral for form in _forms(judge)):
         return measurement, measurement
     candidates = [*resolved.measurement.setups, *measurement.setups]
     every = [n for plan in resolved.reference_plans for n in plan.setups]
@@ -152,10 +151,9 @@ def _compared(
     reference: Mapping[str, float],
 ) -> PlanScore:
     """With its efficiency against the chosen plan, and its gain over a reference."""
-    table = judge.table
     # ratios of eigenvalues do not grow with the number of readings
     grows = all(form.concave for form in _forms(judge))
-    per_reading = best.n / score.n if grows and not table.prior else 1.0
+    per_reading = best.n / score.n if grows and not judge.table.prior else 1.0
     gain = improvement_factors(reference, score.predicted) if reference else {}
     return msgspec.structs.replace(
         score, efficiency=float(np.exp(log_phi)) * per_reading, gain=gain
