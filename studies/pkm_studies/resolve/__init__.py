@@ -6,8 +6,8 @@ described_machine            the machine of a table [machine]
 study_machine                the model with the study's numbers
 study_kinematics             its kinematics
 check_home                   an error where a machine does not close at home
-unreachable                  a sentence on poses that joints do not reach
 replace_nominal              a machine with other nominal numbers
+unreachable                  a sentence on poses that joints do not reach
 replace_mean_and_covariance  a machine with other nominal numbers and their covariance
 DesignRequest                what [design] means to the kernel
 CommandRanges                lower and upper ends of each command, by set-up
@@ -75,7 +75,6 @@ if TYPE_CHECKING:
         replace_nominal,
         study_kinematics,
         study_machine,
-        unreachable,
     )
     from pkm_studies.resolve.plan import PlanRequest
     from pkm_studies.resolve.prediction import (
@@ -84,6 +83,7 @@ if TYPE_CHECKING:
         commands_between,
         regular_at,
         regular_commands,
+        unreachable,
         workspace_axes,
         workspace_commands,
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import fnmatch
-import itertools
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
@@ -181,10 +180,6 @@ def _words(by: str, name: str) -> str:
     return by.replace("{i}", number.group() if number else name)
 
 
-#: values of each coordinate at which the workspace is tried
-TRIED = 3
-#: most poses that are tried
-MOST_TRIED = 729
 #: how parameters say that they are the zero of a joint's scale: `zero of leg 1`
 ZERO = "zero of "
 ASSEMBLY_REMEDY = (
@@ -260,36 +255,6 @@ def _check_drive(table: DriveTable, machine: Machine, location: Location) -> Non
     if table.ratio is not None and table.stages:
         remedy = "give one of the two: ratio is the product of stages"
         raise location.key("stages").error("ratio is given as well", remedy)
-
-
-def unreachable(kinematics: Kinematics) -> str | None:
-    """A sentence on poses of the workspace that joints do not reach; None without.
-
-    Corners, middles of sides and centre are tried.
-    """
-    machine = kinematics.machine
-    ends = [(c.lower, c.upper) for c in machine.command]
-    count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
-    axes = [
-        np.linspace(low, high, count) if np.isfinite([low, high]).all() else [home]
-        for (low, high), home in zip(ends, machine.home_command, strict=True)
-    ]
-    command = np.array(list(itertools.product(*axes)))
-    why = "cannot be reached"
-    try:
-        _, q = kinematics.inverse(command)
-    except AssemblyError as error:
-        rows = error.indices
-    else:
-        outside = machine.joints_out_of_range(q)
-        rows = np.unique([row for row, *_ in outside])
-        why = "need joints beyond their ranges"
-    if not rows.size:
-        return None
-    return (
-        f"{rows.size} of {len(command)} poses at the ends and middles of the workspace"
-        f" {why}, the first at {pose_words(machine, command[rows[0]])}"
-    )
 
 
 def _family_machine(table: MachineTable, model: Machine, location: Location) -> Machine:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from oed.model import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids
-from pkm_studies.resolve.machine import REACH_REMEDY, reach_problem
+from pkm_studies.resolve.machine import REACH_REMEDY, pose_words, reach_problem
 from pkm_studies.study import Study
 from pkm_studies.tables import PredictionTable
 
@@ -249,3 +250,41 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
         else:
             return command
     return kinematics.machine.home_command[None]
+
+
+#: values of each coordinate at which the workspace is tried
+TRIED = 3
+
+
+#: most poses that are tried
+MOST_TRIED = 729
+
+
+def unreachable(kinematics: Kinematics) -> str | None:
+    """A sentence on poses of the workspace that joints do not reach; None without.
+
+    Corners, middles of sides and centre are tried.
+    """
+    machine = kinematics.machine
+    ends = [(c.lower, c.upper) for c in machine.command]
+    count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
+    axes = [
+        np.linspace(low, high, count) if np.isfinite([low, high]).all() else [home]
+        for (low, high), home in zip(ends, machine.home_command, strict=True)
+    ]
+    command = np.array(list(itertools.product(*axes)))
+    why = "cannot be reached"
+    try:
+        _, q = kinematics.inverse(command)
+    except AssemblyError as error:
+        rows = error.indices
+    else:
+        outside = machine.joints_out_of_range(q)
+        rows = np.unique([row for row, *_ in outside])
+        why = "need joints beyond their ranges"
+    if not rows.size:
+        return None
+    return (
+        f"{rows.size} of {len(command)} poses at the ends and middles of the workspace"
+        f" {why}, the first at {pose_words(machine, command[rows[0]])}"
+    )
