@@ -13,6 +13,7 @@ draw_lost_directions  parameters at coordinates, with lost directions drawn
 predictive_checks     whether readings look like those that the posterior predicts
 sample                samples the posterior
 save                  writes the draws as NetCDF
+to_arviz              the draws as ArviZ reads them
 """
 
 from typing import TYPE_CHECKING
@@ -21,7 +22,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.posterior.chains import MIXED_RHAT, Checkpoint
-    from oed.posterior.draws import Posterior, save
+    from oed.posterior.draws import Posterior, save, to_arviz
     from oed.posterior.log_density import (
         ApproximateDraws,
         LogDensity,

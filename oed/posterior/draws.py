@@ -84,34 +84,35 @@ class Posterior:
         """Standard deviations of the draws (n,), SI."""
         return np.sqrt(np.diag(self.covariance))
 
-    def to_arviz(self) -> xr.DataTree:
-        """The draws, SI, as ArviZ and xarray read them: groups posterior and sample_stats.
 
-        Attributes name the sampler, and k of the importance weights. R-hat is emcee's alone.
+def to_arviz(posterior: Posterior) -> xr.DataTree:
+    """The draws, SI, as ArviZ and xarray read them: groups posterior and sample_stats.
 
-        >>> import numpy as np
-        >>> from oed import Measurement, mount
-        >>> from oed.estimation import identify
-        >>> from oed.measurement import draw_parameters, draw_readings
-        >>> from oed.posterior import sample, to_arviz
-        >>> from pkm_models.instruments.pose_tracker import position
-        >>> from pkm_models.machines.planar_2dof import machine
-        >>> measurement = Measurement(machine, [mount(position, "tracker")])
-        >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
-        >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
-        >>> rng = np.random.default_rng(1)
-        >>> truth = draw_parameters(measurement, rng)
-        >>> y = draw_readings(measurement, [series], truth, rng)
-        >>> estimate = identify(measurement, [series], y)
-        >>> posterior = sample(measurement, [series], y, estimate, rng, ess=400)
-        >>> to_arviz(posterior)["posterior"]["theta"].dims
-        ('chain', 'draw', 'parameter')
-        """
-        import xarray  # takes a second to import
+    Attributes name the sampler, and k of the importance weights. R-hat is emcee's alone.
 
-        content = io.BytesIO(netcdf(self, {}))
-        with xarray.open_datatree(content, engine="h5netcdf") as tree:
-            return tree.load()
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.estimation import identify
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from oed.posterior import sample, to_arviz
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> estimate = identify(measurement, [series], y)
+    >>> posterior = sample(measurement, [series], y, estimate, rng, ess=400)
+    >>> to_arviz(posterior)["posterior"]["theta"].dims
+    ('chain', 'draw', 'parameter')
+    """
+    import xarray  # takes a second to import
+
+    content = io.BytesIO(netcdf(posterior, {}))
+    with xarray.open_datatree(content, engine="h5netcdf") as tree:
+        return tree.load()
 
 
 def save(posterior: Posterior, path: Path, attributes: Mapping[str, str]) -> Path:

@@ -265,8 +265,9 @@ class PosteriorView(_ParametersView):
 
     def to_arviz(self) -> xr.DataTree:
         """The draws as ArviZ reads them: groups `posterior` and `sample_stats`, SI."""
+        from oed.posterior import to_arviz
 
-        return self._parameters_si.to_arviz()
+        return to_arviz(self._parameters_si)
 
     @property
     def _parameters(self) -> dict[str, result.ParameterEstimate]:

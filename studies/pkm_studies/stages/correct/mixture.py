@@ -131,10 +131,8 @@ def mixture_section(
         count = len(machine.parameters)
         section = add_controller(section, machine, mixture.mean[:count])
     else:
-        parameter_knowledge = _knowledge(
-            measurement, series, mixture, best, seed, use.session
-        )
-        section = _add_accuracy(section, parameter_knowledge, best, use, seed)
+        belief = _knowledge(measurement, series, mixture, best, seed, use.session)
+        section = _add_accuracy(section, belief, best, use, seed)
     return msgspec.structs.replace(section, words=mixture_sentences(section))
 
 
@@ -172,16 +170,16 @@ def _knowledge(
 
 
 def _compensations(
-    parameter_knowledge: ParameterKnowledge, best: BestAnswer, sent: Mapping[str, Array]
+    belief: ParameterKnowledge, best: BestAnswer, sent: Mapping[str, Array]
 ) -> dict[str, ParameterKnowledge]:
     """What is known where each set of parameters is sent, the best one with effects too."""
     compensations = {
-        name: dataclasses.replace(parameter_knowledge, sent=parameters)
+        name: dataclasses.replace(belief, sent=parameters)
         for name, parameters in sent.items()
     }
-    if best.corrected is not None and parameter_knowledge.effects is not None:
+    if best.corrected is not None and belief.effects is not None:
         of_best = best.corrected.estimate.theta[best.corrected.parameters :]
-        corrected = np.zeros(parameter_knowledge.effects.draws.shape[1])
+        corrected = np.zeros(belief.effects.draws.shape[1])
         corrected[-len(of_best) :] = of_best
         compensations[CompensationName.BEST_WITH_EFFECTS] = dataclasses.replace(
             compensations[CompensationName.BEST], corrected=corrected
@@ -191,24 +189,18 @@ def _compensations(
 
 def _add_accuracy(
     section: MixtureSection,
-    parameter_knowledge: ParameterKnowledge,
+    belief: ParameterKnowledge,
     best: BestAnswer,
     use: UseOfMachine,
     seed: Sequence[int],
 ) -> MixtureSection:
     """The section with what all answers expect of each compensation."""
-    machine = parameter_knowledge.measurement.machine
+    machine = belief.measurement.machine
     count = len(machine.parameters)
     # states other than those that the candidates are judged in
     rng = np.random.default_rng([*seed, ABSORBING])
-    absorbed = knowledge.absorb_effects(
-        parameter_knowledge, use.command, use.reference, rng
-    )
-    mean = (
-        machine.nominal + parameter_knowledge.centre
-        if absorbed.sent is None
-        else absorbed.sent
-    )
+    absorbed = knowledge.absorb_effects(belief, use.command, use.reference, rng)
+    mean = machine.nominal + belief.centre if absorbed.sent is None else absorbed.sent
     sent = {
         CompensationName.MIXTURE: mean,
         CompensationName.BEST: best.theta[:count],
@@ -217,7 +209,7 @@ def _add_accuracy(
     if np.array_equal(best.plain, best.theta):
         del sent[CompensationName.PLAIN]
     judged = knowledge.compared(
-        _compensations(parameter_knowledge, best, sent),
+        _compensations(belief, best, sent),
         use.command,
         use.reference,
         np.random.default_rng(seed),
@@ -230,9 +222,7 @@ def _add_accuracy(
     geometry = least_error(before, {name: after[name] for name in sent}, machine.driven)
     sections, choices = {}, []
     for name, prediction in predicted.items():
-        record = accuracy_section(
-            parameter_knowledge.measurement.kinematics, prediction, "mixture"
-        )
+        record = accuracy_section(belief.measurement.kinematics, prediction, "mixture")
         record = msgspec.structs.replace(record, **use.states())
         sections[name] = add_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
