@@ -26,7 +26,8 @@ from oed.model import Machine
 
 #: change of the slopes, over the largest, that is steady within Newton's last step
 SLOPE_TOLERANCE = 1e-3
-#: steps in which a solution is followed, first few, then more from where these end
+#: steps in which a solution is followed, first few, then more from where these end;
+#: powers of two, of which shares are exact
 PATH_STEPS = (8, 64, 512)
 #: number of starts about the machine's own, for a home pose that fails
 N_STARTS = 64
@@ -79,7 +80,8 @@ class InverseKinematics:
         pairs = zip(e.commanded, e.target, strict=True)
         unmet = ca.vertcat(e.phi, *[commanded - target for commanded, target in pairs])
         slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
-        start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+        parts = machine.start(e.c_by_name, e.p_by_name)
+        start = [ca.SX(ca.vertcat(*part)) for part in parts]
         reference = _reference_command(e, start[0])
         start = [ca.substitute(part, e.c, reference) for part in start]
         inputs = [e.x, e.q, e.p, e.c, e.tool]
@@ -206,11 +208,12 @@ class InverseKinematics:
         mode: Array,
     ) -> Array | None:
         """Home, followed from that of the machine as drawn; None where the way ends."""
-        z, *begin = drawn
-        followed, reached, end = z[None], np.zeros(1), (command, p, tool)
+        z, drawn_command, drawn_p = drawn
+        begin, end = (drawn_command, drawn_p, tool), (command, p, tool)
+        followed, reached = z[None], np.zeros(1)
         for steps in PATH_STEPS:
             followed, reached = self._follow(
-                (followed, reached), mode, (*begin, tool), end, steps
+                (followed, reached), mode, begin, end, steps
             )
             if reached[0] == 1.0:
                 return np.asarray(followed[0])
