@@ -37,7 +37,7 @@ class GeneratedFunctions:
 def generated_functions(machine: Machine, parameters: Array) -> GeneratedFunctions:
     """The functions of a machine with parameters (np,), SI.
 
-    pkm_start(c)              pose and joints from which Newton's method starts
+    pkm_start(c, tool)        pose and joints from which Newton's method starts
     pkm_unmet(x, q, c, tool)  closure and command, and their slope over pose and joints
     pkm_mode(x, q)            slope of the closure over the pose, and of each joint's
                               own equation over the joint
@@ -69,7 +69,6 @@ def _functions(
         fixed = [ca.substitute(ca.SX(f), e.p, values) for f in outputs]
         return ca.Function(name, inputs, [ca.densify(f) for f in fixed])
 
-    start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
     pairs = zip(e.commanded, e.target, strict=True)
     unmet = ca.vertcat(
         e.phi, *[commanded - target_value for commanded, target_value in pairs]
@@ -80,7 +79,7 @@ def _functions(
     own_slopes = ca.vertcat(*joint_slopes(e))
     balance = [e.balance, ca.jacobian(e.balance, e.x)]
     return [
-        function("pkm_start", [e.c], start),
+        function("pkm_start", [e.c, e.tool], list(e.start)),
         function("pkm_unmet", [e.x, e.q, e.c, e.tool], [unmet, slope]),
         function("pkm_mode", [e.x, e.q], [closure_slope, own_slopes]),
         function("pkm_balance", [e.x, e.q], balance),

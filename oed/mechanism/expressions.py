@@ -34,6 +34,7 @@ class MachineExpressions:
     tip        (3,) tool point in the base frame
     commanded  quantities that the controller holds at pose x with this tool
     target     the same quantities at command c
+    start      pose and joints from which Newton's method starts at c with this tool
     """
 
     x: ca.SX
@@ -50,6 +51,7 @@ class MachineExpressions:
     tip: Expr
     commanded: Sequence[Expr]
     target: Sequence[Expr]
+    start: tuple[ca.SX, ca.SX]
 
     @property
     def balance(self) -> Expr:
@@ -60,7 +62,11 @@ class MachineExpressions:
 
 
 def machine_expressions(machine: Machine) -> MachineExpressions:
-    """Evaluate a machine's functions on symbols."""
+    """Evaluate a machine's functions on symbols.
+
+    The machine's start value is that of the reference tool, and far off for a long tool on
+    a tilted platform. Coordinates that are held as commanded go back by what the tool adds.
+    """
     x, x_by_name = symbols("x", machine.pose)
     q, q_by_name = symbols("q", machine.joints)
     p, p_by_name = symbols("p", machine.parameters)
@@ -68,6 +74,16 @@ def machine_expressions(machine: Machine) -> MachineExpressions:
     tool = ca.SX.sym("tool", 3)
     rotation, origin = machine.platform(x_by_name)
     tip = origin + rotation @ tool
+    commanded, target = machine.commanded(x_by_name, tip), machine.target(c_by_name)
+    pose, joints = (
+        ca.SX(ca.vertcat(*part)) for part in machine.start(c_by_name, p_by_name)
+    )
+    reference = ca.SX(c)
+    for held, at_command in zip(commanded, target, strict=True):
+        added = ca.SX(held) - ca.substitute(ca.SX(held), tool, ca.SX.zeros(3))
+        for k in range(c.numel()):
+            if ca.is_equal(ca.SX(at_command), c[k]):
+                reference[k] -= ca.substitute(added, x, pose)
     return MachineExpressions(
         x=x,
         q=q,
@@ -81,8 +97,9 @@ def machine_expressions(machine: Machine) -> MachineExpressions:
         phi=ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name)),
         rotation=rotation,
         tip=tip,
-        commanded=machine.commanded(x_by_name, tip),
-        target=machine.target(c_by_name),
+        commanded=commanded,
+        target=target,
+        start=(ca.substitute(pose, c, reference), ca.substitute(joints, c, reference)),
     )
 
 
@@ -185,9 +202,8 @@ class MachineFrame(Frame):
 def _home_null_space(machine: Machine) -> Array:
     """Orthonormal null space (m, k) of the constraints at the start for home."""
     e = machine_expressions(machine)
-    start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
-    start_values = ca.Function("start", [e.c, e.p], start)(
-        machine.home_command, machine.nominal
+    start_values = ca.Function("start", [e.c, e.p, e.tool], list(e.start))(
+        machine.home_command, machine.nominal, np.zeros(3)
     )
     slope = ca.Function("slope", [e.x, e.q, e.p], [ca.jacobian(e.phi, e.x)])
     vectors, _, _ = np.linalg.svd(np.array(slope(*start_values, machine.nominal)))

@@ -80,15 +80,11 @@ class InverseKinematics:
         pairs = zip(e.commanded, e.target, strict=True)
         unmet = ca.vertcat(e.phi, *[commanded - target for commanded, target in pairs])
         slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
-        parts = machine.start(e.c_by_name, e.p_by_name)
-        start = [ca.SX(ca.vertcat(*part)) for part in parts]
-        reference = _reference_command(e, start[0])
-        start = [ca.substitute(part, e.c, reference) for part in start]
         inputs = [e.x, e.q, e.p, e.c, e.tool]
         by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*joint_slopes(e))
         by_p = [ca.jacobian(unmet, e.p)]
         self._by_parameter = BatchedFunction("by_parameter", inputs, by_p)
-        self._start = BatchedFunction("start", [e.c, e.p, e.tool], start)
+        self._start = BatchedFunction("start", [e.c, e.p, e.tool], list(e.start))
         self._inverse = BatchedFunction("inverse", inputs, [unmet, slope])
         self._mode = BatchedFunction("mode", inputs, [by_x, slope, by_joint])
         self._home: tuple[Array, Array] | None = None
@@ -336,23 +332,6 @@ class InverseKinematics:
             command[lost[0]],
             reason,
         )
-
-
-def _reference_command(e: MachineExpressions, pose: ca.SX) -> ca.SX:
-    """Where the reference tool stands, about, when another tool is at the command.
-
-    The start value is that of the reference tool, and far off for a long tool on a tilted
-    platform. Coordinates that are held as commanded go back by what the tool adds to them.
-
-    pose  (nx,) start value at a command
-    """
-    reference = ca.SX(e.c)
-    for held, target in zip(e.commanded, e.target, strict=True):
-        added = ca.SX(held) - ca.substitute(ca.SX(held), e.tool, ca.SX.zeros(3))
-        for k in range(e.c.numel()):
-            if ca.is_equal(ca.SX(target), e.c[k]):
-                reference[k] -= ca.substitute(added, e.x, pose)
-    return reference
 
 
 def joint_slopes(e: MachineExpressions) -> list[ca.SX]:

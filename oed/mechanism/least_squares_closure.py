@@ -30,8 +30,8 @@ def closest_closure(machine: Machine, command: Array) -> ClosestClosure:
     """
     e = machine_expressions(machine)
     command = np.asarray(command, dtype=float)
-    parts = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
-    start = ca.Function("start", [e.c, e.p], parts)(command, machine.nominal)
+    begin = ca.Function("start", [e.c, e.p, e.tool], list(e.start))
+    start = begin(command, machine.nominal, np.zeros(3))
     z = np.concatenate([np.array(part).ravel() for part in start])
     guess = _shape(machine, e, z)
     usable = np.where(np.isfinite(z), z, _middles(machine))

@@ -107,6 +107,7 @@ int pkm_inverse(
   double size = -1.0;
   if (!tool) tool = pkm_no_tool;
   work.arg[0] = command;
+  work.arg[1] = tool;
   work.res[0] = z;
   work.res[1] = z + PKM_X;
   pkm_start(work.arg, work.res, work.iw, work.w, 0);
