@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from concurrent import futures
 from pathlib import Path
@@ -51,6 +52,19 @@ def end_programs() -> None:
     """End what `run` waits for in other threads."""
     for program in list(_running):
         program.terminate()
+
+
+def start_python(module: str, arguments: Sequence[str | Path]) -> subprocess.Popen[str]:
+    """Start a module of this Python, as `python -m` does, with pipes for its output."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", module, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+    )
 
 
 def worker(initializer: Callable[[], None]) -> futures.ProcessPoolExecutor:

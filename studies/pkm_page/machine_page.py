@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import itertools
-import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Sequence
@@ -15,6 +13,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from oed.child_process import start_python
 from oed.dataset import ReadingsColumn
 from pkm_page import render, rows, show
 from pkm_page.feed import Feed, Offer
@@ -328,19 +327,6 @@ class BackgroundCommand:
         self.state = dataclasses.replace(
             self.state, code=code, lines=tuple(said[-MOST_LINES:])
         )
-
-
-def start_python(module: str, arguments: Sequence[str | Path]) -> subprocess.Popen[str]:
-    """Start a module of this Python, as `python -m` does, with pipes for its output."""
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", module, *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        encoding="utf-8",
-        errors="replace",
-    )
 
 
 def _collect(stream: IO[str] | None, lines: list[str]) -> None:

@@ -176,7 +176,7 @@ def test_programs_out_of_reach_are_not_followed_from_home(
     given = session(BY_NAME["the circle of another height"])
     kinematics = given.session.measurement.kinematics
     names = [c.name for c in kinematics.machine.command]
-    monkeypatch.setattr(type(kinematics._inverse), "_follow_from_home", follow)
+    monkeypatch.setattr(type(kinematics._inverse), "_follow", follow)
     displaced = pose._follower_trials(given, names.index("theta"), names.index("z"))
     assert {trial.family for trial in displaced}
 

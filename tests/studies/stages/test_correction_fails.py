@@ -15,10 +15,9 @@ def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
     error = IdentificationError("the fit did not converge")
     effects = [SimpleNamespace(name="step")]
     monkeypatch.setattr(corrected, "_effects", lambda *given: effects)
-    monkeypatch.setattr(corrected, "readings_with_covariates", mock.MagicMock())
-    monkeypatch.setattr(
-        corrected, "estimate_with_effects", mock.MagicMock(side_effect=error)
-    )
+    readings = mock.MagicMock()
+    readings.return_value.estimate.side_effect = error
+    monkeypatch.setattr(corrected, "readings_with_covariates", readings)
     state = mock.MagicMock(with_effects=())
     state.add_warnings = lambda *warnings: warnings
     return state
