@@ -33,8 +33,6 @@ from oed.result import CompensationName, SpreadRecord
 N_MACHINES = 2000
 #: errors of all machines, poses and components, at most
 MAX_ERRORS = 12_000_000
-#: upper values that are ordered for a quantile and its error, in shares beyond it
-TAIL = 2.0
 #: ends of the interval that holds 95 % of the machines
 INTERVAL = (0.025, 0.975)
 
@@ -78,11 +76,11 @@ class Spread:
 
         worth  number of independent machines that these are worth; all by default
         """
-        size = np.sort(np.abs(errors), axis=1)
+        size = np.abs(errors)
         of_machine = {
             "rms": np.sqrt(np.mean(size**2, axis=1)),
-            "p95": _ordered_quantile(size.T, 0.95),
-            "largest": size[:, -1],
+            "p95": np.quantile(size, 0.95, axis=1),
+            "largest": size.max(axis=1),
         }
         rms = root_mean_square(size, worth)
         p95 = pooled_quantile(size, 0.95, worth)
@@ -360,16 +358,8 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
     the quantile differs between machines.
     """
     machines = len(values) if worth is None else worth
-    last = values.size - 1
-    first = int((1.0 - TAIL * (1.0 - share)) * last)
-    tail = np.sort(np.partition(values, first, axis=None)[first:])
-    value = _ordered_quantile(tail, share, values.size)
-    step = (values > value).mean(axis=1).std() / np.sqrt(machines)
-    if (share - step) * last < first:
-        return _quantile(values, share, step)
-    low, high = share - step, min(share + step, 1.0)
-    below, above = (_ordered_quantile(tail, p, values.size) for p in (low, high))
-    return Drawn(float(value), float(0.5 * (above - below)))
+    beyond = (values > np.quantile(values, share)).mean(axis=1)
+    return _quantile(values, share, beyond.std() / np.sqrt(machines))
 
 
 def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
@@ -382,18 +372,6 @@ def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
 
 
 def _quantile(values: Array, share: float, step: float) -> Drawn:
-    ordered = np.sort(values, axis=None)
-    shares = np.clip([share, share - step, share + step], 0.0, 1.0)
-    value, below, above = (_ordered_quantile(ordered, p) for p in shares)
+    low, high = np.clip([share - step, share + step], 0.0, 1.0)
+    value, below, above = np.quantile(values, [share, low, high])
     return Drawn(float(value), float(0.5 * (above - below)))
-
-
-def _ordered_quantile(ordered: Array, share: float, total: int = 0) -> Array:
-    """Quantile of ascending values (m, ...), of which these are the largest of `total`.
-
-    Between two values it is linear, as in `numpy.quantile`, which does not know the order.
-    """
-    place = share * (max(total, len(ordered)) - 1) - max(total - len(ordered), 0)
-    below = int(place)
-    step = ordered[min(below + 1, len(ordered) - 1)] - ordered[below]
-    return np.asarray(ordered[below] + (place - below) * step)
