@@ -416,6 +416,8 @@ def _with_both_ways(
     steady = [forms for _, by_reach in workspace for _, forms in by_reach]
     results = []
     for term, forms in zip(terms, steady, strict=True):
+        if not term.forms.any():  # no direction is known
+            continue
         both = np.concatenate([forms, term.forms], axis=3)
         about = (
             f"an error of {term.carrier.name} over the workspace, different each way"
