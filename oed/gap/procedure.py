@@ -16,6 +16,7 @@ from oed.gap.cause.compare import (
     compare_expanded,
     posterior_mean,
     probabilities,
+    without,
     without_implausible,
 )
 from oed.gap.cause.locations import LikelyForms, ReversedForms
@@ -25,7 +26,7 @@ from oed.gap.cause.scatter import (
     unstated_scatter,
     with_roughness,
 )
-from oed.gap.cause.search import Hypothesis, Search
+from oed.gap.cause.search import Hypothesis, Key, Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import NO_EFFECT, AnswerContent, Diagnosis, Explained, Size
 from oed.gap.data.evidence import WhitenedColumns
@@ -34,6 +35,10 @@ from oed.gap.forms.discrepancy import JOINTS, READINGS, part_in_words
 from oed.gap.forms.library import Library
 from oed.noise import NoiseLaw
 from oed.result import UNKNOWN, CoefficientRecord, PlaceRecord
+
+#: closure below which names are refuted: their correction more than doubles what it
+#: should remove from withheld readings
+MIN_CLOSURE = -1.0
 
 # What the best hypothesis explains of the residual: coefficients, sizes, remainder.
 
@@ -171,17 +176,24 @@ def diagnose(
     """
     comparison = _compare(problem, effects, law)
     searched, hypotheses = comparison.searches, comparison.hypotheses
-    diagnosis, best = conclude(problem, searched, hypotheses, effects)
-    clean = searched[best.law].problem  # without outliers, where there are any
-    if diagnosis.verdict in NO_EFFECT:
-        nothing = tuple(closure.not_scored(split) for split in SPLITS)
-        return dataclasses.replace(diagnosis, closure=nothing)
-    where = _locate(searched[best.law], best, effects, diagnosis.law, rng)
-    models = withheld.models(searched[best.law], best)
-    closures = tuple(
-        closure.closure(clean, diagnosis.law, models, rng, split=split)
-        for split in SPLITS
-    )
+    refuted: list[Key] = []
+    while True:
+        diagnosis, best = conclude(problem, searched, hypotheses, effects, refuted)
+        if diagnosis.verdict in NO_EFFECT:
+            nothing = tuple(closure.not_scored(split) for split in SPLITS)
+            return dataclasses.replace(diagnosis, closure=nothing)
+        search = searched[best.law]
+        where = _locate(search, best, effects, diagnosis.law, rng)
+        models = withheld.models(search, best)
+        closures = tuple(
+            # without outliers, where there are any
+            closure.closure(search.problem, diagnosis.law, models, rng, split=split)
+            for split in SPLITS
+        )
+        is_harmful = any((c.value or 0.0) < MIN_CLOSURE for c in closures)
+        if not best.effects or not is_harmful or best.key in refuted:
+            break
+        refuted.append(best.key)
     return dataclasses.replace(diagnosis, where=where, closure=closures)
 
 
@@ -215,13 +227,18 @@ def conclude(
     searched: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
+    refuted: Sequence[Key] = (),
 ) -> tuple[Diagnosis, Hypothesis]:
     """The diagnosis by searches under several noise laws, without places and closure.
 
-    The second result is the hypothesis that the first answer stands for.
+    The second result is the hypothesis that the first answer stands for. What `refuted`
+    names is not concluded.
     """
     hypotheses = withheld.pooled(searched, hypotheses)
     hypotheses, left_out = without_implausible(searched, hypotheses)
+    for key in refuted:
+        hypotheses = without(hypotheses, key)
+        left_out = tuple(dict.fromkeys((*left_out, *sorted(key[0]))))
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)

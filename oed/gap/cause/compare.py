@@ -221,14 +221,29 @@ def without_implausible(
         ]
         if not names or not carriers:
             continue
-        carrier = carriers[0]
-        score = float(np.logaddexp(results[h.key].score, carrier.score))
-        log_evidence = score - carrier.log_prior
-        results[carrier.key] = dataclasses.replace(carrier, log_evidence=log_evidence)
-        results[h.key] = dataclasses.replace(h, log_evidence=-np.inf)
+        _hand_over(results, h, carriers[0])
         left_out += sorted(names) if shares[k] > MIN_LEFT_OUT else []
     ranked = sorted(results.values(), key=lambda h: -h.score)
     return ranked, tuple(dict.fromkeys(left_out))
+
+
+def without(hypotheses: Sequence[Hypothesis], key: Key) -> list[Hypothesis]:
+    """Hypotheses, best first, without one: an unknown takes over its probability."""
+    results = {h.key: h for h in hypotheses}
+    carrier = results.get((frozenset(), True))
+    if key in results and carrier is not None:
+        _hand_over(results, results[key], carrier)
+    return sorted(results.values(), key=lambda h: -h.score)
+
+
+def _hand_over(
+    results: dict[Key, Hypothesis], h: Hypothesis, carrier: Hypothesis
+) -> None:
+    """Add the probability of a hypothesis to a carrier's."""
+    score = float(np.logaddexp(results[h.key].score, carrier.score))
+    log_evidence = score - carrier.log_prior
+    results[carrier.key] = dataclasses.replace(carrier, log_evidence=log_evidence)
+    results[h.key] = dataclasses.replace(h, log_evidence=-np.inf)
 
 
 def _carriers(

@@ -1,21 +1,25 @@
 """Hypotheses by withheld runs and evidence together, against dense covariances."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy import stats
 
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import BOW, EFFECTS, planted, readings
 from kernel.gap_unknown import smooth
 from kernel.laws import STATED_LAW
-from oed.gap.cause import withheld
+from oed.gap import diagnose
+from oed.gap.cause import closure, withheld
 from oed.gap.cause.compare import probabilities, without_implausible
 from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data.evidence import LEVEL_RATE, LEVEL_SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
+from oed.result import ClosureRecord
 
 
 def _search(problem: GapProblem) -> Search:
@@ -118,6 +122,26 @@ def test_a_name_far_beyond_its_expected_size_needs_withheld_runs(
     ranked, left_out = without_implausible([search], hypotheses)
     assert left_out == (() if is_confirmed else ("bow",))
     assert (ranked[0].effects == ("bow",)) == is_confirmed
+
+
+@pytest.mark.parametrize(("value", "is_named"), [(-0.9, True), (-1.1, False)])
+def test_names_whose_correction_doubles_the_withheld_error_are_refuted(
+    value: float, is_named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    score = closure.closure
+
+    def scored(*given: Any, split: str) -> ClosureRecord:
+        record = score(*given, split=split)
+        return replace(record, value=value if split == "within" else record.value)
+
+    monkeypatch.setattr(closure, "closure", scored)
+    search = _bowed(2.0)
+    rng = np.random.default_rng(0)
+    diagnosis = diagnose(search.problem, EFFECTS, rng, law=STATED_LAW)
+    first = diagnosis.answers[0].effects
+    assert (first, diagnosis.left_out) == (
+        (("bow",), ()) if is_named else (("unknown",), ("bow",))
+    )
 
 
 def test_what_is_alone_among_gaps_is_as_it_was() -> None:

@@ -466,7 +466,8 @@ def _verdict(gap: GapSection) -> list[str]:
 def _chance(gap: GapSection, probability: float) -> str:
     """The probability of a cause, and that of noise alone where it is larger."""
     nothing = sum(a.probability for a in gap.answers if not a.effects)
-    chance = f"probability {format_probability(probability)}"
+    # a cause is never certain: what else may act has rounded to nothing
+    chance = f"probability {format_probability(min(probability, 1.0 - 1e-9))}"
     if nothing > probability:
         chance += f"; noise alone {format_probability(nothing)}"
     return f"({chance})"
@@ -586,7 +587,7 @@ def _left_out(gap: GapSection) -> list[str]:
     """Effects that fit, and why they are not named."""
     return [
         f"{capitalised(plain_name(name))} would fit, but only at a size that no machine"
-        " has or that withheld runs do not confirm: it is not named."
+        " has or in a form that withheld readings refute: it is not named."
         for name in gap.left_out
     ]
 
