@@ -121,3 +121,4 @@ def test_causes_that_belts_do_not_have_are_not_named(tmp_path: Path) -> None:
     assert gap["answers"][0]["effects"] == ["unknown"]
     assert "pitch_accumulation" in gap["left_out"]
     assert "100 %" not in gap["words"][0]
+    assert gap["next"][0].startswith("Let l3 and scale4 be fitted")

@@ -25,6 +25,7 @@ from oed.gap import (
 from oed.gap import states as states_of
 from oed.measurement import Measurement, Series
 from oed.result import (
+    UNKNOWN,
     ChosenRun,
     ChosenRuns,
     ClosureRecord,
@@ -734,6 +735,14 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     gap = gap_section(diagnosis, request.effects)
     if state.fit_is_bad and gap.verdict == "none":
         gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])
+    estimate = state.result.estimate
+    if estimate is not None and estimate.held and UNKNOWN in gap.answers[0].effects:
+        names = [name for one in estimate.held for name in one.parameters]
+        advice = (
+            f"Let {join_words(names)} be fitted, held parameters that the readings"
+            " contradict; then diagnose again."
+        )
+        gap = msgspec.structs.replace(gap, next=[advice, *gap.next])
     design = state.resolved.gap_design
     further = () if design is None else design.runs
     rng = state.rng(Stream.VISIT)
