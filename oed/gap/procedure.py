@@ -234,11 +234,7 @@ def conclude(
     The second result is the hypothesis that the first answer stands for. What `refuted`
     names is not concluded.
     """
-    hypotheses = withheld.pooled(searched, hypotheses)
-    hypotheses, left_out = without_implausible(searched, hypotheses)
-    for key in refuted:
-        hypotheses = without(hypotheses, key)
-        left_out = tuple(dict.fromkeys((*left_out, *sorted(key[0]))))
+    hypotheses, left_out = _believed(searched, hypotheses, refuted)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)
@@ -288,6 +284,18 @@ def conclude(
         left_out=left_out,
     )
     return diagnosis, best
+
+
+def _believed(
+    searched: Sequence[Search], hypotheses: Sequence[Hypothesis], refuted: Sequence[Key]
+) -> tuple[list[Hypothesis], tuple[str, ...]]:
+    """Hypotheses, best first, as withheld runs leave them, and names left out."""
+    pooled = withheld.pooled(searched, hypotheses)
+    believed, left_out = without_implausible(searched, pooled)
+    for key in refuted:
+        believed = without(believed, key)
+        left_out = (*left_out, *sorted(key[0]))
+    return believed, tuple(dict.fromkeys(left_out))
 
 
 def _contents(
