@@ -40,8 +40,7 @@ from scipy import special, stats
 import oed
 from benchmarks.long_traces import NOISE, write_readings, write_study
 from oed import posterior
-from oed.posterior import Posterior, Sampler
-from oed.posterior.log_density import LogDensity
+from oed.posterior import LogDensity, Posterior, Sampler
 from pkm_studies import shipped
 from pkm_studies.stages import Fitted
 
