@@ -241,8 +241,8 @@ class _Alternation:
     def widened(self, size: Array) -> Array:
         """Principal columns (N, k) that count, at the root mean square of sizes (m,)."""
         scaled = np.sqrt((size**2).mean()) * self.columns
-        axes, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-        return np.asarray(axes[:, sizes > MIN_SIZE] * sizes[sizes > MIN_SIZE])
+        squares, axes = np.linalg.eigh(scaled.T @ scaled)
+        return np.asarray(scaled @ axes[:, squares > MIN_SIZE**2])
 
     def _clean(self, law: Laws, linear: _LinearReadings, draws: EffectDraws) -> Array:
         """Residuals (N,) about nominal, with those far off replaced."""

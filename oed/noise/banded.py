@@ -281,10 +281,7 @@ def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, Arr
     size = amounts[..., None, :, None]
     covariance = np.eye(inner.shape[-1]) + size * inner * np.swapaxes(size, -1, -2)
     roots = np.linalg.cholesky(covariance)
-    half = size * products
-    for k in range(half.shape[-2]):  # forward substitution, of all segments at once
-        half[..., k : k + 1, :] -= roots[..., k : k + 1, :k] @ half[..., :k, :]
-        half[..., k, :] /= roots[..., k, k, None]
+    half = np.linalg.solve(roots, size * products)
     *rest, segments, columns, count = half.shape
     flat = half.reshape(*rest, segments * columns, count)
     diagonals = np.diagonal(roots, axis1=-2, axis2=-1)
