@@ -37,7 +37,7 @@ MOST = 60
 #: quantiles that are printed
 LOW, HIGH = 0.05, 0.95
 #: ratios of accuracy that are counted, and share of the plan's readings
-NEAR, LEAST_SAVING = (1.001, 1.01, 1.02), 0.9
+NEAR, MIN_SAVING = (1.001, 1.01, 1.02), 0.9
 #: how the columns of ratios begin
 RATIO = "ratio_"
 
@@ -122,13 +122,13 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     needed = sessions["readings"].to_numpy(dtype=float)
     mean, half = needed.mean(), _half(needed)
     few, middle, many = np.quantile(needed, [LOW, 0.5, HIGH])
-    within = 100.0 * np.mean(needed <= LEAST_SAVING * fixed)
+    within = 100.0 * np.mean(needed <= MIN_SAVING * fixed)
     lines = [
         f"`{sessions['study'].iloc[0]}`, {len(sessions)} machines; the fixed plan has"
         f" {fixed} readings. `oed next` stops after {mean:.2f} ± {half:.2f} on average,"
         f" {100 * mean / fixed:.1f} ± {100 * half / fixed:.1f} % of the plan's: median"
         f" {middle:.0f}, 5 % to 95 %: {few:.0f} to {many:.0f}, at most"
-        f" {100 * LEAST_SAVING:.0f} % on {within:.0f} % of the machines.",
+        f" {100 * MIN_SAVING:.0f} % on {within:.0f} % of the machines.",
         "",
         "| rms over that of the fixed plan | mean | 5 % | median | 95 % | "
         + " | ".join(f"at most {limit}" for limit in NEAR)

@@ -10,7 +10,7 @@ from typing import Final
 #: percent by which rounding may miss all of something
 PERCENT_ROUNDING: Final = 1e-9
 #: length from which `shorten` cuts within a word
-LONGEST_WORD: Final = 30
+MAX_WORD_LENGTH: Final = 30
 
 
 def rounded(value: float, digits: int = 2) -> str:
@@ -63,7 +63,7 @@ def shorten(text: str, length: int) -> str:
         return line
     cut = line[: length - 4]
     head, _, part = cut.rpartition(" ")
-    if head and len(part) < LONGEST_WORD and line[length - 4] != " ":
+    if head and len(part) < MAX_WORD_LENGTH and line[length - 4] != " ":
         cut = head
     return f"{cut.rstrip()} ..."
 

@@ -38,7 +38,7 @@ NO_RANKS = ("configuration", "stream", "seed", "error", "cpu_s")
 DRAWS = 99
 BINS = 10
 #: probability below which ranks count as not uniform
-LEAST_PROBABILITY = 0.01
+MIN_PROBABILITY = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +134,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     for name, some in machines.items():
         result = calibration_of_rows(some)
         joint = f"{result.joint:.2g}"
-        if result.joint < LEAST_PROBABILITY:
+        if result.joint < MIN_PROBABILITY:
             joint = f"**{joint}**"
         count, quantities = result.ranks.shape
         counts = " | ".join(str(number) for number in result.counts)

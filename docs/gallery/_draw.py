@@ -33,7 +33,7 @@ class Picture:
 
     def __init__(self, left: str, right: str) -> None:
         with style.applied():
-            self.figure = Figure(figsize=(style.WIDTH, HEIGHT))
+            self.figure = Figure(figsize=(style.FIGURE_WIDTH, HEIGHT))
             self.figure.set_layout_engine("none")
             place, solid = (0.0, 0.12, 0.5, 0.8), {"projection": "3d"}
             self.scene: Any = self.figure.add_axes(

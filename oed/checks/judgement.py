@@ -31,7 +31,7 @@ from oed.measurement import Measurement, Series
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law import (
     KNOWN_TO,
-    LEAST_FREEDOM,
+    MIN_FREEDOM,
     NoisePrior,
     ResidualModel,
     robust_residuals,
@@ -74,7 +74,7 @@ def judge(
     strained = p_strain < ALARM_PROBABILITY
     fits = not (fitted.too_large or fitted.too_small or strained)
     ratio = fitted.ratio
-    if not estimated or ratio is None or fitted.dof < LEAST_FREEDOM:
+    if not estimated or ratio is None or fitted.dof < MIN_FREEDOM:
         return stated
     is_tiny = fitted.too_small and ratio < KNOWN_TO**-2
     fits = (fits and not search.exhausted) or is_tiny

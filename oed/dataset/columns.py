@@ -23,13 +23,13 @@ Notation = Callable[[Array], Array]
 #: a right angle, rad
 RIGHT_ANGLE = np.pi / 2.0
 #: grads of a full circle
-GRADS = 400.0
+TURN_GRAD = 400.0
 #: degrees of a full circle
-DEGREES = 360.0
+TURN_DEG = 360.0
 #: what a value is, over what it should be
 WRONG_FACTORS = {"half of": 0.5, "twice": 2.0, "a tenth of": 0.1, "ten times": 10.0}
 #: minutes of a degree, and seconds of a minute
-SIXTY = 60.0
+MINUTES = 60.0
 #: rounding of decimals, in minutes
 MINUTE_TOLERANCE = 1e-6
 
@@ -74,8 +74,8 @@ def _angle_meanings(values: Array) -> dict[str, Notation]:
         ),
         "{} is in rad, not in deg": partial(np.multiply, 1.0 / units.DEG),
         "{} is in deg of a sheet in rad": partial(np.multiply, units.DEG),
-        "{} is in grad, not in deg": partial(np.multiply, DEGREES / GRADS),
-        "{} is in deg of a sheet in grad": partial(np.multiply, GRADS / DEGREES),
+        "{} is in grad, not in deg": partial(np.multiply, TURN_DEG / TURN_GRAD),
+        "{} is in deg of a sheet in grad": partial(np.multiply, TURN_GRAD / TURN_DEG),
     }
     for phrase, meant in SEXAGESIMAL.items():
         if np.isfinite(meant(values)).all():
@@ -91,8 +91,8 @@ def _sexagesimal(values: Array, *, with_seconds: bool) -> Array:
     if with_seconds:
         full = np.floor(minutes + MINUTE_TOLERANCE)
         seconds = 100.0 * np.maximum(minutes - full, 0.0)
-        minutes = np.where(seconds < SIXTY, full + seconds / SIXTY, np.nan)
-    degrees = np.where(minutes < SIXTY, whole + minutes / SIXTY, np.nan)
+        minutes = np.where(seconds < MINUTES, full + seconds / MINUTES, np.nan)
+    degrees = np.where(minutes < MINUTES, whole + minutes / MINUTES, np.nan)
     return np.asarray(np.sign(values) * degrees * units.DEG)
 
 

@@ -24,7 +24,7 @@ from oed.base import Array
 from oed.model import Machine
 
 #: coefficient in expected sizes that no machine has, whatever it is of
-IMPOSSIBLE = 1e4
+IMPOSSIBLE_SIZES = 1e4
 #: coefficients, SI, that no machine has: grease and plastics end within 100 K of the shop,
 #: and nothing that is built to micrometres or millimetres is off by a metre
 IMPOSSIBLE_SI = {"K": 100.0, "m": 1.0}
@@ -34,7 +34,7 @@ DIRECTION_CUTOFF = 0.05
 
 def size_limit(scale: float, unit: str) -> float:
     """Coefficient in expected sizes, `scale` in the SI `unit`, that no machine exceeds."""
-    return min(IMPOSSIBLE, IMPOSSIBLE_SI.get(unit, math.inf) / scale)
+    return min(IMPOSSIBLE_SIZES, IMPOSSIBLE_SI.get(unit, math.inf) / scale)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -56,7 +56,7 @@ RANK_TOLERANCE = 1e-6
 #: parameters whose changes are named
 MAX_NAMED = 3
 #: factors on the tolerances: four a decade, up to thirty times
-FACTORS = 10.0 ** (np.arange(7) / 4.0)
+TOLERANCE_FACTORS = 10.0 ** (np.arange(7) / 4.0)
 #: prior probability that the tolerances are as stated
 P_AS_STATED = 0.95
 #: probability of tolerances as stated below which they are given up
@@ -272,7 +272,7 @@ def _most_probable(slopes: Array, residual: Array) -> ToleranceFactor:
     outside = max(float(residual @ residual - along.sum()), 0.0)
     freedom = len(residual) - len(singular)
     noise = NOISE_LEVELS[None, :, None] ** 2
-    variance = noise + (FACTORS[:, None] * singular)[:, None, :] ** 2
+    variance = noise + (TOLERANCE_FACTORS[:, None] * singular)[:, None, :] ** 2
     each = -0.5 * (np.log(variance) + along / variance)
     further = -0.5 * (freedom * np.log(NOISE_LEVELS**2) + outside / NOISE_LEVELS**2)
     further = further - np.log1p((np.log(NOISE_LEVELS) / LOG_NOISE_SCALE) ** 2)
@@ -280,14 +280,14 @@ def _most_probable(slopes: Array, residual: Array) -> ToleranceFactor:
     few = np.logaddexp(np.log(1.0 - FAR_SHARE) + each[:1], np.log(FAR_SHARE) + each[1:])
     few_far = few.sum(axis=2) + further
     others = np.log((1.0 - P_AS_STATED) / len(few))
-    prior = np.full(len(FACTORS), others - np.log(2.0))
+    prior = np.full(len(TOLERANCE_FACTORS), others - np.log(2.0))
     prior[0] = np.log(P_AS_STATED)
     of_all = special.logsumexp(all_alike, axis=1) + prior
     of_few = special.logsumexp(few_far, axis=1) + prior[1:]
     best = int(np.argmax(of_all))
     total = special.logsumexp(np.concatenate([of_all, of_few]))
     return ToleranceFactor(
-        factor=float(FACTORS[best]),
+        factor=float(TOLERANCE_FACTORS[best]),
         probability=float(-np.expm1(special.logsumexp(of_all[1:]) - total)),
         level=float(NOISE_LEVELS[int(np.argmax(all_alike[best]))]),
     )

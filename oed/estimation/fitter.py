@@ -27,7 +27,7 @@ from oed.base import Array, Index, Mask
 from oed.mechanism import AssemblyError
 
 #: distance to the minimum, posterior standard deviations, below which a step is the last
-PRECISION = 1e-7
+MAX_LAST_STEP = 1e-7
 #: steps of each machine
 MAX_STEPS = 60
 #: steps tried from a point, each more damped
@@ -37,7 +37,7 @@ DAMPING_GROWTH = 10.0
 #: factor on the damping after a step that does not
 DAMPING_DECAY = 0.01
 #: gradient along a step at its end, over minus that at its start, from which it overshoots
-OVERSHOOT = 0.25
+OVERSHOOT_GRADIENT_RATIO = 0.25
 #: distance to the minimum, posterior standard deviations, within which that counts
 OVERSHOOT_DISTANCE = 3.0
 #: longest first step, tolerances for each unknown: spurious minima lie farther away
@@ -94,7 +94,7 @@ def minimise(
     start: Array,
     *,
     weight: Array | float = 1.0,
-    precision: float = PRECISION,
+    precision: float = MAX_LAST_STEP,
     steps: int = MAX_STEPS,
 ) -> Minima:
     """Minima from z `start` (m, k).
@@ -172,7 +172,7 @@ class _Steps:
         along = (system.pull * self._last[machines]).sum(axis=1)
         start = self._descent[machines]
         ratio = np.divide(along, start, out=np.zeros_like(start), where=start > 0.0)
-        self._overshot[machines] |= (ratio < -OVERSHOOT) & (
+        self._overshot[machines] |= (ratio < -OVERSHOOT_GRADIENT_RATIO) & (
             start < OVERSHOOT_DISTANCE**2
         )
         damping = self._damping[machines]

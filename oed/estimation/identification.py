@@ -34,7 +34,7 @@ from oed.estimation.fit_stages import (
     last_stage,
     preliminary_stage,
 )
-from oed.estimation.fitter import PRECISION, minimise
+from oed.estimation.fitter import MAX_LAST_STEP, minimise
 from oed.estimation.law_stage import (
     integrate_settled,
     integrated_stage,
@@ -394,7 +394,7 @@ def identify(
 
 #: distance to the minimum, in posterior standard deviations, at which a stage before the
 #: last ends: it finds a start
-START_PRECISION = 0.1
+MAX_LAST_START_STEP = 0.1
 #: entries of the slopes of all machines that are computed at once: 32 MB
 BATCH_ENTRIES = 4_000_000
 
@@ -436,7 +436,7 @@ def _fit_together(
         offset = (theta - origin)[:, freed]
         start = np.asarray(np.linalg.solve(basis[freed], offset.T).T, dtype=float)
         problem = ReadingsProblem(measurement, series, noise, y, origin, basis)
-        precision = PRECISION if k == len(stages) else START_PRECISION
+        precision = MAX_LAST_STEP if k == len(stages) else MAX_LAST_START_STEP
         minima = minimise(problem, start, precision=precision)
         theta = origin + minima.z @ basis.T
         converged &= minima.converged

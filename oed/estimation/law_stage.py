@@ -36,7 +36,7 @@ from oed.measurement import reading_structure
 from oed.noise import Errors, Laws, LinearFactor, Noise, ReadingStructure
 from oed.noise_law import (
     KNOWN_TO,
-    LEAST_FREEDOM,
+    MIN_FREEDOM,
     NoisePrior,
     ResidualModel,
     robust_residuals,
@@ -164,7 +164,7 @@ def structure_and_prior(
     prior = NoisePrior.of(structure, freedom)
     if effects:  # which have courses of their own
         prior = prior.without(NoisePrior.COURSE)
-    if effects and freedom < LEAST_FREEDOM:
+    if effects and freedom < MIN_FREEDOM:
         statement = dataclasses.replace(structure.statement, is_assumed=False)
         prior = dataclasses.replace(prior, statement=statement)
     return structure, prior

@@ -24,7 +24,7 @@ P_DEPARTURE = 0.95
 #: kinds of numbers that are standard deviations
 ERRORS = ("reading", "run", "seat", "course")
 #: factor on the stated noise beyond which single readings depart
-SCATTER = 1.2
+MIN_RATIO = 1.2
 #: size, over the stated noise, beyond which an error that a run shares departs
 SHARED_SIZE = 0.5
 #: share of the variance that is correlated beyond which it departs from the stated one
@@ -117,7 +117,7 @@ def _channel_numbers(
     prior, weights = posterior.prior, posterior.weights
     sigma, unit = stated.sigma, stated.unit
     is_larger = weights @ scatter > 1.0
-    far = (scatter > SCATTER) if is_larger else (scatter < 1.0 / SCATTER)
+    far = (scatter > MIN_RATIO) if is_larger else (scatter < 1.0 / MIN_RATIO)
     yield _record(weights, "reading", name, unit, sigma * scatter, sigma, far)
     level, stated_level = _run_errors(stated, scale, laws)
     has_level = stated.shared > 0.0 if stated.is_level else prior.RUN in prior.names

@@ -46,7 +46,7 @@ LENGTH_SPREAD = 1.0
 #: standard deviation of the coefficients of trend and zero over the size of the errors
 TREND_SIZE = 10.0
 #: share of a component's variance that is added to each reading: rounding
-NUGGET = 1e-9
+NUGGET_SHARE = 1e-9
 #: lengths from which the optimisation starts
 START_LENGTHS = (0.5, 2.0)
 #: share of a field's variance that its modes represent
@@ -265,7 +265,7 @@ def _covariance(
     zero = prior.zero(rows)
     whole = prior.variance(kernel, rows, rows) + zero @ zero.T
     whole = whole[np.ix_(read, read)]
-    return whole + np.diag(sigma**2 + NUGGET * np.diag(whole))
+    return whole + np.diag(sigma**2 + NUGGET_SHARE * np.diag(whole))
 
 
 def fit_error_field(

@@ -32,7 +32,7 @@ from oed.base import Array
 from oed.history.sessions import Session, likelihood
 
 #: middles of the steps of a spread over the tolerance
-SPREADS = (np.arange(16) + 0.5) / 16.0
+SPREAD_RATIOS = (np.arange(16) + 0.5) / 16.0
 #: passes over all spreads; their expected variances then change by less than a step
 N_SWEEPS = 3
 #: least variance of a combination of parameters, squared tolerances
@@ -89,10 +89,10 @@ def fleet_prior(machines: Sequence[MachineInformation]) -> FleetPrior:
         raise ValueError("a fleet has at least one machine")
     A = np.stack([m.matrix for m in machines])
     b = np.stack([m.vector for m in machines])
-    variance = np.full(b.shape[1], np.mean(SPREADS**2))
+    variance = np.full(b.shape[1], np.mean(SPREAD_RATIOS**2))
     for _ in range(N_SWEEPS):
         for k in range(len(variance)):
-            variance[k] = _grid(A, b, variance, k).weights @ SPREADS**2
+            variance[k] = _grid(A, b, variance, k).weights @ SPREAD_RATIOS**2
     _, middle, about = _further_machine(A, b, variance)
     mean, covariance = middle.copy(), about.copy()
     for k in range(len(variance)):
@@ -117,7 +117,7 @@ def _grid(A: Array, b: Array, variance: Array, k: int) -> _Grid:
     """Spread k over the grid, the others at their variance."""
     changed = variance.copy()
     machines = []
-    for spread in SPREADS:
+    for spread in SPREAD_RATIOS:
         changed[k] = spread**2
         machines.append(_further_machine(A, b, changed))
     evidence = np.array([m[0] for m in machines])

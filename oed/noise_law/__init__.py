@@ -1,7 +1,7 @@
 """Which noise law readings have: its prior, evidence and posterior; outliers.
 
 KNOWN_TO            factor to which a stated noise is good
-LEAST_FREEDOM       degrees of freedom from which readings determine their noise law
+MIN_FREEDOM       degrees of freedom from which readings determine their noise law
 NORMAL              the density of normal errors
 ErrorDensity        density of single errors: Student t, or normal with outliers
 KernelMixture       Student t kernels at laws
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
     from oed.noise_law.prior import (
         KNOWN_TO,
-        LEAST_FREEDOM,
+        MIN_FREEDOM,
         NoisePrior,
         log_prior_of_scale,
         scale_over_stated,

@@ -39,7 +39,7 @@ ASSUMED_SCALE_SD = float(np.log(10.0))
 #: readings beyond the unknowns, for each group, from which they determine assumed weights
 READINGS_PER_WEIGHT = 10
 #: degrees of freedom from which readings determine their noise law
-LEAST_FREEDOM = 10
+MIN_FREEDOM = 10
 #: distance of the correlated share from 0 and 1, where the filter is singular
 MIN_SHARE = 1e-6
 #: median, over the stated noise, of a run's level, of a renewed unknown and of a course,
@@ -125,7 +125,7 @@ class NoisePrior:
             name for kind, name in of_kind.items() if kind in structure.kinds
         )
         terms = structure.course.shape[1]
-        has_course = terms and freedom - terms >= LEAST_FREEDOM
+        has_course = terms and freedom - terms >= MIN_FREEDOM
         course = (cls.COURSE,) if has_course else ()
         names = (
             *(f"noise of {name}" for name in scales),

@@ -271,7 +271,7 @@ SAFETY_FACTOR = 4.0
 #: combinations which are treated at once
 COMBINATIONS_AT_ONCE = 1000
 #: smallest value, so that its logarithm exists
-SMALLEST_NUMBER = 1e-300
+MIN_NUMBER = 1e-300
 
 
 @dataclasses.dataclass(frozen=True)
@@ -344,7 +344,7 @@ def bound_goal(
 
 def _reducible(value: float, rest: float) -> float:
     """The part of a goal value that readings reduce."""
-    return math.sqrt(max(value**2 - rest, SMALLEST_NUMBER))
+    return math.sqrt(max(value**2 - rest, MIN_NUMBER))
 
 
 def _log_phi(value: float) -> float:
@@ -404,7 +404,7 @@ def bound_uncaptured(
         standard_error = np.sqrt(variance / MACHINES_DRAWN)
         lowered = np.maximum(mean - SAFETY_FACTOR * standard_error, 0.0)
         least[part] = goal.combine(np.sqrt(lowered))
-    return np.maximum(least, SMALLEST_NUMBER)
+    return np.maximum(least, MIN_NUMBER)
 
 
 def _uncaptured(

@@ -21,7 +21,7 @@ from oed.planning.option import Option
 #: machines drawn to estimate how often a whole run is captured
 RUN_DRAWS = 1000
 #: smallest variance to divide by
-SMALLEST_VARIANCE = 1e-300
+MIN_VARIANCE = 1e-300
 
 
 def capture_probability(
@@ -82,7 +82,7 @@ def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
     machine_jacobian = jacobian[:, :n]
     setup_variance = np.sum(jacobian[:, n:] ** 2, axis=1)
     if knowledge.errors is not None:
-        scale = np.sqrt(np.maximum(2.0 * setup_variance, SMALLEST_VARIANCE))
+        scale = np.sqrt(np.maximum(2.0 * setup_variance, MIN_VARIANCE))
         deviation = knowledge.errors @ machine_jacobian.T
         below = erf((option.travel - deviation) / scale)
         above = erf((option.travel + deviation) / scale)
@@ -94,6 +94,6 @@ def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
         machine_jacobian,
         optimize=True,
     )
-    variance = np.maximum(setup_variance + machine_variance, SMALLEST_VARIANCE)
+    variance = np.maximum(setup_variance + machine_variance, MIN_VARIANCE)
     ratio = option.travel / np.sqrt(variance) / np.sqrt(2.0)
     return np.asarray(erf(ratio)[knowledge.covariance_of].mean(axis=0))

@@ -48,7 +48,7 @@ SPARE_PROPOSALS = 1.3
 #: further proposals at least, over those so far
 MIN_MORE = 0.25
 #: proposals whose densities are computed at once
-BATCH = 20_000
+PROPOSALS_AT_ONCE = 20_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -167,8 +167,8 @@ def draw_weighted(
     proposals, k = Proposals.empty(target.dimensions), math.inf
     count = max(math.ceil(proposal.points_of_ess * ess), MIN_PROPOSALS)
     while proposals.drawn < max(MAX_PROPOSALS_PER_ESS * ess, MIN_PROPOSALS):
-        for start in range(0, count, BATCH):
-            batch = min(BATCH, count - start)
+        for start in range(0, count, PROPOSALS_AT_ONCE):
+            batch = min(PROPOSALS_AT_ONCE, count - start)
             proposals = proposals.extend(target, proposal, rng, batch)
         if len(proposals.points) < MIN_SHARE * proposals.drawn:
             break

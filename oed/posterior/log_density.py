@@ -43,7 +43,7 @@ from oed.noise_law import NoisePosterior, ResidualModel
 # E is small beside the noise; points of their own check it.
 
 #: readings from which on interpolation is faster
-LEAST_READINGS = 1000
+MIN_READINGS = 1000
 #: points that the decomposition is of, and that it is checked at
 POINTS, CHECKS = 200, 20
 #: readings of points that are solved at once
@@ -51,7 +51,7 @@ AT_ONCE = 300_000
 #: error over the noise of a reading that is left out
 LEFT_OUT = 1e-6
 #: error that the checks may show, over that
-LARGEST_ERROR = 10.0
+MAX_ERROR = 10.0
 
 #: readings (m, k) at parameters (m, n), NaN where a machine cannot be assembled
 Readings = Callable[[Array], Array]
@@ -92,7 +92,7 @@ def interpolate(
 
     They are exact as well where too many readings would be needed, or a check fails.
     """
-    if len(sigma) < LEAST_READINGS:
+    if len(sigma) < MIN_READINGS:
         return exact
     step = max(AT_ONCE // len(sigma), 1)
     parts = [exact(points[k : k + step]) for k in range(0, len(points), step)]
@@ -111,7 +111,7 @@ def interpolate(
     inverse = linalg.solve_triangular(triangle[:count, :count], triangle[:count])
     matrix = np.empty((count, len(sigma)))
     matrix[:, order] = inverse[np.argsort(order[:count])]
-    if np.abs(checks[:, rows] @ matrix - checks).max() > LARGEST_ERROR * LEFT_OUT:
+    if np.abs(checks[:, rows] @ matrix - checks).max() > MAX_ERROR * LEFT_OUT:
         return exact
     matrix *= sigma / sigma[rows, None]
     return InterpolatedReadings(some(rows), middle, rows, matrix)
@@ -225,7 +225,7 @@ class LogDensity:
 
         null  (n, k) directions that move by their prior
         """
-        if len(self._y) < LEAST_READINGS:
+        if len(self._y) < MIN_READINGS:
             return self._exact
         count = POINTS + CHECKS
         # which points they are matters little: always the same
@@ -284,7 +284,7 @@ class LogDensity:
     def _known_readings(self, z: Array) -> Array | None:
         """Exact readings (m, N) at coordinates (m, r), where all of them are known."""
         keys = [row.tobytes() for row in z]
-        if len(self._y) >= LEAST_READINGS or not all(k in self._known for k in keys):
+        if len(self._y) >= MIN_READINGS or not all(k in self._known for k in keys):
             return None
         return np.array([self._known[k] for k in keys])
 

@@ -25,7 +25,7 @@ from oed.result import (
 from pkm_reports import missing, style, text
 
 #: effects that the diagnosis' figure shows
-MOST_EFFECTS = 10
+MAX_EFFECTS = 10
 
 
 def new_axes() -> Axes:
@@ -146,7 +146,7 @@ def causes(section: GapSection, axes: Axes | None = None) -> Axes:
     """Probability of each effect that could be tested, the likeliest above."""
     axes = axes or new_axes()
     finite = {n: p for n, p in section.marginal.items() if math.isfinite(p)}
-    names = sorted(finite, key=lambda name: (-finite[name], name))[:MOST_EFFECTS]
+    names = sorted(finite, key=lambda name: (-finite[name], name))[:MAX_EFFECTS]
     chosen = [name in section.selected for name in names]
     colours = [style.BLUE if selected else style.LIGHT for selected in chosen]
     axes.barh(range(len(names)), [finite[name] for name in names], color=colours)

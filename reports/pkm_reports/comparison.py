@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 Results = Mapping[str, StudyResult]
 #: ratio from which two accuracies or times differ
-DIFFERS: Final = 1.02
+MIN_DIFFERENCE_RATIO: Final = 1.02
 
 
 def sentences(results: Results) -> list[Block]:
@@ -80,7 +80,7 @@ def _times(results: Results) -> Iterator[str]:
     if len(times) < 2:
         return
     short, long = min(times, key=lambda n: times[n]), max(times, key=lambda n: times[n])
-    if times[long] > DIFFERS * times[short]:
+    if times[long] > MIN_DIFFERENCE_RATIO * times[short]:
         yield (
             f"{short} takes the least time, {text.quantity(times[short], 'min', 2)},"
             f" and {long} the most, {text.quantity(times[long], 'min', 2)}."
@@ -107,7 +107,7 @@ def _best(results: Results) -> Iterator[str]:
         best = min(sizes, key=lambda n: sizes[n][0])
         worst = max(sizes, key=lambda n: sizes[n][0])
         (low, unit), (high, other) = sizes[best], sizes[worst]
-        if unit != other or not high > DIFFERS * low > 0.0:
+        if unit != other or not high > MIN_DIFFERENCE_RATIO * low > 0.0:
             continue
         noun = "unknown part" if name in uncorrected else "error"
         subject = f"The {noun} of {name}"
@@ -231,7 +231,7 @@ def glance_blocks(results: Results) -> list[Block]:
 # Predicted accuracy of several results as bars side by side.
 
 #: share of the distance between two components that their bars take
-BROAD = 0.8
+BAR_WIDTH_SHARE = 0.8
 Sizes = Mapping[str, tuple[float, str]]
 
 
@@ -256,7 +256,7 @@ def draw_side_by_side(sizes: Mapping[str, Sizes], names: Sequence[str]) -> Figur
 
 def _side_panel(axes: Axes, group: Mapping[str, Sizes], names: Sequence[str]) -> None:
     places = np.arange(len(group))
-    width = BROAD / len(names)
+    width = BAR_WIDTH_SHARE / len(names)
     for k, name in enumerate(names):
         heights = np.array(
             [of[name][0] if name in of else np.nan for of in group.values()]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print
-WIDTH: Final = 6.7
+FIGURE_WIDTH: Final = 6.7
 
 INK, GREY, LIGHT = "#1f2933", "#7b8794", "#cbd2d9"
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
@@ -37,14 +37,14 @@ MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X", "h")
 AMOUNT: Final = "YlGnBu"
 
 #: above this many bytes a figure is stored as pixels
-LARGEST_SVG: Final = 300_000
+MAX_SVG: Final = 300_000
 PIXELS_PER_INCH: Final = 180
 #: characters of all legend entries that fit side by side, and those of a marker
 LEGEND_CHARACTERS: Final = 110
 MARKER_CHARACTERS: Final = 7
 #: range of a log axis (factor) below which it is labelled at 1, 2, 5, and evenly
-NARROW: Final = 150.0
-SHORT: Final = 6.0
+LOG_LABEL_MAX_RANGE: Final = 150.0
+SHORT_AXIS_MAX_RANGE: Final = 6.0
 
 RC: Final[dict[str, Any]] = {
     "axes.axisbelow": True,
@@ -120,14 +120,14 @@ def applied() -> Iterator[None]:
         yield
 
 
-def figure(height: float, width: float = WIDTH) -> Figure:
+def figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     """An empty figure, in inches, without pyplot: no window system, no global state."""
     from pkm_reports.report_figure import ReportFigure
 
     return ReportFigure(figsize=(width, height))
 
 
-def placed_figure(height: float, width: float = WIDTH) -> Figure:
+def placed_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     """As `figure`, for axes that are placed by hand: no layout moves them."""
     from pkm_reports.report_figure import ReportFigure
 
@@ -147,7 +147,7 @@ def render(drawn: Figure) -> Image:
     """SVG where it stays small, else PNG; the same figure gives the same bytes."""
     width, height = drawn.get_size_inches()
     data = _saved(drawn, "svg", {"Date": None, "Creator": None})
-    if len(data) <= LARGEST_SVG:
+    if len(data) <= MAX_SVG:
         return Image(data, "svg", width, height)
     return Image(_saved(drawn, "png", {"Software": None}), "png", width, height)
 
@@ -201,14 +201,14 @@ def log_axis(axes: Axes, which: str) -> None:
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     low, high = sorted(getattr(axes, f"get_{which}lim")())
-    narrow = high < NARROW * low
+    narrow = high < LOG_LABEL_MAX_RANGE * low
     steps = (1.0, 2.0, 5.0) if narrow else (1.0,)
     axis.set_major_locator(LogLocator(subs=steps, numticks=12))
     axis.set_major_formatter(PlainLog())
     axis.set_minor_formatter(NullFormatter())
     if narrow:
         axis.set_minor_locator(NullLocator())
-    if high < SHORT * low:
+    if high < SHORT_AXIS_MAX_RANGE * low:
         few_ticks(axis, 5, steps=[1, 2, 5, 10])
 
 

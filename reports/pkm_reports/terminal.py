@@ -12,7 +12,7 @@ from pkm_reports.blocks import Block, Notice, Paragraph, Table
 from pkm_reports.sections import answer_parts, is_plan
 
 #: sentences of a diagnosis, the verdict among them
-MOST_FINDINGS: Final = 3
+MAX_FINDINGS: Final = 3
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def first_lines(result: StudyResult) -> FirstLines:
     return FirstLines(
         sentences=_sentences(parts["short"]),
         table=tables[0] if tables else None,
-        findings=[] if gap is None else _plain(gap.words[1:MOST_FINDINGS]),
+        findings=[] if gap is None else _plain(gap.words[1:MAX_FINDINGS]),
         actions=[] if gap is None else _plain(gap.next[:1]),
         warnings=_sentences(b for b in parts["warnings"] if isinstance(b, Notice)),
         is_plan=is_plan(result),

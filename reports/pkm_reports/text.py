@@ -38,7 +38,7 @@ INVISIBLE: Final = {
 SMALLEST, LARGEST = 1e-4, 1e6
 #: size from which a number with given decimals gets a power of ten all the same
 TOO_LONG: Final = 1e9
-MOST_DECIMALS: Final = 9
+MAX_DECIMALS: Final = 9
 
 
 # -- numbers ---------------------------------------------------------------------------
@@ -124,7 +124,7 @@ def decimals_for(sd: float | None) -> int:
     x = or_nan(sd)
     if not math.isfinite(x) or x <= 0.0:
         return 3
-    return min(MOST_DECIMALS, max(0, 1 - math.floor(math.log10(x))))
+    return min(MAX_DECIMALS, max(0, 1 - math.floor(math.log10(x))))
 
 
 def _power_of_ten(x: float, digits: int) -> str:

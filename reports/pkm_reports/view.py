@@ -30,9 +30,9 @@ from pkm_reports.missing import or_nan
 #: circles that the page shows
 MAX_CIRCLES: Final = 12
 #: readings of a circle, at least
-LEAST: Final = 8
+MIN_CIRCLE_READINGS: Final = 8
 #: spread of the radii and height above the plane, as shares of the radius
-ROUND: Final = 0.02
+CIRCLE_TOLERANCE: Final = 0.02
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ def angles_on_circle(points: Array) -> Array | None:
 
     The centre is that of the least-squares circle in the plane of the points.
     """
-    if len(points) < LEAST:
+    if len(points) < MIN_CIRCLE_READINGS:
         return None
     offset = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(offset, full_matrices=False)
@@ -126,19 +126,19 @@ def angles_on_circle(points: Array) -> Array | None:
     around = plane - centre
     radii = np.linalg.norm(around, axis=1)
     radius = float(radii.mean())
-    if not radius > 0.0 or radii.std() > ROUND * radius:
+    if not radius > 0.0 or radii.std() > CIRCLE_TOLERANCE * radius:
         return None
-    if np.abs(height).max() > ROUND * radius:
+    if np.abs(height).max() > CIRCLE_TOLERANCE * radius:
         return None
     return np.asarray(np.degrees(np.arctan2(around[:, 1], around[:, 0])) % 360.0)
 
 
 #: decimals of places, mm
-DECIMALS: Final = 2
+PLACE_DECIMALS: Final = 2
 #: significant digits of errors
-DIGITS: Final = 4
+ERROR_DIGITS: Final = 4
 #: readings beyond which the page has no views
-MOST: Final = 5000
+MAX_READINGS: Final = 5000
 
 Point = list[float]
 
@@ -212,7 +212,7 @@ def build_view(result: StudyResult) -> PageView | None:
     drawing = result.drawing
     if drawing is None or not (drawing.lines or drawing.tool_points):
         return None
-    if len(drawing.tool_points) > MOST:
+    if len(drawing.tool_points) > MAX_READINGS:
         return None
     lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
     labels = [ViewLabel(_mm([label.at])[0], label.text) for label in drawing.labels]
@@ -310,7 +310,7 @@ def _gap_field(gap: GapSection) -> list[ViewField]:
 def rounded(value: float | None) -> float | None:
     """A size with few digits; None where there is none."""
     x = or_nan(value)
-    return float(f"{x:.{DIGITS}g}") if np.isfinite(x) else None
+    return float(f"{x:.{ERROR_DIGITS}g}") if np.isfinite(x) else None
 
 
 def _mm(points: Sequence[Sequence[float]]) -> list[Point]:
@@ -318,7 +318,7 @@ def _mm(points: Sequence[Sequence[float]]) -> list[Point]:
 
 
 def _round(point: Sequence[float] | Array) -> Point:
-    return [round(float(v), DECIMALS) for v in point]
+    return [round(float(v), PLACE_DECIMALS) for v in point]
 
 
 # -- residuals -------------------------------------------------------------------------

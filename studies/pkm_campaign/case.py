@@ -83,7 +83,7 @@ def mean_interval(values: Sequence[float] | Array) -> tuple[float, float]:
 
 
 #: characters of a failure that are shown
-LONGEST_REASON = 150
+MAX_REASON_LENGTH = 150
 
 
 class CaseFunctionError(RuntimeError):
@@ -132,7 +132,7 @@ class CaseFunction:
         except Exception as error:
             raise CaseFunctionError(
                 f"with {_words(setting, seed)} it ends with {type(error).__name__}:"
-                f" {shorten(str(error), LONGEST_REASON)}"
+                f" {shorten(str(error), MAX_REASON_LENGTH)}"
             ) from error
         return _checked(figures, setting, seed)
 

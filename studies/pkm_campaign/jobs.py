@@ -35,7 +35,7 @@ from pkm_studies.base import InputError
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
 KEPT, LARGEST = 64 * 2**20, 32 * 2**20
 #: items that each process has at once, so that none waits for the next
-AHEAD = 2
+ITEMS_AHEAD = 2
 #: seconds in which a scheduler has to answer
 PATIENCE = "10s"
 
@@ -85,7 +85,7 @@ def _run_on_processes(
             waiting[processes[number].submit(work, item)] = number, item
 
     try:
-        for number in [*range(count)] * AHEAD:
+        for number in [*range(count)] * ITEMS_AHEAD:
             submit(number)
         while waiting:
             done, _ = futures.wait(waiting, return_when=futures.FIRST_COMPLETED)
@@ -204,13 +204,13 @@ def _run_on_workers(
             begun.append(future)
         return begun
 
-    done = as_completed([f for name in names * AHEAD for f in submit(name)])
+    done = as_completed([f for name in names * ITEMS_AHEAD for f in submit(name)])
     for future in done:
         name, item = waiting.pop(future)
         done.update(submit(name))
         for other in client.scheduler_info(n_workers=-1)["workers"]:
             if shares.add(other):
-                done.update([f for _ in range(AHEAD) for f in submit(other)])
+                done.update([f for _ in range(ITEMS_AHEAD) for f in submit(other)])
         yield item, future.result()
 
 

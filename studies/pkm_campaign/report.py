@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Figures of campaigns: coverage by combination.
 
 #: what 95 % intervals should hold
-NOMINAL = 0.95
+NOMINAL_COVERAGE = 0.95
 #: inches of a row, of the axis below, and of the name beside
 ROW, AXIS, NAME_LENGTH = 0.28, 0.8, 40
 
@@ -47,7 +47,7 @@ def draw_coverage(rows: Mapping[str, Coverage]) -> Figure:
         if not math.isnan(row.low):
             axes.plot([row.low, row.high], [k, k], color="C0", linewidth=1.5)
         axes.plot(row.share, k, "o", color="C0", markersize=4)
-    axes.axvline(NOMINAL, color="0.5", linewidth=0.8)
+    axes.axvline(NOMINAL_COVERAGE, color="0.5", linewidth=0.8)
     axes.set_yticks(range(len(rows)), [style.label(n, NAME_LENGTH) for n in rows])
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xlabel("share of 95 % intervals that hold the truth")
@@ -175,7 +175,7 @@ def _machine_figure(row: dict[str, Any], key: str) -> str:
 
 Rows = list[dict[str, Any]]
 #: columns of figures that a table holds beside those of the cases
-WIDTH = 6
+MAX_FIGURE_COLUMNS = 6
 
 
 def function_sentences(rows: Rows) -> list[str]:
@@ -192,7 +192,10 @@ def function_chapters(campaign: Campaign, rows: Rows) -> list[Section]:
         for name in dict.fromkeys(name for row in rows for name in row)
         if name not in campaign.vary and name not in ("cases", "failed")
     ]
-    parts = [names[i : i + WIDTH] for i in range(0, len(names), WIDTH)] or [[]]
+    parts = [
+        names[i : i + MAX_FIGURE_COLUMNS]
+        for i in range(0, len(names), MAX_FIGURE_COLUMNS)
+    ] or [[]]
     tables = [_table(campaign, rows, part) for part in parts]
     return [Section("summary", "Summary", tables)]
 

@@ -15,7 +15,7 @@ from pkm_studies import files
 from pkm_studies.base import InputError
 
 #: cases that a process takes at once: neighbours share a combination, and its plan
-BATCH = 10
+CASES_AT_ONCE = 10
 STAMP = "campaign.toml"
 
 
@@ -40,7 +40,7 @@ def run_cases(
     missing = [job for job in every if not job.path.is_file()]
     done = len(every) - len(missing)
     # No batch may be so large that some processes have nothing to do.
-    batch = min(BATCH, max(1, len(missing) // (4 * max(workers, 1))))
+    batch = min(CASES_AT_ONCE, max(1, len(missing) // (4 * max(workers, 1))))
     try:
         for _ in jobs.run_jobs(
             evaluate, missing, workers=workers, scheduler=scheduler, batch=batch

@@ -21,9 +21,9 @@ from pkm_studies.user_code import Consent, Origin
 SCHEMA = 1
 SUFFIX = ".campaign.toml"
 #: bytes of the largest campaign file
-LIMIT = 200_000
+MAX_BYTES = 200_000
 #: cases of the largest campaign
-MOST_CASES = 1_000_000
+MAX_CASES = 1_000_000
 
 
 class CampaignFile(
@@ -54,7 +54,7 @@ class CampaignFile(
     study: str = ""
     case: str = ""
     summary: str = ""
-    seeds: Annotated[int, msgspec.Meta(ge=1, le=MOST_CASES)]
+    seeds: Annotated[int, msgspec.Meta(ge=1, le=MAX_CASES)]
     title: str = ""
     first_seed: Annotated[int, msgspec.Meta(ge=0)] = 1
     diagnose: bool = False
@@ -140,7 +140,7 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     """
     path = _shipped_or(path)
     location = Location(str(path))
-    text = files.read_text(path, limit=LIMIT, what="campaign file")
+    text = files.read_text(path, limit=MAX_BYTES, what="campaign file")
     table = tables_of(text, location)
     tables = decode_table(CampaignFile, table, location)
     if tables.schema != SCHEMA:
@@ -205,9 +205,9 @@ def _check_settings(campaign: Campaign) -> None:
             field_location = location.key("vary").key(field)
             raise field_location.error("no values", "list the values to try")
     settings = campaign.settings()
-    if len(settings) * campaign.seeds > MOST_CASES:
+    if len(settings) * campaign.seeds > MAX_CASES:
         problem = f"{len(settings)} combinations with {campaign.seeds} machines each"
-        raise location.key("seeds").error(problem, f"stay below {MOST_CASES} cases")
+        raise location.key("seeds").error(problem, f"stay below {MAX_CASES} cases")
     if campaign.varied is None:
         _check_functions(campaign)
         return

@@ -28,7 +28,7 @@ from pkm_studies.study import Study, parse
 from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
-REMEMBERED = 4
+CACHE_SIZE = 4
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class VirtualMachine:
         return figures
 
 
-@functools.lru_cache(maxsize=REMEMBERED)
+@functools.lru_cache(maxsize=CACHE_SIZE)
 def _prepared(text: str, path: str, consent: Consent) -> Scheduled:
     """The state with its plan, made once for all machines of a combination."""
     study: Study = parse(text, Path(path), consent)

@@ -37,7 +37,7 @@ UNITS = {
 }
 #: coverage factor of expanded uncertainties, and its probability of a normal quantity
 FACTOR, PROBABILITY = "2", "0.9545"
-JOINT = 0.95
+JOINT_PROBABILITY = 0.95
 #: words of the schema for the verdicts
 CONFORMITY: dict[Judgement, str] = {
     "pass": "pass",
@@ -256,9 +256,9 @@ def _parameters(results: Element, c: Certificate) -> None:
         _add(values, name, " ".join(phrase), SI)
     region = _add(values, "ellipsoidalRegionXMLList", space=SI)
     _covariance(_add(region, "covarianceMatrix", space=SI), parameters, c.covariance)
-    factor = np.sqrt(special.chdtri(len(parameters), 1.0 - JOINT))
+    factor = np.sqrt(special.chdtri(len(parameters), 1.0 - JOINT_PROBABILITY))
     _add(region, "coverageFactor", f"{factor:.6f}", SI)
-    _add(region, "coverageProbability", str(JOINT), SI)
+    _add(region, "coverageProbability", str(JOINT_PROBABILITY), SI)
     _add(region, "distribution", "normal", SI)
 
 

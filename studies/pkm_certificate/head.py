@@ -24,7 +24,7 @@ from pkm_studies.study import decode_table, tables_of
 from pkm_studies.tables import Positive, StudyTable
 
 FILE = "certificate.toml"
-LIMIT = 1_000_000
+MAX_BYTES = 1_000_000
 #: deg C at a machine: what is beyond was read in another unit
 Temperature = Annotated[float, msgspec.Meta(gt=-100, lt=200)]
 #: what XML cannot hold
@@ -120,7 +120,7 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
             " dates, serial number. This file is written with empty texts",
             "fill them in, and call the command again",
         )
-    text = files.read_text(path, limit=LIMIT, what="certificate file")
+    text = files.read_text(path, limit=MAX_BYTES, what="certificate file")
     table = tables_of(text, location)
     file = decode_table(HeadFile, table, location)
     _check(file, location)

@@ -20,9 +20,9 @@ from pkm_studies.sessions import Adviser, FittedReadings
 
 #: half width of an interval in standard deviations: one good reading in ten thousand
 #: lies outside, as `oed.checks.session.RANGE_FALSE_ALARM` says
-FACTOR: Final = 3.89
+RANGE_DEVIATIONS: Final = 3.89
 #: degrees of freedom from which on the residuals say how large the noise is
-LEAST_DOF: Final = 5
+MIN_DOF: Final = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ def interval(
     slopes = measurement.jacobian(one, estimate.theta)
     variance = np.einsum("ij,jk,ik->i", slopes, estimate.covariance, slopes)
     noise = measurement.sigma(one) * _noise_factor(fitted)
-    half = FACTOR * np.sqrt(np.maximum(variance, 0.0) + noise**2)
+    half = RANGE_DEVIATIONS * np.sqrt(np.maximum(variance, 0.0) + noise**2)
     return ReadingInterval(measurement.readings(one, estimate.theta), half)
 
 
@@ -61,7 +61,7 @@ def _noise_factor(fitted: FittedReadings) -> float:
     if fitted.state.noise_is_a_guess:
         return float(GUESS_RATIO)
     estimate = fitted.estimate
-    if estimate.dof < LEAST_DOF:
+    if estimate.dof < MIN_DOF:
         return 1.0
     return float(np.sqrt(max(estimate.chi2 / estimate.dof, 1.0)))
 

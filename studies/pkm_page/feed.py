@@ -27,8 +27,8 @@ from pkm_studies.base import InputError
 #: time between two looks at a file, and before a lost line is opened again, s
 PAUSE, AGAIN = 0.3, 2.0
 #: bytes of a line, and of what is read at a time
-LONGEST: Final = 4000
-MOST_BYTES: Final = 4_000_000
+MAX_LINE_BYTES: Final = 4000
+MAX_STREAM_BYTES: Final = 4_000_000
 #: what ends a line
 END: Final = re.compile(rb"\r\n|\r|\n")
 BAUD: Final = 9600
@@ -94,8 +94,8 @@ class Feed:
 
     def take_line(self, line: str) -> None:
         """Offer the numbers of a line, if it has all of them."""
-        if any(len(part) > LONGEST for part in line.split("\n")):
-            self.problem = f"A line of more than {LONGEST} bytes is passed over"
+        if any(len(part) > MAX_LINE_BYTES for part in line.split("\n")):
+            self.problem = f"A line of more than {MAX_LINE_BYTES} bytes is passed over"
             return
         values = _row_values(line) if self.pattern is None else self._match(line)
         if values:
@@ -207,10 +207,10 @@ def _new_lines(file: Path, start: int) -> tuple[list[str], int]:
     before = max(start - 1, 0)
     with file.open("rb") as stream:
         stream.seek(before)
-        data = stream.read(MOST_BYTES)
+        data = stream.read(MAX_STREAM_BYTES)
     ends = [match.end() for match in END.finditer(data)]
-    if not ends and len(data) == MOST_BYTES:  # one line, too long to be kept
-        return [data[: LONGEST + 1].decode("latin-1")], start + len(data)
+    if not ends and len(data) == MAX_STREAM_BYTES:  # one line, too long to be kept
+        return [data[: MAX_LINE_BYTES + 1].decode("latin-1")], start + len(data)
     lines = LineBuffer(begins=start == 0).add(data.removeprefix(BYTE_ORDER_MARK))
     return list(lines), max(start, before + max(ends, default=0))
 
@@ -228,11 +228,11 @@ class LineBuffer:
         """The lines that end here, without blanks around; of longer ones the beginning."""
         *ended, part = END.split(self._part + data)
         for line in ended:
-            text = line[: LONGEST + 1].decode("utf-8", "replace").strip()
+            text = line[: MAX_LINE_BYTES + 1].decode("utf-8", "replace").strip()
             if self._begins and text:
                 yield text
             self._begins = True
-        self._part = part[: LONGEST + 1]
+        self._part = part[: MAX_LINE_BYTES + 1]
 
 
 def _files(path: Path) -> list[Path]:
@@ -254,7 +254,7 @@ def _tcp_lines(address: tuple[str, int]) -> Iterator[str]:
     with socket.create_connection(address, timeout=10.0) as connection:
         connection.settimeout(None)
         lines = LineBuffer(begins=False)
-        while data := connection.recv(LONGEST):
+        while data := connection.recv(MAX_LINE_BYTES):
             yield from lines.add(data)
 
 

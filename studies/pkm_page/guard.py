@@ -19,8 +19,8 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 #: bytes of a request's body, and of its path with the query
-MOST_BYTES: Final = 16_384
-MOST_PATH: Final = 512
+MAX_BYTES: Final = 16_384
+MAX_PATH_CHARACTERS: Final = 512
 COOKIE: Final = "oed_token"
 SAFE: Final = ("GET", "HEAD")
 #: what a browser may do with an answer; the page adds the digest of its script
@@ -72,7 +72,7 @@ class Guard:
         if len(host) != 1 or host[0].lower() not in self.hosts:
             return _refused(421, "this page has another address")
         path = scope.get("raw_path") or scope["path"].encode()
-        if len(path) + len(scope["query_string"]) > MOST_PATH:
+        if len(path) + len(scope["query_string"]) > MAX_PATH_CHARACTERS:
             return _refused(414, "the address is too long")
         site = headers.get("sec-fetch-site", ["none"])[0]
         if scope["method"] in SAFE:
@@ -133,7 +133,7 @@ async def _body(receive: Receive) -> bytes | None:
         if message["type"] != "http.request":
             return None
         body += bytes(message.get("body", b""))
-        if len(body) > MOST_BYTES:
+        if len(body) > MAX_BYTES:
             return None
         if not message.get("more_body", False):
             return body

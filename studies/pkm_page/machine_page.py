@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 #: time between two looks at the readings file, s
-PAUSE: Final = 0.5
+POLL_SECONDS: Final = 0.5
 #: commands that evaluate the readings, by the word on the button
 FITS: Final = ("identify", "diagnose")
 
@@ -197,7 +197,7 @@ class MachinePage:
         """Look at the readings file twice a second, in a thread, until it stops."""
 
         def look() -> None:
-            while not self._stopped.wait(PAUSE):
+            while not self._stopped.wait(POLL_SECONDS):
                 try:
                     self.session.refresh()
                 except (InputError, OSError):
@@ -259,9 +259,9 @@ def stored_report(folder: Path) -> str:
 OED: Final = "pkm_studies.commands.cli"
 
 #: lines of output that are kept
-MOST_LINES: Final = 200
+MAX_LINES: Final = 200
 #: characters of a line
-LONGEST: Final = 1000
+MAX_LINE_CHARACTERS: Final = 1000
 #: stage after which a command says its results
 LAST_STAGE: Final = "report"
 
@@ -319,18 +319,20 @@ class BackgroundCommand:
         lines: list[str] = []
         with process:
             for line in process.stdout or ():
-                lines.append(line.rstrip()[:LONGEST])
+                lines.append(line.rstrip()[:MAX_LINE_CHARACTERS])
                 self.state = dataclasses.replace(self.state, stage=lines[-1])
             listen.join()
         code = process.wait()
         said = [*_lines_after_stages(lines), *(errors if code else ())]
         self.state = dataclasses.replace(
-            self.state, code=code, lines=tuple(said[-MOST_LINES:])
+            self.state, code=code, lines=tuple(said[-MAX_LINES:])
         )
 
 
 def _collect(stream: IO[str] | None, lines: list[str]) -> None:
-    lines += [line.rstrip()[:LONGEST] for line in stream or () if line.strip()]
+    lines += [
+        line.rstrip()[:MAX_LINE_CHARACTERS] for line in stream or () if line.strip()
+    ]
 
 
 def _lines_after_stages(lines: list[str]) -> list[str]:

@@ -35,9 +35,9 @@ from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
 #: characters of a size, as a list of numbers
-LONGEST: Final = 2000
+MAX_SIZE_CHARACTERS: Final = 2000
 #: digits of a size in its cell
-DIGITS: Final = 7
+SIZE_DIGITS: Final = 7
 #: names of three coordinates, as heads of a table
 AXES: Final = ("x", "y", "z")
 #: sizes that are one point, where others of three numbers are one for each leg
@@ -226,7 +226,7 @@ def _cells(dimension: Dimension, count: int) -> np.typing.NDArray[np.str_]:
         shape = np.shape(default) or shape
     whole = np.broadcast_to(default, shape)
     numbers = json.loads(format_numbers(whole, dimension.unit))
-    return np.array([f"{n:.{DIGITS}g}" for n in np.ravel(numbers)]).reshape(shape)
+    return np.array([f"{n:.{SIZE_DIGITS}g}" for n in np.ravel(numbers)]).reshape(shape)
 
 
 def _default_text(dimension: Dimension) -> str:
@@ -244,7 +244,7 @@ def _same(key: str, value: str, usual: str) -> bool:
     try:
         usual_numbers = np.broadcast_to(usual_numbers, stated.shape)
         return bool(
-            np.allclose(stated, usual_numbers, rtol=10.0 ** (1 - DIGITS), atol=0.0)
+            np.allclose(stated, usual_numbers, rtol=10.0 ** (1 - SIZE_DIGITS), atol=0.0)
         )
     except ValueError:
         return False
@@ -284,7 +284,7 @@ def _field_of(error: InputError, sizes: list[str]) -> str:
 def _parsed(key: str, value: str) -> Any:
     """A size as a number or lists of numbers. Raises FieldError."""
     try:
-        if len(value) > LONGEST or "\n" in value:
+        if len(value) > MAX_SIZE_CHARACTERS or "\n" in value:
             raise ValueError("too long")
         parsed = tomllib.loads(f"value = {value}")["value"]
         numbers = list(_numbers(parsed))

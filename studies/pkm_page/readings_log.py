@@ -28,7 +28,7 @@ REMARK: Final = "remark"
 #: what a remark says before the value of a reading that was undone
 UNDONE: Final = "undone"
 #: hexadecimal digits of a version
-DIGITS: Final = 16
+VERSION_DIGITS: Final = 16
 
 
 class StaleError(Exception):
@@ -107,7 +107,7 @@ class FileContent:
 
 def parse(data: bytes) -> FileContent:
     """The content of a file's bytes. Raises InputError where it is no table."""
-    version = files.digest(data)[:DIGITS]
+    version = files.digest(data)[:VERSION_DIGITS]
     try:
         text = decode(data)
         split = SplitText.of(text)

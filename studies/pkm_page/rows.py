@@ -23,9 +23,9 @@ from pkm_studies.resolve import PASS_SUFFIX
 from pkm_studies.sessions import SKIPPED, is_skipped
 
 #: decimals of a command, mm or deg: those that a controller takes
-DECIMALS: Final = 4
+COMMAND_DECIMALS: Final = 4
 #: characters of a remark
-LONGEST_REMARK: Final = 200
+MAX_REMARK_LENGTH: Final = 200
 TIME: Final = "time_s"
 #: the comment that says when time_s is zero
 STARTED: Final = "time_s counts from"
@@ -61,12 +61,12 @@ def sent_cells(measurement: Measurement, series: Series, row: int) -> Series:
 def _rounded(value: float, coordinate: Coordinate) -> float:
     """A command with `DECIMALS` decimals in the unit of its column, within its range."""
     factor = ReadingsColumn.of(coordinate.name, coordinate.unit).factor
-    step = 10.0**-DECIMALS
-    number = round(value / factor, DECIMALS)
+    step = 10.0**-COMMAND_DECIMALS
+    number = round(value / factor, COMMAND_DECIMALS)
     if number * factor > coordinate.upper:
-        number = round(number - step, DECIMALS)
+        number = round(number - step, COMMAND_DECIMALS)
     elif number * factor < coordinate.lower:
-        number = round(number + step, DECIMALS)
+        number = round(number + step, COMMAND_DECIMALS)
     return number * factor
 
 
@@ -196,9 +196,9 @@ def clean_remark(text: str) -> str:
     """A remark on one line, printable. Raises InputError where it is too long."""
     printable = "".join(c if c.isprintable() else " " for c in text)
     line = " ".join(printable.split())
-    if len(line) > LONGEST_REMARK:
+    if len(line) > MAX_REMARK_LENGTH:
         problem = f"{len(line)} characters are too many for a remark"
-        raise InputError(problem, f"write {LONGEST_REMARK} at most", field=REMARK)
+        raise InputError(problem, f"write {MAX_REMARK_LENGTH} at most", field=REMARK)
     return line
 
 

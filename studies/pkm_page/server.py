@@ -43,7 +43,7 @@ from pkm_studies.user_code import Consent
 # The acceptance test of a result on the page: the file to fill in, and its judgement.
 
 #: bytes of a file to fill in
-MOST_BYTES: Final = 1_000_000
+MAX_BYTES: Final = 1_000_000
 
 
 class FilledIn(msgspec.Struct, forbid_unknown_fields=True):
@@ -58,7 +58,7 @@ def acceptance_form(folder: Path) -> str:
     path = folder / ACCEPTANCE_FILE
     if not path.is_file() or path.is_symlink():
         raise InputError("no acceptance test is planned", "plan it first")
-    return files.read_text(path, limit=MOST_BYTES, what="acceptance file")
+    return files.read_text(path, limit=MAX_BYTES, what="acceptance file")
 
 
 def judge_acceptance(folder: Path, text: str) -> list[str]:
@@ -84,7 +84,7 @@ def judge_acceptance(folder: Path, text: str) -> list[str]:
 #: time between two looks for news, and from one sign of life to the next, s
 PAUSE, ALIVE = 0.1, 15.0
 #: pages that may listen at once
-LISTENERS: Final = 32
+MAX_LISTENERS: Final = 32
 #: status of an answer: in doubt or out of date; not usable; too many
 CONFLICT, UNUSABLE, TOO_MANY = 409, 422, 429
 
@@ -136,7 +136,7 @@ class MachineAddresses:
 
     def __init__(self, page: MachinePage) -> None:
         self.page = page
-        self.listeners = threading.BoundedSemaphore(LISTENERS)
+        self.listeners = threading.BoundedSemaphore(MAX_LISTENERS)
         self.routes = [
             Route("/", self.show),
             Route("/state", self.state),
@@ -431,9 +431,9 @@ async def _absent(_: Request, __: Exception) -> Response:
 
 LOCAL: Final = "127.0.0.1"
 #: bytes of a token
-SECRET: Final = 24
+TOKEN_BYTES: Final = 24
 #: seconds that open pages have at the end
-END: Final = 1
+SHUTDOWN_SECONDS: Final = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -515,7 +515,7 @@ def serve(
     page, shelf = open_page(target, options)
     listening = _listen(host, port)
     port = listening.getsockname()[1]
-    token = "" if _is_local(host) else secrets.token_urlsafe(SECRET)
+    token = "" if _is_local(host) else secrets.token_urlsafe(TOKEN_BYTES)
     names = [LOCAL, "localhost", "::1"] if not token else _names(host)
     switch = Switch(page, shelf, None if page is not None else starter(options))
     app = Guard(switch, hosts_of(names, port), token)
@@ -526,7 +526,7 @@ def serve(
         server_header=False,
         lifespan="off",
         ws="none",
-        timeout_graceful_shutdown=END,
+        timeout_graceful_shutdown=SHUTDOWN_SECONDS,
         limit_concurrency=100,
         h11_max_incomplete_event_size=16_384,
         http="h11",

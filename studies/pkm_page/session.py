@@ -36,9 +36,9 @@ FIT_ERRORS: Final = (
     ArithmeticError,
 )
 #: fits that are remembered, by version of the file
-REMEMBERED: Final = 4
+REMEMBERED_FITS: Final = 4
 #: keys of entries that are remembered, so that one sent twice is taken once
-KEYS: Final = 1000
+MAX_KEYS: Final = 1000
 
 
 class DoubtfulError(Exception):
@@ -153,7 +153,7 @@ class MachineSession:
                 raise DoubtfulError(sentences)
             written = self.log.write(version, after)
             self._keys[key] = None
-            if len(self._keys) > KEYS:
+            if len(self._keys) > MAX_KEYS:
                 self._keys.pop(next(iter(self._keys)))
             self._publish(self._state(written))
 
@@ -278,7 +278,7 @@ class MachineSession:
         """The fit of a content, as `oed next` makes it from a file of that content."""
         if content.version not in self._fits:
             self._fits[content.version] = self._fit_of_text(content)
-            if len(self._fits) > REMEMBERED:
+            if len(self._fits) > REMEMBERED_FITS:
                 self._fits.pop(next(iter(self._fits)))
         return self._fits[content.version]
 

@@ -17,11 +17,11 @@ from pkm_studies.results import load_result
 from pkm_studies.study import SUFFIX
 
 #: folders deep, and results, that are looked for
-DEPTH: Final = 3
-MOST: Final = 200
+MAX_FOLDER_DEPTH: Final = 3
+MAX_RESULTS: Final = 200
 RESULT: Final = "result.json"
 #: hexadecimal digits of a key
-DIGITS: Final = 12
+KEY_DIGITS: Final = 12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,12 +62,12 @@ class Shelf:
     def folders(self) -> dict[str, Path]:
         """Folders with a result by key, the newest first."""
         ordered = sorted(
-            self._search(self.root, DEPTH),
+            self._search(self.root, MAX_FOLDER_DEPTH),
             key=lambda folder: (folder / RESULT).stat().st_mtime,
             reverse=True,
         )
         self.found = len(ordered)
-        return {self._key(folder): folder for folder in ordered[:MOST]}
+        return {self._key(folder): folder for folder in ordered[:MAX_RESULTS]}
 
     def folder(self, key: str) -> Path:
         """The folder of a key. Raises InputError for one that no folder has."""
@@ -96,7 +96,7 @@ class Shelf:
 
     def _key(self, folder: Path) -> str:
         relative = folder.relative_to(self.root).as_posix()
-        return files.digest(relative.encode())[:DIGITS]
+        return files.digest(relative.encode())[:KEY_DIGITS]
 
     def _card(self, key: str, folder: Path) -> Card | None:
         stamp = (folder / RESULT).stat().st_mtime_ns
@@ -159,6 +159,6 @@ def study_files(folder: Path) -> dict[str, Path]:
     """The study files in a folder by key; links are left out."""
     if not folder.is_dir():
         return {}
-    paths = sorted(folder.glob(f"*{SUFFIX}"))[:MOST]
+    paths = sorted(folder.glob(f"*{SUFFIX}"))[:MAX_RESULTS]
     plain = [path for path in paths if path.is_file() and not path.is_symlink()]
-    return {files.digest(path.name.encode())[:DIGITS]: path for path in plain}
+    return {files.digest(path.name.encode())[:KEY_DIGITS]: path for path in plain}

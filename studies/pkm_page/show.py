@@ -29,10 +29,10 @@ from pkm_studies.stages import estimate_section
 
 
 #: probability beyond each end of an interval
-TAIL: Final = 0.025
+TAIL_PROBABILITY: Final = 0.025
 #: next readings and combinations that are shown, and parameters of a combination
-SHOWN: Final = 5
-TERMS: Final = 4
+MAX_SHOWN: Final = 5
+MAX_TERMS: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,9 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
         return []
     machine = session.adviser.base.resolved.machine
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    low, high = np.quantile(advice.outlook.drawn_rms, [TAIL, 1.0 - TAIL], axis=0)
+    low, high = np.quantile(
+        advice.outlook.drawn_rms, [TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY], axis=0
+    )
     course = _course(session.adviser, state.fitted, advice)
     rows = []
     for k, name in enumerate(advice.names):
@@ -179,11 +181,11 @@ def open_combinations(state: SessionState) -> tuple[int, int, list[str]]:
     variances, vectors = np.linalg.eigh(covariance)
     count = int((np.sqrt(np.maximum(variances, 0.0)) < Estimate.AT_PRIOR).sum())
     names = [measurement.names[k] for k in free]
-    least = range(len(names) - 1, max(count, len(names) - SHOWN) - 1, -1)
+    least = range(len(names) - 1, max(count, len(names) - MAX_SHOWN) - 1, -1)
     phrases = []
     for k in least:
         vector = vectors[:, k]
-        chosen = np.argsort(-np.abs(vector))[:TERMS]
+        chosen = np.argsort(-np.abs(vector))[:MAX_TERMS]
         sign = np.sign(vector[chosen[0]])
         terms = {
             names[j]: float(sign * vector[j]) for j in chosen if abs(vector[j]) > 0.1
@@ -216,7 +218,7 @@ def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
     listed = {advice.candidate, *advice.skipped}
     rest = [int(k) for k in np.argsort(-gains, kind="stable") if k not in listed]
     rows = []
-    for k in [advice.candidate, *rest][:SHOWN]:
+    for k in [advice.candidate, *rest][:MAX_SHOWN]:
         series, row = reading_of(outlook.pool, outlook.taken + k)
         command = describe.displayed_command(machine, series.reading_commands()[row])
         falls = _largest_falls(advice.names, ratios[k])
@@ -263,7 +265,7 @@ def remaining(advice: Advice) -> int | None:
 
 
 #: last readings that are listed beside the entry
-LISTED: Final = 4
+MAX_LISTED_READINGS: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -340,7 +342,7 @@ def _numbers(columns: dict[str, float]) -> list[tuple[str, str, str]]:
     shown = []
     for name, value in columns.items():
         stem, unit = text.split_unit(name)
-        number = f"{value:.{rows.DECIMALS}f}".rstrip("0").rstrip(".")
+        number = f"{value:.{rows.COMMAND_DECIMALS}f}".rstrip("0").rstrip(".")
         shown.append(
             (stem, "0" if number == "-0" else number.replace("-", "\u2212"), unit)
         )
@@ -442,7 +444,7 @@ def _last_readings(session: MachineSession, content: FileContent) -> list[LastRe
                 number, ", ".join(poses), ", ".join(shown), cells.get(REMARK, "")
             )
         )
-    return listed[: -LISTED - 1 : -1]
+    return listed[: -MAX_LISTED_READINGS - 1 : -1]
 
 
 def _time_left(state: SessionState) -> str:

@@ -11,18 +11,18 @@ from pkm_studies.base import InputError
 
 NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
 #: characters of an entry
-LONGEST: Final = 24
+MAX_ENTRY_CHARACTERS: Final = 24
 
 
 def read(text: str, field: str) -> float:
     """The number of an entry, with a decimal point or comma. Raises InputError."""
     plain = text.strip().replace("\u2212", "-")
-    if len(plain) > LONGEST or NUMBER.fullmatch(plain) is None:
+    if len(plain) > MAX_ENTRY_CHARACTERS or NUMBER.fullmatch(plain) is None:
         raise InputError(
             "this is no number",
             "type digits with one point or comma, without unit",
             field=field,
-            value=text[:LONGEST],
+            value=text[:MAX_ENTRY_CHARACTERS],
         )
     value = float(plain.replace(",", "."))
     if not math.isfinite(value) or abs(value) > 1e9:

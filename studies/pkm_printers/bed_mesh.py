@@ -25,7 +25,7 @@ from pkm_studies.importers import MeshUse, Row
 
 SETUP = "probe"
 #: decimals of a sum of heights, mm
-DIGITS = 9
+SUM_DECIMALS = 9
 
 
 class ProbedPoint(NamedTuple):
@@ -66,7 +66,7 @@ def contact_row(order: int, point: ProbedPoint, setup: str, height: float) -> Ro
     moves along z alike everywhere, so that 0 serves as well.
     """
     label = {"setup": setup, "run": "1", "order": str(order)}
-    z = round(point.z + height, DIGITS)
+    z = round(point.z + height, SUM_DECIMALS)
     pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(z)}
     return label | pose | ({"height_mm": repr(height)} if height else {})
 
@@ -74,9 +74,9 @@ def contact_row(order: int, point: ProbedPoint, setup: str, height: float) -> Ro
 # Heights that a firmware probed at the nodes of a grid.
 
 #: mm; places of a mesh are rounded by as much
-ROUNDING = 0.1
+PLACE_TOLERANCE_MM = 0.1
 #: standard deviation, mm, of a mesh's level against that of the calibration
-LEVEL = 1.0
+LEVEL_SD_MM = 1.0
 USES = {
     "hold-out": "they are predicted, not fitted; --mesh readings fits them",
     "readings": "they are fitted with the other readings",
@@ -115,7 +115,7 @@ class BedMesh:
 
     def setup_table(self, *, is_reference: bool = False) -> str:
         """The table [[setup]] of a study; a reference states where the bed is."""
-        level, why = LEVEL, "the level of a mesh is its own"
+        level, why = LEVEL_SD_MM, "the level of a mesh is its own"
         if is_reference:
             level, why = 0.0, EXACT_TRIGGER
         return setup_table(self.setup, self.points[0].probe, level, why)
@@ -184,7 +184,7 @@ def copied_margin(x: Array, y: Array, z: Array) -> Mask:
     """
     across = x - (x[0] + x[-1]) / 2.0
     along = y - (y[0] + y[-1]) / 2.0
-    reach = max(across[-1], along[-1]) + ROUNDING
+    reach = max(across[-1], along[-1]) + PLACE_TOLERANCE_MM
     outside = np.hypot(across[None, :], along[:, None]) > reach
     filled = np.array(
         [

@@ -8,13 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from oed import units
 from oed.base import Array
 
 MODEL = "delta_printer"
 TOWERS = (1, 2, 3)
 #: angles of the towers from which firmwares count corrections, degrees
 TOWER_ANGLES = np.array([210.0, 330.0, 90.0])
-PPM = 1e-6
 #: half the workspace's width over the delta's radius, at least
 WIDTH_SHARE = 0.8
 #: parameters that a firmware frees with a number of factors: endstops, radius, angles of
@@ -129,7 +129,7 @@ class DeltaGeometry:
             numbers["trim_mm"] = self.radius_trim
         for name, slope in zip(SLOPES, self.bed_slope.tolist(), strict=True):
             if slope:
-                numbers[f"{name}_ppm"] = slope / PPM
+                numbers[f"{name}_ppm"] = slope / units.PPM
         return nominal_table(numbers)
 
     def sentence(self) -> str:

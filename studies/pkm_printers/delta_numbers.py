@@ -21,7 +21,7 @@ ONE_RADIUS = ("arm", "angle", "endstop")
 FAMILY = ("radius", *ONE_RADIUS, "lean", "tip")
 #: mm by which radii may differ, and a tower may lean over the workspace; the export
 #: states what that costs
-SLACK = 0.02
+ACCEPTED_LOSS = 0.02
 
 
 def delta_numbers(
@@ -72,7 +72,7 @@ def check_level(compensation: Compensation, numbers: DeltaGeometry, title: str) 
     """Refuse a bed that leans, for a firmware without a word for it. Raises InputError."""
     places = units.from_si(compensation.command[:, :2], "mm")
     rise = np.abs(places @ numbers.bed_slope).max()
-    if rise <= SLACK:
+    if rise <= ACCEPTED_LOSS:
         return
     slopes = ", ".join(
         f"{axis} {100.0 * s:+.3f} %"
@@ -164,7 +164,9 @@ def _check_upright(compensation: Compensation, lean: Array, tip: Array) -> None:
     rise = units.number(float(np.ptp(heights, axis=0)) or 1.0, "mm")
     tilts = {f"lean{i}": lean[i - 1] for i in TOWERS}
     tilts |= {f"tip{i}": tip[i - 1] for i in TOWERS}
-    leaning = {name: tilt for name, tilt in tilts.items() if abs(tilt) * rise > SLACK}
+    leaning = {
+        name: tilt for name, tilt in tilts.items() if abs(tilt) * rise > ACCEPTED_LOSS
+    }
     if not leaning:
         return
     sizes = (
@@ -184,7 +186,7 @@ def _check_radii(
     compensation: Compensation, numbers: DeltaGeometry, radii: Array
 ) -> None:
     """Refuse towers of three radii (3,), mm, for a firmware of one. Raises InputError."""
-    if np.ptp(radii - numbers.radius_trim) <= SLACK:
+    if np.ptp(radii - numbers.radius_trim) <= ACCEPTED_LOSS:
         return
     wanted = dataclasses.replace(numbers, radius_trim=radii - numbers.radius)
     off = delta_joints(wanted, compensation) - delta_joints(numbers, compensation)

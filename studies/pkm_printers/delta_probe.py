@@ -27,7 +27,7 @@ from pkm_printers.bed_mesh import (
 )
 from pkm_printers.delta_geometry import FACTORS, SLOPES, DeltaGeometry
 from pkm_printers.delta_study import (
-    SPARE,
+    SPARE_HEIGHTS,
     DeltaStudy,
     Offset,
     PrinterGeometry,
@@ -62,7 +62,7 @@ NOISE = "standard deviation of one reading, the bed's flatness included"
 
 
 #: mm; no point of a bed is farther away
-LARGEST = 1e4
+MAX_BED_COORDINATE_MM = 1e4
 
 
 def delta_session(
@@ -178,7 +178,7 @@ def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
     """Raises InputError for a point that no machine has."""
     for point in points:
         position = point.x, point.y, point.z
-        if max(map(abs, position)) > LARGEST:
+        if max(map(abs, position)) > MAX_BED_COORDINATE_MM:
             listed = ", ".join(f"{v:g}" for v in position)
             raise InputError(
                 f"a point at x, y, z = {listed} mm is on no bed",
@@ -199,14 +199,14 @@ def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
 #: factors without the lean, and with it
 PLAIN, LEANING = 6, 8
 #: heights that give the lean with one degree of freedom to spare
-LEAST = LEANING + 1
+MIN_LEAN_HEIGHTS = LEANING + 1
 #: probability by chance below which a lean is reported
-SIGNIFICANT = 0.01
+LEAN_P_VALUE = 0.01
 #: standard deviations by which a lean must stand out to be seen
-SEEN = 3.0
+MIN_LEAN_DEVIATIONS = 3.0
 #: standard deviation of a lean, times the probed radius and over the noise of a height, from
 #: which on the heights hide it
-HIDDEN = 30.0
+HIDDEN_RATIO = 30.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,7 +227,7 @@ class Lean:
 
 def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | None:
     """The lean of the bed; None where the heights hide it."""
-    if len(points) < LEAST:
+    if len(points) < MIN_LEAN_HEIGHTS:
         return None
     commands = np.array([[point.x, point.y, point.z] for point in points])
     moved = geometry.travels(commands)
@@ -249,7 +249,7 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
         return None
     unit = np.sqrt(np.diag(np.linalg.inv(with_lean.jac.T @ with_lean.jac)))[PLAIN:]
     radius = max(math.hypot(point.x, point.y) for point in points)
-    if unit.max() * radius > HIDDEN:
+    if unit.max() * radius > HIDDEN_RATIO:
         return None
     gain = (without.cost - with_lean.cost) / max(with_lean.cost, 1e-300) * freedom / 2.0
     return Lean(
@@ -263,8 +263,8 @@ def lean_of(geometry: DeltaGeometry, points: Sequence[ProbedPoint]) -> Lean | No
 
 def is_to_be_fitted(lean: Lean | None, count: int) -> bool:
     """Whether a number of heights that tell the lean estimate their noise too, or show it."""
-    is_many = count >= LEANING + SPARE
-    return lean is not None and (is_many or lean.probability < SIGNIFICANT)
+    is_many = count >= LEANING + SPARE_HEIGHTS
+    return lean is not None and (is_many or lean.probability < LEAN_P_VALUE)
 
 
 def lean_sentence(lean: Lean | None, count: int, *, is_fitted: bool) -> str:
@@ -272,14 +272,14 @@ def lean_sentence(lean: Lean | None, count: int, *, is_fitted: bool) -> str:
     if lean is None:
         return (
             f"Bed: these {count} heights cannot tell a bed that leans from errors of the"
-            f" towers. At least {LEAST} heights at several radii do, out to the edge."
+            f" towers. At least {MIN_LEAN_HEIGHTS} heights at several radii do, out to the edge."
         )
     shown = ", ".join(
         f"{axis} {100.0 * slope:+.2f} +- {100.0 * sd:.2f} %"
         for axis, slope, sd in zip("xy", lean.slope, lean.sd, strict=True)
     )
-    if lean.probability > SIGNIFICANT:
-        beyond = f"{100.0 * SEEN * lean.sd.max():.2g}"
+    if lean.probability > LEAN_P_VALUE:
+        beyond = f"{100.0 * MIN_LEAN_DEVIATIONS * lean.sd.max():.2g}"
         return (
             f"Bed: its rise is {shown}. These heights show a lean that the firmware does not"
             f" know from {beyond} % on, and show none."

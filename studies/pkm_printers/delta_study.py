@@ -31,18 +31,18 @@ TITLES = {
 #: place (2,) of a probe from the nozzle, mm
 Offset = tuple[float, float]
 #: share of the probed radius that the accuracy is predicted on
-SHARE = 0.7
+PREDICTED_RADIUS_SHARE = 0.7
 #: correlation of the errors of the three arms: their differences are held within 10 um
-COMMON = 0.999998
+ARM_ERROR_CORRELATION = 0.999998
 #: further heights that estimate how far they scatter
-SPARE = 4
+SPARE_HEIGHTS = 4
 FIXED_BECAUSE = "not among what is fitted; heights alone give the arms badly"
 EXACT_TRIGGER = "the firmware takes the trigger height as exact"
 COMMON_ARM = f"""
 # The firmware has one length of the rods.
 [[prior.correlated]]
 parameters = ["arm*"]
-correlation = {COMMON}
+correlation = {ARM_ERROR_CORRELATION}
 """
 CALLIPER = """
 [[setup]]
@@ -103,7 +103,7 @@ class DeltaStudy:
         """The text of the study."""
         fixed = (p for p in self.geometry.parameters if p not in self.free)
         listed = ", ".join(f'"{parameter}"' for parameter in fixed)
-        reach = round(SHARE * self.probed_radius, 1)
+        reach = round(PREDICTED_RADIUS_SHARE * self.probed_radius, 1)
         tolerances = self.geometry.tolerances
         if "arm1" in self.free and not self.calliper:
             tolerances += COMMON_ARM
@@ -204,7 +204,7 @@ def free_tilts(
 ) -> tuple[str, ...]:
     """Tilts that are fitted beside what is free: of probes beside the nozzle, many heights."""
     tilting = geometry.tilting
-    is_many = count >= len(free) + len(tilting) + SPARE
+    is_many = count >= len(free) + len(tilting) + SPARE_HEIGHTS
     return tilting if is_many and any(map(any, probes)) else ()
 
 

@@ -19,7 +19,7 @@ from pkm_studies.base import InputError
 from pkm_studies.csv_table import plain_number
 from pkm_studies.importers import Stamp, line_field, stamp, steps
 
-LIMIT = 16_000_000
+MAX_BYTES = 16_000_000
 NO_TIME = Stamp(0.0, is_dated=False)
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 #: that a number ends there: no decimal comma follows, and no other sign of one
@@ -119,7 +119,7 @@ def read(paths: Sequence[Path]) -> list[TextLine]:
     logs = []
     for path in paths:
         text = files.read_text(
-            path, limit=LIMIT, what="log or configuration", is_foreign=True
+            path, limit=MAX_BYTES, what="log or configuration", is_foreign=True
         )
         logs.append(_is_in_time(lines_of(text, str(path))))
     dated = [k for k, log in enumerate(logs) if log.start and log.start.is_dated]

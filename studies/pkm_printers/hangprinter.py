@@ -73,7 +73,7 @@ WORDS: Final[WordTable] = {
     "G20": {"": refused("the numbers are in inches", "give them in mm")},
 }
 #: mm; no anchor is farther away
-LARGEST: Final = 1e6
+MAX_ANCHOR_MM: Final = 1e6
 PLACE_NOISE: Final = {f"read_{axis}_mm": 1.0 for axis in "xyz"}
 GAP_MM: Final = 0.5
 #: share of the nearest anchor's distance within which all poses say nothing of a machine
@@ -205,7 +205,7 @@ def _anchor(anchors: Command, letter: str) -> list[float]:
     location = anchors.values(letter)
     if len(location) == 1:  # the upper anchor of three-number versions: its height
         location = [0.0, 0.0, *location]
-    if len(location) != len("xyz") or np.abs(location).max() > LARGEST:
+    if len(location) != len("xyz") or np.abs(location).max() > MAX_ANCHOR_MM:
         problem, remedy = "an anchor has x, y and z, in mm", "give the full command"
         raise anchors.line_of(letter).error(problem, remedy, f"M669 {letter}")
     return location

@@ -35,7 +35,7 @@ from pkm_studies.importers import ImportedSession, ImportRequest, Row
 from pkm_studies.tables import ControllerTable
 
 #: distance from the bed, over the height of the lowest endstop, of a position that is wrong
-FAR = 0.2
+WRONG_HEIGHT_SHARE = 0.2
 #: factors of the steps between which one that fits is sought
 STEP_FACTORS = (0.05, 20.0)
 REMEDY = (
@@ -364,7 +364,7 @@ def check_positions(
 
     positions  by option: its entry, travels (3,), and the height of the tool, mm
     """
-    limit = FAR * geometry.stop
+    limit = WRONG_HEIGHT_SHARE * geometry.stop
     for option, (entry, travels, height) in positions.items():
         miss = _tool_height(np.asarray(travels), geometry) - height
         if abs(miss) <= limit:

@@ -26,7 +26,7 @@ from pkm_studies.base import InputError
 from pkm_studies.importers import line_field
 
 #: bytes of the largest configuration
-LIMIT = 4_000_000
+MAX_BYTES = 4_000_000
 SAVED = "#*#"
 #: the lines with which the saved block begins
 HEADER = (
@@ -129,7 +129,7 @@ def read(paths: Sequence[Path]) -> KlipperConfig:
     parsed = _Parsed()
     for path in paths:
         text = files.read_text(
-            path, limit=LIMIT, what="Klipper configuration", is_foreign=True
+            path, limit=MAX_BYTES, what="Klipper configuration", is_foreign=True
         )
         _check_saved_block(text, str(path))
         _parse(text, str(path), parsed)
@@ -238,7 +238,7 @@ PROBES: Final = ("probe", "bltouch", "smart_effector")
 OFFSETS: Final = ("x_offset", "y_offset")
 REMEDY: Final = "import the profile as SAVE_CONFIG wrote it, or remove it"
 #: mm; no mesh has a larger height
-LARGEST: Final = 100.0
+MAX_MESH_HEIGHT_MM: Final = 100.0
 MARGIN: Final = "the firmware filled them up from probed ones"
 
 
@@ -289,7 +289,7 @@ def _heights(config: KlipperConfig, section: str) -> Array:
     option = f"[{section}] points"
     written = [Entry(row, entry.file, entry.line) for row in rows]
     heights = np.array([numbers(row, option, count) for row in written])
-    if np.abs(heights).max() > LARGEST:
+    if np.abs(heights).max() > MAX_MESH_HEIGHT_MM:
         problem = f"no bed is {np.abs(heights).max():.3g} mm uneven"
         raise entry.error(option, problem, REMEDY)
     return heights

@@ -23,7 +23,7 @@ import numpy as np
 
 from oed.base import Array
 from pkm_printers import facts, gcode
-from pkm_printers.bed_mesh import ROUNDING, BedMesh, ProbedPoint
+from pkm_printers.bed_mesh import PLACE_TOLERANCE_MM, BedMesh, ProbedPoint
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import NOT_KNOWN
 from pkm_printers.delta_probe import delta_session
@@ -80,7 +80,7 @@ BED_LEVELING: Final = costs(
     "with bed leveling on, heights may be those over the mesh: probe with M420 S0"
 )
 #: M665 B, mm, above which it cannot be the trim of a rod
-LONGEST_TRIM = 10.0
+MAX_TRIM = 10.0
 #: versions whose M665 has no H
 EARLY = "1.1.0-RC8 or earlier"
 NO_M503 = "log the answer of M503 as well: it prints M665 and M666"
@@ -206,7 +206,7 @@ def _rules_by_letters(rules: PossibleRules, delta: Command) -> PossibleRules:
         return rules.where(b=ROD_TRIM)
     if "B" not in delta.words:
         return rules
-    if abs(delta.number("B")) > LONGEST_TRIM:
+    if abs(delta.number("B")) > MAX_TRIM:
         return rules.where(b=RADIUS)
     raise delta.line.error(
         f"B is the trim of a rod in Marlin {VERSIONS[ROD_TRIM]}, the radius of calibration"
@@ -337,7 +337,7 @@ def mesh_grids(
         for py, row in zip(y, heights, strict=True)
         for px, z in zip(x, row, strict=True)
         if math.isfinite(z)
-        and math.hypot(px - middle[0], py - middle[1]) <= reach + ROUNDING
+        and math.hypot(px - middle[0], py - middle[1]) <= reach + PLACE_TOLERANCE_MM
     ]
     if _share_among(points, contacts) > 0.5:
         return [], [GRID_READ_TWICE.format(line=lines[start_line].number)]
@@ -400,7 +400,7 @@ def _share_among(
 
 TOWERS = "XYZ"
 #: fewest steps per mm that printers have, as of a motor with 8 microsteps
-FEWEST_STEPS = 40.0
+MIN_STEPS = 40.0
 NO_HEIGHT = (
     "this version has none: add a line home_height_mm = 250 with the home height of its"
     " configuration (MANUAL_Z_HOME_POS); M206 Z is added to it"
@@ -493,7 +493,7 @@ def _move(
     down = -stops.number(tower, 0.0)
     if down < 0.0 and rules.agreed("positive") == "no move":
         return 0.0
-    if not 0.0 < down <= dead_band(steps_per_mm or FEWEST_STEPS):
+    if not 0.0 < down <= dead_band(steps_per_mm or MIN_STEPS):
         return down
     retreat = rules.agreed("retreat")
     if retreat is None and any(rule.retreat == "dead band" for rule in rules.rules):

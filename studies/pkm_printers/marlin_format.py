@@ -21,7 +21,7 @@ from pkm_printers.delta_numbers import (
     trims,
 )
 from pkm_printers.marlin_version import (
-    LEAST_STEPS,
+    MIN_STEPS,
     NOT_READ,
     RADIUS,
     ROD_TRIM,
@@ -36,10 +36,10 @@ from pkm_studies.tables import ControllerTable
 
 NAME = "marlin"
 #: mm by which rods may differ and count as one length: what four decimals hold
-ALIKE = 5e-5
+ROD_LENGTH_TOLERANCE_MM = 5e-5
 #: mm that each tower goes down from its switch at least: versions make no move for a
 #: value of up to six steps
-LEAST_DOWN = 0.2
+MIN_DOWN = 0.2
 FOR: dict[MeaningOfB | None, str] = {
     ROD_TRIM: (
         f"for Marlin {VERSIONS[ROD_TRIM]}: M665 A, B, C are trims of the rods there"
@@ -64,7 +64,7 @@ HOME = (
     " later need M851 Z added to it, so Z-2.5 makes H less by 2.5"
 )
 STEPS = (
-    f"Marlin goes {LEAST_STEPS + 1} steps of the motor further from the switches: take"
+    f"Marlin goes {MIN_STEPS + 1} steps of the motor further from the switches: take"
     " them off H"
 )
 
@@ -155,10 +155,8 @@ def _target(compensation: Compensation, rods: Array) -> _Target:
     b: MeaningOfB | None = None if firmware is None else rules.agreed("b")
     offset, home_notes = _home(firmware, rules)
     steps = None if firmware is None else firmware.steps_per_mm
-    down = (
-        max(LEAST_DOWN, 2.0 * marlin_version.dead_band(steps)) if steps else LEAST_DOWN
-    )
-    alike = bool(np.ptp(rods) <= ALIKE)
+    down = max(MIN_DOWN, 2.0 * marlin_version.dead_band(steps)) if steps else MIN_DOWN
+    alike = bool(np.ptp(rods) <= ROD_LENGTH_TOLERANCE_MM)
     if b in (RADIUS, NOT_READ) and not alike:
         sizes = ", ".join(f"{rod - rods.mean():.4f}" for rod in rods)
         raise InputError(

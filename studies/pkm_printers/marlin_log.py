@@ -45,7 +45,7 @@ MISCOUNTED, MISCOUNT = 8, 10.0 / 8.0
 #: P of Marlin's example configurations
 USUAL_POINTS = 4
 #: mm; the last digit that G33 prints
-ROUNDING = 0.01
+LAST_DIGIT_MM = 0.01
 #: standard deviations of the delta's numbers about the firmware's, mm and deg, for a fit
 #: to fewer means than unknowns
 TOLERANCE = np.array([5.0, 2.0, 2.0, 5.0, 5.0, 5.0])
@@ -174,7 +174,7 @@ def points_of_contacts(
         return points, []
     moved = max(abs(p.z - c.z) for p, c in zip(points, contacts, strict=True))
     unsure = next((c.unsure for c in contacts if c.unsure is not None), None)
-    if unsure is not None and moved > ROUNDING:
+    if unsure is not None and moved > LAST_DIGIT_MM:
         raise unsure.error(
             "G33 averages its heights over places that P decides, and the log does not"
             " show P",
@@ -209,7 +209,7 @@ def _corrections(
         return -changed.tool_heights(travels)
 
     def misses(change: Array) -> Array:
-        misfit = (means @ believed(change, travels) - heights) / ROUNDING
+        misfit = (means @ believed(change, travels) - heights) / LAST_DIGIT_MM
         return np.concatenate([misfit, change / TOLERANCE])
 
     change = optimize.least_squares(misses, np.zeros(len(TOLERANCE))).x

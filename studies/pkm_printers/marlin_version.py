@@ -44,7 +44,7 @@ Retreat = Literal["exact", "tenth", "steps", "dead band"]
 Positive = Literal["no move", "normalised", "ignored"]
 PRINTED = re.compile(r"\bMarlin[ _-]?(?:bugfix[-_ ])?(\d+\.\d+(?:\.\w+)*(?:-RC\d+)?)")
 #: steps that a planned move has at least, and steps per mm of a usual printer
-LEAST_STEPS, STEPS_PER_MM = 6, 80.0
+MIN_STEPS, STEPS_PER_MM = 6, 80.0
 TENTH_MM = 0.1
 
 
@@ -182,7 +182,7 @@ def printed_version(text: str) -> str | None:
 
 def dead_band(steps_per_mm: float) -> float:
     """Size of M666, mm, up to which a firmware with a dead band makes no move."""
-    return LEAST_STEPS / steps_per_mm
+    return MIN_STEPS / steps_per_mm
 
 
 def home_offset(
@@ -200,7 +200,7 @@ def home_offset(
         return None
     further = {
         "tenth": TENTH_MM,
-        "steps": (LEAST_STEPS + 1) / (steps_per_mm or STEPS_PER_MM),
+        "steps": (MIN_STEPS + 1) / (steps_per_mm or STEPS_PER_MM),
     }
     height = further.get(retreat, 0.0)
     return height - probe_z if to_probe and probe_z is not None else height

@@ -65,13 +65,13 @@ FIXED: Final = (
     *(f"{stem}{k}" for stem in ("l", "scale") for k in (1, 2, 3, 4)),
 )
 #: share of the smaller side of the frame that the prediction spans about its middle
-REACH: Final = 0.25
+FRAME_SHARE: Final = 0.25
 GROUP: Final = "Maslow"
 OLD_GROUP: Final = "Maslow, old key"
 #: mm; no anchor is farther away
-LARGEST: Final = 1e6
+MAX_MM: Final = 1e6
 #: share of the larger side by which belts between rough anchors may fail to meet
-OPEN: Final = 0.1
+MAX_MISFIT: Final = 0.1
 LENGTHS: Final = costs("the lengths of the log have it already")
 PLACES: Final = tuple(f"{corner}{axis}" for corner in CORNERS for axis in "XYZ")
 ANCHORS: Final[dict[str, Word]] = {
@@ -99,7 +99,7 @@ ANCHORS: Final[dict[str, Word]] = {
 }
 WORDS: Final[WordTable] = {GROUP: ANCHORS, OLD_GROUP: {OTHERS: OLD_KEYS}}
 #: readings of a belt at a waypoint, of which the firmware takes the mean
-READINGS: Final = 4
+REPEATS: Final = 4
 ASSUMED: Final = {"assumed": True, "gap1_mm": 0.5, "gap2_mm": 0.5}
 NOT_REPEATED: Final = (
     "Noise: the log has no single readings of the belts, so 0.5 mm is assumed for what they"
@@ -137,7 +137,9 @@ class MaslowImporter:
             geometry={
                 "anchor_mm": anchors.tolist(),
                 "home_mm": anchors.mean(axis=0).round(1).tolist(),
-                "reach_mm": round(REACH * float(np.ptp(anchors, axis=0).min()), 1),
+                "reach_mm": round(
+                    FRAME_SHARE * float(np.ptp(anchors, axis=0).min()), 1
+                ),
             },
         )
         machine = described_machine(
@@ -224,7 +226,7 @@ def _anchors(written: Sequence[WrittenWord], lines: Sequence[TextLine]) -> np.nd
         if word.group == OLD_GROUP or ANCHORS.get(word.key) is not READ:
             continue
         number = plain_number(word.text)
-        if number is None or abs(number) > LARGEST:
+        if number is None or abs(number) > MAX_MM:
             raise word.error("this is no number of mm", "correct the value")
         values[word.key] = number
         if word.key in FRAME and values[word.key] != FRAME[word.key]:
@@ -262,7 +264,7 @@ def _belts(lines: Sequence[TextLine]) -> tuple[list[dict[str, float]], list[str]
                 corner: gcode.finite(value, line)
                 for corner, value in BELT.findall(text)
             }
-            far = max(map(abs, lengths.values()), default=0.0) > LARGEST
+            far = max(map(abs, lengths.values()), default=0.0) > MAX_MM
             if set(lengths) != set(CORNERS) or far:
                 problem = "a waypoint has not the four belts tl, tr, bl, br"
                 raise line.error(problem, "give the line as the firmware prints it")
@@ -290,7 +292,7 @@ def _noise(lines: Sequence[TextLine]) -> tuple[dict[str, float], str]:
     spread = pooled(repeated_in_log(lines))
     if spread is None or not spread.is_known:
         return ASSUMED, spread.sentence() if spread else NOT_REPEATED
-    gap = round(spread.sigma / math.sqrt(READINGS) / math.sqrt(len(CORNERS)), 6)
+    gap = round(spread.sigma / math.sqrt(REPEATS) / math.sqrt(len(CORNERS)), 6)
     noise = {"estimate": True, "carried": 0.0, "gap1_mm": gap, "gap2_mm": gap}
     return noise, spread.sentence()
 
@@ -309,7 +311,9 @@ def _check_closing(
     places = np.linalg.lstsq(slopes, sides, rcond=None)[0].T
     errors = np.linalg.norm(places[:, None] - anchors, axis=2) - lengths
     size = np.ptp(anchors, axis=0).max()
-    if (lengths <= 0.0).any() or np.median(np.abs(errors).max(axis=1)) > OPEN * size:
+    if (lengths <= 0.0).any() or np.median(
+        np.abs(errors).max(axis=1)
+    ) > MAX_MISFIT * size:
         corners = ", ".join(f"{c} {v:g}" for c, v in belts[0].items())
         raise InputError(
             f"belts such as {corners} mm do not meet between these anchors",

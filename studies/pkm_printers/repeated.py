@@ -22,7 +22,7 @@ from pkm_printers.delta_study import Offset
 from pkm_printers.gcode import NUMBER, TextLine
 
 #: degrees of freedom from which on a spread is known to a third
-LEAST_FREEDOM: Final = 4
+MIN_FREEDOM: Final = 4
 #: readings of one place, line after line: what names the place, and the reading
 READINGS: Final = (
     # Klipper, each sample of a probe, and PROBE_ACCURACY
@@ -60,7 +60,7 @@ class PooledSpread:
     @property
     def is_known(self) -> bool:
         """Whether it stands for the noise of one reading."""
-        return self.freedom >= LEAST_FREEDOM and self.sigma > 0.0
+        return self.freedom >= MIN_FREEDOM and self.sigma > 0.0
 
     def sentence(self) -> str:
         """What the readings say of the noise."""

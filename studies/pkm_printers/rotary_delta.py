@@ -37,7 +37,7 @@ FACTORS: Mapping[int, tuple[str, ...]] = {
     7: (*ENDSTOPS, "height", "radius", *ANGLES),
 }
 #: largest turn of an upper arm from its switch, degrees
-TURN = 180.0
+MAX_ARM_TURN_DEG = 180.0
 #: standard deviations of an assembled printer's numbers about those of its firmware
 TOLERANCES = """\
 # How far the true numbers may be from those of the firmware (standard deviations).
@@ -77,7 +77,7 @@ class RotaryGeometry:
     tolerances: ClassVar[str] = TOLERANCES
     unit: ClassVar[str] = "deg"
     half_width: ClassVar[float] = 0.0
-    travel: ClassVar[float] = TURN
+    travel: ClassVar[float] = MAX_ARM_TURN_DEG
 
     radius: float
     height: float
@@ -114,7 +114,7 @@ class RotaryGeometry:
 
     def tool_heights(self, joints: Array) -> Array:
         """Heights (n,) of the tool, mm, at turns (n, 3) down, deg; NaN out of reach."""
-        turns = np.where(np.abs(joints) < TURN, joints, np.nan)
+        turns = np.where(np.abs(joints) < MAX_ARM_TURN_DEG, joints, np.nan)
         angle = np.radians(self.endstops - turns)
         outward = self.radius + self.upper * np.cos(angle)
         limb = np.radians(self.angles)

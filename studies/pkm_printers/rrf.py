@@ -58,12 +58,12 @@ KINEMATICS: Final = {
     rrf_rotary.KINEMATICS: "rotary delta",
 }
 #: M666 A and B are in percent
-PERCENT = 1e-2
+TILT_PERCENT = 1e-2
 VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
 MESH_HEADING: Final = re.compile(r"RepRapFirmware height map file v(\d+)")
-MESH_FILE_LIMIT: Final = 4_000_000
+MAX_MESH_BYTES: Final = 4_000_000
 #: mm; no place and no height is beyond it
-LARGEST_MESH_NUMBER: Final = 1e4
+MAX_MESH_NUMBER: Final = 1e4
 #: mm; numbers of the grid are rounded by as much
 MESH_ROUNDING: Final = 0.02
 #: names of the numbers of the grid, as versions write them
@@ -187,7 +187,7 @@ def linear_geometry(
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
         endstops=height + stops.numbers("XYZ"),
         radius_trim=np.array(facts.trims(numbers, "radius_trim_mm")),
-        bed_slope=PERCENT * stops.numbers("AB"),
+        bed_slope=TILT_PERCENT * stops.numbers("AB"),
     )
 
 
@@ -242,7 +242,7 @@ def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
     offset  of the probe from the nozzle, mm
     """
     lines = files.read_text(
-        path, limit=MESH_FILE_LIMIT, what="height map", is_foreign=True
+        path, limit=MAX_MESH_BYTES, what="height map", is_foreign=True
     ).splitlines()
     grid = _mesh_grid(lines, path)
     x = grid["xmin"] + grid["xspacing"] * np.arange(round(grid["xnum"]))
@@ -301,7 +301,7 @@ def _mesh_grid(lines: Sequence[str], path: Path) -> dict[str, float]:
 
 def _mesh_number(cell: str, path: Path, line: int) -> float:
     number = plain_number(cell)
-    if number is None or abs(number) > LARGEST_MESH_NUMBER:
+    if number is None or abs(number) > MAX_MESH_NUMBER:
         raise _mesh_error(path, line, f"{cell} is no number of a height map")
     return number
 
@@ -321,7 +321,7 @@ NO_HEIGHTS = (
     " heights: ...; or fit the heights of heightmap.csv: --mesh readings"
 )
 #: heights from which on Z of G30 is the height itself, and nothing is probed
-TYPED = -9999.0
+MIN_TYPED_HEIGHT_MM = -9999.0
 
 #: cells of a line of heights of which one was not probed
 NOT_PROBED = {"set", "failed"}
@@ -347,7 +347,7 @@ class ProbePoint:
     @property
     def is_typed(self) -> bool:
         """Whether the height was typed: it is that of the nozzle itself."""
-        return self.place.number("Z", TYPED) > TYPED
+        return self.place.number("Z", MIN_TYPED_HEIGHT_MM) > MIN_TYPED_HEIGHT_MM
 
     def contact(self, height: float) -> ProbedPoint:
         """Where the nozzle was at a height, mm."""

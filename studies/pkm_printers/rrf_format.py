@@ -10,7 +10,7 @@ from oed.base import Array
 from pkm_printers import gcode, hangprinter, rotary_delta, rrf_five_bar
 from pkm_printers.delta_geometry import TOWER_ANGLES, DeltaGeometry
 from pkm_printers.delta_numbers import (
-    SLACK,
+    ACCEPTED_LOSS,
     delta_joints,
     delta_numbers,
     firmware_of,
@@ -91,7 +91,7 @@ def write(compensation: Compensation) -> Texts:
 
 def _rods(numbers: DeltaGeometry) -> list[str]:
     """Lengths of the rods as they are written; one where they hardly differ."""
-    is_common = np.ptp(numbers.arms) <= SLACK
+    is_common = np.ptp(numbers.arms) <= ACCEPTED_LOSS
     arms = np.full(3, numbers.arms.mean()) if is_common else numbers.arms
     return [f"{arm:.4f}" for arm in arms]
 

@@ -15,7 +15,7 @@ import numpy as np
 from oed.base import Array
 from pkm_printers import gcode
 from pkm_printers.delta_geometry import TOWER_ANGLES
-from pkm_printers.delta_numbers import SLACK, retained_words
+from pkm_printers.delta_numbers import ACCEPTED_LOSS, retained_words
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.rotary_delta import RotaryGeometry, identified_geometry, rotary_joints
 from pkm_printers.rrf_sequence import WORDS
@@ -54,7 +54,7 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
     delta = gcode.merged(lines, "M669", "give the config.g that has M669 K10")
     stops = gcode.optional(lines, "M666")
     heights = _by_limb(delta, "H")
-    if np.ptp(heights) > SLACK:
+    if np.ptp(heights) > ACCEPTED_LOSS:
         raise delta.line_of("H").error(
             "the model has its three shoulders at one height",
             "level them, and give the one height that they have then",

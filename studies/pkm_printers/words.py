@@ -20,7 +20,7 @@ NUMBER = "<n>"
 #: key of a table for all words that it does not name: such a group refuses none
 OTHERS = "*"
 #: columns of a comment in a study
-WIDTH = 100
+COMMENT_COLUMNS = 100
 UNKNOWN = "this importer does not know this word, which may be part of the geometry"
 UNKNOWN_REMEDY = (
     "remove it from a copy of the file where it is no part of the geometry; otherwise"
@@ -161,7 +161,7 @@ def comments(sentences: Iterable[str]) -> str:
     lines = []
     for sentence in sentences:
         lines += textwrap.wrap(
-            sentence, WIDTH, initial_indent="# ", subsequent_indent="#   "
+            sentence, COMMENT_COLUMNS, initial_indent="# ", subsequent_indent="#   "
         )
     return "".join(f"{line}\n" for line in lines)
 

@@ -17,7 +17,7 @@ OUTPUT = "standard output"
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 #: columns of a table where there is no terminal
-WIDTH = 120
+DEFAULT_COLUMNS = 120
 
 
 def set_up() -> None:
@@ -50,7 +50,9 @@ def terminal() -> Any:
     """The terminal for tables and long lines, WIDTH columns wide where there is none."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+    return Console(
+        width=None if sys.stdout.isatty() else DEFAULT_COLUMNS, highlight=False
+    )
 
 
 def table_lines(table: Any) -> list[str]:

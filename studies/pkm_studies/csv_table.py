@@ -26,7 +26,7 @@ from pkm_studies import files
 from pkm_studies.base import InputError
 
 #: bytes of the largest file
-LIMIT = 64_000_000
+MAX_BYTES = 64_000_000
 SEPARATORS = (";", "\t", ",", "|")
 COMMENTS = ("#", "//", "%", "!")
 #: a number as machines and instruments write it: not all that Python takes for one
@@ -95,7 +95,7 @@ class CsvTable:
 
 def read(path: Path) -> CsvTable:
     """The table of a file. Raises InputError with line and remedy."""
-    text = files.read_text(path, limit=LIMIT, what="CSV file", is_foreign=True)
+    text = files.read_text(path, limit=MAX_BYTES, what="CSV file", is_foreign=True)
     written = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)

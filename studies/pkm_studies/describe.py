@@ -31,17 +31,17 @@ from pkm_studies.study import Study
 # Finds the points of a drawing that each parameter moves, and names them.
 
 #: change of a parameter, SI, that shows which points it moves
-STEP = 1e-4
+PARAMETER_STEP = 1e-4
 #: share of the largest movement from which a point takes part
 TAKES_PART = 0.5
 #: points nearer than this are one, m
 SAME_PLACE = 1e-6
 #: share of the largest slope of an equation from which a parameter is in it
-LEAST_SLOPE = 1e-9
+MIN_SLOPE = 1e-9
 #: points that the equations of a leg join, at most
-MOST_ENDS = 2
+MAX_ENDS = 2
 #: parameters of one place that are named one by one
-MOST_NAMES = 4
+MAX_NAMES = 4
 
 
 def parameter_labels(kinematics: Kinematics, x: Array, q: Array) -> list[DrawingLabel]:
@@ -72,8 +72,8 @@ def shortened(names: Sequence[str]) -> str:
     for stem in stems:
         tails = [tail for s, tail in map(_split, names) if s == stem]
         phrases.append(stem + ", ".join(tails))
-    if len(phrases) > MOST_NAMES:
-        phrases = [*phrases[:MOST_NAMES], f"+{len(phrases) - MOST_NAMES}"]
+    if len(phrases) > MAX_NAMES:
+        phrases = [*phrases[:MAX_NAMES], f"+{len(phrases) - MAX_NAMES}"]
     return " ".join(phrases)
 
 
@@ -93,7 +93,7 @@ def _moved_point(
     still = kinematics.machine.nominal
     before = list(_label_points(kinematics, x, q, still))
     changed = still.copy()
-    changed[parameter] += STEP
+    changed[parameter] += PARAMETER_STEP
     after = list(_label_points(kinematics, x, q, changed))
     if not before:  # a machine without skeleton has no drawing
         return None
@@ -119,14 +119,14 @@ def _join_points(
     nominal = kinematics.machine.nominal
     by_p = kinematics.equations.slopes(x[None], q[None], nominal)[1][0]
     scale = np.abs(by_p).max(axis=1, keepdims=True)
-    in_row = np.abs(by_p) > LEAST_SLOPE * scale
+    in_row = np.abs(by_p) > MIN_SLOPE * scale
     places = list(moved)
     drawn = {k: location for k, location in enumerate(moved) if location is not None}
     for k in range(len(places)):
         rows = np.flatnonzero(in_row[:, k])
         sharing = [j for j in drawn if in_row[rows, j].any()]
         points = {tuple(np.round(drawn[j] / SAME_PLACE)) for j in sharing}
-        if k not in drawn and 1 <= len(points) <= MOST_ENDS:
+        if k not in drawn and 1 <= len(points) <= MAX_ENDS:
             places[k] = np.array(sorted(points)).mean(axis=0) * SAME_PLACE
     return places
 
@@ -145,7 +145,7 @@ PACKAGES = (
 )
 #: significant digits of displayed values: enough for any reading, and none of the
 #: rounding noise of unit conversion
-DIGITS = 12
+CONVERSION_DIGITS = 12
 
 
 def machine_info(machine: Machine) -> MachineInfo:
@@ -328,4 +328,4 @@ def _points(line: Array) -> list[list[float]]:
 
 
 def _displayed_value(value: float, unit: str) -> float:
-    return float(f"{float(units.from_si(value, unit)):.{DIGITS}g}")
+    return float(f"{float(units.from_si(value, unit)):.{CONVERSION_DIGITS}g}")

@@ -23,7 +23,7 @@ from pkm_studies.base import Location
 
 FILE = "posterior.nc"
 #: difference of two nominal numbers, in their unit and relative, that is rounding
-SAME = 1e-9
+ROUNDING = 1e-9
 
 
 def machine_difference(stored: MachineInfo, machine: Machine) -> str | None:
@@ -37,7 +37,9 @@ def machine_difference(stored: MachineInfo, machine: Machine) -> str | None:
     for row in stored.parameters:
         name = str(row["name"])
         value = nominal.pop(name, math.nan)
-        if not math.isclose(value, float(row["nominal"]), rel_tol=SAME, abs_tol=SAME):
+        if not math.isclose(
+            value, float(row["nominal"]), rel_tol=ROUNDING, abs_tol=ROUNDING
+        ):
             return f"{name} = {value:.9g} for {float(row['nominal']):.9g} {row['unit']}"
     return None
 

@@ -39,7 +39,7 @@ from pkm_studies.tables import ClaimTable, StudyFile
 #: numbers of result.json that are in the `unit` which stands beside them
 IN_UNIT = ("rms", "rms_raw", "p95", "max", "value", "sd", "mean", "q025", "q975")
 #: most characters of a measured text
-LONGEST = 200
+MAX_TEXT_CHARACTERS = 200
 
 
 def check_claims(
@@ -72,7 +72,7 @@ def check_claim(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Clai
     try:
         value = value_at(result, table.of)
     except LookupError as error:
-        measured = shorten(str(error), LONGEST)
+        measured = shorten(str(error), MAX_TEXT_CHARACTERS)
         return Claim(claim=name, measured=measured, wanted=wanted, met=False)
     return Claim(
         claim=name,
@@ -176,10 +176,12 @@ def _measured(value: object, wanted: str | None = None) -> float | str:
     if wanted is not None:
         for sentence in _texts(value):
             if wanted in sentence:
-                start = max(0, sentence.index(wanted) - LONGEST // 4)
+                start = max(0, sentence.index(wanted) - MAX_TEXT_CHARACTERS // 4)
                 lead = "... " if start else ""
-                return shorten(lead + sentence[start:], LONGEST)
-    return shorten(value if isinstance(value, str) else json.dumps(value), LONGEST)
+                return shorten(lead + sentence[start:], MAX_TEXT_CHARACTERS)
+    return shorten(
+        value if isinstance(value, str) else json.dumps(value), MAX_TEXT_CHARACTERS
+    )
 
 
 def _texts(value: object) -> Iterator[str]:
@@ -218,9 +220,9 @@ def _is_met(table: ClaimTable, value: object) -> bool:
 
 
 #: share of the error below which an improvement is not worth a sentence
-WORTH = 0.02
+MIN_WORTHWHILE_IMPROVEMENT = 0.02
 #: sentences on what to improve
-MOST_ADVICE = 2
+MAX_ADVICE = 2
 #: improvements in words, by kind of line
 IMPROVEMENTS = {
     "prior": "half the tolerances of the machine's parameters",
@@ -264,9 +266,9 @@ def improvements(
     ranked.sort(key=lambda entry: entry[0])
     best: dict[str, Values] = {}
     for gain, improvement, after in ranked:
-        if gain < 1.0 - WORTH:
+        if gain < 1.0 - MIN_WORTHWHILE_IMPROVEMENT:
             best.setdefault(improvement, after)  # several lines may have the same one
-    return [*best.items()][:MOST_ADVICE]
+    return [*best.items()][:MAX_ADVICE]
 
 
 def error_ratio(changed: Values, whole: Values, components: Mapping[str, str]) -> float:
@@ -298,7 +300,7 @@ def error_quantities(values: Values, components: Mapping[str, str]) -> str:
 
 
 #: bytes of the largest result that is read
-LIMIT = 1 << 28
+MAX_BYTES = 1 << 28
 
 
 class BadFitError(Exception):
@@ -324,7 +326,7 @@ def load_result(folder: Path) -> StudyResult:
 def read_result(path: Path) -> StudyResult:
     """The result in a file, as it stands there. Raises InputError as `load_result`."""
     text, location = (
-        files.read_text(path, limit=LIMIT, what="result"),
+        files.read_text(path, limit=MAX_BYTES, what="result"),
         Location(str(path)),
     )
     try:

@@ -33,7 +33,7 @@ MARK = "study_sweep"
 #: environment variable that the processes of pytest-xdist have
 WORKER = "PYTEST_XDIST_WORKER"
 #: characters of a value in the name of a test
-LONGEST = 30
+MAX_VALUE_CHARACTERS = 30
 
 
 class Combination(NamedTuple):
@@ -185,7 +185,7 @@ def _short(value: Any) -> str:
                 return str(value[key])
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         return "+".join(_short(entry) for entry in value)
-    return str(value)[:LONGEST]
+    return str(value)[:MAX_VALUE_CHARACTERS]
 
 
 # -- results ---------------------------------------------------------------------------

@@ -172,7 +172,7 @@ def test_a_long_file_is_read_to_its_end(
 ) -> None:
     """Parts as small as here never end a line by themselves."""
     monkeypatch.setattr(feed, "PAUSE", 0.001)
-    monkeypatch.setattr(feed, "MOST_BYTES", 64)
+    monkeypatch.setattr(feed, "MAX_STREAM_BYTES", 64)
     path = tmp_path / "gauge.csv"
     old = "no;length_mm\n" + "".join(f"{k};300.{k}\n" for k in range(500))
     path.write_text(old, encoding="utf-8")
@@ -188,7 +188,7 @@ def test_a_line_that_is_too_long_is_passed_over_and_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No part of it is a line of its own, and the next one counts."""
-    monkeypatch.setattr(feed, "MOST_BYTES", 3 * feed.LONGEST)
+    monkeypatch.setattr(feed, "MAX_STREAM_BYTES", 3 * feed.MAX_LINE_BYTES)
     monkeypatch.setattr(feed, "PAUSE", 0.001)
     offers: list[Offer] = []
     path = tmp_path / "gauge.txt"
@@ -196,11 +196,11 @@ def test_a_line_that_is_too_long_is_passed_over_and_said(
     followed = Feed(str(path), r"^L (?P<length_mm>[\d.]+)", offers.append)
     followed.start()
     time.sleep(0.1)
-    long = "L 1.5" + "9" * 4 * feed.LONGEST + "\nL 300"
+    long = "L 1.5" + "9" * 4 * feed.MAX_LINE_BYTES + "\nL 300"
     with path.open("a", encoding="utf-8") as file:
         file.write(long)
     wait(lambda: followed.problem)
-    assert f"more than {feed.LONGEST} bytes" in followed.problem
+    assert f"more than {feed.MAX_LINE_BYTES} bytes" in followed.problem
     with path.open("a", encoding="utf-8") as file:
         file.write(".5\n")
     wait(lambda: offers)

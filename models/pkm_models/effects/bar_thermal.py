@@ -26,11 +26,11 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     measured, warm, second = terms.warm_up(state, "bar", tau)
     name, long = bar.label(state), bar.length(state) or bar.NOMINAL_LENGTH
     unit, scale = (
-        ("per kelvin", terms.STEEL)
+        ("per kelvin", terms.STEEL_EXPANSION)
         if measured
-        else ("rise", TEMPERATURE_RISE * terms.STEEL)
+        else ("rise", TEMPERATURE_RISE * terms.STEEL_EXPANSION)
     )
-    hand, most = "held", TEMPERATURE_RISE * terms.STEEL
+    hand, most = "held", TEMPERATURE_RISE * terms.STEEL_EXPANSION
     forms = {
         unit: (scale, warm),
         f"{unit} second": (terms.SHAPE_SHARE * scale, second),

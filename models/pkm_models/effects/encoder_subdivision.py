@@ -12,13 +12,13 @@ from collections.abc import Iterable
 from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-SHARE = 0.005  # of the period
+PERIOD_SHARE = 0.005  # of the period
 PERIODS = (10e-6, 20e-6, 30e-6, 40e-6, 100e-6, 200e-6, 1e-3, 2e-3, 5e-3)
 
 
 def columns(state: State, period: float) -> Iterable[Column]:
     """Sine and cosine of the place within a period a leg; shape: two in a period."""
-    return terms.harmonics(state, period, SHARE * period)
+    return terms.harmonics(state, period, PERIOD_SHARE * period)
 
 
 effect = Effect(

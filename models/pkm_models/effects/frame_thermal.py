@@ -21,9 +21,9 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     """
     measured, warm, second = terms.warm_up(state, "frame", tau)
     unit, scale, strain = (
-        ("per kelvin", terms.STEEL, 1.0)
+        ("per kelvin", terms.STEEL_EXPANSION, 1.0)
         if measured
-        else ("rise", TEMPERATURE_RISE, terms.STEEL)
+        else ("rise", TEMPERATURE_RISE, terms.STEEL_EXPANSION)
     )
     away = state.base - state.base.mean(axis=1, keepdims=True)
     flat = away * np.array([1.0, 1.0, 0.0])

@@ -15,14 +15,14 @@ from oed.model import Machine
 from pkm_models.effects import natures, terms
 
 #: amplitude, rad: 20 um of runout at a radius of 50 mm, half of it either way
-TURN = 2e-4
+ANGLE_AMPLITUDE = 2e-4
 #: turns of a wheel a turn of the joint: the output wheel, and usual single stages
 RATIOS = (1.0, 3.0, 5.0, 7.0, 10.0, 20.0, 30.0, 50.0, 100.0)
 
 
 def columns(state: State, ratio: float) -> Iterable[Column]:
     """Sine and cosine of the wheel's angle a leg; shape: twice a turn."""
-    return terms.harmonics(state, 2.0 * math.pi / ratio, TURN)
+    return terms.harmonics(state, 2.0 * math.pi / ratio, ANGLE_AMPLITUDE)
 
 
 def unfit(machine: Machine) -> str | None:

@@ -21,7 +21,9 @@ RUNOUT = 4e-6  # m
 SLIGHT = terms.SHAPE_SHARE  # of runout
 #: harmonics of the joint's angle that its centre wanders by along the leg, and their
 #: share of runout: twice a turn first, once what the geometry leaves of it
-ALONG = {2: 1.0, 1: SLIGHT} | {order: 2.0 / order for order in (*range(3, 13), 16)}
+RUNOUT_BY_ORDER = {2: 1.0, 1: SLIGHT} | {
+    order: 2.0 / order for order in (*range(3, 13), 16)
+}
 #: and sideways, where only the slow ones show
 SIDEWAYS = {1: SLIGHT, 2: 1.0, 3: SLIGHT}
 
@@ -42,7 +44,7 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
         *(np.einsum("mjk,mjk->mj", state.strut_direction, axis) for axis in (way, up))
     )
     ways = {
-        "": (state.joint_per_length, ALONG),
+        "": (state.joint_per_length, RUNOUT_BY_ORDER),
         "sideways ": (terms.joint_change(state, aside), SIDEWAYS),
     }
     for i, (kind, (amount, shares)) in itertools.product(state.limbs, ways.items()):

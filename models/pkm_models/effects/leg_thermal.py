@@ -27,9 +27,9 @@ def columns(state: State, tau: float) -> Iterable[Column]:
             state, sensor if sensor in state.temperature else "leg", tau
         )
         unit, scale, strain = (
-            ("per kelvin", terms.STEEL, 1.0)
+            ("per kelvin", terms.STEEL_EXPANSION, 1.0)
             if measured
-            else ("rise", TEMPERATURE_RISE, terms.STEEL)
+            else ("rise", TEMPERATURE_RISE, terms.STEEL_EXPANSION)
         )
         strut, stays = (
             state.joint_per_length[:, i] * length

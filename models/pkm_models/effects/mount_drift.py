@@ -12,13 +12,13 @@ from pkm_models.effects import natures, terms
 #: expected creep of a mount in a session, m
 CREEP = 5e-6
 #: expected turn of a mount in a session, rad
-TURN = 10e-6
+CREEP_ANGLE = 10e-6
 #: unknowns of set-ups that a mount has
 ANGLES = (*(f"turn_{k}" for k in "xyz"), "tilt")
 UNKNOWNS = {
     **{f"{name}_{k}": CREEP for name in ("cup", "shift") for k in "xyz"},
     "offset": CREEP,
-    **dict.fromkeys(ANGLES, TURN),
+    **dict.fromkeys(ANGLES, CREEP_ANGLE),
 }
 #: readings of instruments without such unknowns: a displacement, of a laser or
 #: micrometer

@@ -17,7 +17,7 @@ from oed.base import Array
 from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, references
 
-LOBES = 1e-6  # m, in a lateral contact
+LOBING = 1e-6  # m, in a lateral contact
 HARMONICS = (2, 3)
 PROBES = ("height_probe", "height_probe_tilted_bed", "contact_probe")
 
@@ -32,7 +32,7 @@ def columns(state: State) -> Iterable[Column]:
             wave = wave * (1.0 + (-1.0) ** harmonic)
         for name, form in (("cos", wave.real), ("sin", wave.imag)):
             yield Column(
-                f"{block} {name} {harmonic}", LOBES, block, reading={channel: form}
+                f"{block} {name} {harmonic}", LOBING, block, reading={channel: form}
             )
 
 

@@ -16,14 +16,14 @@ from oed.effect_model import Column, Effect, State
 from oed.model import Machine
 from pkm_models.effects import natures, terms
 
-TURN = 3e-6  # m, amplitude
+AMPLITUDE = 3e-6  # m, amplitude
 LEADS_MM = (3, 4, 5, 6, 8, 10, 12, 15, 16, 20, 25, 30, 32, 40, 50)
 LEADS = tuple(1e-3 * lead for lead in LEADS_MM)
 
 
 def columns(state: State, pitch: float) -> Iterable[Column]:
     """Sine and cosine of the screw's angle a leg; shape: twice a turn."""
-    return terms.harmonics(state, pitch, TURN)
+    return terms.harmonics(state, pitch, AMPLITUDE)
 
 
 def unfit(machine: Machine) -> str | None:

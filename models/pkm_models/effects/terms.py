@@ -16,7 +16,7 @@ from oed.effect_model import Column, State
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
 
-STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
+STEEL_EXPANSION = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
 #: time constants of warming up, s: a motor's housing half an hour, a machine frame four
 #: hours (ISO 230-3, annex)
 TIME_CONSTANTS = (1800.0, 3600.0, 7200.0, 14400.0)
@@ -32,7 +32,7 @@ CORRELATION_LENGTH = 0.5
 N_CURVES = 10
 #: least part of a joint's whole travel over which its error is a curve of its own
 MIN_TRAVEL_SHARE = 0.25
-REMEMBERED = 32
+CACHE_SIZE = 32
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def travel(machine: Machine) -> Travel:
     )
 
 
-@functools.lru_cache(maxsize=REMEMBERED)
+@functools.lru_cache(maxsize=CACHE_SIZE)
 def _remembered(key: _Key) -> Travel:
     return _travel(key.machine)
 

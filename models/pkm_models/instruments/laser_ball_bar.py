@@ -37,19 +37,18 @@ show. A readings file gives them as q1_mm, q2_mm, q3_mm.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
 
+from oed import units
 from oed.base import Array, direction
 from oed.instrument import Channel, Cost, Frame, InnerReading, Instrument, Setting
 from oed.model import Expr, Values
 from pkm_models.instruments import registration
 
 SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"
-ARCSEC = math.pi / 648000.0
 ORIENTATION = direction(("x", "read_alpha"), ("y", "read_beta"))
 FRAMES = (
     f"{ORIENTATION.formula} = (sin beta, -sin alpha cos beta, cos alpha cos beta), from"
@@ -72,7 +71,9 @@ SETTINGS = (
         for n in "xyz"
     ),
     Setting("range_noise", "m", 0.3e-6, "standard deviation of R"),
-    Setting("angle_noise", "rad", 1.15 * ARCSEC, "standard deviation of theta and phi"),
+    Setting(
+        "angle_noise", "rad", 1.15 * units.ARCSEC, "standard deviation of theta and phi"
+    ),
 )
 BASELINE = Setting("baseline", "m", 0.100, "travel of the standard bar between A and B")
 

@@ -41,7 +41,7 @@ ZERO_TOLERANCE = {"rad": 10e-3, "m": 1e-3}
 LOCK_PLAY = {"rad": 20e-6, "m": 5e-6}
 #: tolerance of where a lock rests, by unit
 REST_TOLERANCE = {"rad": 10e-3, "m": 1e-3}
-SCALE = 1e-3
+SINE_SCALE = 1e-3
 #: the joint that the catalogue shows; a machine has its own
 EXAMPLE = PassiveJoint("swing1", "rad", 0.0, "a passive joint, as the machine names it")
 
@@ -100,7 +100,7 @@ def _sensor_unknowns(joint: PassiveJoint) -> tuple[Parameter, Parameter]:
             unit,
             f"zero of the sensor {name}",
         ),
-        Parameter(f"scale_{name}", 0.0, SCALE, "1", f"scale of the sensor {name}"),
+        Parameter(f"scale_{name}", 0.0, SINE_SCALE, "1", f"scale of the sensor {name}"),
     )
 
 

@@ -24,10 +24,10 @@ NAME = "hexapod_rus"
 CENTRES = families.ring(0.250, (-15, 15, 105, 135, 225, 255), 0.0)
 PLATFORM = families.ring(0.200, (-45, 45, 75, 165, 195, 285), 0.0)
 #: cranks swing in upright planes through the machine's axis, outward at angle 0
-FIRST = CENTRES / 0.250
+SWINGS = CENTRES / 0.250
 DIMENSIONS = (
     *cranks.dimensions(
-        CENTRES, np.cross(FIRST, (0.0, 0.0, 1.0)), FIRST, 0.120, 0.370, -1.0
+        CENTRES, np.cross(SWINGS, (0.0, 0.0, 1.0)), SWINGS, 0.120, 0.370, -1.0
     ),
     Dimension("platform", "m", (6, 3), PLATFORM, legs.PLATFORM),
     *legs.ranges_dimensions((0.0, 0.0, 0.340), 0.030, math.radians(8.0)),

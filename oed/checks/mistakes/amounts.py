@@ -28,7 +28,7 @@ from oed.measurement import Series
 #: log prior of another factor in part of a set-up: it belongs to the instrument
 PART_LOG_PRIOR = -3.0
 #: tolerances to which that of a number is widened which may be wrong
-WIDENING = 50.0
+WIDENED_TOLERANCES = 50.0
 #: words of a reading that is below and above what it should be, by SI unit
 SIZE_WORDS = {"m": ("short", "long"), "rad": ("small", "large")}
 #: stretches of rows inside a run, the likeliest of each channel, that are tried
@@ -242,7 +242,7 @@ def _set_up_again(
         session.measurement, [setup], lambda one: {"station": ""}
     )
     again = measurement.setups[setup + AGAIN_SUFFIX]
-    unknowns = {f"{again.name}.{n.name}": WIDENING for n in again.nuisances}
+    unknowns = {f"{again.name}.{n.name}": WIDENED_TOLERANCES for n in again.nuisances}
     wider = dataclasses.replace(session, measurement=measurement, wider=unknowns)
 
     def moved(series: Series) -> Series:
@@ -264,7 +264,9 @@ def _sizes(data: Suspect) -> Iterator[MistakeTrial]:
 
 def _size(data: Suspect, k: int, column: int) -> MistakeTrial:
     parameter = data.session.measurement.parameters[k]
-    wider = dataclasses.replace(data.session, wider={parameter.name: WIDENING})
+    wider = dataclasses.replace(
+        data.session, wider={parameter.name: WIDENED_TOLERANCES}
+    )
 
     def text(amounts: Array, sd: Array) -> str:
         size = amount(amounts[0], sd[0], units.display(parameter.unit))
@@ -281,7 +283,7 @@ def _size(data: Suspect, k: int, column: int) -> MistakeTrial:
         session=wider,
         estimated=lambda solution: solution.parameter(parameter.name),
         family=f"size {parameter.name}",
-        columns=(WIDENING * data.slopes[:, column])[:, None],
+        columns=(WIDENED_TOLERANCES * data.slopes[:, column])[:, None],
     )
 
 

@@ -121,7 +121,7 @@ def effect_forms(
 #: probability that a test finds a gap which is none
 FALSE_ALARM = 0.01
 #: probability that a test finds a gap, from which on the gap is found
-POWER = 0.90
+MIN_POWER = 0.90
 
 
 def power(lam: float, columns: int) -> float:
@@ -138,7 +138,7 @@ def needed_lambda(columns: int) -> float:
     """
 
     def excess(lam: float) -> float:
-        return power(lam, columns) - POWER
+        return power(lam, columns) - MIN_POWER
 
     return float(optimize.brentq(excess, 1e-6, 1e4))
 

@@ -40,7 +40,7 @@ VALUES_AT_ONCE = 250_000
 #: distinguish waves from their aliases
 IRREGULAR_PERIOD = 0.25
 #: longest period along a joint's travel as a share of it
-LONGEST_PERIOD = 3.0
+MAX_PERIOD = 3.0
 #: readings that a clock must have for its waves to mean something
 MIN_TICKS = 16
 #: places between two frequencies at which a peak is refined
@@ -162,7 +162,7 @@ def _travel_bands(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band
     joints = joints - joints.min(axis=(0, 1))
     for i, joint in enumerate(problem.measurement.machine.joints):
         clock = joints[:, :, i]
-        frequencies = _frequencies(clock[:, 0], LONGEST_PERIOD)
+        frequencies = _frequencies(clock[:, 0], MAX_PERIOD)
         if frequencies.size:
             unit = f"travel_{joint.unit}"
             yield Band(ALONG_TRAVEL, unit, clock, (legs[i],), frequencies)

@@ -286,9 +286,9 @@ MAX_LANES = 8
 #: instructions of the longest function that is compiled, in some ten seconds
 MAX_INSTRUCTIONS = 20_000
 #: state of a solved point in newton.h
-SOLVED = 1
+SOLVED_STATE = 1
 #: state of a point that ended with a short step
-NEAR = 2
+SHORT_STEP_STATE = 2
 #: bytes of a number
 NUMBER_SIZE = 8
 DOUBLE = np.dtype(float)
@@ -546,7 +546,9 @@ class Newton(_Lanes):
         limits = _limits(step_tolerance, longest)
         places = ctypes.addressof(limits), address(solutions), address(states)
         self._call(inputs, shape, *places)
-        return SolvedSystems(solutions, states == SOLVED, states == NEAR)
+        return SolvedSystems(
+            solutions, states == SOLVED_STATE, states == SHORT_STEP_STATE
+        )
 
 
 @functools.cache

@@ -22,7 +22,7 @@ from pkm_reports.page import document
 from pkm_reports.page.document import Content
 
 #: parameters up to which their covariance fits on a page
-MOST = 12
+MAX_COVARIANCE_PARAMETERS = 12
 
 
 def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
@@ -117,7 +117,7 @@ def _parameters(c: Certificate) -> list[Block]:
     ]
     caption = "Identified parameters. U: expanded uncertainty, coverage factor 2."
     blocks: list[Block] = [Table(columns, rows, caption)]
-    if len(c.parameters) > MOST:
+    if len(c.parameters) > MAX_COVARIANCE_PARAMETERS:
         blocks.append(Paragraph("certificate.xml has their covariance matrix."))
         return blocks
     blocks.append(_covariance(c))

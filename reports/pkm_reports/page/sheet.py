@@ -46,20 +46,20 @@ def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
 
 
 #: rows on the sheet; all readings are in poses.csv
-MOST_ROWS: Final = 120
+MAX_ROWS: Final = 120
 #: parts of a table side by side, and the columns that fit beside one another
-MOST_PARTS: Final = 4
+MAX_PARTS: Final = 4
 COLUMNS_ACROSS: Final = 20
 #: rows of a part from which a table is split
-SHORTEST_PART: Final = 6
+MIN_PART: Final = 6
 #: height of the tables of a page, and of a row: least and most, mm
 PAGE_HEIGHT: Final = 240.0
-LEAST_ROW: Final = 4.3
-MOST_ROW: Final = 7.0
+MIN_ROW_HEIGHT: Final = 4.3
+MAX_ROW_HEIGHT: Final = 7.0
 #: height of the text above a stage and above a set-up, mm
 STAGE_HEIGHT: Final = 8.0
 SETUP_HEIGHT: Final = 10.0
-LONGEST_RUN: Final = 12  # characters
+MAX_RUN_CHARACTERS: Final = 12  # characters
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ def write_sheet(
 def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
     """The sheet as text: stages of tables."""
     settings = {setup.name: _settings(setup) for setup in result.setups}
-    stages, room, also = [], MOST_ROWS, _covariates(result)
+    stages, room, also = [], MAX_ROWS, _covariates(result)
     for title, setups in _stages(result, poses):
         tables = []
         for name in setups:
@@ -184,7 +184,7 @@ def _table(
     runs = [pose.run for pose in poses]
     if len(set(runs)) > 1:
         titles.append("Run")
-        cells.append([shorten(run, LONGEST_RUN) for run in runs])
+        cells.append([shorten(run, MAX_RUN_CHARACTERS) for run in runs])
     named = []
     for pose in poses:
         # joints that are to be recorded have cells to write in instead
@@ -225,7 +225,7 @@ def _rows_per_part(rows: int, width: int) -> int:
 
     A cell to write in takes the width of two columns, so it counts twice.
     """
-    parts = min(MOST_PARTS, COLUMNS_ACROSS // width, math.ceil(rows / SHORTEST_PART))
+    parts = min(MAX_PARTS, COLUMNS_ACROSS // width, math.ceil(rows / MIN_PART))
     return max(1, math.ceil(rows / max(1, parts)))
 
 
@@ -251,4 +251,4 @@ def _row_height(stages: Sequence[SheetStage]) -> float:
     lines = sum(table.lines for table in tables)
     headings = STAGE_HEIGHT * len(stages) + SETUP_HEIGHT * len(tables)
     height = (PAGE_HEIGHT - headings) / max(lines, 1)
-    return round(min(MOST_ROW, max(LEAST_ROW, height)), 2)
+    return round(min(MAX_ROW_HEIGHT, max(MIN_ROW_HEIGHT, height)), 2)

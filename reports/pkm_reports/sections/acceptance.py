@@ -254,7 +254,7 @@ def _residual_panel(axes: Axes, entry: HeldOutSection) -> None:
 
 # Chapter: readings held out of the fit, and how well the fit predicts them.
 
-LEAST_COVERAGE: Final = 0.85
+MIN_COVERAGE: Final = 0.85
 CAPTION: Final = (
     "Prediction of held-out readings. A new set-up has unknowns of its own (an offset, a"
     " scale). The first rms adjusts them to its readings; the second leaves them at"
@@ -294,7 +294,7 @@ def _set_name(entry: HeldOutSection) -> str:
 
 
 def _is_covered(entry: HeldOutSection) -> bool:
-    return entry.coverage >= LEAST_COVERAGE
+    return entry.coverage >= MIN_COVERAGE
 
 
 def _coverage_table(sets: Sequence[HeldOutSection]) -> Table:

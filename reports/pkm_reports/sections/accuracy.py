@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 # Which commands of a pose are the axes of a map, and which one makes its panels.
 
 POLAR: Final = ("psi_deg", "theta_deg")
-MOST_LEVELS: Final = 4
+MAX_LEVELS: Final = 4
 #: levels from which a command is not a stack of layers but a cloud
-CLOUD: Final = 8
+MIN_CLOUD_LEVELS: Final = 8
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -73,22 +73,22 @@ def choose_layout(commands: Mapping[str, Array]) -> MapLayout:
     if not others:
         return MapLayout(across, up, None, [np.nan])
     levels = np.unique(commands[others[0]])
-    if len(levels) > CLOUD:
+    if len(levels) > MIN_CLOUD_LEVELS:
         return MapLayout(across, up, None, [np.nan])
-    spaced = np.linspace(0, len(levels) - 1, min(MOST_LEVELS, len(levels)))
+    spaced = np.linspace(0, len(levels) - 1, min(MAX_LEVELS, len(levels)))
     picked = np.unique(spaced.round().astype(int))
     return MapLayout(across, up, others[0], levels[picked].tolist())
 
 
 # Error after compensation over the workspace, as a map for each component.
 
-MOST_ROWS: Final = 3
+MAX_ROWS: Final = 3
 #: decimals to which commands are compared
-DECIMALS: Final = 9
+COMMAND_DECIMALS: Final = 9
 #: share of a grid's cells from which the poses count as a grid
-FILLED: Final = 0.4
+MIN_GRID_SHARE: Final = 0.4
 #: factor between the errors from which colours are logarithmic
-WIDE: Final = 6.0
+LOG_COLOUR_MIN_RANGE: Final = 6.0
 QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
 
 
@@ -123,7 +123,7 @@ def shown_components(prediction: PredictionSection) -> list[str]:
     """Up to three components, those that the controller can correct if there are any."""
     components = prediction.components
     correctable = [name for name, c in components.items() if c.compensatable]
-    return (correctable or list(components))[:MOST_ROWS]
+    return (correctable or list(components))[:MAX_ROWS]
 
 
 def component_errors(prediction: PredictionSection, name: str) -> Array:
@@ -182,7 +182,7 @@ def _norm(values: Array) -> Normalize:
     high = float(np.nanmax(values, initial=-np.inf))
     if not np.isfinite(low):
         return Normalize(0.0, 1.0)
-    if low > 0.0 and high > WIDE * low:
+    if low > 0.0 and high > LOG_COLOUR_MIN_RANGE * low:
         return LogNorm(low, high)
     return Normalize(min(low, 0.8 * high), high if high > low else low + 1.0)
 
@@ -215,10 +215,10 @@ def _cells(
     across: Array, up: Array, values: Array
 ) -> tuple[Array, Array, Array] | None:
     """Cell edges and a grid of values with gaps as NaN; None where there is no grid."""
-    across, up = across.round(DECIMALS), up.round(DECIMALS)
+    across, up = across.round(COMMAND_DECIMALS), up.round(COMMAND_DECIMALS)
     xs, ys = np.unique(across), np.unique(up)
     cells = len(xs) * len(ys)
-    if min(len(xs), len(ys)) < 2 or len(values) < FILLED * cells:
+    if min(len(xs), len(ys)) < 2 or len(values) < MIN_GRID_SHARE * cells:
         return None
     grid = np.full((len(ys), len(xs)), np.nan)
     grid[np.searchsorted(ys, up), np.searchsorted(xs, across)] = values
@@ -763,7 +763,7 @@ def _tools(tools: Sequence[ToolAccuracy]) -> Table:
 
 
 #: size of a share below which it is no more than that
-TINY: Final = 1e-3
+MIN_SHARE: Final = 1e-3
 Component_ = Mapping[str, ComponentAccuracy]
 #: what each kind of line is
 LINE_KINDS: Final = {
@@ -831,7 +831,7 @@ def _lines(section: BudgetSection, units: Mapping[str, str]) -> Table:
             share = line.share[name]
             shown = (
                 f"under 0.1{text.NO_BREAK}%"
-                if 0 < abs(share) < TINY
+                if 0 < abs(share) < MIN_SHARE
                 else text.percent(share)
             )
             row += [text.number(line.size[name]), shown]

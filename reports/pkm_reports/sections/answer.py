@@ -173,9 +173,9 @@ def _agreement(result: StudyResult) -> list[str]:
 MAX_CAUSES: Final = 5
 MAX_COEFFICIENTS: Final = 3
 #: probability below which an effect that is not selected is no cause to list
-UNLIKELY: Final = 0.05
+MIN_LISTED_PROBABILITY: Final = 0.05
 #: standard deviations from which a coefficient counts as a size
-CLEAR: Final = 2.0
+MIN_COEFFICIENT_DEVIATIONS: Final = 2.0
 
 
 def cause_blocks(result: StudyResult) -> list[Block]:
@@ -203,7 +203,7 @@ def _ranked_causes(gap: GapSection) -> list[str]:
     others = [
         name
         for name in sorted(gap.marginal, key=lambda n: -gap.marginal[n])
-        if name not in gap.selected and gap.marginal[name] >= UNLIKELY
+        if name not in gap.selected and gap.marginal[name] >= MIN_LISTED_PROBABILITY
     ]
     return [*selected, *others][:MAX_CAUSES]
 
@@ -259,7 +259,9 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
     clear = {
         name.partition(": ")[2]: e
         for name, e in corrected.effects.items()
-        if e.effect == effect and abs(e.value) > CLEAR * e.sd and not e.shape
+        if e.effect == effect
+        and abs(e.value) > MIN_COEFFICIENT_DEVIATIONS * e.sd
+        and not e.shape
     }
     order = sorted(clear, key=lambda name: -abs(clear[name].value))
     phrases = [_coefficient(name, clear[name]) for name in order[:MAX_COEFFICIENTS]]

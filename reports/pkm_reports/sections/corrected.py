@@ -28,7 +28,7 @@ from pkm_reports.sections.accuracy import spread_figures
 from pkm_reports.sections.gap_figures import spoken
 
 #: coefficients in standard deviations from which on they are listed
-CLEAR: Final = 2.0
+MIN_COEFFICIENT_DEVIATIONS: Final = 2.0
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -100,7 +100,7 @@ def _effects(effects: Mapping[str, EffectEstimate]) -> Table:
     clear = {
         name: e
         for name, e in effects.items()
-        if not e.shape or abs(e.value) > CLEAR * e.sd
+        if not e.shape or abs(e.value) > MIN_COEFFICIENT_DEVIATIONS * e.sd
     }
     columns = [
         TableColumn("Coefficient"),
@@ -117,7 +117,7 @@ def _effects(effects: Mapping[str, EffectEstimate]) -> Table:
     ]
     caption = (
         "Coefficients of the effects: those of the textbook's form, and others beyond"
-        f" {CLEAR:.0f} standard deviations. Expected: prior standard deviation."
+        f" {MIN_COEFFICIENT_DEVIATIONS:.0f} standard deviations. Expected: prior standard deviation."
     )
     return Table(columns, rows, caption)
 

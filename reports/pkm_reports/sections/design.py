@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # The robust and the nominal plan over the scenarios, as cumulative distributions.
 
 #: factor between the limits from which the axis is logarithmic
-WIDE = 8.0
+LOG_AXIS_MIN_RANGE = 8.0
 
 
 def draw_robust(robust: RobustSummary) -> Figure:
@@ -67,7 +67,7 @@ def draw_robust(robust: RobustSummary) -> Figure:
     axes.set_ylabel("share of the scenarios [%]")
     axes.set_ylim(0.0, 104.0)
     low, high = axes.get_xlim()
-    if low > 0.0 and high > WIDE * low:
+    if low > 0.0 and high > LOG_AXIS_MIN_RANGE * low:
         style.log_axis(axes, "x")
     style.legend_below(figure, style.legend_entries([axes]))
     return figure
@@ -97,8 +97,8 @@ def _distribution(
 
 # Accuracy over the number of readings, with the bound for each number.
 
-MOST_COLUMNS: Final = 3
-MOST_TICKS: Final = 5
+MAX_COLUMNS: Final = 3
+MAX_TICKS: Final = 5
 
 
 def draw_how_many(summary: HowManySummary) -> Figure:
@@ -113,7 +113,7 @@ def draw_how_many(summary: HowManySummary) -> Figure:
         return style.empty(
             "No accuracy over the number of readings is stored in this result."
         )
-    columns = 2 if len(names) == 4 else min(MOST_COLUMNS, len(names))
+    columns = 2 if len(names) == 4 else min(MAX_COLUMNS, len(names))
     rows = math.ceil(len(names) / columns)
     figure = style.figure(0.65 + (2.6 if columns == 1 else 2.05) * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -164,9 +164,9 @@ def _bound(
 
 def _ticks(sizes: Array) -> Sequence[float]:
     """A few of the sizes, evenly apart on a log axis, both ends among them."""
-    if len(sizes) <= MOST_TICKS:
+    if len(sizes) <= MAX_TICKS:
         return [float(n) for n in sizes]
-    places = np.geomspace(sizes[0], sizes[-1], MOST_TICKS)
+    places = np.geomspace(sizes[0], sizes[-1], MAX_TICKS)
     nearest = [int(np.argmin(np.abs(np.log(sizes / size)))) for size in places]
     return sorted({float(sizes[k]) for k in nearest})
 
@@ -557,9 +557,9 @@ def _refusals(design: DesignSection) -> list[Block]:
 # Efficiency of the design for each criterion by all others, as a shaded table.
 
 #: share of the colour scale above which letters are white
-DARK: Final = 0.55
+WHITE_LETTER_MIN_SHADE: Final = 0.55
 #: least |log ratio| from which a number of directions is computed
-LEAST_LOG: Final = 1e-4
+MIN_LOG: Final = 1e-4
 
 
 def draw_efficiencies(design: DesignSection) -> Figure:
@@ -568,7 +568,7 @@ def draw_efficiencies(design: DesignSection) -> Figure:
     if not np.isfinite(table).any():
         return style.empty("No designs for further criteria are stored in this result.")
     names = [entry.name for entry in design.compared]
-    width = min(style.WIDTH, 2.6 + 0.62 * len(names))
+    width = min(style.FIGURE_WIDTH, 2.6 + 0.62 * len(names))
     figure = style.figure(0.75 + 0.3 * len(names), width)
     axes = figure.subplots()
     low = min(0.5, math.floor(10.0 * float(np.nanmin(table))) / 10.0)
@@ -639,7 +639,7 @@ def _counted_directions(
 
 def _directions_from(difference: float, ratio: float) -> float:
     """Directions for which a difference of log det is a ratio of phi; NaN if unclear."""
-    if not ratio > 0.0 or abs(math.log(ratio)) <= LEAST_LOG:
+    if not ratio > 0.0 or abs(math.log(ratio)) <= MIN_LOG:
         return math.nan
     return difference / math.log(ratio)
 
@@ -647,7 +647,7 @@ def _directions_from(difference: float, ratio: float) -> float:
 def _write_percentages(axes: Axes, table: Array, low: float) -> None:
     """Percentages in the cells; a dash where there is none."""
     for (i, j), share in np.ndenumerate(table):
-        dark = (share - low) / (1.0 - low) > DARK
+        dark = (share - low) / (1.0 - low) > WHITE_LETTER_MIN_SHADE
         ink = style.INK if np.isfinite(share) else style.GREY
         letters: Any = {"ha": "center", "va": "center", "fontsize": 7.5}
         letters["color"] = "white" if dark else ink

@@ -69,7 +69,7 @@ def draw_circles(traces: Sequence[Trace]) -> Figure:
     if not drawn:
         return style.empty("No run of these readings is a circle.")
     rows: list[When] = ["before", "after"] if explains(traces) else ["before"]
-    width = min(style.WIDTH, 2.25 * len(drawn) + 0.4)
+    width = min(style.FIGURE_WIDTH, 2.25 * len(drawn) + 0.4)
     figure = style.figure(0.5 + 2.3 * len(rows), width=width)
     polar: Any = {"projection": "polar"}
     shape = (len(rows), len(drawn))
@@ -186,10 +186,10 @@ def _round_size(largest: float) -> float:
 #: two axes of the base frame to look along: across and up
 View = tuple[int, int]
 #: extent of an axis, as a share of the largest, from which it has a view of its own
-FLAT: Final = 0.05
+MIN_EXTENT: Final = 0.05
 AXES: Final = ("x", "y", "z")
 #: inches of a row: for a square view, and limits
-ROW_HEIGHT, LOWEST_ROW, HIGHEST_ROW = 2.5, 1.2, 2.6
+ROW_HEIGHT, MIN_ROW, MAX_ROW = 2.5, 1.2, 2.6
 #: quantile of the residuals that ends the colour scale
 TOP_QUANTILE: Final = 0.98
 
@@ -207,7 +207,7 @@ def draw_map(spots: Sequence[Spot], unit: str) -> Figure:
     columns = _columns(spots)
     pairs = map_views(places)
     heights = [_row_height(places, pair) for pair in pairs]
-    width = style.WIDTH if len(columns) > 1 else 0.6 * style.WIDTH
+    width = style.FIGURE_WIDTH if len(columns) > 1 else 0.6 * style.FIGURE_WIDTH
     figure = style.figure(0.5 + sum(heights), width=width)
     shape = (len(pairs), len(columns))
     grid = figure.subplots(*shape, squeeze=False, height_ratios=heights)
@@ -249,7 +249,7 @@ def map_views(places: Array) -> list[View]:
     """Pairs of axes to look along; two where the places (n, 3) fill the space."""
     spread = np.ptp(places, axis=0)
     order = [int(k) for k in np.argsort(-spread, kind="stable")]
-    if spread[order[2]] > FLAT * spread[order[0]]:
+    if spread[order[2]] > MIN_EXTENT * spread[order[0]]:
         return [(0, 1), (0 if spread[0] >= spread[1] else 1, 2)]
     across, up = sorted(order[:2])
     return [(across, up)]
@@ -258,7 +258,7 @@ def map_views(places: Array) -> list[View]:
 def _row_height(places: Array, view: View) -> float:
     """Inches of a row, so that lengths are alike both ways, within reason."""
     across, up = (max(float(np.ptp(places[:, k])), 1e-9) for k in view)
-    return float(np.clip(ROW_HEIGHT * up / across, LOWEST_ROW, HIGHEST_ROW)) + 0.35
+    return float(np.clip(ROW_HEIGHT * up / across, MIN_ROW, MAX_ROW)) + 0.35
 
 
 def _panel(
@@ -321,14 +321,14 @@ CHAPTER: Final = Chapter("gap", "Diagnosis: causes, location, remedy", blocks, p
 # -- where the gap lies: legs, set-ups, runs, times, directions ------------------------
 
 
-MOST_PLACES: Final = 8
+MAX_PLACES: Final = 8
 #: probability of an even share below which a place stands out
-SIGNIFICANT: Final = 0.05
+P_VALUE: Final = 0.05
 
 
 def _places(gap: GapSection) -> list[Block]:
     """Places with their share of the gap."""
-    places = gap.where[:MOST_PLACES]
+    places = gap.where[:MAX_PLACES]
     if not places or not gap.effect_reported:
         return []
     columns = [
@@ -343,7 +343,7 @@ def _places(gap: GapSection) -> list[Block]:
         " p: probability that the part holds no more than an even share; a small p singles"
         " it out. The parts overlap."
     )
-    marks = ["chosen" if record.p_value < SIGNIFICANT else "" for record in places]
+    marks = ["chosen" if record.p_value < P_VALUE else "" for record in places]
     return [Table(columns, rows, caption, marks)]
 
 
@@ -367,7 +367,7 @@ def _name(block: str) -> str:
 
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 #: share beyond which an end of an interval is not written in figures
-HIGHEST: Final = 1.0
+MAX_SHARE: Final = 1.0
 #: a gap of which no more than the noise is left
 ALL: Final = "all of it"
 #: share from which percent are rounded down, never up to the whole
@@ -428,7 +428,7 @@ def _interval(closure: ClosureRecord) -> str:
 
 def _end(value: float) -> str:
     """An end of an interval; far off what a share can be, it says no more than that."""
-    if value > HIGHEST:
+    if value > MAX_SHARE:
         return f"over 100{text.NO_BREAK}%"
     if value < ClosureRecord.MIN_STATED:
         return f"under {text.MINUS}100{text.NO_BREAK}%"
@@ -554,7 +554,7 @@ def _untested(gap: GapSection) -> list[Block]:
 # -- coefficients against the sizes expected of them -----------------------------------
 
 
-MOST_COEFFICIENTS: Final = 12
+MAX_COEFFICIENTS: Final = 12
 
 
 def _coefficients(gap: GapSection) -> list[Block]:
@@ -562,7 +562,7 @@ def _coefficients(gap: GapSection) -> list[Block]:
     ranked = sorted(
         gap.coefficients, key=lambda c: -abs(expected_sizes_text(c, c.value))
     )
-    shown = ranked[:MOST_COEFFICIENTS]
+    shown = ranked[:MAX_COEFFICIENTS]
     if not shown:
         return []
     columns = [
@@ -604,7 +604,7 @@ def expected_sizes_text(coefficient: CoefficientRecord, number: float) -> float:
 
 MAX_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names
-MANY: Final = 6
+MAX_NAMED: Final = 6
 #: what the probability of one effect is of
 MARGINALS: Final = (
     "Only sizes that these readings can show count. Effects that look alike share their"
@@ -692,7 +692,7 @@ def explanation_row(answer: AnswerRecord) -> list[str]:
         spoken(name)
         for group in answer.classes
         for name in group
-        if name not in answer.effects or len(group) >= MANY
+        if name not in answer.effects or len(group) >= MAX_NAMED
     ]
     others = text.listing(dict.fromkeys(aliases)) or text.MISSING
     return [_explanation(answer), text.percent(answer.probability), others]
@@ -702,7 +702,9 @@ def _explanation(answer: AnswerRecord) -> str:
     """The effects of an answer; one of a large class is not named before the others."""
     if answer.unseen >= answer.probability > 0.0:
         return "an effect too small for these readings to show"
-    sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
+    sizes = {
+        group[0]: len(group) for group in answer.classes if len(group) >= MAX_NAMED
+    }
     names = [_effect_name(name, sizes) for name in answer.effects]
     return text.listing(names) or "no effect: noise alone"
 
@@ -848,7 +850,7 @@ def _interval_text(ends: Sequence[float] | None) -> str:
 
 
 #: standard deviation over the value below which a parameter is fixed but for rounding
-FIXED: Final = 1e-12
+FIXED_SD: Final = 1e-12
 
 
 def _mixture_parameters(section: MixtureSection) -> Table:
@@ -858,7 +860,9 @@ def _mixture_parameters(section: MixtureSection) -> Table:
         *TableColumn.numbers("For the controller"),
     ]
     rows = []
-    free = {n: p for n, p in section.parameters.items() if p.sd > FIXED * abs(p.value)}
+    free = {
+        n: p for n, p in section.parameters.items() if p.sd > FIXED_SD * abs(p.value)
+    }
     for name, p in free.items():
         decimals = text.decimals_for(p.sd)
         sent = section.controller.get(name)

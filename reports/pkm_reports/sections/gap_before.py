@@ -30,7 +30,7 @@ from pkm_reports.blocks import (
     TableColumn,
     headed_list,
 )
-from pkm_reports.sections.gap_figures import VISIBLE, spoken
+from pkm_reports.sections.gap_figures import MIN_VISIBLE_RMS, spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,9 +49,9 @@ MEANINGS: Final = (
     f"above {CLEAR:g}: distinguished",
 )
 #: inches of one cell, at most, and from which its number has normal size
-LARGEST_CELL, SMALL_CELL = 0.42, 0.34
+MAX_CELL, SMALL_CELL = 0.42, 0.34
 #: size from which a number has no decimal
-WHOLE: Final = 9.95
+MIN_WHOLE_NUMBER: Final = 9.95
 
 
 def draw_confusable(table: DetectabilityTable) -> Figure:
@@ -66,7 +66,7 @@ def draw_confusable(table: DetectabilityTable) -> Figure:
     if len(names) < 2:
         return style.empty("Fewer than two effects can be tested with these readings.")
     values = missing.table(table.separation)
-    cell = min(LARGEST_CELL, (style.WIDTH - 1.5) / len(names))
+    cell = min(MAX_CELL, (style.FIGURE_WIDTH - 1.5) / len(names))
     figure = style.figure(cell * len(names) + 1.75)
     axes = figure.subplots()
     shade: Any = {"cmap": ListedColormap(COLOURS)}
@@ -87,7 +87,7 @@ def short_label(value: float) -> str:
     """The number of a cell: one decimal below 10, none above."""
     if not np.isfinite(value):
         return text.MISSING
-    return f"{value:.1f}" if value < WHOLE else f"{value:.0f}"
+    return f"{value:.1f}" if value < MIN_WHOLE_NUMBER else f"{value:.0f}"
 
 
 def _write_numbers(axes: Axes, values: Array, size: float) -> None:
@@ -128,7 +128,7 @@ def _set_labels(axes: Axes, names: Sequence[str]) -> None:
 # Chapter: what planned readings could detect, and runs that tell effects apart.
 
 #: rows of the table of imitated combinations
-MOST: Final = 16
+MAX_IMITATION_ROWS: Final = 16
 #: weight of the detectability in the order of these rows, where separations are equal
 TIE_BREAK: Final = 1e-3
 
@@ -290,7 +290,9 @@ def _sizes_by_channel(
     sizes: Mapping[str, float | None], channel_units: Mapping[str, str]
 ) -> str:
     """Rms by channel; one channel alone needs no name."""
-    visible = {n: rms for n, rms in sizes.items() if rms is None or rms > VISIBLE}
+    visible = {
+        n: rms for n, rms in sizes.items() if rms is None or rms > MIN_VISIBLE_RMS
+    }
     entries = {
         name: text.channel_value(name, rms, channel_units)
         for name, rms in visible.items()
@@ -314,7 +316,7 @@ def _imitated(testable: Sequence[DetectabilityRecord], of: str) -> list[Block]:
     if not imitations:
         return []
     imitations.sort(key=_nearness)
-    shown = imitations[:MOST]
+    shown = imitations[:MAX_IMITATION_ROWS]
     columns = [
         TableColumn("Effect"),
         TableColumn("Coefficients", wide=True),

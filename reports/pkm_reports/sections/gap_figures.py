@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 MAX_TRACES: Final = 9
-MOST_COLUMNS: Final = 3
+MAX_COLUMNS: Final = 3
 #: readings of a run up to which each has a mark of full size
-FEW: Final = 60
+FULL_SIZE_MAX_READINGS: Final = 60
 #: quantile of the residuals, and the factor above it that counts as an outlier
 QUANTILE, FAR = 0.98, 3.0
 #: channels that set-ups have alone, so that a title need not name them
@@ -36,7 +36,7 @@ def draw_traces(traces: Sequence[Trace]) -> Figure:
     shown = choose_traces(traces)
     if not shown:
         return style.empty("No residuals are stored in this result.")
-    columns = 2 if len(shown) == 4 else min(MOST_COLUMNS, len(shown))
+    columns = 2 if len(shown) == 4 else min(MAX_COLUMNS, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = style.figure(0.45 + 1.55 * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -111,7 +111,7 @@ def _panel(axes: Axes, trace: Trace, limit: float) -> None:
     marks: Any = {
         "ls": "",
         "marker": "o",
-        "ms": 2.6 if len(along) <= FEW else 1.5,
+        "ms": 2.6 if len(along) <= FULL_SIZE_MAX_READINGS else 1.5,
     }
     joined = trace.kind != "points"
     lines: Any = {
@@ -261,7 +261,7 @@ def _rms(by_channel: Mapping[str, float]) -> float:
 # Sizes in words.
 
 #: rms, in the unit of its channel, from which an effect shows in a channel
-VISIBLE: Final = 1e-9
+MIN_VISIBLE_RMS: Final = 1e-9
 
 
 def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
@@ -269,7 +269,7 @@ def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
     named = len(gap.units) != 1
     entries = []
     for channel, rms in sizes.items():
-        if rms > VISIBLE:
+        if rms > MIN_VISIBLE_RMS:
             entry = text.channel_value(channel, rms, gap.units)
             entries.append(f"{channel} {entry}" if named else entry)
     return text.listing(entries)

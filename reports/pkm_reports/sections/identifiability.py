@@ -70,7 +70,7 @@ def draw_singular_values(section: IdentifiabilitySection) -> Figure:
 
 
 #: lost directions of a variant beyond which they are counted, not described
-MANY: Final = 8
+MAX_DESCRIBED_DIRECTIONS: Final = 8
 #: verdict and mark of each kind of finding
 VERDICTS: Final = {
     "seen": ("determined", "good"),
@@ -222,7 +222,7 @@ def _variants(
 def _lost(section: IdentifiabilitySection) -> str:
     """What is lost, in words where it has a name; result.json lists all directions."""
     lost = lost_count(section)
-    if lost > MANY:
+    if lost > MAX_DESCRIBED_DIRECTIONS:
         return (
             f"{lost} directions: these readings alone are far too few, or too much"
             " alike."
@@ -264,7 +264,7 @@ CHAPTER: Final = Chapter("identifiability", "What the readings can determine", b
 # Condition number over the number of circles and of points on each circle.
 
 #: kappa above so many times the smallest leaves the panel, so that the minimum shows
-CUT: Final = 30.0
+MAX_KAPPA_RATIO: Final = 30.0
 
 
 def draw_kappa(maps: Sequence[KappaMap]) -> Figure:
@@ -302,7 +302,7 @@ def _kappa_panel(axes: Axes, entry: KappaMap) -> None:
             }
             axes.plot(n[smallest], kappa[smallest], "o", **ring)
     low, high = float(np.nanmin(table)), float(np.nanmax(table))
-    axes.set_ylim(0.8 * low, min(CUT * low, 1.25 * high))
+    axes.set_ylim(0.8 * low, min(MAX_KAPPA_RATIO * low, 1.25 * high))
     style.log_axis(axes, "y")
     style.few_ticks(axes.xaxis, 8, integer=True)
     axes.set(xlabel="points on each circle, n", ylabel="condition number κ")
@@ -321,7 +321,7 @@ def _smallest_of_line(n: Array, kappa: Array) -> str:
 
 # Chapter: the condition number over circles and points, for each parametrisation.
 
-MOST_COLUMNS: Final = 8
+MAX_COLUMNS: Final = 8
 
 
 def kappa_blocks(result: StudyResult) -> list[Block]:
@@ -338,7 +338,7 @@ def _kappa_caption(maps: Sequence[KappaMap]) -> str:
     sentences = [
         "Condition number κ of the determined directions.",
         "Rings mark the smallest of each line; values above"
-        f" {CUT:.0f} times the smallest lie outside the figure.",
+        f" {MAX_KAPPA_RATIO:.0f} times the smallest lie outside the figure.",
         *[_smallest_kappa(entry) for entry in maps],
     ]
     if len(maps) > 1:
@@ -373,7 +373,7 @@ def _kappa_tables(maps: Sequence[KappaMap]) -> list[Table]:
     """One table for all parametrisations where it is narrow enough, else one for each."""
     same_points = all(entry.points == maps[0].points for entry in maps)
     width = sum(len(entry.circles) for entry in maps)
-    if same_points and width <= MOST_COLUMNS:
+    if same_points and width <= MAX_COLUMNS:
         return [_kappa_table(maps)]
     return [_kappa_table([entry]) for entry in maps]
 

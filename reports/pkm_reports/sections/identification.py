@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 # Part of the chapter on the fit: chi-square, and the noise law as estimated.
 
 #: runs that the table shows
-SHOWN: Final = 8
+MAX_RUNS: Final = 8
 #: probability below which a sum of squares is not what the noise predicts
-UNLIKELY: Final = 0.01
+MIN_P_VALUE: Final = 0.01
 MEANING: Final = {
     "reading": "Scatter of single readings",
     "run": "Error that a run shares",
@@ -63,9 +63,11 @@ def goodness_blocks(checked: GoodnessSection) -> str:
         f" {_probability(low)}"
     )
     verdict = goodness_judgement(
-        or_nan(checked.dof), is_large=high < UNLIKELY, is_small=low < ALARM_PROBABILITY
+        or_nan(checked.dof),
+        is_large=high < MIN_P_VALUE,
+        is_small=low < ALARM_PROBABILITY,
     )
-    if high < UNLIKELY <= (checked.law_p_high or 0.0):
+    if high < MIN_P_VALUE <= (checked.law_p_high or 0.0):
         verdict = "more than the stated noise leaves at these parameters"
     return (
         f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} by the stated"
@@ -134,7 +136,7 @@ def left_out(checked: GoodnessSection | None) -> list[Block]:
         TableColumn("Run"),
         *TableColumn.numbers("Values", "Errors / predicted", "p", "Log score"),
     ]
-    worst = sorted(checked.left_out, key=lambda run: run.p_high)[:SHOWN]
+    worst = sorted(checked.left_out, key=lambda run: run.p_high)[:MAX_RUNS]
     rows = [
         [
             run.setup,
@@ -293,7 +295,7 @@ def _set_axes(
 Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}
 #: terms of a combination that are written
-TERMS: Final = 5
+MAX_TERMS: Final = 5
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -479,7 +481,7 @@ def _combinations(combinations: Sequence[CombinationEstimate]) -> list[Block]:
     for one in several:
         decimals = text.decimals_for(one.sd)
         cells = [text.fixed(one.value, decimals), text.fixed(one.sd, decimals)]
-        name = text.linear_combination(one.terms, TERMS)
+        name = text.linear_combination(one.terms, MAX_TERMS)
         tolerance = text.trimmed(one.tolerance, 3)
         rows.append([name, *cells, tolerance, text.unit_symbol(one.unit)])
     caption = (
@@ -498,7 +500,7 @@ CHAPTER: Final = Chapter("identification", "Identification", blocks, printed)
 #: runs that are drawn
 MAX_CURVES: Final = 4
 #: readings of a run up to which marks are of full size
-FEW: Final = 60
+MAX_LARGE: Final = 60
 AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}
 INTERVAL: Final = "95 % interval"
 
@@ -567,7 +569,11 @@ def _curve_row(row: Sequence[Axes], curve: RunCurve) -> None:
 def _draw_measured(axes: Axes, along: Array, values: Array) -> None:
     look: Any = {"ls": "", "marker": "o", "color": style.BLUE}
     axes.plot(
-        along, values, ms=2.6 if len(along) <= FEW else 1.4, label="measured", **look
+        along,
+        values,
+        ms=2.6 if len(along) <= MAX_LARGE else 1.4,
+        label="measured",
+        **look,
     )
 
 

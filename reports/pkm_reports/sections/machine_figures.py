@@ -35,9 +35,9 @@ AZIMUTHS: Final[tuple[float, ...]] = (-58.0, *map(float, range(-85, -4, 5)))
 #: width and height of a label, relative to one another
 LETTERING: Final = np.array([3.0, 1.0])
 #: least depth of a box, as a share of its largest side, and room around it
-LEAST_DEPTH, MARGIN = 0.3, 1.06
+MIN_DEPTH, MARGIN = 0.3, 1.06
 #: share of the largest side below which an axis has few ticks
-SHORT: Final = 0.6
+SHORT_AXIS_SHARE: Final = 0.6
 #: letters do not scale with the box, so fitting takes more than one step
 FITTING_STEPS: Final = 3
 
@@ -46,7 +46,7 @@ def box_around(cloud: Array) -> Box:
     """A box around points (n, 3); a flat one gets some depth."""
     low, high = np.nanmin(cloud, axis=0), np.nanmax(cloud, axis=0)
     longest = max(float(np.max(high - low)), 1.0)
-    size = MARGIN * np.maximum(high - low, LEAST_DEPTH * longest)
+    size = MARGIN * np.maximum(high - low, MIN_DEPTH * longest)
     return (low + high - size) / 2.0, (low + high + size) / 2.0
 
 
@@ -80,7 +80,7 @@ def set_axes(axes: Any, box: Box, azimuth: float = VIEW["azim"]) -> None:
     """Limits of the box, one scale on all axes, few ticks."""
     size = box[1] - box[0]
     for k, name in enumerate("xyz"):
-        short = size[k] < SHORT * size.max()
+        short = size[k] < SHORT_AXIS_SHARE * size.max()
         getattr(axes, f"set_{name}lim")(box[0][k], box[1][k])
         set_label = getattr(axes, f"set_{name}label")
         set_label(f"{name} [mm]", labelpad=-2.0 if short else 0.0)
@@ -146,11 +146,11 @@ LINES: Final = {
     "cup": {"color": style.GREY, "lw": 1.0},
 }
 #: set-ups named in the legend
-MOST_NAMES: Final = 8
+MAX_NAMES: Final = 8
 #: readings of a set-up that are drawn, about: more hide each other
-MOST_DRAWN: Final = 400
+MAX_DRAWN: Final = 400
 #: steps of a line that is cut at the box
-STEPS: Final = 60
+LINE_STEPS: Final = 60
 PANEL_HEIGHT, LEGEND_LINE = 3.55, 0.18  # inches
 LEGEND_CHARACTERS, MARKER_CHARACTERS = 100, 7
 
@@ -228,12 +228,12 @@ def scene_of(drawing: Drawing) -> Scene:
 
 
 def _evenly(setups: Sequence[str]) -> list[int]:
-    """Numbers of the readings that are drawn: MOST_DRAWN of a set-up, about."""
+    """Numbers of the readings that are drawn: MAX_DRAWN of a set-up, about."""
     names = np.array(setups)
     shown: list[int] = []
     for name in dict.fromkeys(setups):
         members = np.flatnonzero(names == name)
-        shown += members[:: -(-len(members) // MOST_DRAWN)].tolist()
+        shown += members[:: -(-len(members) // MAX_DRAWN)].tolist()
     return sorted(shown)
 
 
@@ -305,7 +305,7 @@ def _inside(line: Array, box: Box) -> Array:
     if len(line) < 2 or (np.all(line >= low) and np.all(line <= high)):
         return line
     corners = np.arange(len(line))
-    grid = np.linspace(0.0, len(line) - 1.0, 1 + STEPS * (len(line) - 1))
+    grid = np.linspace(0.0, len(line) - 1.0, 1 + LINE_STEPS * (len(line) - 1))
     fine = np.column_stack([np.interp(grid, corners, x) for x in line.T])
     inside = (fine >= low) & (fine <= high)
     fine[~inside.all(axis=1)] = np.nan
@@ -318,14 +318,14 @@ def legend_entries(shown: Scene) -> list[Line2D]:
 
     colours = list(style.colours(shown.setups).items())
     entries = []
-    for k, (setup, colour) in enumerate(colours[:MOST_NAMES]):
+    for k, (setup, colour) in enumerate(colours[:MAX_NAMES]):
         look: Any = {
             "ls": "",
             "marker": style.marker(k),
             "color": colour,
         }
         entries.append(Line2D([], [], label=style.label(setup, 24), **look))
-    more = len(colours) - MOST_NAMES
+    more = len(colours) - MAX_NAMES
     if more > 0:
         entries.append(Line2D([], [], ls="", label=f"and {more} more"))
     entries.append(Line2D([], [], color=style.INK, lw=1.8, label="machine"))
@@ -343,7 +343,7 @@ WIDTH, HEIGHT = 3.4, 3.0
 # The machine at home with all readings, small, for the first page.
 
 #: legend entries side by side
-COLUMNS: Final = 2
+LEGEND_COLUMNS: Final = 2
 
 
 def draw_overview(drawing: Drawing) -> Figure:
@@ -351,10 +351,10 @@ def draw_overview(drawing: Drawing) -> Figure:
     shown = scene_of(drawing)
     figure = style.placed_figure(HEIGHT, WIDTH)
     entries = legend_entries(shown)
-    lines = -(-len(entries) // COLUMNS)
+    lines = -(-len(entries) // LEGEND_COLUMNS)
     foot = (0.08 + LEGEND_LINE * lines) / HEIGHT
     panel(figure, (0.0, foot, 1.0, 1.0), shown, shown.whole_box())
-    legend: Any = {"ncols": COLUMNS, "borderaxespad": 0.1, "columnspacing": 1.0}
+    legend: Any = {"ncols": LEGEND_COLUMNS, "borderaxespad": 0.1, "columnspacing": 1.0}
     figure.legend(handles=entries, loc="lower center", **legend)
     return figure
 
@@ -364,11 +364,11 @@ def draw_overview(drawing: Drawing) -> Figure:
 
 #: inches
 CLOSURE_WIDTH: Final = 9.0
-LEAST_HEIGHT, ROW, HEAD = 4.4, 0.34, 1.4
+MIN_HEIGHT, ROW, HEAD = 4.4, 0.34, 1.4
 #: share of the drawing's size that an axis of a frame is long
-FRAME: Final = 0.12
+FRAME_AXIS_SHARE: Final = 0.12
 #: an amount, m or rad, up to which bars show nothing
-NOTHING: Final = 1e-6
+MIN_BAR_AMOUNT: Final = 1e-6
 #: the drawing and the bars, as shares of the figure: left, bottom, right, top
 DRAWING: Final = (0.02, 0.09, 0.62, 0.92)
 BARS: Final = (0.72, 0.16, 0.24, 0.70)
@@ -381,7 +381,7 @@ OPEN_LOOK: Final = {"color": style.RED, "lw": 2.6}
 def draw_closure(closure: ClosestClosure, title: str, joints: list[str]) -> Figure:
     """The figure; `joints` are the names of the machine's joints, as its struts."""
     count = len(closure.guess.equations)
-    height = max(LEAST_HEIGHT, HEAD + ROW * count)
+    height = max(MIN_HEIGHT, HEAD + ROW * count)
     figure = style.placed_figure(height, CLOSURE_WIDTH)
     look: Any = {"fontsize": 10, "fontweight": "bold", "va": "top"}
     figure.text(0.02, 0.98, style.label(title, 120), **look)
@@ -414,9 +414,9 @@ def _drawing(figure: Figure, closure: ClosestClosure, joints: list[str]) -> None
     _open_lines(axes, closure)
     _struts(axes, closure, joints)
     size = float((box[1] - box[0]).max())
-    _frame(axes, np.zeros(3), np.eye(3), FRAME * size, BASE)
+    _frame(axes, np.zeros(3), np.eye(3), FRAME_AXIS_SHARE * size, BASE)
     tool, turned = units.from_si(closure.nearest.tool, "mm"), closure.nearest.axes
-    _frame(axes, tool, turned, FRAME * size, "tool point")
+    _frame(axes, tool, turned, FRAME_AXIS_SHARE * size, "tool point")
     set_axes(axes, box, azimuth)
     fit_to(figure, axes, box, DRAWING)
 
@@ -484,9 +484,11 @@ def _bars(axes: Axes, closure: ClosestClosure) -> None:
     axes.barh(above, finite(guess), height=0.34, color=style.LIGHT)
     colours = [style.RED if k in closure.still_open else style.INK for k in rows]
     axes.barh(below, finite(nearest), height=0.34, color=colours)
-    widest = max(float(finite(guess).max()), float(finite(nearest).max()), NOTHING)
+    widest = max(
+        float(finite(guess).max()), float(finite(nearest).max()), MIN_BAR_AMOUNT
+    )
     axes.set_xlim(0.0, 1.45 * widest)
-    if widest <= NOTHING:
+    if widest <= MIN_BAR_AMOUNT:
         axes.set_xticks([])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     for k in rows:
@@ -511,7 +513,7 @@ def _amount(
 
 
 def _words(value: float) -> str:
-    if value <= NOTHING:
+    if value <= MIN_BAR_AMOUNT:
         return "0"
     return text.trimmed(value, 3) if np.isfinite(value) else "no value"
 

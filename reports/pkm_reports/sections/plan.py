@@ -87,17 +87,17 @@ OFFSETS: Final = np.array(
     dtype=float,
 )
 #: numbers of readings written at one place
-MOST_NUMBERS: Final = 3
+MAX_NUMBERS: Final = 3
 LETTER_SIZE: Final = 5.5  # points
 #: half-width of a label in letter sizes: of its frame, and of each letter
 FRAME, LETTER = 0.45, 0.33
 HALF_HEIGHT: Final = 0.8
 #: distance of a label from its place, in half-widths and half-heights
-DISTANCE: Final = 2.2
+LABEL_DISTANCE: Final = 2.2
 POINTS_PER_INCH: Final = 72.0
 #: a full turn, degrees
 FULL_TURN: Final = 360.0
-MOST_PANELS: Final = 12
+MAX_PANELS: Final = 12
 #: readings from which the lines of the path are faint
 MANY_POSES: Final = 100
 #: what counts as one step of a coordinate, by its SI unit
@@ -125,7 +125,7 @@ def draw_path(poses: Sequence[PlannedReading]) -> Figure:
     plane = choose_plane(poses)
     if plane is None:
         return style.empty("No commanded poses are stored in this result.")
-    setups = list(dict.fromkeys(pose.setup for pose in poses))[:MOST_PANELS]
+    setups = list(dict.fromkeys(pose.setup for pose in poses))[:MAX_PANELS]
     groups = [
         np.flatnonzero([pose.setup == setup for pose in poses]) for setup in setups
     ]
@@ -278,7 +278,7 @@ def write_numbers(
 def _joined(readings: Sequence[int]) -> str:
     """1 2 3, or 1 … 9 where they are many."""
     numbers = [str(n) for n in readings]
-    if len(numbers) > MOST_NUMBERS:
+    if len(numbers) > MAX_NUMBERS:
         numbers = [numbers[0], "…", numbers[-1]]
     return " ".join(numbers)
 
@@ -289,7 +289,7 @@ def _free_centre(
     """The first centre about a place where a label covers no other, in points."""
     middle, room = corners.mean(axis=0), np.ptp(corners, axis=0) / 2.0
     for offset in OFFSETS:
-        centre = point + DISTANCE * half * offset
+        centre = point + LABEL_DISTANCE * half * offset
         outside = offset.any() and (np.abs(centre - middle) > room).any()
         if not outside and not _covered(centre, half, taken):
             return np.asarray(centre)
@@ -621,7 +621,7 @@ def _path_caption(poses: Sequence[PlannedReading]) -> str:
             "A path over a full turn leaves the figure on one side and returns on the"
             " other."
         )
-    more = len({pose.setup for pose in poses}) - MOST_PANELS
+    more = len({pose.setup for pose in poses}) - MAX_PANELS
     if more > 0:
         sentences.append(f"{more} more set-ups are not shown.")
     return " ".join(sentences)

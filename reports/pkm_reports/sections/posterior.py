@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 Limits = tuple[float, float]
 MAX_CORNER_PARAMETERS: Final = 6
-LONGEST_LABEL: Final = 18
+MAX_LABEL_LENGTH: Final = 18
 #: sd below which a marginal is shown from close by, without the prior
-NARROW: Final = 0.3
+CLOSE_VIEW_MAX_RATIO: Final = 0.3
 #: prior standard deviations that hold the prior
 PRIOR_RANGE: Final = 3.2
 
@@ -48,11 +48,11 @@ def draw_corner(posterior: PosteriorSection) -> Figure:
     if not len(draws) or not names:
         return style.empty("No draws of the posterior are stored in this result.")
     n = len(names)
-    width = min(style.WIDTH, 0.8 + 1.25 * n) if n > 1 else 3.2
+    width = min(style.FIGURE_WIDTH, 0.8 + 1.25 * n) if n > 1 else 3.2
     figure = style.figure(0.6 + 1.15 * n, width=width)
     grid = figure.add_gridspec(n, n)
     limits = [_limits(draws[:, i]) for i in range(n)]
-    labels = [style.label(name, LONGEST_LABEL) for name in short_names(names)]
+    labels = [style.label(name, MAX_LABEL_LENGTH) for name in short_names(names)]
     for i in range(n):
         for j in range(i + 1):
             axes = figure.add_subplot(grid[i, j])
@@ -79,7 +79,7 @@ def corner_parameters(posterior: PosteriorSection) -> tuple[list[str], Array]:
 
 def short_names(names: Sequence[str]) -> list[str]:
     """Names as axis labels; long ones become d1, d2, ..., explained in a table."""
-    if all(len(name) <= LONGEST_LABEL for name in names):
+    if all(len(name) <= MAX_LABEL_LENGTH for name in names):
         return list(names)
     return [f"d{k}" for k in range(1, len(names) + 1)]
 
@@ -89,7 +89,7 @@ def _limits(x: Array) -> Limits:
     low, high = np.quantile(x, (0.001, 0.999))
     margin = 0.15 * (high - low) + 1e-12
     lower, upper = float(low - margin), float(high + margin)
-    if np.std(x) < NARROW:
+    if np.std(x) < CLOSE_VIEW_MAX_RATIO:
         return lower, upper
     return min(-PRIOR_RANGE, lower), max(PRIOR_RANGE, upper)
 
@@ -133,15 +133,15 @@ def _pair(axes: Axes, x: Array, y: Array, xlim: Limits, ylim: Limits) -> None:
     axes.set_ylim(ylim)
 
 
-LARGEST_RHAT: Final = 1.01
-SMALLEST_ESS: Final = 1000.0
+MAX_RHAT: Final = 1.01
+MIN_ESS: Final = 1000.0
 #: sd, in prior standard deviations, above which the readings say little
-WIDE: Final = 0.7
+MAX_INFORMED_RATIO: Final = 0.7
 #: standard errors of mean, sd, and both quantiles of a normal marginal, over its sd and
 #: times the root of the effective sample size
 ERRORS: Final = (1.0, 0.5**0.5, 2.67, 2.67)
 #: relative error of an effective sample size
-ESTIMATED: Final = 0.05
+ESS_RELATIVE_ERROR: Final = 0.05
 COMPARED: Final = {
     "rms": "Root mean square",
     "largest": "Largest",
@@ -214,9 +214,9 @@ def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
     bad = [name for name, m in sampled.items() if not _is_well_sampled(m)]
     if not bad:
         return [Paragraph(f"Every marginal is well sampled: {diagnostics}.")]
-    wanted, what = f"{SMALLEST_ESS:.0f} at least", "The draws are few"
+    wanted, what = f"{MIN_ESS:.0f} at least", "The draws are few"
     if rhat is not None:
-        wanted = f"{LARGEST_RHAT} at most, {wanted}"
+        wanted = f"{MAX_RHAT} at most, {wanted}"
         what = "The sampler has not fully mixed"
     return [
         Notice(
@@ -227,8 +227,8 @@ def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
 
 
 def _is_well_sampled(marginal: Marginal) -> bool:
-    mixed = marginal.rhat is None or or_nan(marginal.rhat) <= LARGEST_RHAT
-    return mixed and or_nan(marginal.ess) >= SMALLEST_ESS
+    mixed = marginal.rhat is None or or_nan(marginal.rhat) <= MAX_RHAT
+    return mixed and or_nan(marginal.ess) >= MIN_ESS
 
 
 def _caption(posterior: PosteriorSection) -> str:
@@ -245,7 +245,7 @@ def _caption(posterior: PosteriorSection) -> str:
     sizes = [
         f"{label} {text.number(sd, 2)}" for label, sd in zip(labels, sds, strict=True)
     ]
-    uncertain = int(np.sum(sds > WIDE))
+    uncertain = int(np.sum(sds > MAX_INFORMED_RATIO))
     verdict = (
         f"{uncertain} of {len(names)} stay nearly as wide as the prior: the readings say"
         " little about them."
@@ -338,7 +338,7 @@ def _marginal_row(name: str, marginal: Marginal, mixed: bool) -> list[str]:
 
 def _sample_size(ess: float | None) -> str:
     """An effective sample size: an estimate that is right to some per cent."""
-    return text.drawn(ess, ESTIMATED * or_nan(ess))
+    return text.drawn(ess, ESS_RELATIVE_ERROR * or_nan(ess))
 
 
 def _decimals(marginal: Marginal, error: float) -> int:

@@ -10,7 +10,7 @@ from pkm_reports import text
 from pkm_reports.blocks import Block, Chapter, Code, Paragraph, Table, TableColumn
 
 #: characters of a measured value
-LONGEST: Final = 70
+MAX_VALUE_CHARACTERS: Final = 70
 
 
 def _claims(result: StudyResult) -> list[Block]:
@@ -46,7 +46,7 @@ def _claims(result: StudyResult) -> list[Block]:
 
 def _measured(value: float | str) -> str:
     if isinstance(value, str):
-        return shorten(value, LONGEST)
+        return shorten(value, MAX_VALUE_CHARACTERS)
     return text.trimmed(value, 5)
 
 

@@ -54,13 +54,13 @@ if TYPE_CHECKING:
 # Tables of a plan stage by stage: schedule, improved parameters, accuracy.
 
 #: parameters named for each stage, those that improve most
-MOST_PARAMETERS: Final = 4
+MAX_PARAMETERS: Final = 4
 #: parameters and combinations named that are not yet determined
-MOST_UNDETERMINED: Final = 8
+MAX_UNDETERMINED: Final = 8
 #: factor below which a standard deviation counts as unchanged by a stage
-IMPROVED: Final = 1.05
+MIN_FACTOR: Final = 1.05
 #: characters of a combination of parameters; longer ones are cut
-LONGEST: Final = 56
+MAX_TERMS_LENGTH: Final = 56
 #: expected losses that are written as none
 NO_LOSS: Final = 0.005
 
@@ -155,7 +155,7 @@ def improvements(plan: PlanSection, machine: MachineInfo) -> Table:
                 str(k),
                 stage.measurement,
                 _most_improved(before, after),
-                text.listing(undetermined, MOST_UNDETERMINED) or "nothing",
+                text.listing(undetermined, MAX_UNDETERMINED) or "nothing",
             ]
         )
         before = after
@@ -192,7 +192,7 @@ def _most_improved(before: Mapping[str, Sd], after: Mapping[str, Sd]) -> str:
             factors[name] = before[name].sd / now.sd
     if not factors:
         return "none"
-    best = sorted(factors, key=lambda name: -factors[name])[:MOST_PARAMETERS]
+    best = sorted(factors, key=lambda name: -factors[name])[:MAX_PARAMETERS]
     entries = [_improvement(name, after[name], factors[name]) for name in best]
     more = len(factors) - len(best)
     return ", ".join(entries) + (f" and {more} more" if more else "")
@@ -200,7 +200,7 @@ def _most_improved(before: Mapping[str, Sd], after: Mapping[str, Sd]) -> str:
 
 def _is_improved(before: Sd, after: Sd) -> bool:
     same_unit = before.unit == after.unit
-    return same_unit and after.sd > 0.0 and before.sd > IMPROVED * after.sd
+    return same_unit and after.sd > 0.0 and before.sd > MIN_FACTOR * after.sd
 
 
 def _improvement(name: str, after: Sd, factor: float) -> str:
@@ -210,11 +210,11 @@ def _improvement(name: str, after: Sd, factor: float) -> str:
 
 def shorten_combination(combination: str) -> str:
     """A combination of parameters, a long one without its last terms."""
-    if len(combination) <= LONGEST:
+    if len(combination) <= MAX_TERMS_LENGTH:
         return combination
-    opening = combination[: LONGEST + 1]
+    opening = combination[: MAX_TERMS_LENGTH + 1]
     if " " not in opening:
-        return shorten(opening, LONGEST)
+        return shorten(opening, MAX_TERMS_LENGTH)
     last_term = max(opening.rfind(" + "), opening.rfind(" - "))
     return f"{opening[:last_term]} ..."
 
@@ -657,9 +657,9 @@ def _row(
 
 REALISED: Final = "realised, virtual machines"
 WANTED: Final = "wanted"
-MOST_TICKS: Final = 12
+MAX_TICKS: Final = 12
 #: shift of the diamonds, so that the line's own marks do not hide them
-BESIDE: Final = 0.09
+MARK_SHIFT: Final = 0.09
 
 
 def draw_accuracies(plan: PlanSection) -> Figure:
@@ -722,7 +722,7 @@ def _component(
     tables = [{}, *[realised(stage) for stage in plan.stages]]
     reached = _positive(missing.column(tables, key))
     if np.isfinite(reached).any():
-        axes.plot(positions + BESIDE, reached, "D", label=REALISED, **style.DIAMOND)
+        axes.plot(positions + MARK_SHIFT, reached, "D", label=REALISED, **style.DIAMOND)
     wanted = missing.entry(plan.goal, key)
     if wanted > 0.0:
         axes.axhline(wanted, color=colour, ls=":", lw=1.0)
@@ -736,7 +736,7 @@ def _positive(values: Array) -> Array:
 
 def _set_ticks(axes: Axes, count: int) -> None:
     """`before`, then the stages by number; of many stages, every other or so."""
-    step = 1 + (count - 1) // MOST_TICKS
+    step = 1 + (count - 1) // MAX_TICKS
     places = [0, *range(step, count + 1, step)]
     style.fixed_ticks(axes, "x", places, ["before", *[str(k) for k in places[1:]]])
     axes.set_xlim(-0.25, count + 0.3)
@@ -796,7 +796,7 @@ def _bar(axes: Axes, k: int, stage: StageRecord, right: float) -> None:
 #: sequences shown by name; more are in the table only
 MAX_PARETO_PLANS: Final = 6
 #: a range of minutes wider than this factor is drawn on a log scale
-WIDE: Final = 30.0
+LOG_RANGE: Final = 30.0
 GOAL_LABEL: Final = "error of the worst component\nover its wanted accuracy"
 NO_GOAL_LABEL: Final = (
     "remaining error over that\nbefore any reading (rms of components)"
@@ -863,7 +863,7 @@ def _set_limits(axes: Axes, plans: Array, plan: PlanSection) -> None:
     axes.set_yscale("log")
     axes.set_ylim(values.min() / 1.35, 1.35 * values.max())
     positive = minutes[minutes > 0.0]
-    if len(positive) and positive.max() > WIDE * positive.min():
+    if len(positive) and positive.max() > LOG_RANGE * positive.min():
         axes.set_xscale("log")
         axes.set_xlim(positive.min() / 1.2, 1.12 * positive.max())
         style.log_axis(axes, "x")

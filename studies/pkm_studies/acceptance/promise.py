@@ -25,7 +25,7 @@ from pkm_studies.study import Study
 #: none is given and no set-up of the study reads the component
 UNCERTAINTY_SHARE = 0.2
 #: poses between those of the workspace that may be measured, at most
-BETWEEN = 200
+MAX_POSES_BETWEEN = 200
 #: channel that reads a component of the pose
 READ = "read_{}"
 
@@ -155,7 +155,9 @@ def _add_poses_between(
     """
     if reference == "best_fit":
         return workspace
-    return np.vstack([workspace, commands_between(kinematics, workspace, BETWEEN)])
+    return np.vstack(
+        [workspace, commands_between(kinematics, workspace, MAX_POSES_BETWEEN)]
+    )
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:

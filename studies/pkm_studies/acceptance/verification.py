@@ -51,7 +51,7 @@ from pkm_studies.user_code import Consent
 
 
 #: probability below which readings contradict their prediction
-SURPRISE = 1e-3
+CONTRADICTION_P_VALUE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +70,7 @@ class RunCheck:
     @property
     def passed(self) -> bool:
         """Whether the prediction stands."""
-        return self.p_high >= SURPRISE
+        return self.p_high >= CONTRADICTION_P_VALUE
 
 
 def check_folder(
@@ -204,7 +204,7 @@ def check_sentences(check: RunCheck) -> Iterator[str]:
 # Plans an acceptance test from a result: poses, limits and power.
 
 #: share of the range of a coordinate by which a pose differs from a calibration pose
-APART = 0.02
+MIN_RANGE_SHARE = 0.02
 #: column of an error to fill in, by component and unit
 ERROR = "error_{}_{}"
 #: column that says whether additional axes took the known errors back: 1, or 0 or empty
@@ -292,7 +292,7 @@ def _other_poses(result: StudyResult, accuracy: PromisedAccuracy) -> Index:
     size = np.ptp(np.vstack([command, used]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
     distance = np.abs(command[:, None] - used[None]) / scaled
-    return np.flatnonzero(distance.max(axis=2).min(axis=1) > APART)
+    return np.flatnonzero(distance.max(axis=2).min(axis=1) > MIN_RANGE_SHARE)
 
 
 def _calibration_commands(result: StudyResult, accuracy: PromisedAccuracy) -> Array:

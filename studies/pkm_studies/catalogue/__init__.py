@@ -14,7 +14,7 @@ Compensation      what a format writes: machine, parameters, tables, poses
 Identified        the parameters that it holds, with what they rest on
 MeasuringPose     a pose of the measurement, and its set-up
 Texts             files by name
-LONGEST_COMMENT   characters of a line of comment
+MAX_COMMENT_LENGTH   characters of a line of comment
 """
 
 from typing import TYPE_CHECKING
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         named_items,
     )
     from pkm_studies.catalogue.controller_format import (
-        LONGEST_COMMENT,
+        MAX_COMMENT_LENGTH,
         Compensation,
         ControllerFormat,
         Identified,

@@ -30,7 +30,7 @@ from pkm_studies.plugins import GROUPS, plugins, project_plugins
 from pkm_studies.user_code import Origin
 
 #: characters of an error that are shown
-LONGEST_REASON = 120
+MAX_REASON_LENGTH = 120
 
 KINDS = ("machines", "instruments", "effects", "criteria", "formats")
 #: packages with the shipped ones of a kind, and attribute that may be left out, where
@@ -193,7 +193,7 @@ def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
         try:
             item = point.load()
         except Exception as error:  # a user's module may raise anything
-            text = shorten(str(error), LONGEST_REASON)
+            text = shorten(str(error), MAX_REASON_LENGTH)
             warnings.warn(
                 f"{point.group} of an installed package: {point.value} cannot be"
                 f" loaded: {type(error).__name__}: {text}",
@@ -279,7 +279,7 @@ def _module(name: str, origin: Origin, location: Location) -> ModuleType:
     except Exception as error:  # a package's module may raise anything
         raise location.error(
             f"importing it failed with {type(error).__name__}:"
-            f" {shorten(str(error), LONGEST_REASON)}",
+            f" {shorten(str(error), MAX_REASON_LENGTH)}",
             "mend or uninstall the package that provides it",
             name,
         ) from error

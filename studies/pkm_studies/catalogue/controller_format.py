@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pkm_studies.tables import ControllerTable
 
 #: characters of a comment, which holds text of results
-LONGEST_COMMENT = 1000
+MAX_COMMENT_LENGTH = 1000
 #: texts of an export by the end of their file names, such as `.cfg`
 Texts = Mapping[str, str]
 
@@ -107,7 +107,7 @@ class Compensation:
         title = f"pkm-oed {self.version}, study {self.study}"
         machine = f"machine {self.machine.name}"
         return [
-            shorten(line, LONGEST_COMMENT) for line in (title, machine, *self.notes)
+            shorten(line, MAX_COMMENT_LENGTH) for line in (title, machine, *self.notes)
         ]
 
     def parameter(self, name: str) -> float:

@@ -158,7 +158,7 @@ def oed() -> None:
     """What is common to all subcommands: nothing."""
 
 
-INTERRUPTED = 130
+INTERRUPTED_EXIT_CODE = 130
 #: new objects after which Python looks for garbage: after its usual 700 that takes a tenth
 #: of a run, most of it during imports
 GARBAGE_THRESHOLD = 50_000
@@ -224,7 +224,7 @@ def _guarded(arguments: Sequence[str] | None) -> int:
 def _call(arguments: Sequence[str] | None) -> int:
     ordered = None if arguments is None else list(arguments)
     code = app(args=ordered, prog_name="oed", standalone_mode=False)
-    if code == INTERRUPTED:  # typer's code for Ctrl-C
+    if code == INTERRUPTED_EXIT_CODE:  # typer's code for Ctrl-C
         _interrupted()
     sys.stdout.flush()
     return code if isinstance(code, int) else DONE
@@ -232,7 +232,7 @@ def _call(arguments: Sequence[str] | None) -> int:
 
 def _interrupted() -> int:
     console.print_error("interrupted: files written so far are whole")
-    return INTERRUPTED
+    return INTERRUPTED_EXIT_CODE
 
 
 def _add_notes(paragraph: str, error: BaseException) -> str:

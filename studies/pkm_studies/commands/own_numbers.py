@@ -37,16 +37,16 @@ from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
 #: probability of so large errors of right numbers below which numbers are not good
-RARE: Final = 0.05
+MIN_P_VALUE: Final = 0.05
 #: errors over those of identified numbers that right numbers have at most on average
 RIGHT: Final = math.sqrt(2.0)
 #: share of the errors before any reading that readings must leave less than
-SEEN: Final = 0.5
+MAX_SHARE: Final = 0.5
 #: estimates of right numbers that are drawn: 5 % of them within a tenth
-DRAWS: Final = 2000
+N_DRAWS: Final = 2000
 REMEDY: Final = "write NAME_UNIT=NUMBER, such as radius_mm=125, or a list [1, 2]"
 #: what counts as none, in any unit: rounding
-ZERO: Final = 1e-12
+ROUNDING: Final = 1e-12
 
 
 def import_numbers(
@@ -96,7 +96,7 @@ def calibration_answer(study: Study, result: StudyResult, folder: Path) -> str:
     before = np.array([c.before.rms for c in driven.values()])
     after = np.array([c.after.rms for c in driven.values()])
     prior, by_noise = _possible_errors(study, result, section, folder)
-    unseen = [n for k, n in enumerate(driven) if after[k] > SEEN * prior[k]]
+    unseen = [n for k, n in enumerate(driven) if after[k] > MAX_SHARE * prior[k]]
     if unseen:
         words = join_words(unseen)
         return _answer("cannot tell", f"these readings hardly see errors of {words}.")
@@ -107,9 +107,9 @@ def calibration_answer(study: Study, result: StudyResult, folder: Path) -> str:
         f" identified ones by {then}."
     )
     changed = np.sqrt(np.maximum(before**2 - after**2, 0.0))
-    scale = np.maximum(after, ZERO)
+    scale = np.maximum(after, ROUNDING)
     is_as_large = (by_noise / scale).max(axis=1) >= (changed / scale).max()
-    if np.mean(is_as_large) <= RARE:
+    if np.mean(is_as_large) <= MIN_P_VALUE:
         return _answer("no", reason)
     is_right = (before <= RIGHT * after).all()
     return _answer("yes" if is_right else "cannot tell", reason)
@@ -123,7 +123,7 @@ def parameter_sentence(study: Study, result: StudyResult) -> str:
     values, sd = controller_values(result, machine, with_effects=False)
     parts = []
     for k, p in enumerate(machine.parameters):
-        if abs(values[k] - p.nominal) < ZERO:
+        if abs(values[k] - p.nominal) < ROUNDING:
             continue
         unit = display_unit(p.unit)
         number, spread, now = units.from_si([values[k], sd[k], p.nominal], unit)
@@ -157,6 +157,6 @@ def _possible_errors(
     _, covariance, _ = known_parameters(result, machine.name, names, folder)
     by_noise = covariance - (covariance / tolerance[free] ** 2) @ covariance
     root = covariance_root(by_noise)
-    drawn = np.random.default_rng(0).standard_normal((DRAWS, len(root))) @ root.T
+    drawn = np.random.default_rng(0).standard_normal((N_DRAWS, len(root))) @ root.T
     errors = np.einsum("nkf,df->dnk", raw, drawn)
     return prior, np.sqrt(np.mean(errors**2, axis=1))

@@ -56,7 +56,7 @@ def build_compensation(
 ) -> Compensation:
     """The content of an export in a format.
 
-    largest  number of commands of a table; `table_grid.COMMANDS` by default
+    largest  number of commands of a table; `table_grid.DEFAULT_MAX_COMMANDS` by default
 
     Raises InputError where nothing was identified, and where `largest` is too small.
     """
@@ -141,7 +141,7 @@ def _add_grid(
         content.further,
         result.final_prediction,
     )
-    most = table_grid.COMMANDS if largest is None else largest
+    most = table_grid.DEFAULT_MAX_COMMANDS if largest is None else largest
     grid = table_grid.command_grid(axes, correction, want, most)
     if grid is None:
         return content

@@ -82,7 +82,7 @@ def _given_study(
 
 Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureSection)
 #: parameters that are drawn from the posterior for simulations
-DRAWS = 100
+POSTERIOR_DRAWS = 100
 #: what the parameters are where effects may act and are not corrected
 SENT = {
     CompensationName.MIXTURE: "the parameters are the mean of what is known, over all hypotheses where there"
@@ -135,12 +135,12 @@ def drawn_parameters(
     estimated = set() if section is None else set(section.parameters)
     rows = zip(machine.parameters, parameters.sd, strict=True)
     free = [p.name for p, sd in rows if p.name in estimated and sd > 0.0]
-    values = np.tile(parameters.values, (DRAWS, 1))
+    values = np.tile(parameters.values, (POSTERIOR_DRAWS, 1))
     if not free:
         return values
     _, covariance, _ = known_parameters(result, machine.name, free, folder)
     rng = np.random.default_rng(0)
-    changes = rng.multivariate_normal(np.zeros(len(free)), covariance, DRAWS)
+    changes = rng.multivariate_normal(np.zeros(len(free)), covariance, POSTERIOR_DRAWS)
     values[:, [machine.index(name) for name in free]] += changes
     return values
 

@@ -28,10 +28,10 @@ from pkm_studies.catalogue import Compensation
 from pkm_studies.quantities import display_unit
 
 #: largest number of commands of a table, unless the user gives another
-COMMANDS = 5000
+DEFAULT_MAX_COMMANDS = 5000
 #: interpolation may cost this share of the rms that exact compensation leaves, which
 #: grows by 2 % with it
-SHARE = 0.2
+GROWTH_SHARE = 0.2
 #: where no accuracy was predicted, the error of each joint, m or rad
 JOINT_ERROR = 1e-6
 #: a box that is partly out of reach shrinks by this factor, so many times
@@ -71,7 +71,7 @@ def table_accuracy(
     return TableAccuracy(
         tuple(c.name for c in driven),
         tuple(c.unit for c in driven),
-        SHARE * remaining,
+        GROWTH_SHARE * remaining,
         lambda command: joint_motion(kinematics, command),
     )
 
@@ -90,7 +90,7 @@ def add_offsets(
         if axis.component in components and components[axis.component].known.rms > 0.0
     ]
     unknown = [components[axis.component].known for _, axis in counted]
-    targets = [SHARE * u.rms * units.factor(u.unit) for u in unknown]
+    targets = [GROWTH_SHARE * u.rms * units.factor(u.unit) for u in unknown]
     rows = np.eye(len(further))[[k for k, _ in counted]]
 
     def motion(command: Array) -> Array:
@@ -255,7 +255,7 @@ def _place(value: float, unit: str) -> str:
 #: change of a joint, m or rad, from which the motion of a strut's end is taken
 TURN, TRAVEL = 0.5, 0.01
 #: m; what differs less between two poses does not move
-STILL = 1e-9
+MOTION_TOLERANCE = 1e-9
 LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"
 
 
@@ -309,7 +309,7 @@ def platform_on_limbs(
     _, ends, _ = kinematics.struts(poses, joints, parameters)
     rotation, point, _ = kinematics.frames(poses, np.zeros(3))
     local = np.einsum("nji,nkj->nki", rotation, ends - point[:, None])
-    if np.ptp(local, axis=0).max() > STILL:
+    if np.ptp(local, axis=0).max() > MOTION_TOLERANCE:
         return None
     limbs = [
         _limb(kinematics, poses, joints, parameters, ends[0, k], local[0, k], k)
@@ -345,22 +345,24 @@ def _limb(
         arm = (2.0 * there - ahead - behind) / (2.0 * (1.0 - np.cos(change)))
         motion = (ahead - behind) / (2.0 * np.sin(change))
         size = float(arm @ arm)
-        if size < STILL**2:
+        if size < MOTION_TOLERANCE**2:
             return None
         axis, centre = np.cross(arm, motion) / size, there - arm
         expected = centre + np.cos(2 * change) * arm + np.sin(2 * change) * motion
-        whole = abs(np.linalg.norm(axis) - 1.0) < STILL
-        if not whole or np.abs(further - expected).max() > STILL:
+        whole = abs(np.linalg.norm(axis) - 1.0) < MOTION_TOLERANCE
+        if not whole or np.abs(further - expected).max() > MOTION_TOLERANCE:
             return None
         return Limb(CRANK, centre, there, end, local, axis, joint)
-    if np.ptp(starts[:, k], axis=0).max() > STILL:
+    if np.ptp(starts[:, k], axis=0).max() > MOTION_TOLERANCE:
         axis = (ahead - behind) / (2.0 * change)
-        straight = np.abs(there + 2.0 * change * axis - further).max() < STILL
-        if not straight or abs(np.linalg.norm(axis) - 1.0) > STILL:
+        straight = (
+            np.abs(there + 2.0 * change * axis - further).max() < MOTION_TOLERANCE
+        )
+        if not straight or abs(np.linalg.norm(axis) - 1.0) > MOTION_TOLERANCE:
             return None
         return Limb(CARRIAGE, there, there, end, local, axis, joint)
     axis = (end - there) / np.linalg.norm(end - there)
-    if abs(longer[0, k] - 1.0) > STILL:
+    if abs(longer[0, k] - 1.0) > MOTION_TOLERANCE:
         return None
     return Limb(LEG, there, there, end, local, axis, joint)
 

@@ -24,7 +24,7 @@ SHARES = (0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
 #: half a range of a coordinate without end, m or rad
 HALF_RANGE = 0.1
 #: SI numbers of a geometry below this are rounding errors
-ROUNDING = 1e-12
+ROUNDING_TOLERANCE = 1e-12
 
 
 def axis(c: Coordinate, machine: Machine, share: float, free: int | None = None) -> str:
@@ -121,7 +121,7 @@ def format_numbers(value: object, si: str) -> str:
     if isinstance(value, list | tuple | np.ndarray):
         return f"[{', '.join(format_numbers(item, si) for item in value)}]"
     number = float(value)  # type: ignore[arg-type]
-    return format_number(number if abs(number) > ROUNDING else 0.0, si)
+    return format_number(number if abs(number) > ROUNDING_TOLERANCE else 0.0, si)
 
 
 def number_text(value: float, unit: str) -> str:

@@ -31,7 +31,7 @@ from pkm_studies.tables import TO_MEASURE
 #: a number that only the user can know, as TOML
 OPEN = f'"{TO_MEASURE}"'
 #: readings of the design, where the grid has as many
-READINGS = 30
+DEFAULT_READINGS = 30
 GAP = """\
 # Real machines have small effects beside their geometry. `oed identify` asks its readings
 # about all that the machine can have. About some alone, or none:
@@ -195,7 +195,7 @@ def _prior(machine: Machine) -> str:
 def _design(machine: Machine, instrument: Instrument, share: float) -> str:
     grid = grid_lines(machine, instrument, share)
     # fewer than there are candidates
-    readings = min(READINGS, grid_size("\n".join(grid)) // 2)
+    readings = min(DEFAULT_READINGS, grid_size("\n".join(grid)) // 2)
     lines = [
         "[design]",
         'criterion = "D"  # or Ds, A, c, I, G, E, kappa, O1 to O5: `oed schema study`',

@@ -12,9 +12,9 @@ from pkm_studies.base import InputError
 from pkm_studies.drafts.template import grid_size
 
 #: a day at a machine, s: one shift
-DAY: Final = 8.0 * units.HOUR
+SHIFT: Final = 8.0 * units.HOUR
 #: seconds of a unit of time, by the beginning of its name
-SECONDS: Final = {"m": units.MINUTE, "h": units.HOUR, "d": DAY, "w": 5.0 * DAY}
+SECONDS: Final = {"m": units.MINUTE, "h": units.HOUR, "d": SHIFT, "w": 5.0 * SHIFT}
 #: numbers that one writes as words
 WORDS: Final = ("a", "one", "two", "three", "four", "five", "six")
 TIME: Final = re.compile(
@@ -23,7 +23,7 @@ TIME: Final = re.compile(
     r"(?:(?<=half)\s+an?)?\s*(?P<unit>min(?:utes?)?|h(?:ours?)?|d(?:ays?)?|weeks?)?"
 )
 #: characters of a time
-LONGEST: Final = 40
+MAX_TIME_CHARACTERS: Final = 40
 #: fewest and most readings that a time is turned into
 FEWEST, MOST = 6, 300
 
@@ -34,13 +34,13 @@ def read_time(text: str) -> float:
     A day has eight hours at the machine, a week five days. Raises InputError.
     """
     match = TIME.fullmatch(text.strip().lower())
-    size = None if match is None or len(text) > LONGEST else _size(match)
+    size = None if match is None or len(text) > MAX_TIME_CHARACTERS else _size(match)
     if match is None or size is None:
         raise InputError(
             "this is no time",
             "write it as `two days`, `1.5 h` or `90 min`; a day has 8 hours",
             field="time",
-            value=text[:LONGEST],
+            value=text[:MAX_TIME_CHARACTERS],
         )
     return size * SECONDS[(match["unit"] or "min")[0]]
 

@@ -46,10 +46,10 @@ WORDS = {
     "deviation": (("deviation", "error", "abweichung"), "um"),
 }
 #: an angle that goes back by less is jitter, deg
-JITTER = 1.0
+ANGLE_JITTER_DEG = 1.0
 #: largest deviation that is no mistake in the unit, over the radius
-LARGEST = 0.05
-FEWEST = 8
+MAX_DEVIATION_SHARE = 0.05
+MIN_CIRCLE_READINGS = 8
 
 
 class BarTrace(NamedTuple):
@@ -148,13 +148,13 @@ def traces(
             continue
         part = BarTrace(*(values[start:end] for values in whole))
         trace = _drop_feeds(part, circle)
-        if len(trace.angle) < FEWEST:
+        if len(trace.angle) < MIN_CIRCLE_READINGS:
             name = next(iter(columns.values()))
             raise table.error(
                 start,
                 name,
                 f"the run from here has {len(trace.angle)} points",
-                f"give at least {FEWEST} between feed_in_deg and feed_out_deg",
+                f"give at least {MIN_CIRCLE_READINGS} between feed_in_deg and feed_out_deg",
             )
         runs[number] = trace
     return runs
@@ -182,7 +182,7 @@ def _check_size(
 ) -> None:
     """Raises InputError for the first deviation that cannot be one in its unit."""
     radius = float(units.to_si(circle.radius_mm, "mm"))
-    large = np.flatnonzero(np.abs(deviation) > LARGEST * radius)
+    large = np.flatnonzero(np.abs(deviation) > MAX_DEVIATION_SHARE * radius)
     if large.size:
         name = next(n for n in columns if n.startswith("deviation"))
         raise table.error(
@@ -213,7 +213,7 @@ def _angle_of_time(time: Array, circle: CircleFacts) -> Array:
 
 def _runs(angle: Array) -> list[tuple[int, int]]:
     """First and last-but-one index of each stretch of angles that go one way."""
-    jitter = float(units.to_si(JITTER, "deg"))
+    jitter = float(units.to_si(ANGLE_JITTER_DEG, "deg"))
     bounds, start, turn, sense = [], 0, 0, 0
     for k in range(1, len(angle)):
         ahead = angle[k] - angle[turn]
@@ -240,7 +240,7 @@ def _drop_feeds(trace: BarTrace, circle: CircleFacts) -> BarTrace:
 
 
 #: harmonics of a turn that are not noise, at most
-HARMONICS = 15
+MAX_HARMONIC = 15
 INSTRUMENT = "ball_bar_free_cup"
 
 
@@ -448,7 +448,7 @@ def thin(angle: Array, reading: Array, time: Array, most: int) -> Thinned:
 def _residual(angle: Array, reading: Array) -> tuple[Array, int]:
     """What a Fourier series over the angle leaves, and its degrees of freedom."""
     turns = abs(angle[-1] - angle[0]) / (360.0 * units.DEG)
-    harmonics = min(HARMONICS, int(len(angle) * min(turns, 1.0)) // 6)
+    harmonics = min(MAX_HARMONIC, int(len(angle) * min(turns, 1.0)) // 6)
     columns = [np.ones_like(angle)]
     for k in range(1, harmonics + 1):
         columns += [np.cos(k * angle), np.sin(k * angle)]

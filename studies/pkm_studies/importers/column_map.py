@@ -31,7 +31,7 @@ from pkm_studies.study import decode_table, tables_of
 from pkm_studies.tables import MachineTable, PredictionReference
 from pkm_studies.user_code import Origin
 
-LIMIT = 200_000
+MAX_BYTES = 200_000
 
 
 class Model(NamedTuple):
@@ -52,7 +52,7 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Location]:
     if request.map is None:
         return ColumnMap(), Location("--map")
     location = Location(str(request.map))
-    text = files.read_text(request.map, limit=LIMIT, what="column map")
+    text = files.read_text(request.map, limit=MAX_BYTES, what="column map")
     table = tables_of(text, location)
     return column_sources.expanded(
         decode_table(ColumnMap, table, location), location

@@ -21,7 +21,7 @@ from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 BRACES = re.compile(r"\{([^{}]*)\}")
 DECIMALS = re.compile(r"[.,](\d+)$")
 #: significant digits of a product: less is rounding
-DIGITS = 14
+PRODUCT_DIGITS = 14
 
 
 def expanded(mapping: ColumnMap, location: Location) -> ColumnMap:
@@ -56,7 +56,7 @@ def values(entry: str | ColumnSource, table: CsvTable) -> Array:
     if (factor, offset, source.k) == (1.0, 0.0, None):
         return cells
     scaled = factor * cells / (source.k or 1.0) + offset
-    return np.array([float(f"{value:.{DIGITS}g}") for value in scaled])
+    return np.array([float(f"{value:.{PRODUCT_DIGITS}g}") for value in scaled])
 
 
 def least_spread(entry: str | ColumnSource, table: CsvTable) -> float:

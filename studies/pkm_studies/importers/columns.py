@@ -36,7 +36,7 @@ from pkm_studies.quantities import read_values
 from pkm_studies.tables import PredictionReference
 
 #: readings that a sentence lists
-MOST_LISTED = 10
+MAX_LISTED = 10
 #: columns of text
 TEXTS = ("setup", "run")
 
@@ -297,8 +297,8 @@ def drop_partial_joints(
             file="--map",
             field=columns[0],
         )
-    listed = ", ".join(str(k + 1) for k in partial[:MOST_LISTED])
-    more = ", ..." if len(partial) > MOST_LISTED else ""
+    listed = ", ".join(str(k + 1) for k in partial[:MAX_LISTED])
+    more = ", ..." if len(partial) > MAX_LISTED else ""
     return complete, [
         f"Left out: {len(partial)} rows in which some joints are empty"
         f" (readings {listed}{more} of the file)."

@@ -40,7 +40,7 @@ PROBE_MM: Final = 0.1
 CONTACT: Final = "contact_probe"
 REDUNDANCY: Final = "redundancy"
 #: share of a range by which joints may pass what the readings need
-MARGIN: Final = 0.1
+JOINT_MARGIN_SHARE: Final = 0.1
 
 
 class NumbersImporter:
@@ -182,7 +182,7 @@ def _ranges(
     for c, column in zip(coordinates, values.T, strict=True):
         low, high = np.fmin.reduce(column), np.fmax.reduce(column)
         if low < c.lower or high > c.upper:
-            margin = MARGIN * (high - low)
+            margin = JOINT_MARGIN_SHARE * (high - low)
             key = usual_column(c.name, c.unit)
             ends = [min(low - margin, c.lower), max(high + margin, c.upper)]
             first, last = units.from_si(ends, key.rpartition("_")[2])

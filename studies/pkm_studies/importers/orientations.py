@@ -22,11 +22,11 @@ UNIT_LENGTH = 1e-2
 #: rms deviation over the spread of the commands, above which orientations may be others
 WORST_SHARE: Final = 0.3
 #: how many times better another meaning of the columns must fit to be named
-ALTERNATIVE: Final = 5.0
+MIN_FIT_RATIO: Final = 5.0
 #: rad; above 3 deg no registration and no machine to calibrate explains a deviation
 WORST_TURN: Final = np.radians(3.0)
 #: orientations that a comparison takes at least
-FEWEST: Final = 4
+MIN_ORIENTATIONS: Final = 4
 #: names of the forms in the map
 FORMS = ("quaternion", "rotation_vector_rad", "rotation_vector_deg", "direction")
 
@@ -144,7 +144,7 @@ def check_sense(
     is_whole  whether the turn about the tool axis was read too
     """
     used = np.isfinite(read[:, 0, 0]) & np.isfinite(wanted[:, 0, 0])
-    if used.sum() < FEWEST:
+    if used.sum() < MIN_ORIENTATIONS:
         return
     commanded, stated = Rotation.from_matrix(wanted[used]), read[used]
     spread, _ = _turns_about_mean(commanded, is_whole=is_whole)
@@ -157,7 +157,7 @@ def check_sense(
     rms, constant = misfit(rotation_read)
     if rms > WORST_SHARE * spread:
         for remedy, other in _alternatives(rotation_read, columns, is_whole=is_whole):
-            if ALTERNATIVE * misfit(other)[0] < rms:
+            if MIN_FIT_RATIO * misfit(other)[0] < rms:
                 raise _other_orientation(rms, "", remedy, file)
     if rms > max(WORST_SHARE * spread, WORST_TURN):
         raise _other_orientation(rms, "", "check rows and machine", file)

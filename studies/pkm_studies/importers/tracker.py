@@ -51,7 +51,7 @@ FREE = {
 #: rms of the best fit over the points' spread above which the points are no such poses
 WORST_FIT = 0.1
 #: how many times better a mirrored frame must fit to be named
-MIRROR = 5.0
+MIN_MIRROR_FIT_RATIO = 5.0
 CHANNELS = ("read_x", "read_y", "read_z")
 UNIT = r"(?:[\[(]\s*(?P<unit>mm|m|in|um)\s*[\])])"
 #: measured coordinates: X, x [mm], x_meas, Position X, TX [mm]
@@ -61,7 +61,7 @@ MEASURED = re.compile(
 )
 #: expanded uncertainty of a coordinate, of coverage 95 %
 U95 = re.compile(rf"\s*U\(95\)\s*(?P<axis>[xyz])\s*{UNIT}\s*", re.IGNORECASE)
-COVERAGE = 2.0
+COVERAGE_FACTOR = 2.0
 #: columns that may be a standard deviation, or k times that
 UNCERTAINTY = re.compile(
     r"\s*(?:u|u95|std|stdev|sigma|sd|unc|uncertainty)[ _.]*[(]?[xyz]\b.*", re.IGNORECASE
@@ -230,7 +230,7 @@ def _check_fit(fit: BestFit, measured: Array, wanted: Array, table: CsvTable) ->
     if fit.rms < WORST_FIT * spread:
         return
     mirrored = best_fit(measured * np.array([1.0, 1.0, -1.0]), wanted)
-    if MIRROR * mirrored.rms < fit.rms:
+    if MIN_MIRROR_FIT_RATIO * mirrored.rms < fit.rms:
         raise InputError(
             "the points fit their mirror image: the instrument's frame is left-handed,"
             " or two axes are swapped",
@@ -345,7 +345,7 @@ def add_measured(mapping: ColumnMap, table: CsvTable) -> dict[str, str | ColumnS
             mapped[f"read_{axis}_{_unit(match, unit)}"] = axes[axis] = header
         if spread:
             name = f"sigma_read_{spread['axis'].lower()}_{_unit(spread, unit)}"
-            mapped[name] = ColumnSource(column=header, k=COVERAGE)
+            mapped[name] = ColumnSource(column=header, k=COVERAGE_FACTOR)
     return mapped
 
 

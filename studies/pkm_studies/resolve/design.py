@@ -410,7 +410,7 @@ def _angle_around(
 # `oed.design.candidates`: series by series, runs in order of appearance.
 
 #: a coordinate may be outside a range by this (m, rad) and count as inside
-SLACK = 1e-9
+RANGE_TOLERANCE = 1e-9
 RELAX = "relax one of them, or change the number of readings"
 
 
@@ -514,9 +514,9 @@ def _numbers(
             )
     least, most = quota.min, quota.max
     if quota.min_share is not None:
-        least = math.ceil(quota.min_share * size - SLACK)
+        least = math.ceil(quota.min_share * size - RANGE_TOLERANCE)
     if quota.max_share is not None:
-        most = math.floor(quota.max_share * size + SLACK)
+        most = math.floor(quota.max_share * size + RANGE_TOLERANCE)
     if least is None and most is None:
         raise location.error(
             "how many readings?", "give min, max, min_share or max_share"
@@ -586,9 +586,9 @@ def _is_within_ranges(
             )
         values = commands[:, names.index(name)]
         if span.from_ is not None:
-            inside &= values >= float(units.to_si(span.from_, unit)) - SLACK
+            inside &= values >= float(units.to_si(span.from_, unit)) - RANGE_TOLERANCE
         if span.to is not None:
-            inside &= values <= float(units.to_si(span.to, unit)) + SLACK
+            inside &= values <= float(units.to_si(span.to, unit)) + RANGE_TOLERANCE
     return inside
 
 

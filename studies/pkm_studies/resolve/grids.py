@@ -90,7 +90,7 @@ POINT_FORMS = ("circle", "line", "cube")
 #: poses sampled where a table gives none
 DEFAULT_SAMPLE = 500
 #: a joint may exceed its range by this much (m, rad)
-SLACK = 1e-9
+RANGE_TOLERANCE = 1e-9
 
 
 class Poses(NamedTuple):
@@ -284,8 +284,8 @@ def keep_within_reach(
     """Indices of the commands that assemble with all joints in their ranges."""
     reached = np.arange(len(command))
     joints = kinematics.machine.joints
-    low = np.array([joint.lower for joint in joints]) - SLACK
-    high = np.array([joint.upper for joint in joints]) + SLACK
+    low = np.array([joint.lower for joint in joints]) - RANGE_TOLERANCE
+    high = np.array([joint.upper for joint in joints]) + RANGE_TOLERANCE
     while reached.size:
         try:
             _, q = kinematics.sent(command[reached], np.array(tool))

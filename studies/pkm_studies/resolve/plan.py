@@ -135,7 +135,7 @@ def request_of_table(
 
 
 #: seed of the states of the workspace in which effects act
-STATES = 0
+STATE_SEED = 0
 #: combinations of effects that are unknowns of a plan, at most: its search carries a
 #: covariance of them from stage to stage
 MAX_EFFECT_UNKNOWNS = 20
@@ -175,7 +175,7 @@ def _effects(
         gap.named_effects(table.effects, location),
         gap,
         prediction,
-        np.random.default_rng(STATES),
+        np.random.default_rng(STATE_SEED),
         MAX_EFFECT_UNKNOWNS,
         units.factor("min") * _budget_min(table, study.location.key("plan")),
     )

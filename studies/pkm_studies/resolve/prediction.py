@@ -166,7 +166,7 @@ def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:
 
 
 #: places along a coordinate of the workspace where the study names none
-PLACES = 5
+N_PLACES = 5
 
 
 def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
@@ -186,7 +186,7 @@ def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
 
 def _lattice(machine: Machine) -> Array:
     """Commands (n, n_dof) over the workspace, whether in reach or not."""
-    knots = tuple(np.linspace(c.lower, c.upper, PLACES) for c in machine.command)
+    knots = tuple(np.linspace(c.lower, c.upper, N_PLACES) for c in machine.command)
     return grid_nodes(knots)
 
 
@@ -253,11 +253,11 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
 
 
 #: values of each coordinate at which the workspace is tried
-TRIED = 3
+N_TRIED = 3
 
 
 #: most poses that are tried
-MOST_TRIED = 729
+MAX_TRIED = 729
 
 
 def unreachable(kinematics: Kinematics) -> str | None:
@@ -267,7 +267,7 @@ def unreachable(kinematics: Kinematics) -> str | None:
     """
     machine = kinematics.machine
     ends = [(c.lower, c.upper) for c in machine.command]
-    count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
+    count = N_TRIED if N_TRIED ** len(ends) <= MAX_TRIED else N_TRIED - 1
     axes = [
         np.linspace(low, high, count) if np.isfinite([low, high]).all() else [home]
         for (low, high), home in zip(ends, machine.home_command, strict=True)

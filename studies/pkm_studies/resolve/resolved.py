@@ -29,7 +29,7 @@ from oed.result import StudyResult
 from oed.text import suggest
 from pkm_studies import catalogue, csv_table, files, quantities, user_code
 from pkm_studies.base import InputError, Location
-from pkm_studies.earlier_result import SAME, controller_values
+from pkm_studies.earlier_result import ROUNDING, controller_values
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import grids
 from pkm_studies.resolve.design import (
@@ -157,7 +157,7 @@ def check_stages(study: Study, measurement: Measurement) -> None:
 # Readings that a study's prior rests on, and whether new ones are among them.
 
 #: share of readings that equal those of the prior, from which a user must know
-DOUBTFUL = 0.2
+MIN_PRIOR_SHARE = 0.2
 
 
 def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
@@ -191,7 +191,7 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
                 name,
             )
         share = shared(new, result.readings)
-        if share >= DOUBTFUL:
+        if share >= MIN_PRIOR_SHARE:
             sentences.append(
                 f"{share:.0%} of the readings equal some that the prior of {name} rests"
                 " on: take those out that were taken once; a coarse scale repeats values"
@@ -353,7 +353,7 @@ def _check_teach_pose(kinematics: Kinematics, setup: Setup, location: Location) 
 #: rows of a table of parameters by name: value, unit, and nominal where it is there
 Rows = Mapping[str, Mapping[str, Any]]
 #: bytes of the largest file
-LIMIT = 1 << 26
+MAX_BYTES = 1 << 26
 #: what counts as the same command, in the unit of its column: six decimals are written
 SAME_COMMAND = 2e-6
 REMEDY = (
@@ -396,7 +396,7 @@ def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
 
 def _json_rows(path: Path, location: Location, name: str, machine: Machine) -> Rows:
     """Rows {parameter: value, unit, nominal} of a compensation.json."""
-    text = files.read_text(path, limit=LIMIT, what="parameter table")
+    text = files.read_text(path, limit=MAX_BYTES, what="parameter table")
     try:
         document = json.loads(text)
         rows: Rows = {str(n): dict(r) for n, r in document["parameters"].items()}
@@ -410,7 +410,7 @@ def _json_rows(path: Path, location: Location, name: str, machine: Machine) -> R
 
 def _csv_rows(path: Path, location: Location, name: str) -> Rows | None:
     """The same of a table of parameters; None of a table of another kind."""
-    text = files.read_text(path, limit=LIMIT, what="parameter table")
+    text = files.read_text(path, limit=MAX_BYTES, what="parameter table")
     reader = csv.DictReader(text.splitlines())
     if not {"name", "value", "unit"} <= set(reader.fieldnames or ()):
         return None
@@ -448,7 +448,7 @@ def _parameters(rows: Rows, machine: Machine, location: Location, name: str) -> 
         values[k] = units.to_si(number, unit)
         drawn = units.number(machine.nominal[k], unit)
         if nominal is not None and not math.isclose(
-            nominal, drawn, rel_tol=SAME, abs_tol=SAME
+            nominal, drawn, rel_tol=ROUNDING, abs_tol=ROUNDING
         ):
             phrase = f"{parameter} = {drawn:.9g} for {nominal:.9g} {unit}"
             raise _other_machine(location, name, phrase)

@@ -31,7 +31,7 @@ from pkm_studies.tables import BoundsTable, ToleranceTable
 
 #: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
 #: squares lose all digits
-LEAST_SIGMA, LARGEST = 1e-12, 1e3
+MIN_SIGMA, LARGEST = 1e-12, 1e3
 #: ends of the names of an error that all readings of a run share, and of a display's step
 RUN, RESOLUTION = "_run", "_resolution"
 #: name of what each run seats anew
@@ -125,10 +125,10 @@ def _amounts(
     values = quantities.read_values(table, unit_of, location)
     for key, (name, value) in zip(table, values.items(), strict=True):
         _check_amount(name, value, location.key(key), table[key])
-        if value != 0.0 and not LEAST_SIGMA <= value <= LARGEST:
+        if value != 0.0 and not MIN_SIGMA <= value <= LARGEST:
             raise location.key(key).error(
                 "no instrument has such a noise",
-                f"check its unit; {LEAST_SIGMA:g} to {LARGEST:g} {unit_of[name]} are"
+                f"check its unit; {MIN_SIGMA:g} to {LARGEST:g} {unit_of[name]} are"
                 " possible",
                 table[key],
             )
@@ -175,7 +175,7 @@ def _check_amount(name: str, value: float, location: Location, amount: float) ->
 # The prior of a study from the results of other machines of its model.
 
 #: tolerances by which the nominal numbers of a machine of the same model may differ
-FAR = 4.0
+MAX_TOLERANCES = 4.0
 
 
 def fleet_knowledge(
@@ -280,7 +280,7 @@ def _information(
         for field in ("value", "nominal", "prior_sd")
     )
     shift = (start - nominal) / tolerance
-    if np.abs(shift).max() > FAR:
+    if np.abs(shift).max() > MAX_TOLERANCES:
         k = int(np.abs(shift).argmax())
         raise location.error(
             f"its nominal {free[k]} differs by {abs(shift[k]):.3g} tolerances: it is a"
@@ -298,9 +298,9 @@ def _information(
 
 
 #: least eigenvalue of a correlation matrix: nearer to 0 one combination has no error left
-LEAST = 1e-6
+MIN_EIGENVALUE = 1e-6
 #: least share of the machines of the tolerances that keep to all bounds
-LEAST_SHARE = 0.02
+MIN_SHARE = 0.02
 
 
 def replace_tolerances(
@@ -417,7 +417,7 @@ def with_bounds(study: Study, machine: Machine) -> Machine:
     for i, table in enumerate(study.prior.bounds):
         machine = _bounded(machine, table, location.item(i))
     shares = [_share(machine, k) for k in range(len(machine.parameters))]
-    if math.prod(shares) < LEAST_SHARE:
+    if math.prod(shares) < MIN_SHARE:
         raise location.error(
             f"{100.0 * math.prod(shares):.2g} % of the machines of the tolerances keep to"
             " these bounds",
@@ -501,7 +501,7 @@ def add_correlation(study: Study, machine: Machine) -> Machine:
         groups.append(CommonTolerance(members, table.correlation))
         changed = dataclasses.replace(machine, correlated=tuple(groups))
         matrix = ParameterVector(changed, []).correlation
-        if matrix is not None and np.linalg.eigvalsh(matrix)[0] < LEAST:
+        if matrix is not None and np.linalg.eigvalsh(matrix)[0] < MIN_EIGENVALUE:
             raise field_location.key("correlation").error(
                 "no errors have such correlations"
                 + (" together with those above" if i else ""),

@@ -16,9 +16,9 @@ from pkm_studies.base import Location
 #: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)
 SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8
 #: largest step, over a coordinate's range
-LARGEST_STEP = 0.2
+MAX_STEP = 0.2
 #: digits of a command, m or rad: less is rounding of the solution
-PICOMETRE = 12
+COMMAND_DECIMALS = 12
 AXES = "xyz"
 
 
@@ -71,7 +71,7 @@ class ToolPoints:
             command[:, free] += self._shortened(np.nan_to_num(step), free)
         missed = np.linalg.norm(self.points(command) - points, axis=1)
         self._check(missed, points, location)
-        return command.round(PICOMETRE)
+        return command.round(COMMAND_DECIMALS)
 
     def _free(self, fixed: Mapping[str, float], location: Location) -> list[int]:
         """Columns of the coordinates to solve for, three at most."""
@@ -131,7 +131,7 @@ class ToolPoints:
     def _shortened(self, step: Array, free: list[int]) -> Array:
         """Steps (n, k), none longer than a share of the coordinates' ranges."""
         lower, upper = ranges(self._machine, self._tool.tolist())
-        share = np.abs(step) / (LARGEST_STEP * (upper - lower)[free])
+        share = np.abs(step) / (MAX_STEP * (upper - lower)[free])
         return np.asarray(step / np.maximum(1.0, share.max(axis=1))[:, None])
 
     def _check(self, missed: Array, points: Array, location: Location) -> None:

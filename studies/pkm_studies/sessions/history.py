@@ -35,13 +35,13 @@ from pkm_studies.user_code import Consent
 #: a section with parameters, their covariance and chi2
 Fitted = EstimateSection | CorrectedSection
 #: probability of a false alarm of a session's comparison
-ALARM = 0.01
+FALSE_ALARM = 0.01
 #: combinations and causes that are printed
 MAX_COMBINATIONS = 10
 #: parameters of a combination that are printed
-TERMS = 4
+MAX_TERMS = 4
 #: departure from 1 of a coefficient that is written as 1
-ONE = 5e-4
+UNIT_TOLERANCE = 5e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
     if not change.dof:
         yield "The two sessions determine no common combination of parameters."
         return
-    verdict = "No change" if change.p_value >= ALARM else "The machine changed"
+    verdict = "No change" if change.p_value >= FALSE_ALARM else "The machine changed"
     yield (
         f"{verdict}: chi2 {change.chi2:.4g} for {change.dof} combinations that both"
         f" sessions determine, p {format_p_value(change.p_value)}."
@@ -189,11 +189,11 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
             f"{change.undetermined} of {len(units)} directions {verb} not determined by"
             " both sessions: a change there stays unseen."
         )
-    if change.p_value < ALARM:
+    if change.p_value < FALSE_ALARM:
         yield from explanations(change, units)
     # Sidak: the smallest of dof p-values, each uniform where nothing changed
-    threshold = 1.0 - (1.0 - ALARM) ** (1.0 / change.dof)
-    yield f"Changes (* beyond chance among {change.dof}, at {ALARM:g}):"
+    threshold = 1.0 - (1.0 - FALSE_ALARM) ** (1.0 / change.dof)
+    yield f"Changes (* beyond chance among {change.dof}, at {FALSE_ALARM:g}):"
     for combination in change.combinations[:MAX_COMBINATIONS]:
         mark = "*" if combination.p_value < threshold else " "
         yield f"  {mark} {_combination(combination, units)}"
@@ -214,12 +214,12 @@ def combination_words(
     """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
     (pivot, _), *others = combination.coefficients.items()
     phrases = [pivot]
-    for name, coefficient in others[: TERMS - 1]:
+    for name, coefficient in others[: MAX_TERMS - 1]:
         sign = "less" if coefficient < 0.0 else "plus"
         amount = _amount(abs(coefficient), units[pivot], units[name])
         phrases.append(f"{sign} {amount}{name}")
-    if len(others) >= TERMS:
-        phrases.append(f"and {len(others) - TERMS + 1} smaller terms")
+    if len(others) >= MAX_TERMS:
+        phrases.append(f"and {len(others) - MAX_TERMS + 1} smaller terms")
     return " ".join(phrases), units[pivot]
 
 
@@ -227,7 +227,7 @@ def _amount(size: float, unit: str, of_unit: str) -> str:
     """A coefficient in words that end before the parameter's name; nothing for 1."""
     if unit != of_unit:
         return f"{size:.3g} {unit} per {of_unit} of "
-    return "" if abs(size - 1.0) < ONE else f"{size:.3g} times "
+    return "" if abs(size - 1.0) < UNIT_TOLERANCE else f"{size:.3g} times "
 
 
 def explanations(
@@ -289,11 +289,11 @@ def _changes(folders: Sequence[Path], results: Sequence[StudyResult]) -> list[st
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 #: probability of proving a drift that is called provable
-POWER = 0.9
+MIN_POWER = 0.9
 #: p-value of no drift from which a combination is not shown: its 95 % interval has 0
-DOUBTFUL = 0.05
+MIN_P_VALUE = 0.05
 #: limit of the rms error over that right after a calibration, where none is given
-LIMIT = 2.0
+RMS_RATIO = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -333,7 +333,7 @@ def machine_history(
     doubts = warnings(sessions.results, sessions.folders)
     errors = _errors(sessions, shown, limits, study_file, consent)
     outlook = _provable(sessions, errors, machine_sessions)
-    if drifted.p_value < ALARM:
+    if drifted.p_value < FALSE_ALARM:
         outlook = _due(sessions, errors, drifted)
     sentences = [
         *doubts,
@@ -412,7 +412,9 @@ def _verdict(drifted: SessionDrift) -> Iterator[str]:
     if not drifted.dof:
         yield "The sessions determine the drift of no combination of parameters."
         return
-    verdict = "The machine drifts" if drifted.p_value < ALARM else "No drift is proven"
+    verdict = (
+        "The machine drifts" if drifted.p_value < FALSE_ALARM else "No drift is proven"
+    )
     yield (
         f"{verdict}: chi2 {drifted.chi2:.4g} for {drifted.dof} combinations, p"
         f" {format_p_value(drifted.p_value)}."
@@ -431,7 +433,7 @@ def _verdict(drifted: SessionDrift) -> Iterator[str]:
 
 def _causes(drifted: SessionDrift, shown: dict[str, str], unit: str) -> Iterator[str]:
     """Parameters whose drift explains all of a proven one."""
-    if drifted.dof and drifted.p_value < ALARM:
+    if drifted.dof and drifted.p_value < FALSE_ALARM:
         yield from explanations(drifted, shown, f" a {unit}")
 
 
@@ -441,7 +443,7 @@ def _combinations(
     if not drifted.dof:
         return
     yield f"Drift a {unit}, with its 95 % interval:"
-    proven = [c for c in drifted.combinations if c.p_value < DOUBTFUL]
+    proven = [c for c in drifted.combinations if c.p_value < MIN_P_VALUE]
     for combination in (proven or drifted.combinations[:1])[:MAX_COMBINATIONS]:
         yield f"  {_line(combination, shown, unit)}"
 
@@ -499,7 +501,7 @@ def _errors(
                 maps=accuracy.promise.maps[:, k][:, columns] * factors,
                 unit=units.FINE[component.unit],
                 after=after,
-                limit=component_limits.get(component.name, LIMIT * after),
+                limit=component_limits.get(component.name, RMS_RATIO * after),
             )
         )
     return errors
@@ -532,10 +534,12 @@ def _provable(
     every = "" if sessions.unit == "session" else f", one every {spacing:.0f} days,"
     yield (
         f"There is no date for the next calibration. Sessions like these{every} prove with"
-        f" probability {POWER:g} that an rms error grows a {sessions.unit} by"
+        f" probability {MIN_POWER:g} that an rms error grows a {sessions.unit} by"
     )
     for error in errors:
-        growth = machine_sessions.provable_growth(error.maps, more, ALARM, POWER, rng)
+        growth = machine_sessions.provable_growth(
+            error.maps, more, FALSE_ALARM, MIN_POWER, rng
+        )
         sizes = units.from_si(growth, error.unit) / spacing
         parts = [
             f"{size:.2g} {error.unit} ({number} sessions)"

@@ -53,7 +53,7 @@ from pkm_studies.study import Study
 
 
 #: machines that are drawn for an interval or a probability
-MACHINES = 4000
+DRAWN_MACHINES = 4000
 #: share of a wanted accuracy that no reading reaches
 OUT_OF_REACH = 1e-9
 
@@ -93,7 +93,7 @@ class Outlook:
         rng = np.random.default_rng(0)
         values, vectors = np.linalg.eigh(self.now.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        squares = rng.standard_normal((MACHINES, len(values))) ** 2
+        squares = rng.standard_normal((DRAWN_MACHINES, len(values))) ** 2
         columns = []
         for weight, other in zip(self.now.weights, self.others, strict=True):
             spread = np.linalg.eigvalsh(root.T @ weight @ root)
@@ -192,9 +192,9 @@ NO_READING = "no reading was taken"
 #: what `wanted` is where a session should reach what the study's plan would
 AS_PLANNED = "plan"
 #: share by which a session with the plan's readings may miss the plan's accuracy
-ROUNDING = 1e-6
+ACCURACY_TOLERANCE = 1e-6
 #: time between two looks at the file, s
-PAUSE = 0.5
+POLL_SECONDS = 0.5
 
 
 class FittedReadings(NamedTuple):
@@ -254,7 +254,7 @@ class Adviser:
                     yield self.advice_sentences(self.advise(readings))
                 except InputError as error:
                     yield [str(error)]
-            time.sleep(PAUSE)
+            time.sleep(POLL_SECONDS)
 
     @property
     def everything(self) -> Measurement:
@@ -328,7 +328,7 @@ class Adviser:
         if self.plan:
             blocks = outlook.blocks
             planned = outlook.before.update_all(blocks, self.plan)
-            self.limits = outlook.accuracy(planned) * (1.0 + ROUNDING)
+            self.limits = outlook.accuracy(planned) * (1.0 + ACCURACY_TOLERANCE)
         count = sum(map(len, series))
         return self._advice(measurement, outlook, theta, count, skipped)
 
@@ -483,7 +483,7 @@ def _more(belief: Belief, blocks: Array, plan: list[int], limits: Array) -> int 
     if not np.isfinite(limits).any():
         return None
     rest = list(plan)
-    for number in range(MOST_AHEAD + 1):
+    for number in range(MAX_AHEAD + 1):
         if not belief.open_components(limits):
             return number
         pool = blocks[rest] if rest else blocks
@@ -571,9 +571,9 @@ def reading_of(pool: Candidates, index: int) -> tuple[Series, int]:
 
 
 #: readings that are thought ahead, to say how many reach what is wanted
-MOST_AHEAD = 100
+MAX_AHEAD = 100
 #: share of the error below which a further reading is not worth its time
-LEAST_GAIN = 0.01
+MIN_GAIN = 0.01
 EVERY = "every wanted accuracy"
 GEOMETRY_SO_FAR = (
     "Geometry alone so far: every wanted accuracy would be reached if no effect acted"
@@ -593,7 +593,7 @@ class Advice:
                wanted; NaN where nothing is
     follows_plan  whether the limits are what the study's plan would reach
     more       readings that reach what is wanted, one after another; None where
-               `MOST_AHEAD` do not, or nothing is wanted
+               `MAX_AHEAD` do not, or nothing is wanted
     planned    readings of the study's plan, if it states a number
     candidate  number of the next reading among the candidates, which is in a row of a
                series; `expected` is what it should read, SI
@@ -661,16 +661,14 @@ class Advice:
             return [GEOMETRY_SO_FAR]
         if np.isfinite(self.limits).any():
             if self.more is None:
-                return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
+                return [f"{MAX_AHEAD} more readings would not reach what is wanted."]
             if self.more == 1:
                 return ["About 1 more reading reaches what is wanted."]
             return [f"About {self.more} more readings reach what is wanted."]
         if self.planned is not None and self.readings >= self.planned:
             return [f"Stop: the {self.planned} readings of the plan are taken."]
-        if self.readings and self.gain < LEAST_GAIN:
-            return [
-                f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."
-            ]
+        if self.readings and self.gain < MIN_GAIN:
+            return [f"Stop: a further reading gains less than {100 * MIN_GAIN:.0f} %."]
         if self.planned is None:
             return []
         return [f"The plan has {self.planned} readings."]

@@ -87,13 +87,13 @@ def _residual(name: str, c: ForecastComponent) -> str:
 
 
 #: places at which errors count, drawn evenly over the box of the workspace
-PLACES = 256
+WORKSPACE_PLACES = 256
 #: candidates along each axis, by the number of axes; further ones have the last
 CANDIDATES = (41, 11, 6, 4)
 #: most candidates; more are drawn among
-MOST = 250
+MAX_CANDIDATES = 250
 #: candidates round a full turn
-ROUND = 12
+CANDIDATES_PER_TURN = 12
 #: names of an instrument's channel that reads the error of a component
 CHANNELS = ("{}", "d{}", "read_{}")
 
@@ -257,7 +257,7 @@ def _places(axes: tuple[GridAxis, ...], rng: np.random.Generator) -> Array:
 
     low = np.array([axis.lower for axis in axes])
     high = np.array([axis.upper for axis in axes])
-    cube = qmc.LatinHypercube(len(axes), rng=rng).random(PLACES)
+    cube = qmc.LatinHypercube(len(axes), rng=rng).random(WORKSPACE_PLACES)
     return np.asarray(low + (high - low) * cube)
 
 
@@ -268,13 +268,13 @@ def _candidates(axes: tuple[GridAxis, ...], rng: np.random.Generator) -> Array:
     knots = []
     for axis in axes:
         if axis.turn:
-            knots.append(axis.knots(ROUND + 1)[:-1])
+            knots.append(axis.knots(CANDIDATES_PER_TURN + 1)[:-1])
         else:
             knots.append(axis.knots(count if axis.upper > axis.lower else 1))
     nodes = grid_nodes(tuple(knots))
-    if len(nodes) <= MOST:
+    if len(nodes) <= MAX_CANDIDATES:
         return nodes
-    return nodes[rng.choice(len(nodes), MOST, replace=False)]
+    return nodes[rng.choice(len(nodes), MAX_CANDIDATES, replace=False)]
 
 
 def _reachable(kinematics: Kinematics, command: Array) -> Array:
@@ -295,7 +295,7 @@ def _reachable(kinematics: Kinematics, command: Array) -> Array:
 
 
 #: a node is in doubt that is so many standard deviations off what the others predict
-DOUBT = 4.5
+DOUBTFUL_NODE_DEVIATIONS = 4.5
 #: what a table of errors can do, whatever they come from
 REPEATS = (
     "the table removes errors that repeat at the same command in the same state"
@@ -496,7 +496,7 @@ def _doubts(task: ForecastTask, command: Array, pull: Array) -> Iterator[str]:
 
     pull  (n, k) residuals over their standard deviations; NaN where none was read
     """
-    for row, k in np.argwhere(np.abs(pull) > DOUBT):
+    for row, k in np.argwhere(np.abs(pull) > DOUBTFUL_NODE_DEVIATIONS):
         pose = describe.displayed_command(task.kinematics.machine, command[row])
         pose_text = ", ".join(f"{name} = {value:.6g}" for name, value in pose.items())
         yield (
@@ -513,7 +513,7 @@ NODES, TABLE = "forecast_nodes.csv", "forecast_table.csv"
 #: columns of a component's measured error, and of its standard deviation
 ERROR, SIGMA = "error_{}_{}", "sigma_{}_{}"
 #: decimals of the table, in mm and degrees
-DECIMALS = 6
+TABLE_DECIMALS = 6
 
 
 def error_columns(components: tuple[Component, ...], pattern: str) -> list[str]:
@@ -606,7 +606,7 @@ def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
     for k, c in enumerate(machine.command):
         columns[column(f"corrected_{c.name}", c.unit)] = _shown(corrected[:, k], c.unit)
     rows = (
-        [f"{value:.{DECIMALS}f}" for value in row]
+        [f"{value:.{TABLE_DECIMALS}f}" for value in row]
         for row in zip(*columns.values(), strict=True)
     )
     return commented(_table_comments(kinematics)) + csv_text.of_rows(

@@ -132,9 +132,9 @@ REFERENCES = {
     "best_fit": "after best alignment",
 }
 #: share of the error from which a choice is named
-LEAST_GAIN = 0.01
+MIN_GAIN = 0.01
 #: choices that are named, at most
-NAMED = 3
+MAX_NAMED_CHOICES = 3
 
 
 def sentences(
@@ -428,7 +428,7 @@ def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[s
         recording = None if effects is None else effects.recording
         choices = [] if recording is None else recording.choices
         parts = []
-        for choice in [c for c in choices if c.gain >= LEAST_GAIN][:NAMED]:
+        for choice in [c for c in choices if c.gain >= MIN_GAIN][:MAX_NAMED_CHOICES]:
             worth = "as no number of further readings does without"
             if choice.readings is not None:
                 worth = f"worth {choice.readings} further readings"
@@ -443,9 +443,9 @@ def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[s
 
 
 #: lines of a summary, which a terminal shows without scrolling
-MOST_LINES: Final = 12
+MAX_LINES: Final = 12
 #: sentences of a result that has no first lines
-MOST_SENTENCES: Final = 3
+MAX_BARE_SENTENCES: Final = 3
 #: the one that is never summed up
 CONTRADICTS: Final = "contradicts"
 #: names of the files that a user opens
@@ -457,14 +457,14 @@ def lines(
 ) -> list[str]:
     """The first lines of the report, what speaks against them, files and claims.
 
-    At most MOST_LINES lines, but for what speaks against the result; `verbose` prints
+    At most MAX_LINES lines, but for what speaks against the result; `verbose` prints
     every sentence, warning and claim.
     """
     from pkm_reports import first_lines
 
     page = first_lines(result)
     table = [] if page.table is None else _table(page.table)
-    shown = [*above, *(page.sentences or result.headline[:MOST_SENTENCES]), *table]
+    shown = [*above, *(page.sentences or result.headline[:MAX_BARE_SENTENCES]), *table]
     files = _files(result, folder, page.is_plan)
     if verbose:
         warnings = _warnings(result, folder)
@@ -496,7 +496,7 @@ def lines(
         *files,
         *failing,
     ]
-    room = max(0, MOST_LINES - len(shown) - len(needed) - 1)
+    room = max(0, MAX_LINES - len(shown) - len(needed) - 1)
     return [*shown, *ranked[:room], *needed, _last_line(result, len(ranked[room:]))]
 
 

@@ -187,7 +187,7 @@ def _true_parameters(state: RunState) -> Array:
 
 
 #: candidates at which an effect is asked for its coefficients
-FEW = 5
+N_ASKED = 5
 NOTHING_TO_RUN = (
     "`oed run` has neither readings nor a plan in it: add [readings], candidates or a"
     " reference plan, or give readings to `oed identify`"
@@ -230,7 +230,7 @@ def _check_virtual_machine(state: RunState) -> None:
     if state.study.plan is None and not resolved.candidates:
         simulate_readings(state, planned_series(state))
         return
-    some = [s.take(np.arange(min(len(s), FEW))) for s in resolved.candidates[:1]]
+    some = [s.take(np.arange(min(len(s), N_ASKED))) for s in resolved.candidates[:1]]
     if some and resolved.gap is not None:
         from pkm_studies.stages.gap.diagnosis import check_coefficients
 

@@ -34,7 +34,7 @@ from oed.result import RecordedChoice, RecordingSection
 from pkm_studies.resolve import GapRequest, PredictionRequest, planned_courses
 
 #: readings of a reference run that is repeated at the end, at most
-REFERENCE = 8
+MAX_REFERENCE_READINGS = 8
 #: how a need names a temperature, and the time
 TEMPERATURE, TIME = "temp_", "time"
 #: covariates that cost nothing, in words
@@ -242,7 +242,9 @@ def _repeated_reference(
     plan: PlanToRecord, effects: Sequence[str]
 ) -> Iterator[_Choice]:
     """The first readings once more at the end, with the time of all readings."""
-    first = plan.series[0].take(np.arange(min(REFERENCE, len(plan.series[0]))))
+    first = plan.series[0].take(
+        np.arange(min(MAX_REFERENCE_READINGS, len(plan.series[0])))
+    )
     more = _case(plan, plan.measurement, [*plan.series, first], len(first))
     phrase = f"the time, and the first {len(first)} readings once more at the end"
     yield _Choice("reference run", phrase, effects, more.predict(more.needing(TIME)))

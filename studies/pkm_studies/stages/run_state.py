@@ -182,7 +182,7 @@ class Measured(Scheduled):
         """Whether the noise law is estimated from the readings.
 
         As [noise] says; by default for recorded readings that leave at least
-        `LEAST_FREEDOM` degrees of freedom, or `MIN_FREEDOM_OF_SCALE` where an assumed noise
+        `MIN_FREEDOM` degrees of freedom, or `MIN_FREEDOM_OF_SCALE` where an assumed noise
         leaves but its scale to estimate. The noise of a virtual machine is known.
         """
         stated = self.study.noise.estimate
@@ -195,7 +195,7 @@ class Measured(Scheduled):
         assumed = self.study.noise.assumed
         if assumed:
             return freedom >= self.resolved.MIN_FREEDOM_OF_SCALE
-        return freedom >= noise_law.LEAST_FREEDOM
+        return freedom >= noise_law.MIN_FREEDOM
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 #: bytes of the largest study file
-LIMIT = 2_000_000
+MAX_BYTES = 2_000_000
 SUFFIX = ".study.toml"
 
 
@@ -73,7 +73,7 @@ def load(path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
     Raises InputError that names file, field, value and remedy.
     """
     path = Path(path)
-    text = files.read_text(path, limit=LIMIT, what="study file")
+    text = files.read_text(path, limit=MAX_BYTES, what="study file")
     return parse(text, path, consent)
 
 

@@ -27,7 +27,7 @@ else:  # as the catalogue lists them
 #: what a draft has in place of a number that nobody but its user knows
 TO_MEASURE: Final = "to be measured"
 #: readings chosen where neither a number nor a budget is given
-READINGS = 30
+DEFAULT_READINGS = 30
 
 
 class StudyTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from pkm_studies.tables.base import (
-    READINGS,
+    DEFAULT_READINGS,
     Count,
     CriterionName,
     IndexName,
@@ -293,7 +293,7 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     def size(self) -> int | None:
         """Number of readings or runs to choose; None where only the budget limits it."""
         if self.readings is None and self.budget_min is None:
-            return READINGS
+            return DEFAULT_READINGS
         return self.readings
 
     @property

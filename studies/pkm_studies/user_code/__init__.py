@@ -27,9 +27,9 @@ from pkm_studies.base import InputError, Location
 
 SUFFIX = ".py"
 #: bytes of the largest file that is run
-LIMIT = 4_000_000
+MAX_BYTES = 4_000_000
 #: characters of an error that are shown
-LONGEST_REASON = 120
+MAX_REASON_LENGTH = 120
 
 
 class Consent(enum.Enum):
@@ -137,7 +137,7 @@ def _source(path: Path, location: Location) -> bytes:
             "there is no such file", "paths are relative to the study file", str(path)
         )
     size = path.stat().st_size
-    if size > LIMIT:
+    if size > MAX_BYTES:
         raise location.error(
             f"{size / 1e6:.1f} MB are too many for a Python file",
             "check that this is the right file",
@@ -185,7 +185,7 @@ def _failure(error: BaseException, name: str, location: Location) -> InputError:
         )
     return location.error(
         f"importing it failed with {type(error).__name__}:"
-        f" {shorten(str(error), LONGEST_REASON)}",
+        f" {shorten(str(error), MAX_REASON_LENGTH)}",
         "mend the file, or run it alone with Python to see where",
         name,
     )

@@ -12,7 +12,7 @@ from shipped_models import laser_ball_bar, planar_2dof, pose_tracker, prs_spindl
 from kernel import a3_plans
 from oed import Measurement, mount
 from oed.estimation import identify, noise_numbers
-from oed.estimation.noise_summary import SCATTER
+from oed.estimation.noise_summary import MIN_RATIO
 from oed.measurement import draw_parameters, reading_structure
 from oed.noise import Laws
 from oed.noise_law import NoisePrior
@@ -81,7 +81,7 @@ def test_scatter_departs_where_all_draws_do(factor: float) -> None:
     draws[:, 1] = WHITE
     draws[:, 0] = optimize.brentq(lambda u: scale(u) - factor, -2.0, 2.0)
     (reading, *_) = noise_numbers(posterior(draws), M.setups)
-    assert reading.departs == (factor > SCATTER or factor < 1.0 / SCATTER)
+    assert reading.departs == (factor > MIN_RATIO or factor < 1.0 / MIN_RATIO)
 
 
 def test_each_channel_has_its_own_noise_however_far_another_is_overstated() -> None:

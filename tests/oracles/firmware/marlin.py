@@ -19,7 +19,7 @@ import numpy as np
 
 from oracles.firmware.geometry import BASE, Probe, carriages, contact, towers
 
-LEAST_STEPS = 6
+MIN_STEPS = 6
 
 
 def words_of(text: str, command: str) -> list[dict[str, float]]:
@@ -143,11 +143,11 @@ class Marlin:
         """Way (3,) of each carriage down from its switch at the end of homing."""
         down = -self.adjust
         if self.retreat == "dead band":
-            return np.where(down > LEAST_STEPS / self.steps_per_mm, down, 0.0)
+            return np.where(down > MIN_STEPS / self.steps_per_mm, down, 0.0)
         further = {
             "exact": 0.0,
             "tenth": 0.1,
-            "steps": (LEAST_STEPS + 1) / self.steps_per_mm,
+            "steps": (MIN_STEPS + 1) / self.steps_per_mm,
         }
         return np.where(down >= 0, down + further[self.retreat], 0.0)
 

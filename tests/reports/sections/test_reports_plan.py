@@ -347,7 +347,7 @@ def test_a_long_sheet_is_cut_and_says_so(
     result = result_of(report_fixture_plan.sample())
     tables = _tables(sheet.build(result, poses))
     printed = sum(len(_printed_rows(table)) for table in tables)
-    assert printed == min(sum(counts), sheet.MOST_ROWS)
+    assert printed == min(sum(counts), sheet.MAX_ROWS)
     notes = [re.match(r"\d+.*see poses.csv", table.more) for table in tables]
     omitted = sum(int(note.group().split()[0]) for note in notes if note)
     assert omitted == sum(counts) - printed

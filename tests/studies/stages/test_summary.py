@@ -18,7 +18,7 @@ MET = {"claim": "rank", "wanted": "rank = 18", "measured": 18, "met": True}
 UNMET = {"claim": "kappa", "wanted": "kappa <= 9", "measured": 12.5, "met": False}
 WARNING = "a1x ended near a bound"
 #: lines of a summary of a result with a table of six components and an unmet claim
-MOST_LINES = 12
+MAX_LINES = 12
 
 
 def sample(**changes: Any) -> StudyResult:
@@ -50,7 +50,7 @@ def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path: Path) ->
     result = sample(claims=[MET, UNMET], warnings=[WARNING])
     (tmp_path / "report.html").touch()
     short = headline.lines(result, tmp_path, verbose=False)
-    assert len(short) <= MOST_LINES
+    assert len(short) <= MAX_LINES
     assert "Claim kappa: not met: kappa <= 9, measured 12.5" in short
     assert f"Warning: A{WARNING[1:]}." in short
     assert f"Report: {tmp_path / 'report.html'}" in short

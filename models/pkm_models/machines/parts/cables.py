@@ -40,10 +40,10 @@ ATTACH = "the cables' points on the mover, from the tool point; all 0 for a poin
 STIFFNESS = "E A of each cable, which recorded tensions stretch; none: not known"
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}
 #: share of the smallest side of the anchors' box that a workspace amid them reaches
-REACH = 0.25
+WORKSPACE_SHARE = 0.25
 #: smallest side of that box over its largest from which anchors surround a mover; thinner,
 #: as of a ceiling, it hangs from them
-SURROUNDING = 0.25
+HANGING_SHARE = 0.25
 #: sense of the joints, and of z of a mover that turns
 PAID_OUT = "length of cable {} that its drum has paid out, less its zero"
 TOOL_AXIS = "z of the frame of the cables' points on the mover"
@@ -71,10 +71,10 @@ def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, 
     anchors, home = families.array(table, "anchor"), families.array(table, "home")
     low, high = anchors.min(axis=0), anchors.max(axis=0)
     sides = high - low
-    surround = sides.min() > SURROUNDING * sides.max()
+    surround = sides.min() > HANGING_SHARE * sides.max()
     is_amid = ((low < home) & (home < high)).all()
     if "home" not in geometry and surround and not is_amid:
-        reach = REACH * float(sides.min())
+        reach = WORKSPACE_SHARE * float(sides.min())
         table |= {"home": anchors.mean(axis=0), "reach": reach, **geometry}
     return table
 

@@ -21,11 +21,11 @@ NEEDS = (
     " hinges that hold a platform and cables are not written"
 )
 #: radius of struts, and size of platforms, over the machine's lever
-SLENDER = 0.02
+STRUT_RADIUS_SHARE = 0.02
 #: what both files say of platforms and masses
 TRANSLATION = "a platform that only translates has slides in place of parallelograms"
 MASSES = "masses are placeholders, no measured ones: replace them"
-STEEL = 7850.0
+STEEL_DENSITY = 7850.0
 
 
 def unfit(machine: Machine) -> str | None:

@@ -22,16 +22,16 @@ from pkm_studies.compensation.formats.json_file import (
 from pkm_studies.quantities import column
 
 #: decimals of lengths in mm and of angles in degrees
-DECIMALS = 6
+COMMAND_DECIMALS = 6
 #: significant digits of parameters
-DIGITS = 12
+PARAMETER_DIGITS = 12
 
 
 def write(compensation: Compensation) -> Texts:
     """The table first; its columns, axes, parameters and effects in further files."""
     columns = table(compensation)
     rows = zip(*columns.values(), strict=True)
-    commands = ([f"{value:.{DECIMALS}f}" for value in row] for row in rows)
+    commands = ([f"{value:.{COMMAND_DECIMALS}f}" for value in row] for row in rows)
     texts = {
         ".csv": _text(list(columns), commands),
         "_parameters.csv": _text(
@@ -53,7 +53,7 @@ def write(compensation: Compensation) -> Texts:
 
 
 def _axis(row: Mapping[str, Any]) -> list[str]:
-    numbers = [f"{row[end]:.{DECIMALS}f}" for end in ("first", "last")]
+    numbers = [f"{row[end]:.{COMMAND_DECIMALS}f}" for end in ("first", "last")]
     repeats = "yes" if row["repeats"] else "no"
     return [row["coordinate"], *numbers, str(row["count"]), repeats]
 
@@ -63,7 +63,9 @@ def _parameters(compensation: Compensation) -> Iterable[list[str]]:
     for k, p in enumerate(compensation.machine.parameters):
         unit = units.display(p.unit)
         numbers = (identified.values[k], identified.sd[k], p.nominal)
-        texts = [f"{units.number(value, unit):.{DIGITS}g}" for value in numbers]
+        texts = [
+            f"{units.number(value, unit):.{PARAMETER_DIGITS}g}" for value in numbers
+        ]
         yield [p.name, *texts, unit, p.about]
 
 
@@ -72,12 +74,12 @@ def _effects(tables: Sequence[EffectTable]) -> Iterable[list[str]]:
     for t in tables:
         for value, rows in zip(t.values, t.table, strict=True):
             for command, offsets in zip(t.commands, rows, strict=True):
-                location = [f"{v:.{DECIMALS}f}" for v in command.values()]
-                corrections = [f"{v:.{DECIMALS}f}" for v in offsets]
+                location = [f"{v:.{COMMAND_DECIMALS}f}" for v in command.values()]
+                corrections = [f"{v:.{COMMAND_DECIMALS}f}" for v in offsets]
                 yield [
                     t.effect,
                     t.state,
-                    f"{value:.{DIGITS}g}",
+                    f"{value:.{PARAMETER_DIGITS}g}",
                     *location,
                     *corrections,
                 ]

@@ -7,7 +7,7 @@ from oed.model import Machine
 from oed.text import shorten
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import (
-    LONGEST_COMMENT,
+    MAX_COMMENT_LENGTH,
     Compensation,
     ControllerFormat,
     MeasuringPose,
@@ -73,7 +73,7 @@ def _reading(
 
 def _plain(text: str) -> str:
     """Text inside a comment, which ends with the line or at the first closing bracket."""
-    return shorten(text, LONGEST_COMMENT).replace("(", "[").replace(")", "]")
+    return shorten(text, MAX_COMMENT_LENGTH).replace("(", "[").replace(")", "]")
 
 
 def unfit(machine: Machine) -> str | None:

@@ -19,7 +19,7 @@ from pkm_studies.compensation.formats import linuxcnc_deltas, linuxcnc_pentapod
 #: kinematics module by number of struts
 MODULES = {6: "genhexkins", 3: "tripodkins"}
 #: m; ends and lengths that differ less between two poses do not move
-STILL = 1e-9
+MOTION_TOLERANCE = 1e-9
 
 
 Write = Callable[[Compensation], Texts]
@@ -69,7 +69,7 @@ def _fixed_struts(kinematics: Kinematics, parameters: Array) -> Struts | None:
     local = np.einsum("nji,nkj->nki", rotation, platform - point[:, None])
     zero = np.linalg.norm(platform - base, axis=2) - joints
     moving = [np.ptp(values, axis=0).max() for values in (base, local, zero)]
-    if max(moving) > STILL:
+    if max(moving) > MOTION_TOLERANCE:
         return None
     return Struts(*(units.from_si(v[0], "mm") for v in (base, local, zero)))
 

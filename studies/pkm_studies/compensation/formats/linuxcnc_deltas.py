@@ -19,8 +19,8 @@ from oed.model import Machine
 from pkm_studies.catalogue import Compensation, Texts
 
 #: limbs of the study may be this far, in degrees, from those of the module
-NEAR = 10.0
-STEPS = 20
+LIMB_TOLERANCE_DEG = 10.0
+SEARCH_STEPS = 20
 LIMBS = (1, 2, 3)
 AT_ZERO = re.compile(r"^# JOINT_AT_ZERO = (\S+)", re.MULTILINE)
 SETP = re.compile(r"^setp \w+\.(\w+) (\S+)", re.MULTILINE)
@@ -99,7 +99,7 @@ def module_of(machine: Machine) -> DeltaModule | None:
         return None
     apart = _apart(module, machine)
     order = np.argmin(apart, axis=1)
-    near = apart[np.arange(3), order].max() < NEAR
+    near = apart[np.arange(3), order].max() < LIMB_TOLERANCE_DEG
     return module if near and len(set(order.tolist())) == len(LIMBS) else None
 
 
@@ -142,7 +142,7 @@ def _fitted(module: DeltaModule, content: Compensation, values: Array) -> DeltaS
     exact = compensated_joints(content.kinematics, content.command, values)
     wanted = units.from_si(exact, module.unit)
     order, vector = _order(module, content.machine), _start(module, content, values)
-    for _ in range(STEPS):
+    for _ in range(SEARCH_STEPS):
         missed = _setting(module, vector).joints(module, order, points) - wanted
         slopes = []
         for k in range(len(vector)):

@@ -59,11 +59,14 @@ def geometry(root: ET.Element) -> Mapping[str, float]:
 def _model(compensation: Compensation, values: Array) -> ET.Element:
     machine = compensation.machine
     skeleton = body_names.skeleton_of(compensation, values)
-    thick = body_names.SLENDER * machine.lever
+    thick = body_names.STRUT_RADIUS_SHARE * machine.lever
     root = ET.Element("mujoco", model=machine.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     defaults = ET.SubElement(root, "default")
-    size = {"size": text_of(np.array([thick])), "density": repr(body_names.STEEL)}
+    size = {
+        "size": text_of(np.array([thick])),
+        "density": repr(body_names.STEEL_DENSITY),
+    }
     ET.SubElement(defaults, "geom", {"type": "capsule"} | size | QUIET)
     world = ET.SubElement(root, "worldbody")
     _platform(world, machine, skeleton, thick)

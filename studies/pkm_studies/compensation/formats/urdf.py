@@ -80,7 +80,7 @@ def _model(
     machine = compensation.machine
     skeleton = body_names.skeleton_of(compensation, values)
     root = ET.Element("robot", name=machine.name)
-    tree = _LinkTree(root, body_names.SLENDER * machine.lever)
+    tree = _LinkTree(root, body_names.STRUT_RADIUS_SHARE * machine.lever)
     tree.link(BASE)
     _platform(tree, machine, skeleton)
     loops = []
@@ -97,7 +97,7 @@ class _LinkTree:
     def __init__(self, root: ET.Element, radius: float) -> None:
         """`radius`, m, of the steel balls that stand for the links' masses."""
         self.root = root
-        self.mass = 4.0 / 3.0 * math.pi * radius**3 * body_names.STEEL
+        self.mass = 4.0 / 3.0 * math.pi * radius**3 * body_names.STEEL_DENSITY
         self.moment = 0.4 * self.mass * radius**2
 
     def link(self, name: str) -> None:

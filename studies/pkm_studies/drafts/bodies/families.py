@@ -44,7 +44,7 @@ LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"
 SAME_POINT = 1e-6
 STEPS, CLOSED = 50, 1e-12
 #: loops of a file: more limbs than any machine has
-MOST_LOOPS = 100
+MAX_LOOPS = 100
 KINDS = (
     "a limb is a leg (a universal or ball joint at the base, then a slide along it), or a"
     " strut with such a joint on a slide or on a hinge"
@@ -149,7 +149,7 @@ def _parallelograms(limbs: list[DrawnLimb], location: Location) -> list[DrawnLim
 def _platform(tree: BodyTree, location: Location) -> str:
     """The body that all loops share."""
     shared = set.intersection(*({loop.first, loop.second} for loop in tree.loops))
-    if len(shared) != 1 or not 2 <= len(tree.loops) <= MOST_LOOPS:
+    if len(shared) != 1 or not 2 <= len(tree.loops) <= MAX_LOOPS:
         raise location.error(
             f"its {len(tree.loops)} loops do not share one body, the platform",
             "close each limb by a connection to the platform",
@@ -268,11 +268,11 @@ def _close(
 SUFFIXES = (".xml", ".urdf")
 #: first half width of the workspace over the largest length, and largest tilt, rad
 REACH, TILT, HALVINGS = 0.08, 0.08, 6
-NEAR = 1e-9
+TOLERANCE = 1e-9
 #: rad; a knee that bends by less is drawn straight
-STRAIGHT = 1e-6
+STRAIGHT_ANGLE = 1e-6
 #: slope of a rotary delta's axes, at most
-LEVEL = 0.1
+MAX_SLOPE = 0.1
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 
@@ -427,7 +427,7 @@ def _crank(limb: DrawnLimb, location: Location) -> tuple[Array, Array, float]:
     centre = limb.drive.at + (limb.start - limb.drive.at) @ axis * axis
     arm, line = limb.start - centre, limb.end - centre
     bend = float(np.cross(line, arm) @ axis)
-    if abs(bend) < STRAIGHT * float(np.linalg.norm(line) * np.linalg.norm(arm)):
+    if abs(bend) < STRAIGHT_ANGLE * float(np.linalg.norm(line) * np.linalg.norm(arm)):
         raise location.error(
             f"the crank of {limb.drive.joint.name} and its strut are drawn in one line: to"
             " which side the knee bends is not seen, and the machine moves nowhere there",
@@ -462,7 +462,7 @@ def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
     for k, limb in enumerate(drawn.limbs, start=1):
         axis = limb.drive.axis
         centre, arm, side = _crank(limb, location)
-        if abs(axis[2]) > LEVEL or side > 0.0:
+        if abs(axis[2]) > MAX_SLOPE or side > 0.0:
             raise location.error(
                 f"{limb.drive.joint.name} has no level axis, or its knee goes down against"
                 " its sense, or is inward",
@@ -496,7 +496,7 @@ def _planar(drawn: DrawnMachine, location: Location) -> Geometry:
     """Cranks about z; their centres less the platform's joints."""
     cranks = [_crank(limb, location) for limb in drawn.limbs]
     level = [limb.drive.axis @ UPWARD for limb in drawn.limbs]
-    if min(level) < 1.0 - NEAR or np.abs(drawn.axes[:, 2]).max() > NEAR:
+    if min(level) < 1.0 - TOLERANCE or np.abs(drawn.axes[:, 2]).max() > TOLERANCE:
         raise location.error(
             "its cranks do not turn about z, right-handed", "draw it in the plane z = 0"
         )

@@ -14,7 +14,7 @@ from oed.base import Array
 HINGE, SLIDE, BALL, FREE = "hinge", "slide", "ball", "free"
 WORLD = "world"
 #: what a hinge's direction may lack of 1 along z: rounding
-LEVEL = 1e-12
+MAX_LACK = 1e-12
 #: the point in which the chains of a five-bar meet
 TOOL = "the tool point"
 
@@ -164,7 +164,7 @@ def detached(tree: BodyTree) -> BodyTree:
 
 def _is_level_chain(joints: Sequence[PlacedJoint]) -> bool:
     """Whether joints are two hinges about z, up or down."""
-    level = [abs(p.axis[2]) > 1.0 - LEVEL for p in joints if p.joint.kind == HINGE]
+    level = [abs(p.axis[2]) > 1.0 - MAX_LACK for p in joints if p.joint.kind == HINGE]
     return len(joints) == 2 and len(level) == 2 and all(level)
 
 

@@ -29,13 +29,13 @@ from pkm_studies.drafts.bodies.tree import (
     turn,
 )
 
-LIMIT = 20_000_000
+MAX_BYTES = 20_000_000
 #: largest number of a file, m or degrees: what is beyond is no place of a machine
-LARGEST = 1e6
+MAX_NUMBER = 1e6
 #: elements within one another, and bodies behind one another: humanoid robots have 30
-DEEPEST = 200
+MAX_DEPTH = 200
 #: elements of a file: the largest public models of robots have some 5000
-MOST_ELEMENTS = 20_000
+MAX_ELEMENTS = 20_000
 
 
 def read_root(path: Path, tag: str, what: str) -> ET.Element:
@@ -45,7 +45,7 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
     what  the format, for the error
     """
     location = Location(str(path))
-    content = files.read_bytes(path, limit=LIMIT, what=f"{what} file")
+    content = files.read_bytes(path, limit=MAX_BYTES, what=f"{what} file")
     try:
         root = _bounded(content, location, what)
     except (ET.ParseError, ValueError) as error:
@@ -66,9 +66,9 @@ def _bounded(content: bytes, location: Location, what: str) -> ET.Element:
         root = element if root is None else root
         starts = event == "start"
         depth, count = depth + (1 if starts else -1), count + starts
-        if depth > DEEPEST or count > MOST_ELEMENTS:
+        if depth > MAX_DEPTH or count > MAX_ELEMENTS:
             raise location.error(
-                f"it has more than {MOST_ELEMENTS} elements, or more than {DEEPEST}"
+                f"it has more than {MAX_ELEMENTS} elements, or more than {MAX_DEPTH}"
                 " within one another, as no model of a machine has",
                 f"give the {what} of the mechanism alone",
             )
@@ -83,7 +83,7 @@ def read_numbers(text: str, count: int, location: Location, remedy: str) -> Arra
         raise location.error(f"{text!r} are no numbers", remedy) from None
     if len(numbers) != count:
         raise location.error(f"{text!r} are not {count} numbers", remedy)
-    if not (np.abs(numbers) <= LARGEST).all():
+    if not (np.abs(numbers) <= MAX_NUMBER).all():
         raise location.error(f"{text!r} is no place and no angle of a machine", remedy)
     return numbers
 
@@ -179,8 +179,8 @@ def _check_parents(bodies: dict[str, Body], location: Location) -> None:
             link = bodies[link].parent
         for above in reversed(chain):
             depth[above] = depth[bodies[above].parent] + 1
-        if depth[name] > DEEPEST:
-            problem = f"link {name!r} hangs on more than {DEEPEST} others"
+        if depth[name] > MAX_DEPTH:
+            problem = f"link {name!r} hangs on more than {MAX_DEPTH} others"
             raise location.error(problem, "give the links of the mechanism alone")
 
 
@@ -191,7 +191,7 @@ def _text(element: ET.Element, tag: str, attribute: str, default: str = "0 0 0")
 
 def _loops(path: Path, bodies: dict[str, Body]) -> tuple[BodyLoop, ...]:
     location, loops = Location(str(path)), []
-    text = files.read_text(path, limit=LIMIT, what="table of loops")
+    text = files.read_text(path, limit=MAX_BYTES, what="table of loops")
     for row in csv.DictReader(text.splitlines()):
         ends: list[tuple[str, Array]] = []
         for side in "ab":

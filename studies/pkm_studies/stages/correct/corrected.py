@@ -134,7 +134,7 @@ def implausible_sizes(corrected: CorrectedEstimate) -> list[str]:
 # Reports the tables with which a controller corrects effects: `corrected.tables`.
 
 #: largest number of commands of the effects' tables
-COMMANDS = 1000
+MAX_EFFECT_TABLE_COMMANDS = 1000
 
 
 def effect_tables(
@@ -159,7 +159,7 @@ def effect_tables(
     def correction(places: Array) -> Array:
         return _stacked(tabled, tabled_effects(corrected, places))
 
-    grid = command_grid(axes, correction, want, COMMANDS)
+    grid = command_grid(axes, correction, want, MAX_EFFECT_TABLE_COMMANDS)
     costs: list[dict[str, float]] = [{} for _ in tabled.tables]
     if grid is not None:
         tabled = tabled_effects(corrected, grid.commands)

@@ -55,13 +55,13 @@ PHRASES = {
     CompensationName.NOTHING: "with nothing corrected",
 }
 #: probability that what stays after compensation is within its bound
-BOUND = 0.95
+BOUND_PROBABILITY = 0.95
 #: probability that is rounding
-ROUNDED = 1e-6
+ROUNDING_PROBABILITY = 1e-6
 #: last number of the seed of the states in which known effects are taken up
-ABSORBING = 1
+STATE_SEED_PART = 1
 #: share of a parameter's variance between the answers from which they disagree
-DISAGREE = 0.05
+MIN_DISAGREEMENT_SHARE = 0.05
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ def _add_accuracy(
     machine = belief.measurement.machine
     count = len(machine.parameters)
     # states other than those that the candidates are judged in
-    rng = np.random.default_rng([*seed, ABSORBING])
+    rng = np.random.default_rng([*seed, STATE_SEED_PART])
     absorbed = knowledge.absorb_effects(belief, use.command, use.reference, rng)
     mean = machine.nominal + belief.centre if absorbed.sent is None else absorbed.sent
     sent = {
@@ -252,13 +252,13 @@ def add_bound(gap: GapSection) -> GapSection:
     if mixture.prediction is None or mixture.sent == CompensationName.NOTHING:
         return gap
     bounds = [
-        f"{name} {format_number(c.after.rms_quantiles[SpreadRecord.LEVELS.index(BOUND)])} {c.after.unit}"
+        f"{name} {format_number(c.after.rms_quantiles[SpreadRecord.LEVELS.index(BOUND_PROBABILITY)])} {c.after.unit}"
         for name, c in mixture.prediction.components.items()
         if c.compensatable
     ]
     sentence = (
         f"{GapSection.GO_AHEAD} With effects too small to show counted, the rms error that stays is at most"
-        f" {join_words(bounds)} with {100.0 * BOUND:.0f} %."
+        f" {join_words(bounds)} with {100.0 * BOUND_PROBABILITY:.0f} %."
     )
     return msgspec.structs.replace(gap, next=[sentence, *gap.next[1:]])
 
@@ -314,7 +314,7 @@ def _answers_text(section: MixtureSection) -> str:
         for answer in section.answers
     ]
     sentence = f"Over all hypotheses of the diagnosis: {', '.join(named)}"
-    if section.rest > ROUNDED:
+    if section.rest > ROUNDING_PROBABILITY:
         rest = format_probability(section.rest)
         sentence += f"; others, {rest} together, are left out"
     return f"{sentence}."
@@ -335,7 +335,7 @@ def _parameters_text(section: MixtureSection) -> list[str]:
     if not between or len(section.answers) < 2:
         return []
     name = max(between, key=lambda n: between[n])
-    if between[name] < DISAGREE:
+    if between[name] < MIN_DISAGREEMENT_SHARE:
         return ["The hypotheses agree on all parameters."]
     return [
         f"The hypotheses disagree most on {name}: {100.0 * between[name]:.0f} % of its"

@@ -161,7 +161,7 @@ def _compared(
 
 
 #: slack of the bound (log of an efficiency) from which it is worth saying
-SLACK = 0.01
+MIN_STATED_SLACK = 0.01
 
 
 def design_section(
@@ -297,7 +297,7 @@ def _certificate(chosen: ChosenDesign, what: str) -> str:
             " (the bound allows any number of set-ups: the choice is better than this"
             " figure)"
         )
-    elif choice.duality_gap is not None and choice.duality_gap > SLACK:
+    elif choice.duality_gap is not None and choice.duality_gap > MIN_STATED_SLACK:
         text += (
             f" (the bound itself may be {100 * choice.duality_gap:.0f} % too high: the choice"
             " is better than this figure)"

@@ -317,7 +317,7 @@ def _factors(
 # Chooses a plan for many machines, drawn from the tolerances of parameters.
 
 #: machines drawn for each scenario until one reaches all candidates
-TRIES = 5
+MAX_MACHINE_DRAWS = 5
 
 
 def choose_robust(
@@ -375,7 +375,7 @@ def _scenarios(
             )
         except AssemblyError as error:
             failures += 1
-            if failures > TRIES * count:
+            if failures > MAX_MACHINE_DRAWS * count:
                 raise location.key("scenarios").error(
                     f"machines within the tolerances cannot reach all candidates: {error}",
                     "narrow the candidates, or the tolerances",
@@ -388,7 +388,7 @@ def _scenarios(
 # Chooses the readings of largest weight, and states the weights of the candidates.
 
 #: least weight that is stated
-LEAST = 1e-6
+MIN_STATED_WEIGHT = 1e-6
 
 
 def choose_relaxed(
@@ -424,7 +424,7 @@ def _stated(candidates: Candidates, weights: Array) -> list[CandidateWeight]:
     stated = []
     machine = candidates.measurement.machine
     for k in np.argsort(-weights, kind="stable"):
-        if weights[k] < LEAST:
+        if weights[k] < MIN_STATED_WEIGHT:
             break
         series = candidates.readings_of(np.array([k], dtype=np.intp))[0]
         weight = CandidateWeight(

@@ -407,7 +407,7 @@ def combination_estimates(
 #: draws shown in the corner plot
 CORNER_DRAWS = 1500
 #: parameters that name a direction
-NAMED = 3
+MAX_DIRECTION_PARAMETERS = 3
 
 
 def posterior_section(
@@ -519,7 +519,7 @@ def _widest(
     names = []
     for k in widest:
         weight = estimate.coordinates.basis[:, k] / scale
-        largest = by_size(weight)[:NAMED]
+        largest = by_size(weight)[:MAX_DIRECTION_PARAMETERS]
         terms = [f"{weight[j]:+.2f} {measurement.names[j]}" for j in largest]
         names.append(" ".join(terms))
     thin = max(1, len(z) // CORNER_DRAWS)

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 #: largest spread of a circle's radii, as a share of their mean
-ROUND = 0.1
+MAX_SPREAD = 0.1
 #: largest height of a line, as a share of its length
-STRAIGHT = 0.05
+MAX_HEIGHT = 0.05
 #: least number of points of a circle or a line
 MIN_POINTS = 5
 #: tool points nearer than this are one place, m
@@ -162,12 +162,12 @@ def run_shape(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
     _, extent, axes = np.linalg.svd(offset, full_matrices=False)
     if len(tips) < MIN_POINTS or extent[0] < SAME_PLACE:
         return "points", numbers, None
-    if extent[1] < STRAIGHT * extent[0]:
+    if extent[1] < MAX_HEIGHT * extent[0]:
         axis = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
         along = offset @ axis
         return "line", np.asarray(units.from_si(along - along.min(), "mm")), None
     radii = _radii(offset @ axes[:2].T)
-    if radii.std() < ROUND * radii.mean() and extent[2] < ROUND * extent[0]:
+    if radii.std() < MAX_SPREAD * radii.mean() and extent[2] < MAX_SPREAD * extent[0]:
         return "circle", np.degrees(phase), float(radii.mean())
     return "points", numbers, None
 

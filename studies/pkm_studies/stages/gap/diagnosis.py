@@ -430,9 +430,9 @@ def _effect_columns(effect: Effect, diagnosis: Diagnosis) -> list[Column]:
 #: pairs of answers that are named, at most
 MAX_LISTED_PAIRS = 3
 #: probability from which the visit is expected to decide
-DECIDES = 0.8
+DECISIVE_PROBABILITY = 0.8
 #: gain in probability below which the visit is not worth its time
-LEAST_GAIN = 0.02
+MIN_GAIN = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -459,7 +459,7 @@ def advise_second_visit(
         "payload": _values(conditions.payload),
     }
     visit = propose_second_visit(diagnosis, request.effects, rng, values, further)
-    if visit is None or visit.probability_after < visit.probability_now + LEAST_GAIN:
+    if visit is None or visit.probability_after < visit.probability_now + MIN_GAIN:
         return None
     csv = poses_csv(diagnosis.problem.measurement, visit.series, visit.covariates)
     return VisitAdvice(_record(visit), csv)
@@ -510,7 +510,7 @@ def second_visit_sentences(visit: SecondVisitRecord) -> list[str]:
         "The expectation is over what these readings leave possible, in the forms of the"
         " library: a cause of another form is not in it.",
     ]
-    if visit.probability_after < DECIDES:
+    if visit.probability_after < DECISIVE_PROBABILITY:
         sentences.append(
             "These runs alone will hardly decide: read what else separates the effects"
             " as well."

@@ -70,7 +70,7 @@ def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
 
 #: coefficient in expected sizes beyond which it is implausible: a normal one of that
 #: spread is there once in two million
-IMPLAUSIBLE = 5.0
+MAX_SPREADS = 5.0
 
 
 def implausible_sentences(
@@ -83,7 +83,7 @@ def implausible_sentences(
     worst: dict[str, tuple[float, CoefficientRecord]] = {}
     for c in coefficients:
         ratio = abs(c.value) / c.prior_sd if c.prior_sd and not c.shape else 0.0
-        if ratio > worst.get(c.effect, (IMPLAUSIBLE,))[0]:
+        if ratio > worst.get(c.effect, (MAX_SPREADS,))[0]:
             worst[c.effect] = ratio, c
     return [
         _sentence(c, ratio, checks.get(c.effect, "")) for ratio, c in worst.values()
@@ -118,10 +118,10 @@ def _quantity(value: float, unit: str) -> str:
 # States the places of a gap: legs, set-ups, runs, times and parts of runs.
 
 #: a place is named below this probability that it holds no more than an even share
-SIGNIFICANT = 0.05
+MAX_P_VALUE = 0.05
 MAX_PLACES = 3
 #: share of the best place's strength from which another place is named with it
-COMPARABLE = 0.5
+MIN_STRENGTH = 0.5
 
 
 def place_sentences(gap: GapSection) -> list[str]:
@@ -151,13 +151,13 @@ def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
     """
     places: list[PlaceRecord] = []
     for record in where:
-        if record.p_value < SIGNIFICANT and not any(_same(record, o) for o in places):
+        if record.p_value < MAX_P_VALUE and not any(_same(record, o) for o in places):
             places.append(record)
     if not places:
         return []
     best = places[0]
     if best.strength is not None:
-        least = COMPARABLE * best.strength
+        least = MIN_STRENGTH * best.strength
         places = [p for p in places if p.strength is None or p.strength >= least]
     return places[:MAX_PLACES]
 
@@ -197,7 +197,7 @@ def _minutes(seconds: str) -> str:
 # Explanations of a gap beside the best one: how probable they are, in sentences.
 
 #: probability from which a second explanation is named
-CONSIDERABLE = 0.1
+MIN_SECOND = 0.1
 
 
 def probability_of_causes(gap: GapSection) -> float:
@@ -230,7 +230,7 @@ def second_explanation(gap: GapSection) -> list[str]:
         for answer in rest
         if has_its_causes(answer, gap)
         and UNKNOWN in answer.effects
-        and answer.visible >= CONSIDERABLE
+        and answer.visible >= MIN_SECOND
     ]
     others = [answer for answer in rest if not has_its_causes(answer, gap)]
     if gap.verdict == UNKNOWN:
@@ -238,7 +238,7 @@ def second_explanation(gap: GapSection) -> list[str]:
         phrases += _unknown_words(others)
         others = [answer for answer in others if UNKNOWN not in answer.effects]
     second = max(others, key=lambda answer: answer.visible, default=best)
-    if second is best or second.visible < CONSIDERABLE:
+    if second is best or second.visible < MIN_SECOND:
         return phrases
     if not second.effects and second.probability > probability_of_causes(gap):
         return [
@@ -259,7 +259,7 @@ def _unknown_words(answers: Sequence[AnswerRecord]) -> list[str]:
     """Effects that may act beside one of unknown form."""
     phrases = []
     for answer in answers:
-        if UNKNOWN in answer.effects and answer.visible >= CONSIDERABLE:
+        if UNKNOWN in answer.effects and answer.visible >= MIN_SECOND:
             names = tuple(name for name in answer.effects if name != UNKNOWN)
             causes = _spoken(msgspec.structs.replace(answer, effects=names))
             chance = chance_of(answer.visible)
@@ -482,7 +482,7 @@ def _no_gap(gap: GapSection) -> list[str]:
     phrases = [
         f"No effect is found: noise alone {explains} what calibration leaves {chance}."
     ]
-    if unseen >= CONSIDERABLE:
+    if unseen >= MIN_SECOND:
         part = format_probability(unseen)
         phrases.append(
             f"Something may act that is too small for these readings to show"
@@ -595,7 +595,7 @@ def _left_out(gap: GapSection) -> list[str]:
 def _resemblance(gap: GapSection) -> list[str]:
     """The forms that an unknown effect resembles most, with their probabilities."""
     forms = list(gap.unknown.items())
-    likely = [(form, p) for form, p in forms if p >= CONSIDERABLE] or forms[:1]
+    likely = [(form, p) for form, p in forms if p >= MIN_SECOND] or forms[:1]
     if not likely:
         return []
     parts = [f"{form} (probability {format_probability(p)})" for form, p in likely]

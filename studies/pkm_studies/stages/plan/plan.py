@@ -340,11 +340,11 @@ def _words(
 #: largest number of measurements that are left out of the plan in turn
 LEFT_OUT = 4
 #: share of lost readings from which a reason mentions it
-LOST = 0.05
+MIN_LOST = 0.05
 #: relative difference of accuracy that counts as none
-SAME = 5e-4
+TIE_TOLERANCE = 5e-4
 #: beam of the searches
-NARROW = 2
+BEAM_WIDTH = 2
 
 
 def list_alternatives(
@@ -373,7 +373,11 @@ def search_without(task: PlanTask, best: StagePlan, option: Option) -> StagePlan
         return None
     try:
         search = task.search(
-            best.seconds, options=others, stages=len(others), beam=NARROW, loss=ANY_LOSS
+            best.seconds,
+            options=others,
+            stages=len(others),
+            beam=BEAM_WIDTH,
+            loss=ANY_LOSS,
         )
     except ValueError:  # mounting alone takes longer
         return None
@@ -398,7 +402,7 @@ def _lost_readings(plan: StagePlan, best: StagePlan) -> list[str]:
     losses = [(stage.lost_share, stage.option.name) for stage in plan.stages]
     share, name = max(losses, default=(0.0, ""))
     usual = max((stage.lost_share for stage in best.stages), default=0.0)
-    if share <= LOST or share <= 2.0 * usual:
+    if share <= MIN_LOST or share <= 2.0 * usual:
         return []
     return [
         f"a rough stage is missing: {percent(share)} of the readings of {name} would"
@@ -410,9 +414,9 @@ def _accuracy_difference(plan: StagePlan, best: StagePlan) -> str:
     worse = plan.value / best.value - 1.0
     if worse > 1.0:
         return f"{worse + 1.0:.3g} times less accurate"
-    if worse > SAME:
+    if worse > TIE_TOLERANCE:
         return f"{percent(worse)} less accurate"
-    if worse < -SAME:
+    if worse < -TIE_TOLERANCE:
         return more_accurate(best.value, plan.value)
     return "as accurate"
 
@@ -661,7 +665,7 @@ def bound_sentences(section: result.PlanSection | None) -> list[str]:
 
 
 #: posterior over prior standard deviation from which a parameter counts as unidentified
-UNIDENTIFIED = 0.95
+MAX_SD_RATIO = 0.95
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -831,7 +835,7 @@ def _unidentified(
     names = [measurement.names[k] for k in _free_parameters(stage)]
     ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))[: len(names)]
     pairs = zip(names, ratio, strict=True)
-    alone = [name for name, value in pairs if value > UNIDENTIFIED]
+    alone = [name for name, value in pairs if value > MAX_SD_RATIO]
     unit = {p.name: p.unit for p in cumulative.measurement.parameters}
     combinations = []
     for terms in cumulative.identifiability.coefficients_by_name(

@@ -327,7 +327,7 @@ def _expected_size(expected: ExpectedEffect) -> str:
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 #: share of draws that are rarer than chance
-RARE = 0.01
+RARE_SHARE = 0.01
 READ_AGAIN = (
     "Either they were read with other numbers in the machine than stated, such as a bed"
     " mesh probed before the last calibration was saved, or the fit is wrong: read them"
@@ -510,7 +510,7 @@ class HeldOutComparison:
     @property
     def is_uncovered(self) -> bool:
         """Whether fewer readings are inside than belong there."""
-        return self.coverage < float(np.quantile(self._inside(self.draws), RARE))
+        return self.coverage < float(np.quantile(self._inside(self.draws), RARE_SHARE))
 
     @property
     def verdict(self) -> HeldOutVerdict:
@@ -519,9 +519,9 @@ class HeldOutComparison:
         gain = _mean_square(self.before) - _mean_square(self.residual)
         by_fit = _mean_square(self.draws + correction) - _mean_square(self.draws)
         by_nominal = _mean_square(self.noise) - _mean_square(self.noise - correction)
-        if gain < min(np.quantile(by_fit, RARE), 0.0):
+        if gain < min(np.quantile(by_fit, RARE_SHARE), 0.0):
             return "contradicts"
-        if gain > max(np.quantile(by_nominal, 1.0 - RARE), 0.0):
+        if gain > max(np.quantile(by_nominal, 1.0 - RARE_SHARE), 0.0):
             return "confirms"
         return "contradicts" if self.is_uncovered else "agrees"
 
@@ -571,7 +571,7 @@ def _mean_square(values: Array) -> Array:
 # Checks a prediction on virtual machines: read, identified, compensated, measured.
 
 #: machines that go through the check together
-TOGETHER = 200
+MACHINES_AT_ONCE = 200
 
 
 def realised_accuracy(
@@ -597,8 +597,8 @@ def realised_accuracy(
         return None
     keep = len(measurement.machine.parameters)
     errors = []
-    for start in range(0, count, TOGETHER):
-        machines = min(TOGETHER, count - start)
+    for start in range(0, count, MACHINES_AT_ONCE):
+        machines = min(MACHINES_AT_ONCE, count - start)
         truth, y = _draw_machines(measurement, series, machines, rng)
         theta = fit_machines(measurement, series, y, stages=stages)
         identified, true = theta[:, :keep], truth[:, :keep]

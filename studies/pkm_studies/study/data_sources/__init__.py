@@ -19,7 +19,7 @@ from pkm_studies.base import Location, SourceAbsentError
 from pkm_studies.csv_table import named_errors
 
 #: bytes of the largest file
-LIMIT = 20_000_000
+MAX_BYTES = 20_000_000
 #: cells of a row, by column
 Row = dict[str, str]
 AS_PUBLISHED = "take the file as published"
@@ -52,4 +52,4 @@ def _text(path: Path) -> str:
             "put the data there, or change readings.path",
             file=str(path),
         )
-    return files.read_text(path, limit=LIMIT, what="data file")
+    return files.read_text(path, limit=MAX_BYTES, what="data file")

@@ -20,7 +20,7 @@ REVOLUTIONS = tuple(f"leg_length_{k}" for k in range(1, 7))
 POSITION = tuple(f"position_{axis}" for axis in "xyz")
 QUATERNION = tuple(f"orientation_{axis}" for axis in "xyzw")
 #: mm, between the joints of a leg, at 0 revolutions: the platform 565 mm above the base
-LENGTH = 640.1966443
+LEG_LENGTH_MM = 640.1966443
 #: revolutions per metre of each leg, from a bench
 PER_METRE = (13.21144, 14.0456, 13.8233, 14.124109, 14.16007, 14.03256)
 
@@ -40,7 +40,7 @@ def rows(folder: Path) -> Iterator[Row]:
 
 def _legs(pose: Row) -> Row:
     turns = zip(REVOLUTIONS, PER_METRE, strict=True)
-    lengths = [LENGTH + 1e3 * float(pose[name]) / scale for name, scale in turns]
+    lengths = [LEG_LENGTH_MM + 1e3 * float(pose[name]) / scale for name, scale in turns]
     return {f"q{k + 1}_mm": repr(length) for k, length in enumerate(lengths)}
 
 

@@ -149,7 +149,7 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
 def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(style, "LARGEST_SVG", 0)
+    monkeypatch.setattr(style, "MAX_SVG", 0)
     place = (0.1, 0.1, 0.4, 0.4)
     with style.applied():
         figure = style.placed_figure(2.0)
