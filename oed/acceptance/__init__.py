@@ -5,9 +5,7 @@ MIN_POWER            power below which a test confirms nothing
 Promise              what was promised of pose components, and how errors may be shaped
 judge                verdicts on the errors measured at the planned poses
 measured_rms_within  probability of conformity of an rms error that was measured
-parameter_within     probability that a parameter lies within limits
 positioning          accuracy and repeatability of ISO 230-2
-rms_within           probability that a predicted rms error is within its limit
 smooth_functions     shapes of errors that no parameter makes
 """
 
@@ -22,9 +20,7 @@ if TYPE_CHECKING:
         Promise,
         judge,
         measured_rms_within,
-        parameter_within,
         positioning,
-        rms_within,
         smooth_functions,
     )
 else:

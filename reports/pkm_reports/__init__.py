@@ -14,11 +14,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_reports.comparison import write_comparison
-    from pkm_reports.page import (
-        write_adjustment_page,
-        write_certificate_page,
-        write_sheet,
-    )
+    from pkm_reports.page import write_adjustment_page, write_sheet
     from pkm_reports.report import write_report
     from pkm_reports.terminal import first_lines
 else:

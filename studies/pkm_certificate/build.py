@@ -8,22 +8,23 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy import special
 
 from oed import safe_files, units
-from oed.acceptance import Promise, measured_rms_within, parameter_within, rms_within
+from oed.acceptance import Promise, measured_rms_within
 from oed.base import Array
-from oed.certificate import (
+from oed.linear_algebra import covariance_root
+from oed.model import Machine
+from oed.result import CorrectedSection, EstimateSection, StudyResult
+from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
+from pkm_certificate import dcc, head
+from pkm_certificate.statement import (
     Certificate,
     CertificateHead,
     CertifiedAccuracy,
     CertifiedParameter,
     Conformity,
 )
-from oed.linear_algebra import covariance_root
-from oed.model import Machine
-from oed.result import CorrectedSection, EstimateSection, StudyResult
-from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
-from pkm_certificate import dcc, head
 from pkm_studies import quantities
 from pkm_studies.acceptance import PromisedAccuracy, covariances, promised_accuracy
 from pkm_studies.base import InputError, Location
@@ -199,6 +200,44 @@ def _verified(result: StudyResult) -> Iterator[CertifiedAccuracy]:
 
 
 # -- conformity ------------------------------------------------------------------------
+#
+# Probability that a true value lies within its tolerance, from what is known of it.
+#
+# JCGM 106:2012: where g is the density of a quantity Y after all that is known, and the
+# tolerance is [T_L, T_U], the probability of conformity is
+#
+# p = int_{T_L}^{T_U} g(y) dy.
+#
+# A parameter is normal. The rms error of a pose component over m poses is that of a field
+# b + J d, where b is known in advance and d is normal.
+
+#: machines drawn: the standard error of a probability is at most 0.0022
+N_MACHINES = 50_000
+
+
+def parameter_within(value: float, sd: float, low: float, high: float) -> float:
+    """Probability that a normal quantity lies between two limits."""
+    return float(special.ndtr((high - value) / sd) - special.ndtr((low - value) / sd))
+
+
+def rms_within(
+    known_errors: Array,
+    slopes: Array,
+    root: Array,
+    largest: float,
+    rng: np.random.Generator,
+) -> float:
+    """Probability that the rms of errors known + slopes d is at most `largest`.
+
+    known_errors  (m,) errors that stay and are known
+    slopes  (m, p) errors per parameter
+    root    (p, k) with root @ root.T the covariance of d
+    """
+    spread = slopes @ root
+    normal = rng.standard_normal((N_MACHINES, root.shape[1]))
+    squares = np.einsum("dk,kl,dl->d", normal, spread.T @ spread, normal, optimize=True)
+    squares += 2.0 * (normal @ (spread.T @ known_errors)) + known_errors @ known_errors
+    return float(np.mean(np.sqrt(squares / len(known_errors)) <= largest))
 
 
 def _conformities(
@@ -345,7 +384,7 @@ def certify_folder(
 
     Raises InputError, and BadFitError where nothing should rest on the fit.
     """
-    from pkm_reports import write_certificate_page
+    from pkm_certificate.pdf import write_certificate_page
 
     result = load_result(folder)
     refuse_bad_fit(result)

@@ -13,14 +13,14 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy import special
 
-from oed.certificate import (
+from oed.result import Judgement
+from pkm_certificate.statement import (
     Certificate,
     CertificateHead,
     CertifiedAccuracy,
     CertifiedParameter,
     Institution,
 )
-from oed.result import Judgement
 
 Element = ElementTree.Element
 VERSION = "3.2.1"

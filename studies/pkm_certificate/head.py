@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from oed.certificate import (
+from pkm_certificate.statement import (
     CertificateHead,
     CertifiedItem,
     Country,

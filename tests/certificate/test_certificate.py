@@ -15,11 +15,12 @@ import pytest
 from lxml import etree
 from scipy import stats
 
-from oed.acceptance import measured_rms_within, parameter_within, rms_within
-from oed.certificate import Certificate
+from oed.acceptance import measured_rms_within
 from oed.result import StudyResult, VerdictRecord, VerificationSection
 from pkm_certificate import build
+from pkm_certificate.build import parameter_within, rms_within
 from pkm_certificate.dcc import product
+from pkm_certificate.statement import Certificate
 from pkm_studies.commands import main
 
 Run = Callable[..., tuple[int, str, str]]

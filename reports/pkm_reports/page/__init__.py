@@ -6,7 +6,6 @@ build_document          the document of a result
 script_digest           digest of the page's script, for its content policy
 write_sheet             the sheet that the operator fills in
 write_adjustment_page   what to adjust at the machine, as PDF
-write_certificate_page  a calibration certificate, as PDF
 """
 
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_reports.page.certificate import write_certificate_page
     from pkm_reports.page.document import (
         Content,
         Document,

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from oed import units
-from oed.certificate import Certificate, CertifiedAccuracy, Institution
 from oed.safe_files import write_own
+from pkm_certificate.statement import Certificate, CertifiedAccuracy, Institution
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -18,8 +18,7 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
 )
-from pkm_reports.page import document
-from pkm_reports.page.document import Content
+from pkm_reports.page import Content, Document
 
 #: parameters up to which their covariance fits on a page
 MAX_COVARIANCE_PARAMETERS = 12
@@ -44,7 +43,7 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
         chapters=[Section("parameters", "Parameters", _parameters(c))],
         appendix=[],
     )
-    page = document.Document(content).pdf()
+    page = Document(content).pdf()
     return write_own(folder / "certificate.pdf", page)
 
 
