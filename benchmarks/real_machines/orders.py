@@ -19,7 +19,6 @@ import msgspec
 from oed.planning import StagePlan
 from pkm_studies import shipped
 from pkm_studies.resolve import resolve
-from pkm_studies.stages.plan.plan import predict_readings
 from pkm_studies.stages.plan.task import build_task
 from pkm_studies.study import load
 
@@ -54,7 +53,7 @@ def row(name: str) -> str:
     rigid = build_task(resolved, without, [study.seed], None)
     chosen, promised = real.search().best, rigid.search().best
     readings = [(request.option(s.option.name), s.chosen) for s in promised.stages]
-    reached = predict_readings(real, readings)
+    reached = real.predict(readings)
     cells = [
         f"`{name}`",
         _stages(promised),

@@ -16,15 +16,19 @@ their time.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from oed import units
-from oed.base import Array
+from oed.accuracy import ErrorMaps, Reference, error_maps
+from oed.base import Array, Index
 from oed.linear_algebra import symmetric_inverse
+from oed.measurement import Measurement
 from oed.planning.bound import GoalBound, bound_goal
-from oed.planning.goal import Goal
+from oed.planning.goal import Goal, ToolErrors, workspace_goal
 from oed.planning.knowledge import Prior, make_knowledge
 from oed.planning.option import Option
 from oed.planning.prediction import PlanStage
@@ -34,10 +38,13 @@ from oed.planning.problem import (
     StageMemory,
     StagePlan,
     best_plan,
+    covariance_of_all,
     is_better,
     pareto_front,
+    predict_plan,
     select_readings,
 )
+from oed.planning.virtual_machines import PlanRealisation, propagate
 
 # Refinement of promising plans with the exact model: time moved between stages.
 #
@@ -534,3 +541,143 @@ def _next_gain(problem: PlanProblem, best: StagePlan) -> tuple[str, float] | Non
         grown = problem.first_look(best, option, option.counts[-1], probability)
         gains.append((option.name, 1.0 - grown.value / best.value))
     return max(gains, key=lambda gain: gain[1], default=None)
+
+
+class ToolEffects(Protocol):
+    """What effects beside the geometry do to the tool, as `ToolErrors` has it."""
+
+    @property
+    def tool(self) -> Array:
+        """(poses, k, u) pose errors per unit of each effect of prior variance 1, SI."""
+
+    @property
+    def others(self) -> Array:
+        """(k,) mean square by what no reading reduces, SI."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class PlanningTask:
+    """What to plan for one machine; its searches share the stages that they predict.
+
+    measurement  the machine, without set-ups
+    command      (m, n_dof) workspace commands at which its accuracy counts, SI
+    reference    against which errors are stated
+    options      the measurements that a plan may take
+    targets      {pose component: accuracy}, SI; empty: all components count
+    budget       time of a plan at most, s
+    stages       their number at most
+    seed         of all random numbers
+    effects      beside the geometry, on the machine whose accuracy counts
+    known        (k, k) covariance of its free parameters from earlier readings, in units
+                 of their tolerances; None where the tolerances are all that is known
+    """
+
+    measurement: Measurement
+    command: Array
+    reference: Reference
+    options: Sequence[Option]
+    targets: Mapping[str, float]
+    budget: float
+    stages: int
+    seed: Sequence[int]
+    effects: ToolEffects | None = None
+    known: Array | None = None
+    memory: StageMemory = dataclasses.field(default_factory=StageMemory)
+
+    @cached_property
+    def all_components(self) -> Goal:
+        """The accuracy of all pose components."""
+        return self._goal({})
+
+    @cached_property
+    def goal(self) -> Goal:
+        """What plans are judged by."""
+        return self._goal(self.targets) if self.targets else self.all_components
+
+    @cached_property
+    def _maps(self) -> ErrorMaps:
+        return error_maps(self.measurement.kinematics, self.command, self.reference)
+
+    def _goal(self, targets: Mapping[str, float]) -> Goal:
+        tool = None
+        if self.effects is not None:
+            tool = ToolErrors(self.effects.tool, self.effects.others)
+        return workspace_goal(self.measurement, self._maps, targets, tool)
+
+    @cached_property
+    def start(self) -> Array:
+        """Covariance (n, n) of parameters and effects before, in units of tolerances.
+
+        What earlier readings told of effects is not known to the plan.
+        """
+        covariance = np.eye(self.all_components.parameters)
+        if self.known is not None:
+            count = len(self.known)
+            covariance[:count, :count] = self.known
+        return covariance
+
+    def search(
+        self,
+        budget: float | None = None,
+        *,
+        stages: int | None = None,
+        beam: int | None = None,
+        loss: float = 0.05,
+        options: Sequence[Option] | None = None,
+        progress: Progress | None = None,
+    ) -> PlanSearchResult:
+        """Search for the best plan; by default with the task's time, stages and options.
+
+        Raises ValueError where the time pays for no measurement.
+        """
+        return search_plan(
+            self.options if options is None else options,
+            self.goal,
+            self.budget if budget is None else budget,
+            PlanStreams.seeded(self.seed),
+            covariance=self.start,
+            stages=self.stages if stages is None else stages,
+            beam=beam,
+            loss=loss,
+            progress=progress,
+            memory=self.memory,
+        )
+
+    def stage_generator(self, stage: int) -> np.random.Generator:
+        """Random numbers about one stage of a plan, counted from 0.
+
+        Stage 0 has not those of the search, whose key is this one without an end.
+        """
+        return np.random.default_rng([*self.seed, 1 + stage])
+
+    def predict(self, readings: Sequence[tuple[Option, Index]]) -> StagePlan:
+        """A plan of some candidates of each option, one option after the other."""
+        streams = PlanStreams.seeded(self.seed)
+        generator = self.stage_generator
+        return predict_plan(readings, self.goal, self.start, streams, generator)
+
+    def realise(
+        self,
+        plan: StagePlan,
+        machines: int,
+        rng: np.random.Generator,
+        progress: Progress | None = None,
+    ) -> PlanRealisation:
+        """Carry virtual machines exactly through a plan, as `propagate` does."""
+        return propagate(
+            plan.stages,
+            self.command,
+            machines,
+            rng,
+            reference=self.reference,
+            start=self.known,
+            progress=progress,
+        )
+
+    def covariance_after(self, plan: StagePlan) -> Array:
+        """Covariance (n, n) of the machine after a plan."""
+        return plan.stages[-1].covariance if plan.stages else self.start
+
+    def covariance_of_all(self) -> Array:
+        """Covariance (n, n) after all candidates of all options, none of them lost."""
+        return covariance_of_all(self.options, self.start)

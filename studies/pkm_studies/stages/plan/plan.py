@@ -14,17 +14,7 @@ from oed.design import CRITERIA
 from oed.effects import PlannedEffects
 from oed.identifiability import Assessment, assess, combination_text
 from oed.measurement import Measurement, Series
-from oed.planning import (
-    Option,
-    PlanSearchResult,
-    PlanStage,
-    PlanStreams,
-    StagePlan,
-    StageRealisation,
-    covariance_of_all,
-    predict_plan,
-    propagate,
-)
+from oed.planning import Option, PlanSearchResult, PlanStage, StagePlan
 from pkm_studies.base import InputError, Progress
 from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.design import order
@@ -79,7 +69,7 @@ def _proof(task: PlanTask, search: PlanSearchResult) -> str:
 
 def _limit(task: PlanTask) -> str:
     """What all candidate readings together leave: the limit of these measurements."""
-    covariance = covariance_of_all(task.request.options, task.start)
+    covariance = task.covariance_of_all()
     value = task.goal.value(covariance)
     if value <= 1.0:
         return (
@@ -164,17 +154,9 @@ def compare_sequence(
 def predict_sequence(task: PlanTask, names: Sequence[str]) -> StagePlan:
     """All candidates of each measurement, one measurement after the other."""
     options = [task.request.option(name) for name in names]
-    return predict_readings(
-        task, [(option, np.arange(len(option.candidates))) for option in options]
+    return task.predict(
+        [(option, np.arange(len(option.candidates))) for option in options]
     )
-
-
-def predict_readings(
-    task: PlanTask, readings: Sequence[tuple[Option, Index]]
-) -> StagePlan:
-    """Some candidates of each measurement, one measurement after the other."""
-    streams = PlanStreams.seeded(task.seed)
-    return predict_plan(readings, task.goal, task.start, streams, task.stage_generator)
 
 
 def _keep_within_budget(
@@ -271,7 +253,7 @@ def compare_without_effects(
         (task.request.option(stage.option.name), stage.chosen)
         for stage in promised.stages
     ]
-    without = task.record(predict_readings(task, same_readings))
+    without = task.record(task.predict(same_readings))
     promises = rigid.accuracy_after(promised)
     return result.PlanEffects(
         groups=len(effects.groups),
@@ -388,7 +370,7 @@ def why_not(task: PlanTask, plan: StagePlan, best: StagePlan) -> str:
     """What speaks against a plan: lost readings, missed targets, accuracy, time."""
     reasons = _lost_readings(plan, best)
     if task.goal.has_targets and plan.value > 1.0:
-        covariance = task.posterior_covariance(plan)
+        covariance = task.covariance_after(plan)
         worst = int(np.argmax(task.goal.accuracy(covariance)))
         missed = missed_accuracy(task, covariance, task.goal.names[worst])
         return "; ".join([*reasons, f"reaches {missed}"])
@@ -445,10 +427,7 @@ def compute_plan(
     search = _search(task, progress)
     best = drop_small_stages(task, search)
     outcome = build_outcome(task, search, best)
-    start = None if earlier is None else earlier.covariance
-    stages = add_realisations(
-        task, best, outcome.section.stages, machines, progress, start
-    )
+    stages = add_realisations(task, best, outcome.section.stages, machines, progress)
     sequences = task.request.compare
     section = msgspec.structs.replace(
         outcome.section,
@@ -489,42 +468,24 @@ def add_realisations(
     records: list[result.StageRecord],
     rng: np.random.Generator,
     progress: Progress,
-    start: Array | None,
 ) -> list[result.StageRecord]:
-    """The records of a plan's stages, with the accuracy that virtual machines reach.
-
-    start  (n, n) covariance from which machines are drawn, in units of the tolerances;
-           None: the tolerances
-    """
+    """The records of a plan's stages, with the accuracy that virtual machines reach."""
     if not task.table.virtual_machines:
         return records
     progress.stage("virtual machines through the plan")
-    where = task.request.prediction
-    realisation = propagate(
-        plan.stages,
-        where.command,
-        task.table.virtual_machines,
-        rng,
-        reference=where.table.reference,
-        start=start,
-        progress=progress.share,
-    )
-    return [
-        _add_realisation(record, stage, realisation.names)
-        for record, stage in zip(records, realisation.stages, strict=True)
-    ]
-
-
-def _add_realisation(
-    record: result.StageRecord, stage: StageRealisation, names: tuple[str, ...]
-) -> result.StageRecord:
-    ratios = zip(names, stage.ratio, strict=True)
-    return msgspec.structs.replace(
-        record,
-        realised={name: float(v) for name, v in ratios if np.isfinite(v)},
-        realised_lost=stage.realised_loss * (record.chosen or 0),
-        coverage=stage.coverage,
-    )
+    machines = task.realise(plan, task.table.virtual_machines, rng, progress.share)
+    realised = []
+    for record, stage in zip(records, machines.stages, strict=True):
+        ratios = zip(machines.names, stage.ratio, strict=True)
+        realised.append(
+            msgspec.structs.replace(
+                record,
+                realised={name: float(v) for name, v in ratios if np.isfinite(v)},
+                realised_lost=stage.realised_loss * (record.chosen or 0),
+                coverage=stage.coverage,
+            )
+        )
+    return realised
 
 
 # -- where to stop ---------------------------------------------------------------------

@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from oed import result, units
-from oed.accuracy import error_maps
 from oed.base import Array
-from oed.planning import (
-    Goal,
-    Option,
-    PlanSearchResult,
-    PlanStreams,
-    StageMemory,
-    StagePlan,
-    ToolErrors,
-    search_plan,
-    workspace_goal,
-)
+from oed.planning import Option, PlanningTask, StagePlan
 from oed.result import StudyResult
 from pkm_studies.base import Location
 from pkm_studies.earlier_result import known_parameters
@@ -35,28 +24,12 @@ from pkm_studies.tables import PlanTable
 ANY_LOSS = 1e6
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PlanTask:
-    """What to plan.
-
-    request         what the study's [plan] requests
-    goal            what plans are judged by
-    all_components  goal over all pose components, to report their accuracy
-    start           (n, n) covariance of the machine's free parameters before, in units
-                    of their tolerances
-    budget          s
-    seed            of the study and the plan stage
-    memory          stages that the searches predicted
-    """
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class PlanTask(PlanningTask):
+    """The planning task of a study; `request` is what its [plan] requests."""
 
     resolved: ResolvedStudy
     request: PlanRequest
-    goal: Goal
-    all_components: Goal
-    start: Array
-    budget: float
-    seed: Sequence[int]
-    memory: StageMemory = dataclasses.field(default_factory=StageMemory)
 
     @property
     def table(self) -> PlanTable:
@@ -68,40 +41,6 @@ class PlanTask:
         """The table [plan], for errors."""
         return self.resolved.study.location.key("plan")
 
-    def search(
-        self,
-        budget: float | None = None,
-        *,
-        stages: int | None = None,
-        beam: int | None = None,
-        loss: float = 0.05,
-        options: Sequence[Option] | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> PlanSearchResult:
-        """Search for the best plan; by default with the study's time and stages.
-
-        Raises ValueError where the time pays for no measurement.
-        """
-        return search_plan(
-            self.request.options if options is None else options,
-            self.goal,
-            self.budget if budget is None else budget,
-            PlanStreams.seeded(self.seed),
-            covariance=self.start,
-            stages=self.table.stages if stages is None else stages,
-            beam=beam,
-            loss=loss,
-            progress=progress,
-            memory=self.memory,
-        )
-
-    def stage_generator(self, stage: int) -> np.random.Generator:
-        """Random numbers about one stage of a plan, counted from 0.
-
-        Stage 0 has not those of the search, whose key is this one without an end.
-        """
-        return np.random.default_rng([*self.seed, 1 + stage])
-
     def accuracy(self, covariance: Array) -> dict[str, float]:
         """Root mean square of each component over the workspace, in its fine unit."""
         goal = self.all_components
@@ -109,13 +48,9 @@ class PlanTask:
         rms = dict(zip(goal.names, values, strict=True))
         return fine_units(rms, self.resolved.machine)
 
-    def posterior_covariance(self, plan: StagePlan) -> Array:
-        """Covariance (n, n) of the machine after a plan."""
-        return plan.stages[-1].covariance if plan.stages else self.start
-
     def accuracy_after(self, plan: StagePlan) -> dict[str, float]:
         """Accuracy of each component after a plan, in its fine unit."""
-        return self.accuracy(self.posterior_covariance(plan))
+        return self.accuracy(self.covariance_after(plan))
 
     def record(self, plan: StagePlan, why: str = "") -> result.AlternativePlan:
         """A plan in short."""
@@ -136,30 +71,23 @@ def build_task(
     earlier: EarlierSession | None,
 ) -> PlanTask:
     """The task of a study, after an earlier session where there is one."""
-    measurement, where = resolved.measurement_with(()), request.prediction
-    maps = error_maps(measurement.kinematics, where.command, where.table.reference)
-    tool = None
-    if request.effects is not None:
-        tool = ToolErrors(request.effects.tool, request.effects.others)
-    all_components = workspace_goal(measurement, maps, {}, tool)
-    goal = all_components
-    if request.targets:
-        goal = workspace_goal(measurement, maps, request.targets, tool)
-    start = np.eye(all_components.parameters)
-    budget = request.budget
+    where, known, budget = request.prediction, None, request.budget
     if earlier is not None:
-        # what an earlier session learned of effects is not known to the plan
-        known_count = len(earlier.covariance)
-        start[:known_count, :known_count] = earlier.covariance
+        known = earlier.covariance
         budget -= earlier.seconds
     return PlanTask(
         resolved=resolved,
         request=request,
-        goal=goal,
-        all_components=all_components,
-        start=start,
+        measurement=resolved.measurement_with(()),
+        command=where.command,
+        reference=where.table.reference,
+        options=request.options,
+        targets=request.targets,
         budget=budget,
+        stages=request.table.stages,
         seed=seed,
+        effects=request.effects,
+        known=known,
     )
 
 
