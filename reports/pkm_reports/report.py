@@ -1,12 +1,13 @@
-"""report.html and report.pdf from the result of a study."""
+"""report.html and report.pdf from the result of a study, and the same of a comparison."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from oed.result import StudyResult
-from oed.safe_files import write_own
-from pkm_reports.page import Document, build_document
+from pkm_reports.page import Content, Document, build_document
+from pkm_reports.sections import comparison_parts
 
 
 def write_report(
@@ -20,29 +21,39 @@ def write_report(
     """Write `report.html` and `report.pdf`, or one of them, into the folder `out`.
 
     The PDF is a print of at most some four pages; `full`, it has all that the HTML has.
-
-    The folder is created where it is missing. Files appear complete or not at all. One
-    that the user changed stays, and the new one gets a number. Returns the paths, HTML
-    first. Raises OSError where the folder cannot be written.
+    Returns the paths. As `Document.write`; raises OSError where that does.
     """
-    document = build_document(result)
-    return write_document(document, out, "report", html=html, pdf=pdf, full=full)
+    return build_document(result).write(out, "report", html=html, pdf=pdf, full=full)
 
 
-def write_document(
-    report: Document,
-    out: Path,
-    name: str,
-    *,
-    html: bool = True,
-    pdf: bool = True,
-    full: bool = False,
+def write_comparison(
+    results: Mapping[str, StudyResult], out: Path, changes: Sequence[str] = ()
 ) -> tuple[Path, ...]:
-    """Write a document as `NAME.html` and `NAME.pdf` into the folder `out`."""
-    pages: dict[str, bytes] = {}
-    if html:
-        pages[f"{name}.html"] = report.html()
-    if pdf:
-        pages[f"{name}.pdf"] = report.pdf(full=full)
-    out.mkdir(parents=True, exist_ok=True)
-    return tuple(write_own(out / file, page) for file, page in pages.items())
+    """Write `comparison.html` and `comparison.pdf` of results by name; their paths.
+
+    changes    what changed between two sessions of one machine, in sentences
+
+    Raises ValueError for fewer than two results, OSError where the folder cannot be
+    written.
+    """
+    if len(results) < 2:
+        raise ValueError("a comparison needs two results or more")
+    return Document(content(results, changes)).write(out, "comparison")
+
+
+def content(results: Mapping[str, StudyResult], changes: Sequence[str]) -> Content:
+    """The text of a comparison, its first page the differences."""
+    machines = list(dict.fromkeys(r.machine.name for r in results.values()))
+    versions = list(dict.fromkeys(r.version for r in results.values()))
+    names = list(results)
+    answer, chapters = comparison_parts(results, changes)
+    return Content(
+        title=f"{', '.join(names[:-1])} and {names[-1]} side by side",
+        question="What differs, and which is better?",
+        study="comparison",
+        machine=", ".join(machines),
+        foot=f"comparison · pkm-oed {', '.join(versions)}",
+        answer=answer,
+        chapters=chapters,
+        appendix=[],
+    )

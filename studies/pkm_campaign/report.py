@@ -15,7 +15,6 @@ from pkm_campaign.tables import Campaign
 from pkm_reports import style, text
 from pkm_reports.blocks import Block, Code, Items, Picture, Section, Table, TableColumn
 from pkm_reports.page import Content, Document
-from pkm_reports.report import write_document
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -242,7 +241,7 @@ def write_report(
         chapters=chapters,
         appendix=[Section("file", "Campaign file", [Code(campaign.text)])],
     )
-    return write_document(Document(content), out, "report")
+    return Document(content).write(out, "report")
 
 
 def sentences(campaign: Campaign, summary: pd.DataFrame) -> list[str]:

@@ -14,6 +14,7 @@ import string
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
 import jinja2
@@ -22,6 +23,7 @@ import msgspec
 import typst
 
 from oed.result import StudyResult
+from oed.safe_files import write_own
 from pkm_reports import sections, style, text
 from pkm_reports.blocks import (
     Block,
@@ -182,6 +184,29 @@ class Document:
         images = {f"{name}.svg": _svg(image) for name, image in self.images.items()}
         encoded = msgspec.json.encode(page)
         return compile_typst("report.typ", {"report.json": encoded, **images})
+
+    def write(
+        self,
+        out: Path,
+        name: str,
+        *,
+        html: bool = True,
+        pdf: bool = True,
+        full: bool = False,
+    ) -> tuple[Path, ...]:
+        """Write `NAME.html` and `NAME.pdf`, or one of them, into the folder `out`.
+
+        The folder is created where it is missing. Files appear complete or not at all.
+        One that the user changed stays, and the new one gets a number. Returns the paths,
+        HTML first. Raises OSError where the folder cannot be written.
+        """
+        pages: dict[str, bytes] = {}
+        if html:
+            pages[f"{name}.html"] = self.html()
+        if pdf:
+            pages[f"{name}.pdf"] = self.pdf(full=full)
+        out.mkdir(parents=True, exist_ok=True)
+        return tuple(write_own(out / file, page) for file, page in pages.items())
 
 
 def build_document(result: StudyResult) -> Document:

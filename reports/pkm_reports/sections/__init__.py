@@ -3,12 +3,9 @@
 chapters           the chapters that apply to a result, in order
 appendix           claims, versions and study file
 answer_parts       the first page: what the user asked, answered
+comparison_parts   first page and chapters of several results side by side
+first_lines        what a terminal shows of the first page
 adjustment_blocks  what a fitter adjusts, for a page of its own
-explanation_row    an explanation of the gap as a row of a table
-wanted_accuracy    errors that a study wants, by component
-is_plan            whether a result is a plan, without readings
-used_setups        the set-ups that its readings use
-draw_overview      the machine with all readings, small
 draw_closure       a machine that does not assemble, and what keeps it open
 """
 
@@ -37,18 +34,11 @@ from pkm_reports.sections import (
 )
 
 if TYPE_CHECKING:
-    from pkm_reports.sections.answer import (
-        answer_parts,
-        is_plan,
-        used_setups,
-        wanted_accuracy,
-    )
+    from pkm_reports.sections.answer import answer_parts
+    from pkm_reports.sections.comparison import comparison_parts
     from pkm_reports.sections.corrected import adjustment_blocks
-    from pkm_reports.sections.gap import explanation_row
-    from pkm_reports.sections.machine_figures import (
-        draw_closure,
-        draw_overview,
-    )
+    from pkm_reports.sections.machine_figures import draw_closure
+    from pkm_reports.sections.terminal import first_lines
 else:
     __getattr__ = door(__name__)
 

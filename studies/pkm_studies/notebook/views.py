@@ -101,7 +101,7 @@ class DesignView(View[Scheduled]):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """The chosen readings over two commands, on a matplotlib axis."""
-        from pkm_reports import axes as figures
+        from pkm_studies.notebook import axes as figures
 
         return figures.design(self.section, axes)
 
@@ -134,7 +134,7 @@ class PlanView(View[Scheduled]):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """What remains of each error stage by stage, on a matplotlib axis."""
-        from pkm_reports import axes as figures
+        from pkm_studies.notebook import axes as figures
 
         return figures.stages(self.section, axes)
 
@@ -226,7 +226,7 @@ class EstimateView(_ParametersView):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Residuals after the fit, on a matplotlib axis."""
-        from pkm_reports import axes as figures
+        from pkm_studies.notebook import axes as figures
 
         return figures.residuals(self.section, axes)
 
@@ -275,7 +275,7 @@ class PosteriorView(_ParametersView):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """95 % intervals in tolerances, on a matplotlib axis."""
-        from pkm_reports import axes as figures
+        from pkm_studies.notebook import axes as figures
 
         return figures.posterior(self.section, self._parameters, axes)
 
@@ -312,7 +312,7 @@ class AccuracyView(View[Scheduled]):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Errors before and after as bars, on a matplotlib axis."""
-        from pkm_reports import axes as figures
+        from pkm_studies.notebook import axes as figures
 
         return figures.accuracy(self.section, axes)
 
@@ -353,7 +353,7 @@ class DiagnosisView(View[Fitted]):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Probabilities of the causes, on a matplotlib axis."""
-        from pkm_reports import axes as figures
+        from pkm_studies.notebook import axes as figures
 
         return figures.causes(self.section, axes)
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from report_fixture import result_of
 
 from oed.result import DesignSection
-from pkm_reports import axes
+from pkm_studies.notebook import axes
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "tutorial_notebook.md"
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,15 +26,9 @@ from pkm_reports.blocks import (
     Table,
     TableColumn,
 )
-from pkm_reports.page import Content, Document
-from pkm_reports.report import write_document
-from pkm_reports.sections import (
-    draw_overview,
-    explanation_row,
-    is_plan,
-    used_setups,
-    wanted_accuracy,
-)
+from pkm_reports.sections.answer import is_plan, used_setups, wanted_accuracy
+from pkm_reports.sections.gap import explanation_row
+from pkm_reports.sections.machine_figures import draw_overview
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -451,45 +444,25 @@ def _scores(designs: Mapping[str, DesignSection]) -> Table:
     return Table(columns, rows, caption)
 
 
-def write_comparison(
-    results: Mapping[str, StudyResult], out: Path, changes: Sequence[str] = ()
-) -> tuple[Path, ...]:
-    """Write `comparison.html` and `comparison.pdf` of results by name; their paths.
+def comparison_parts(
+    results: Results, changes: Sequence[str]
+) -> tuple[list[Section], list[Section]]:
+    """First page and chapters of a comparison of results by name.
 
     changes    what changed between two sessions of one machine, in sentences
-
-    Raises ValueError for fewer than two results, OSError where the folder cannot be
-    written.
     """
-    if len(results) < 2:
-        raise ValueError("a comparison needs two results or more")
-    return write_document(Document(content(results, changes)), out, "comparison")
-
-
-def content(results: Mapping[str, StudyResult], changes: Sequence[str]) -> Content:
-    """The text of a comparison, its first page the differences."""
-    machines = list(dict.fromkeys(r.machine.name for r in results.values()))
-    versions = list(dict.fromkeys(r.version for r in results.values()))
-    names = list(results)
-    return Content(
-        title=f"{', '.join(names[:-1])} and {names[-1]} side by side",
-        question="What differs, and which is better?",
-        study="comparison",
-        machine=", ".join(machines),
-        foot=f"comparison · pkm-oed {', '.join(versions)}",
-        answer=_present(
-            Section("differences", "What differs", sentences(results)),
-            Section("changes", "What changed in the machine", _changes(changes)),
-            Section("glance", "At a glance", glance_blocks(results)),
-            Section("side-accuracy", "How accurate", accuracy_blocks(results)),
-        ),
-        chapters=_present(
-            Section("side-plans", "Plans", plan_blocks(results)),
-            Section("side-parameters", "Parameters", parameter_blocks(results)),
-            Section("side-causes", "Causes", cause_blocks(results)),
-        ),
-        appendix=[],
+    answer = _present(
+        Section("differences", "What differs", sentences(results)),
+        Section("changes", "What changed in the machine", _changes(changes)),
+        Section("glance", "At a glance", glance_blocks(results)),
+        Section("side-accuracy", "How accurate", accuracy_blocks(results)),
     )
+    chapters = _present(
+        Section("side-plans", "Plans", plan_blocks(results)),
+        Section("side-parameters", "Parameters", parameter_blocks(results)),
+        Section("side-causes", "Causes", cause_blocks(results)),
+    )
+    return answer, chapters
 
 
 def _changes(changes: Sequence[str]) -> list[Block]:

@@ -122,14 +122,14 @@ def applied() -> Iterator[None]:
 
 def figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     """An empty figure, in inches, without pyplot: no window system, no global state."""
-    from pkm_reports.report_figure import ReportFigure
+    from pkm_reports.style.report_figure import ReportFigure
 
     return ReportFigure(figsize=(width, height))
 
 
 def placed_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     """As `figure`, for axes that are placed by hand: no layout moves them."""
-    from pkm_reports.report_figure import ReportFigure
+    from pkm_reports.style.report_figure import ReportFigure
 
     layout: Any = "none"  # which matplotlib's types forget
     return ReportFigure(figsize=(width, height), layout=layout)
@@ -196,7 +196,7 @@ def log_axis(axes: Axes, which: str) -> None:
     """
     from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
 
-    from pkm_reports.report_figure import PlainLog
+    from pkm_reports.style.report_figure import PlainLog
 
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")

@@ -3,7 +3,7 @@
     pytest studies/a3_ball_bar.study.toml::rank
 
 Tests of a user's own sweep over varied studies with the mark `study_sweep` and the
-fixture `varied_study`: see `pkm_studies.sweep`.
+fixture `varied_study`: see `pkm_studies.collector.sweep`.
 
 A study runs once a session, into a folder of its own that is removed afterwards.
 Studies with `slow = true` carry the mark `slow`. Where the data that a study reads is
@@ -23,8 +23,8 @@ import pytest
 
 if TYPE_CHECKING:
     from oed.result import Claim
+    from pkm_studies.collector.sweep import VariedStudy
     from pkm_studies.study import Study
-    from pkm_studies.sweep import VariedStudy
 
 SUFFIX = ".study.toml"
 #: fixture of the studies of a sweep
@@ -54,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One test for each study of a sweep."""
     if FIXTURE in metafunc.fixturenames:
-        from pkm_studies import sweep
+        from pkm_studies.collector import sweep
 
         sweep.parametrize(metafunc, FIXTURE)
 
@@ -64,7 +64,7 @@ def varied_study(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> VariedStudy:
     """A study of the sweep, which runs at most once a session: at its first figure."""
-    from pkm_studies import sweep
+    from pkm_studies.collector import sweep
 
     folder = sweep.shared_folder(tmp_path_factory)
     return sweep.VariedStudy(request.param, folder)

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import stages, sweep
+from pkm_studies import stages
 from pkm_studies.base import Location
+from pkm_studies.collector import sweep
 from pkm_studies.study import load
 
 #: nothing to choose and nothing to fit: a plan is looked at

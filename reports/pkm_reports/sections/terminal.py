@@ -9,7 +9,7 @@ from typing import Final
 from oed.result import StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import Block, Notice, Paragraph, Table
-from pkm_reports.sections import answer_parts, is_plan
+from pkm_reports.sections.answer import answer_parts, is_plan
 
 #: sentences of a diagnosis, the verdict among them
 MAX_FINDINGS: Final = 3
