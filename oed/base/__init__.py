@@ -7,11 +7,6 @@ Mask           an array of truth values
 consecutive_slices  slices of some sizes, one after the other
 grid_nodes     the nodes of a rectilinear grid
 Orientation    three angles of a platform, by their order
-rotation       rotations about axes, one after the other
-direction      as these, where the direction of the tool axis alone is meant
-tilt           a tilt of that axis by a rotation vector
-tilt_and_spin  a spin about it, then a tilt
-along          a rotation whose third axis lies along a vector
 curve_mode     a mode of a smooth curve over a span
 field_modes    the modes of a smooth field at places
 """
@@ -27,14 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from oed.base.arrays import Array, Index, Mask, consecutive_slices, grid_nodes
-    from oed.base.orientation import (
-        Orientation,
-        along,
-        direction,
-        rotation,
-        tilt,
-        tilt_and_spin,
-    )
+    from oed.base.orientation import Orientation
     from oed.base.smooth_basis import curve_mode, field_modes
 
 

@@ -40,6 +40,33 @@ class Orientation:
     factors: tuple[Factor, ...]
     axis_only: bool = False
 
+    @classmethod
+    def rotation(cls, *factors: tuple[str, str]) -> Orientation:
+        """Rotations about axes, as in `rotation(("x", "alpha"), ("y", "beta"))`."""
+        return cls(tuple((axis, (name,)) for axis, name in factors))
+
+    @classmethod
+    def direction(cls, *factors: tuple[str, str]) -> Orientation:
+        """As `rotation`, of which the direction n = R e_z alone is meant."""
+        return cls(cls.rotation(*factors).factors, axis_only=True)
+
+    @classmethod
+    def tilt(cls, rx: str, ry: str) -> Orientation:
+        """The direction n = T(rx, ry) e_z of a tilt by the rotation vector (rx, ry, 0)."""
+        return cls(((TILT, (rx, ry)),), axis_only=True)
+
+    @classmethod
+    def tilt_and_spin(cls, rx: str, ry: str, spin: str) -> Orientation:
+        """A spin about z, then a tilt by the rotation vector (rx, ry, 0)."""
+        return cls(((TILT, (rx, ry)), ("z", (spin,))))
+
+    @staticmethod
+    def along(axes: Array) -> Array:
+        """One of the rotations (n, 3, 3) whose third axis is along vectors (n, 3)."""
+        unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        turns = scipy.spatial.transform.Rotation.from_rotvec(_tilt_vectors(unit))
+        return np.asarray(turns.as_matrix())
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the angles, in the order of the factors."""
@@ -91,34 +118,6 @@ class Orientation:
         else:
             raise ValueError(f"{self.formula} has no inverse here")
         return dict(zip(self.names, values, strict=False))
-
-
-def rotation(*factors: tuple[str, str]) -> Orientation:
-    """Rotations about axes, as in `rotation(("x", "alpha"), ("y", "beta"))`."""
-    return Orientation(tuple((axis, (name,)) for axis, name in factors))
-
-
-def direction(*factors: tuple[str, str]) -> Orientation:
-    """As `rotation`, of which the direction n = R e_z alone is meant."""
-    return Orientation(rotation(*factors).factors, axis_only=True)
-
-
-def tilt(rx: str, ry: str) -> Orientation:
-    """The direction n = T(rx, ry) e_z of a tilt by the rotation vector (rx, ry, 0)."""
-    return Orientation(((TILT, (rx, ry)),), axis_only=True)
-
-
-def tilt_and_spin(rx: str, ry: str, spin: str) -> Orientation:
-    """A spin about z, then a tilt by the rotation vector (rx, ry, 0)."""
-    return Orientation(((TILT, (rx, ry)), ("z", (spin,))))
-
-
-def along(axes: Array) -> Array:
-    """One of the rotations (n, 3, 3) whose third axis is along vectors (n, 3)."""
-    unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    return np.asarray(
-        scipy.spatial.transform.Rotation.from_rotvec(_tilt_vectors(unit)).as_matrix()
-    )
 
 
 def _euler(matrices: Array, axes: str) -> Array:

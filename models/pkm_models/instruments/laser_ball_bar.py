@@ -43,13 +43,13 @@ import casadi as ca
 import numpy as np
 
 from oed import units
-from oed.base import Array, direction
+from oed.base import Array, Orientation
 from oed.instrument import Channel, Cost, Frame, InnerReading, Instrument, Setting
 from oed.model import Expr, Values
 from pkm_models.instruments import registration
 
 SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"
-ORIENTATION = direction(("x", "read_alpha"), ("y", "read_beta"))
+ORIENTATION = Orientation.direction(("x", "read_alpha"), ("y", "read_beta"))
 FRAMES = (
     f"{ORIENTATION.formula} = (sin beta, -sin alpha cos beta, cos alpha cos beta), from"
     " ball B to ball A, along z of the platform's frame, in the instrument's frame"

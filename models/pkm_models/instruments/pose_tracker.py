@@ -23,13 +23,15 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.base import rotation
+from oed.base import Orientation
 from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.model import Expr, Values
 from pkm_models.instruments import registration
 
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
-ORIENTATION = rotation(("x", "read_alpha"), ("y", "read_beta"), ("z", "read_gamma"))
+ORIENTATION = Orientation.rotation(
+    ("x", "read_alpha"), ("y", "read_beta"), ("z", "read_gamma")
+)
 FRAMES = f"{ORIENTATION.formula}, from the platform's frame to the instrument's"
 POINT = registration.point_channels(10e-6)
 ANGLES = tuple(

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from oed.base import direction, rotation
+from oed.base import Orientation
 from oed.model import Adjustment, Component, Coordinate, Expr, Parameter, Values
 from pkm_models.machines.parts import coordinates, passive, six_dof
 from pkm_models.machines.parts.families import numbers, places, point_group
@@ -31,8 +31,8 @@ PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 - math.pi / 2.0 for i in LIMBS}
 XYZ = "xyz"
 
 #: direction of the tool axis by psi and theta, and the paper's Euler angles z-x-z
-AXIS = direction(("z", "psi"), ("x", "theta"))
-EULER = rotation(("z", "psi"), ("x", "theta"), ("z", "phi"))
+AXIS = Orientation.direction(("z", "psi"), ("x", "theta"))
+EULER = Orientation.rotation(("z", "psi"), ("x", "theta"), ("z", "phi"))
 PSI = f"precession: direction of the axis about which the tool tilts, from x to y; {AXIS.formula}"
 THETA = f"nutation: tilt of the tool axis from z; {AXIS.formula}"
 

@@ -28,7 +28,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.base import direction, rotation
+from oed.base import Orientation
 from oed.model import (
     Adjustment,
     Component,
@@ -53,8 +53,8 @@ PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 for i in LIMBS}
 TILT = math.radians(35.0)
 
 #: direction of the spindle axis, Eq. (15), and the angles of the rotation [R]
-AXIS = direction(("x", "alpha"), ("y", "beta"))
-ANGLES = rotation(("x", "alpha"), ("y", "beta"), ("z", "gamma"))
+AXIS = Orientation.direction(("x", "alpha"), ("y", "beta"))
+ANGLES = Orientation.rotation(("x", "alpha"), ("y", "beta"), ("z", "gamma"))
 
 # Tolerances (prior standard deviations): the size of the errors that Table 4 found,
 # column by column.

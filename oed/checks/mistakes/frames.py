@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 import scipy  # its parts load when first used
 
-from oed.base import Array, Mask, Orientation, rotation
+from oed.base import Array, Mask, Orientation
 from oed.checks.mistakes.moved import Change, commanded, moved_trials, permuted
 from oed.checks.mistakes.pose import RANGE_SLACK
 from oed.checks.mistakes.suspect import Scope, Suspect
@@ -150,7 +150,7 @@ def _conventions(orientation: Orientation) -> list[Orientation]:
     """
     x, y, z = orientation.names
     orders = itertools.permutations([("x", x), ("y", y), ("z", z)])
-    others = [rotation(*factors) for factors in orders]
+    others = [Orientation.rotation(*factors) for factors in orders]
     for factors in itertools.permutations(orientation.factors):
         others.append(dataclasses.replace(orientation, factors=factors))
     return [o for o in dict.fromkeys(others) if o != orientation]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oed import units
-from oed.base import Array, Mask, Orientation, along
+from oed.base import Array, Mask, Orientation
 from oed.instrument import Instrument
 from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
@@ -260,7 +260,7 @@ def _matrices(form: str, values: Array, *, inverse: bool) -> Array:
     if not len(values):
         return np.empty((0, 3, 3))
     if form == "direction":
-        return along(-values if inverse else values)
+        return Orientation.along(-values if inverse else values)
     if form == "quaternion":
         whole = Rotation.from_quat(values, scalar_first=True)
     else:

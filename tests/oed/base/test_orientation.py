@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import stated_order
 
-from oed.base import Orientation, orientation
+from oed.base import Orientation
 
 ORDERS = [
-    orientation.rotation(("x", "a"), ("y", "b"), ("z", "c")),
-    orientation.rotation(("z", "a"), ("y", "b"), ("x", "c")),
-    orientation.tilt_and_spin("a", "b", "c"),
-    orientation.direction(("x", "a"), ("y", "b")),
-    orientation.direction(("z", "a"), ("x", "b")),
-    orientation.tilt("a", "b"),
+    Orientation.rotation(("x", "a"), ("y", "b"), ("z", "c")),
+    Orientation.rotation(("z", "a"), ("y", "b"), ("x", "c")),
+    Orientation.tilt_and_spin("a", "b", "c"),
+    Orientation.direction(("x", "a"), ("y", "b")),
+    Orientation.direction(("z", "a"), ("x", "b")),
+    Orientation.tilt("a", "b"),
 ]
 
 
@@ -33,6 +33,6 @@ def test_angles_and_rotations_undo_each_other(
 
 
 def test_a_product_without_an_inverse_says_so() -> None:
-    stated = orientation.rotation(("z", "a"), ("x", "b"), ("z", "c"))
+    stated = Orientation.rotation(("z", "a"), ("x", "b"), ("z", "c"))
     with pytest.raises(ValueError, match="has no inverse"):
         stated.angles(np.eye(3)[None])

@@ -10,7 +10,7 @@ import pytest
 from blunder_tables import DEG, Array
 from scipy.spatial.transform import Rotation
 
-from oed.base import tilt_and_spin
+from oed.base import Orientation
 from oed.checks.explain import as_given
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.mistakes import (
@@ -196,7 +196,7 @@ def test_a_grid_read_as_a_meander_is_put_in_order() -> None:
 
 def test_angles_of_a_controller_by_another_convention() -> None:
     """Roll, pitch and yaw in the columns of a tilt and a spin, by SciPy's rotations."""
-    own = tilt_and_spin("rx", "ry", "spin")
+    own = Orientation.tilt_and_spin("rx", "ry", "spin")
     by_words = {m.text: m for m in frames._mistakes(own)}
     one = by_words["have angles in another order: R = Rz(spin) Ry(ry) Rx(rx)"]
     poses = np.array([[1.0, 2.0, 3.0, 0.2, -0.3, 0.4], [0.0, 0.0, 1.0, -0.1, 0.2, 0.3]])

@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.base import Orientation, rotation
+from oed.base import Orientation
 from oed.model import Coordinate, Dimension, Expr, Parameter, Start, Values
 from pkm_models.machines.parts import families
 from pkm_models.machines.parts.coordinates import (
@@ -144,7 +144,7 @@ def _orientation(turns: Sequence[str]) -> Orientation | None:
     """How the mover's angles make its rotation; None where it does not turn."""
     if not turns:
         return None
-    return rotation(("z", "spin")) if len(turns) == 1 else POSE_ORIENTATION
+    return Orientation.rotation(("z", "spin")) if len(turns) == 1 else POSE_ORIENTATION
 
 
 def _scales(count: int) -> list[Parameter]:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.base import Orientation, tilt, tilt_and_spin
+from oed.base import Orientation
 from oed.model import Component, Coordinate
 
 #: orientation of a platform that tilts and spins, and direction of its tool axis
-POSE_ORIENTATION = tilt_and_spin("rx", "ry", "spin")
-TILT_DIRECTION = tilt("rx", "ry")
+POSE_ORIENTATION = Orientation.tilt_and_spin("rx", "ry", "spin")
+TILT_DIRECTION = Orientation.tilt("rx", "ry")
 ANGLES = {
     "rx": "x of the tilt's rotation vector in the base frame, right-handed",
     "ry": "y of the tilt's rotation vector in the base frame, right-handed",
