@@ -12,8 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from oed.text import shorten
-from pkm_studies.base import Location
-from pkm_studies.study import AS_PUBLISHED, Row, read_csv, read_json
+from pkm_studies.study import PublishedFile, Row
 
 TOWERS = "abc"
 HEIGHTS = ("session", "i", "height_mm", "steps_a", "steps_b", "steps_c")
@@ -25,36 +24,36 @@ StepSizes = Mapping[str, list[float]]
 
 def rows(folder: Path) -> Iterator[Row]:
     """Rows of a readings file with all sessions. Raises InputError."""
-    sessions = read_json(folder / "sessions.json")
+    sessions = PublishedFile(folder / "sessions.json").json_content()
     steps = {s["session"]: s["step_distance_mm"] for s in sessions}
-    yield from _heights(folder / "heights.csv", steps)
-    yield from _distances(folder / "distances.csv", steps)
+    yield from _heights(PublishedFile(folder / "heights.csv"), steps)
+    yield from _distances(PublishedFile(folder / "distances.csv"), steps)
 
 
-def _heights(path: Path, steps: StepSizes) -> Iterator[Row]:
-    for row in read_csv(path, HEIGHTS):
-        joints = _joints(row, "steps_", steps, path)
+def _heights(file: PublishedFile, steps: StepSizes) -> Iterator[Row]:
+    for row in file.csv_rows(HEIGHTS):
+        joints = _joints(row, "steps_", steps, file)
         label = {"setup": f"{row['session']}_probe", "run": "1", "order": row["i"]}
         yield label | joints | {"height_mm": row["height_mm"]}
 
 
-def _distances(path: Path, steps: StepSizes) -> Iterator[Row]:
-    for row in read_csv(path, DISTANCES):
+def _distances(file: PublishedFile, steps: StepSizes) -> Iterator[Row]:
+    for row in file.csv_rows(DISTANCES):
         run = f"distance {row['i']}"
         label = {"setup": f"{row['session']}_calliper", "run": run}
-        first = _joints(row, "p1_", steps, path)
-        second = _joints(row, "p2_", steps, path)
+        first = _joints(row, "p1_", steps, file)
+        second = _joints(row, "p2_", steps, file)
         yield label | {"order": "1"} | first
         yield label | {"order": "2"} | second | {"length_mm": row["distance_mm"]}
 
 
-def _joints(row: Row, prefix: str, steps: StepSizes, path: Path) -> Row:
+def _joints(row: Row, prefix: str, steps: StepSizes, file: PublishedFile) -> Row:
     """Joints q1_mm to q3_mm from steps of the towers; repr keeps every digit."""
-    location = Location(str(path), f"session {row['session']}, i {row['i']}")
     try:
         sizes = steps[row["session"]]
         travel = [float(row[prefix + t]) * sizes[k] for k, t in enumerate(TOWERS)]
     except (KeyError, ValueError, IndexError, TypeError) as error:
         problem = f"no step size or no number: {shorten(str(error), 80)}"
-        raise location.error(problem, AS_PUBLISHED) from None
+        field = f"session {row['session']}, i {row['i']}"
+        raise file.error(problem, field) from None
     return {f"q{k + 1}_mm": repr(value) for k, value in enumerate(travel)}

@@ -17,7 +17,7 @@ from pkm_printers.words import WordAccount, WordTable, WrittenWord, account
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import plain_number
-from pkm_studies.importers import Stamp, line_field, stamp, steps
+from pkm_studies.importers import Stamp, line_field
 
 MAX_BYTES = 16_000_000
 NO_TIME = Stamp(0.0, is_dated=False)
@@ -149,9 +149,9 @@ def _is_in_time(lines: list[TextLine]) -> _Log:
 
     A line without a time goes with the last one above it. Raises InputError.
     """
-    stamps = {k: s for k, line in enumerate(lines) if (s := stamp(line.text))}
+    stamps = {k: s for k, line in enumerate(lines) if (s := Stamp.at_start(line.text))}
     starts, times = list(stamps), list(stamps.values())
-    between = steps(times)
+    between = Stamp.steps(times)
     if not (between < 0.0).any():
         return _Log(lines, times[0] if times else None)
     if (between > 0.0).any():

@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from pkm_studies.study import Row, read_csv
+from pkm_studies.study import PublishedFile, Row
 
 MOTORS = "ABCD"
 
 
 def rows(folder: Path) -> Iterator[Row]:
     """Rows of a readings file. Raises InputError."""
-    motors = read_csv(folder / "motor_deg.csv", tuple(MOTORS))
-    positions = read_csv(folder / "known_xyz_mm.csv", ("x", "y", "z"))
+    motors = PublishedFile(folder / "motor_deg.csv").csv_rows(tuple(MOTORS))
+    positions = PublishedFile(folder / "known_xyz_mm.csv").csv_rows("xyz")
     joints = [
         {f"q{k + 1}_deg": row[motor] for k, motor in enumerate(MOTORS)}
         for row in motors

@@ -12,8 +12,6 @@ readings_name    name of the readings file that goes with a study
 line_field       a line of a file as an error shows it
 read_tables      tables of files, each with the oldest line first
 Stamp            a time, s, with its date or without one
-stamp            the one with which a text begins
-steps            time from each stamp to the next
 """
 
 from typing import TYPE_CHECKING
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
         readings_name,
     )
     from pkm_studies.importers.column_map import Model, imported_study
-    from pkm_studies.importers.line_times import Stamp, read_tables, stamp, steps
+    from pkm_studies.importers.line_times import Stamp, read_tables
     from pkm_studies.importers.registry import importers
     from pkm_studies.importers.session import import_files
 else:

@@ -31,37 +31,37 @@ class Stamp(NamedTuple):
     seconds: float
     is_dated: bool
 
+    @classmethod
+    def at_start(cls, text: str) -> Stamp | None:
+        """The time with which a text begins; None without one."""
+        match = TIME.match(text)
+        if match is None:
+            return None
+        first, sign, second, third, hour, minute, second_text, half = match.groups()
+        hours = int(hour) % 12 + 12 * (half.upper() == "PM") if half else int(hour)
+        clock = 60.0 * (60.0 * hours + int(minute))
+        clock += float((second_text or "0").replace(",", "."))
+        if first is None:
+            return cls(clock, is_dated=False)
+        # 2026-11-24, 24.11.2026, and 11/24/2026 unless no month is meant
+        year, month, day = int(third), int(second), int(first)
+        if len(first) == 4:
+            year, day = day, year
+        elif sign == "/" and day <= 12:
+            month, day = day, month
+        try:
+            days = datetime.date(year + 2000 * (year < 100), month, day).toordinal()
+        except ValueError:
+            return None
+        return cls(DAY * days + clock, is_dated=True)
 
-def stamp(text: str) -> Stamp | None:
-    """The time with which a text begins; None without one."""
-    match = TIME.match(text)
-    if match is None:
-        return None
-    first, sign, second, third, hour, minute, second_text, half = match.groups()
-    hours = int(hour) % 12 + 12 * (half.upper() == "PM") if half else int(hour)
-    clock = 60.0 * (60.0 * hours + int(minute))
-    clock += float((second_text or "0").replace(",", "."))
-    if first is None:
-        return Stamp(clock, is_dated=False)
-    # 2026-11-24, 24.11.2026, and 11/24/2026 unless no month is meant
-    year, month, day = int(third), int(second), int(first)
-    if len(first) == 4:
-        year, day = day, year
-    elif sign == "/" and day <= 12:
-        month, day = day, month
-    try:
-        days = datetime.date(year + 2000 * (year < 100), month, day).toordinal()
-    except ValueError:
-        return None
-    return Stamp(DAY * days + clock, is_dated=True)
-
-
-def steps(stamps: Sequence[Stamp]) -> np.ndarray:
-    """Time (n - 1,), s, from each stamp to the next, over midnight where undated."""
-    between = np.diff([one.seconds for one in stamps])
-    if not all(one.is_dated for one in stamps):
-        between = (between + DAY / 2.0) % DAY - DAY / 2.0
-    return np.asarray(between)
+    @staticmethod
+    def steps(stamps: Sequence[Stamp]) -> np.ndarray:
+        """Time (n - 1,), s, from each stamp to the next, over midnight where undated."""
+        between = np.diff([one.seconds for one in stamps])
+        if not all(one.is_dated for one in stamps):
+            between = (between + DAY / 2.0) % DAY - DAY / 2.0
+        return np.asarray(between)
 
 
 def read_tables(paths: Sequence[Path]) -> list[CsvTable]:
@@ -73,8 +73,8 @@ def read_tables(paths: Sequence[Path]) -> list[CsvTable]:
     for table in tables:
         for name in filter(TIME_NAME.search, table.header):
             cells = [cell for cell in table.cells(name) if cell]
-            stamps = [stamp(cell) or _number(cell) for cell in cells]
-            between = steps([one for one in stamps if one is not None])
+            stamps = [Stamp.at_start(cell) or _number(cell) for cell in cells]
+            between = Stamp.steps([one for one in stamps if one is not None])
             if (between < 0.0).any() and not (between > 0.0).any():
                 raise InputError(
                     "the times fall from line to line: the newest stands first",

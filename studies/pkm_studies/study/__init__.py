@@ -9,10 +9,8 @@ decode_table  a struct from a table of TOML
 tables_of     the tables of a text in TOML
 SCHEMAS       descriptions of the files, for `oed schema`
 combinations  settings of a sweep, each with each
-AS_PUBLISHED  the remedy where a published file was changed
+PublishedFile a file of a collection, and what is wrong with it
 Row           a row of a collection, cells by column
-read_csv      rows of a collection's CSV file
-read_json     content of its JSON file
 """
 
 from typing import TYPE_CHECKING
@@ -20,12 +18,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_studies.study.data_sources import (
-        AS_PUBLISHED,
-        Row,
-        read_csv,
-        read_json,
-    )
+    from pkm_studies.study.data_sources import PublishedFile, Row
     from pkm_studies.study.decode import decode_table, tables_of
     from pkm_studies.study.loader import (
         SUFFIX,

@@ -10,7 +10,7 @@ from pkm_studies import csv_table
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.earlier_result import read_draws
-from pkm_studies.study import read_csv
+from pkm_studies.study import PublishedFile
 
 NAMES = ("parameter", ["a", "b"])
 DIMENSIONS = ("chain", "draw", "parameter")
@@ -89,6 +89,6 @@ def test_a_cell_that_no_reader_takes_is_named(tmp_path: Path) -> None:
     """Python's reader of CSV takes 131072 characters."""
     path = tmp_path / "long.csv"
     path.write_text(f"x,y\n1,2\n3,{'9' * 200_000}\n", encoding="utf-8")
-    for read in (csv_table.read, lambda p: read_csv(p, ["x"])):
+    for read in (csv_table.read, lambda p: PublishedFile(p).csv_rows(["x"])):
         with pytest.raises(InputError, match=r"long.csv: this is no CSV: field larger"):
             read(path)

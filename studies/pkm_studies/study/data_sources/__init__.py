@@ -11,45 +11,50 @@ import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from oed.text import shorten
 from pkm_studies import files
-from pkm_studies.base import Location, SourceAbsentError
+from pkm_studies.base import InputError, Location, SourceAbsentError
 from pkm_studies.csv_table import named_errors
 
 #: bytes of the largest file
 MAX_BYTES = 20_000_000
 #: cells of a row, by column
 Row = dict[str, str]
-AS_PUBLISHED = "take the file as published"
+REMEDY = "take the file as published"
 
 
-def read_csv(path: Path, columns: Sequence[str]) -> list[Row]:
-    """Rows of a CSV file. Raises InputError where one of the columns is missing."""
-    reader = csv.DictReader(io.StringIO(_text(path)))
-    missing = [c for c in columns if c not in (reader.fieldnames or ())]
-    if missing:
-        problem = f"the column {missing[0]} is missing"
-        raise Location(str(path)).error(problem, AS_PUBLISHED)
-    with named_errors(str(path)):
-        return [{key: cell or "" for key, cell in row.items() if key} for row in reader]
+class PublishedFile(NamedTuple):
+    """A file of a collection."""
 
+    path: Path
 
-def read_json(path: Path) -> Any:
-    """Content of a JSON file. Raises InputError."""
-    try:
-        return json.loads(_text(path))
-    except (ValueError, RecursionError) as error:
-        problem = f"no JSON: {shorten(str(error), 80)}"
-        raise Location(str(path)).error(problem, AS_PUBLISHED) from None
+    def csv_rows(self, columns: Sequence[str]) -> list[Row]:
+        """Rows of a CSV file. Raises InputError where one of the columns is missing."""
+        reader = csv.DictReader(io.StringIO(self._text()))
+        missing = [c for c in columns if c not in (reader.fieldnames or ())]
+        if missing:
+            raise self.error(f"the column {missing[0]} is missing")
+        with named_errors(str(self.path)):
+            return [{k: cell or "" for k, cell in row.items() if k} for row in reader]
 
+    def json_content(self) -> Any:
+        """Content of a JSON file. Raises InputError."""
+        try:
+            return json.loads(self._text())
+        except (ValueError, RecursionError) as error:
+            raise self.error(f"no JSON: {shorten(str(error), 80)}") from None
 
-def _text(path: Path) -> str:
-    if not path.is_file():
-        raise SourceAbsentError(
-            "the data is not there",
-            "put the data there, or change readings.path",
-            file=str(path),
-        )
-    return files.read_text(path, limit=MAX_BYTES, what="data file")
+    def error(self, problem: str, field: str = "") -> InputError:
+        """What is wrong with the file, or with a field of it."""
+        return Location(str(self.path), field).error(problem, REMEDY)
+
+    def _text(self) -> str:
+        if not self.path.is_file():
+            raise SourceAbsentError(
+                "the data is not there",
+                "put the data there, or change readings.path",
+                file=str(self.path),
+            )
+        return files.read_text(self.path, limit=MAX_BYTES, what="data file")

@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from oed.text import shorten
-from pkm_studies.base import Location
-from pkm_studies.study.data_sources import AS_PUBLISHED, Row, read_csv
+from pkm_studies.study.data_sources import PublishedFile, Row
 
 REVOLUTIONS = tuple(f"leg_length_{k}" for k in range(1, 7))
 POSITION = tuple(f"position_{axis}" for axis in "xyz")
@@ -27,15 +26,14 @@ PER_METRE = (13.21144, 14.0456, 13.8233, 14.124109, 14.16007, 14.03256)
 
 def rows(folder: Path) -> Iterator[Row]:
     """Rows of a readings file. Raises InputError."""
-    path = folder / "poses_108.csv"
-    poses = read_csv(path, (*REVOLUTIONS, *POSITION, *QUATERNION))
+    file = PublishedFile(folder / "poses_108.csv")
+    poses = file.csv_rows((*REVOLUTIONS, *POSITION, *QUATERNION))
     for i, pose in enumerate(poses):
         label = {"setup": "blind" if i % 2 else "fit", "run": "1"}
         try:
             yield label | {"order": str(i // 2 + 1)} | _legs(pose) | _read(pose)
         except ValueError as error:
-            location = Location(str(path), f"row {i + 1}")
-            raise location.error(shorten(str(error), 80), AS_PUBLISHED) from None
+            raise file.error(shorten(str(error), 80), f"row {i + 1}") from None
 
 
 def _legs(pose: Row) -> Row:
