@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base import Array
+from oed.corrected.estimate import SEPARATOR, CorrectedEstimate
 from oed.corrected.forms import (
     ChosenForm,
     choose_forms,
     groups_by_effect,
     updated_sizes,
 )
-from oed.effect_model import Effect, State
-from oed.effects import ActingForm, ExpectedColumns, SessionStates
-from oed.estimation import Discrepancy, Estimate, identify
+from oed.effect_model import Effect
+from oed.estimation import Estimate, identify
 from oed.gap import DOWN, ActingEffectForm, GapProblem, assemble, exact_readings, settle
 from oed.instrument import TakenReadings
 from oed.measurement import Measurement, Series
@@ -26,10 +26,6 @@ from oed.model import Parameter
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-#: name of a coefficient in theta: `effect: coefficient`
-SEPARATOR = ": "
 
 
 class MeasurementWithEffects(Measurement):
@@ -175,61 +171,6 @@ class EffectReadings:
         if not again.forms or _same_constants(start.forms, again.forms):
             return corrected
         return fit.settle(again, [["*"]])
-
-
-@dataclasses.dataclass(frozen=True)
-class CorrectedEstimate:
-    """Parameters and effects, estimated together.
-
-    readings     what was fitted
-    measurement  with the effects' coefficients at the end of theta
-    series       the readings' series, each reading with its pose
-    estimate     of theta = [parameters, coefficients]; a coefficient is in prior
-                 standard deviations of its effect
-    forms        of the effects, with their constants
-    scales       (k,) prior standard deviations of the coefficients, in their own units
-    states       of the machine, one a series
-    """
-
-    readings: EffectReadings
-    measurement: MeasurementWithEffects
-    series: tuple[Series, ...]
-    estimate: Estimate
-    forms: tuple[ChosenForm, ...]
-    scales: Array
-    states: tuple[State, ...]
-
-    @property
-    def parameters(self) -> int:
-        """Number of leading entries of theta that are not coefficients."""
-        return len(self.estimate.theta) - len(self.scales)
-
-    @property
-    def session(self) -> SessionStates:
-        """States in which the readings were taken."""
-        of = self.readings
-        return SessionStates(of.measurement, of.covariates, self.states, of.gravity)
-
-    @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        """Names (k,) of the coefficients, `effect: coefficient`."""
-        return self.measurement.names[self.parameters :]
-
-    @property
-    def columns(self) -> ExpectedColumns:
-        """Effects in the forms of the fit, one column a coefficient."""
-        acting = tuple(
-            ActingForm(form.effect, form.constants, form.signature.names)
-            for form in self.forms
-        )
-        count = len(self.scales)
-        discrepancy = Discrepancy(
-            columns=np.hstack([form.signature.columns for form in self.forms]),
-            group=np.arange(count, dtype=np.intp),
-            names=self.coefficient_names,
-            unknown=np.zeros(count, dtype=bool),
-        )
-        return ExpectedColumns(discrepancy, acting, np.eye(count))
 
 
 @dataclasses.dataclass(frozen=True)

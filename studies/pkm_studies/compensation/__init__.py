@@ -7,8 +7,6 @@ identified_parameters  the parameters that a controller gets, and what they rest
 adjusted_result        a result as it is after a fitter's adjustments
 result_study           the study of a stored result, and its machine
 TableAccuracy          how accurate a table of commands must be
-table_accuracy         that, from the predicted accuracy
-command_grid           the coarsest grid of commands that is accurate enough
 """
 
 from typing import TYPE_CHECKING
@@ -26,10 +24,6 @@ if TYPE_CHECKING:
         identified_parameters,
         result_study,
     )
-    from pkm_studies.compensation.table_grid import (
-        TableAccuracy,
-        command_grid,
-        table_accuracy,
-    )
+    from pkm_studies.compensation.table_grid import TableAccuracy
 else:
     __getattr__ = door(__name__)

@@ -137,12 +137,12 @@ def _add_grid(
     """The content with the grid of its table, where its workspace is in reach."""
     correction = table_grid.table_correction(content)
     want = table_grid.add_offsets(
-        table_grid.table_accuracy(content.kinematics, result.final_prediction),
+        table_grid.TableAccuracy.predicted(content.kinematics, result.final_prediction),
         content.further,
         result.final_prediction,
     )
     most = table_grid.DEFAULT_MAX_COMMANDS if largest is None else largest
-    grid = table_grid.command_grid(axes, correction, want, most)
+    grid = want.grid(axes, correction, most)
     if grid is None:
         return content
     notes = (*content.notes, *table_grid.sentences(grid, want))

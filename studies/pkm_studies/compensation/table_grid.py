@@ -54,26 +54,61 @@ class TableAccuracy:
     target: Array
     motion: Callable[[Array], Array]
 
+    @classmethod
+    def predicted(
+        cls, kinematics: Kinematics, prediction: PredictionSection | None
+    ) -> TableAccuracy:
+        """A share of the predicted accuracy; without one, a joint error of 1 um."""
+        if prediction is None:
+            return _joint_offsets(kinematics)
+        after = {name: c.after.rms for name, c in prediction.components.items()}
+        if prediction.budget is not None:
+            after = prediction.budget.predicted
+        driven = [c for c in kinematics.machine.components if c.compensatable]
+        remaining = rms_of(after, kinematics)
+        if not (remaining > 0.0).all():
+            return _joint_offsets(kinematics)
+        return cls(
+            tuple(c.name for c in driven),
+            tuple(c.unit for c in driven),
+            GROWTH_SHARE * remaining,
+            lambda command: joint_motion(kinematics, command),
+        )
 
-def table_accuracy(
-    kinematics: Kinematics, prediction: PredictionSection | None
-) -> TableAccuracy:
-    """A share of the predicted accuracy; without one, a joint error of 1 um."""
-    if prediction is None:
-        return _joint_offsets(kinematics)
-    after = {name: c.after.rms for name, c in prediction.components.items()}
-    if prediction.budget is not None:
-        after = prediction.budget.predicted
-    driven = [c for c in kinematics.machine.components if c.compensatable]
-    remaining = rms_of(after, kinematics)
-    if not (remaining > 0.0).all():
-        return _joint_offsets(kinematics)
-    return TableAccuracy(
-        tuple(c.name for c in driven),
-        tuple(c.unit for c in driven),
-        GROWTH_SHARE * remaining,
-        lambda command: joint_motion(kinematics, command),
-    )
+    def grid(
+        self,
+        axes: tuple[GridAxis, ...],
+        correction: Callable[[Array], Array],
+        largest: int,
+    ) -> CommandGrid | None:
+        """The grid of a table over a box; None where no part of the box is in reach.
+
+        A box that is partly out of reach shrinks about its middle, full turns aside. Raises
+        InputError where `largest` is less than the coarsest grid.
+        """
+        fewest = math.prod(axis.fewest for axis in axes)
+        if largest < fewest:
+            raise InputError(
+                f"a table over {len(axes)} coordinates needs {fewest} commands",
+                f"give at least {fewest}, or take a format with parameters",
+                value=f"--commands {largest}",
+            )
+        for step in range(SHRINKS):
+            box = tuple(axis.shrunk(SHRINK**step) for axis in axes)
+            try:
+                grid = choose_command_grid(
+                    box,
+                    correction,
+                    self.motion,
+                    self.target,
+                    largest,
+                    np.random.default_rng(0),
+                )
+                correction(grid.commands)
+            except AssemblyError:
+                continue
+            return grid
+        return None
 
 
 def add_offsets(
@@ -167,42 +202,6 @@ def forecast_corrections(
     if not section.whole:
         return table.at
     return lambda c: table.at(c) - joint_corrections(kinematics, c, parameters)
-
-
-def command_grid(
-    axes: tuple[GridAxis, ...],
-    correction: Callable[[Array], Array],
-    want: TableAccuracy,
-    largest: int,
-) -> CommandGrid | None:
-    """The grid of a table over a box; None where no part of the box is in reach.
-
-    A box that is partly out of reach shrinks about its middle, full turns aside. Raises
-    InputError where `largest` is less than the coarsest grid.
-    """
-    fewest = math.prod(axis.fewest for axis in axes)
-    if largest < fewest:
-        raise InputError(
-            f"a table over {len(axes)} coordinates needs {fewest} commands",
-            f"give at least {fewest}, or take a format with parameters",
-            value=f"--commands {largest}",
-        )
-    for step in range(SHRINKS):
-        box = tuple(axis.shrunk(SHRINK**step) for axis in axes)
-        try:
-            grid = choose_command_grid(
-                box,
-                correction,
-                want.motion,
-                want.target,
-                largest,
-                np.random.default_rng(0),
-            )
-            correction(grid.commands)
-        except AssemblyError:
-            continue
-        return grid
-    return None
 
 
 def sentences(grid: CommandGrid, want: TableAccuracy) -> tuple[str, ...]:

@@ -25,12 +25,7 @@ from kernel.warm_head import (
 )
 from oed import compensate
 from oed.compensate import box_axes
-from oed.corrected import (
-    CorrectedEstimate,
-    EffectReadings,
-    predict_corrected,
-    tabled_effects,
-)
+from oed.corrected import CorrectedEstimate, EffectReadings
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement
 from pkm_studies.stages.correct.corrected import effect_tables
@@ -157,9 +152,7 @@ def test_the_predicted_height_error_is_realised(
 ) -> None:
     m, s = measured
     command = a3_plans.workspace()
-    accuracy = predict_corrected(
-        s.corrected, command, "absolute", np.random.default_rng(1)
-    )
+    accuracy = s.corrected.predict(command, "absolute", np.random.default_rng(1))
     z = realised(m, s, command)[:, 2]
     # one machine: its rms is that of few effective directions
     before, after = accuracy.compensated.before["z"], accuracy.compensated.after["z"]
@@ -187,7 +180,7 @@ def test_the_budget_of_the_corrected_accuracy_adds_up(
     """It has the effects' sizes; without them, covariances are those of known effects."""
     _, s = measured
     command = a3_plans.workspace()[::12]
-    accuracy = predict_corrected(s.corrected, command, "home", np.random.default_rng(1))
+    accuracy = s.corrected.predict(command, "home", np.random.default_rng(1))
     budget = accuracy.budget
     total = np.sum([line.variance for line in budget.lines], axis=0)
     spreads = accuracy.compensated.fully_corrected
@@ -210,7 +203,7 @@ def test_tables_correct_the_machine_by_its_states(
     """
     m, s = measured
     command = a3_plans.workspace()[::7]
-    tabled = tabled_effects(s.corrected, command)
+    tabled = s.corrected.tables(command)
     by_axis = {t.axis: t for t in tabled.tables}
     assert set(by_axis) == {"temp_leg2", "direction"}
     assert tabled.missing == {}

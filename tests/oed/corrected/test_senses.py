@@ -11,7 +11,7 @@ from kernel import a3_plans, warm_head
 from kernel.warm_head import turned
 from oed import checks
 from oed.checks.sentences import contradictions
-from oed.corrected import CorrectedEstimate, EffectReadings, find_turned_runs
+from oed.corrected import CorrectedEstimate, EffectReadings
 from oed.estimation import identify
 from oed.measurement import Measurement, Series
 
@@ -44,7 +44,7 @@ CASES = [
 
 @pytest.mark.parametrize(("seed", "runs"), CASES)
 def test_turned_runs_are_named(seed: int, runs: list[str]) -> None:
-    result = find_turned_runs(corrected(seed, runs))
+    result = corrected(seed, runs).turned_runs()
     if not runs:
         assert result is None
         return
@@ -59,7 +59,7 @@ def test_half_of_the_runs_are_named_or_the_other_half() -> None:
     _, rows = warm_head.planned(a3_plans.measurement())
     names = list(dict.fromkeys(rows["run"]))
     back = [name for name in names if int(name[-1]) % 2]
-    result = find_turned_runs(corrected(9, back))
+    result = corrected(9, back).turned_runs()
     assert result is not None
     runs = {run for _, run in result.runs}
     assert runs in (set(back), set(names) - set(back))

@@ -18,25 +18,14 @@ from oed.checks import (
     Severity,
     goodness_of_delivered,
 )
-from oed.compensate import CommandGrid, GridAxis
-from oed.corrected import (
-    ChosenForm,
-    CorrectedAccuracy,
-    CorrectedEstimate,
-    StateTable,
-    TabledEffects,
-    TurnedRuns,
-    find_turned_runs,
-    predict_corrected,
-    tabled_effects,
-)
+from oed.compensate import GridAxis
+from oed.corrected import CorrectedAccuracy, CorrectedEstimate
 from oed.effect_model import Effect
 from oed.estimation import IdentificationError
 from oed.fit_limits import noise_ratio
 from oed.gap import untestable
 from oed.measurement import Measurement
 from oed.mechanism import AssemblyError
-from oed.model import Machine
 from oed.posterior import Posterior
 from oed.result import (
     UNKNOWN,
@@ -55,7 +44,7 @@ from oed.result import (
 from oed.text import join_words, rounded
 from pkm_studies import describe
 from pkm_studies.base import Stream
-from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
+from pkm_studies.compensation import TableAccuracy
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import GapRequest, regular_commands, workspace_axes
 from pkm_studies.stages.fit.estimate import (
@@ -150,71 +139,43 @@ def effect_tables(
     """
     if not len(command):
         return [], {}
-    tabled = tabled_effects(corrected, command)
+    tabled = corrected.tables(command)
     if not tabled.tables:
         return [], tabled.missing
     kinematics = corrected.readings.measurement.kinematics
-    want = table_accuracy(kinematics, prediction)
+    machine = kinematics.machine
+    want = TableAccuracy.predicted(kinematics, prediction)
 
-    def correction(places: Array) -> Array:
-        return _stacked(tabled, tabled_effects(corrected, places))
+    def correction(commands: Array) -> Array:
+        return tabled.corrections(corrected.tables(commands))
 
-    grid = command_grid(axes, correction, want, MAX_EFFECT_TABLE_COMMANDS)
+    grid = want.grid(axes, correction, MAX_EFFECT_TABLE_COMMANDS)
     costs: list[dict[str, float]] = [{} for _ in tabled.tables]
     if grid is not None:
-        tabled = tabled_effects(corrected, grid.commands)
         command = grid.commands
-        costs = list(_costs(tabled, grid, want))
+        costs = [
+            {
+                name: units.number(float(size), units.FINE[unit])
+                for name, unit, size in zip(want.names, want.units, worst, strict=True)
+            }
+            for worst in tabled.largest(grid.errors)
+        ]
+        tabled = corrected.tables(command)
+    factors = [units.factor(display_unit(joint.unit)) for joint in machine.joints]
     tables = [
-        effect_table(kinematics.machine, table, command, cost)
+        EffectTable(
+            effect=table.effect,
+            state=table.column,
+            joint_wise=table.joint_wise,
+            values=table.values.tolist(),
+            joints=[column(joint.name, joint.unit) for joint in machine.joints],
+            commands=[describe.displayed_command(machine, c) for c in command],
+            table=(table.joints / factors).tolist(),
+            interpolation=cost,
+        )
         for table, cost in zip(tabled.tables, costs, strict=True)
     ]
     return tables, tabled.missing
-
-
-def _stacked(first: TabledEffects, tabled: TabledEffects) -> Array:
-    """Corrections (n, s, nq) in all states of the tables `first`, one after the other."""
-    of = {(t.effect, t.axis): t.joints for t in tabled.tables}
-    count = next(iter(of.values())).shape[1]
-    states = []
-    for table in first.tables:
-        nothing = np.zeros((len(table.values), count, table.joints.shape[2]))
-        states.append(of.get((table.effect, table.axis), nothing))
-    return np.swapaxes(np.concatenate(states), 0, 1)
-
-
-def _costs(
-    tabled: TabledEffects, grid: CommandGrid, want: TableAccuracy
-) -> Iterator[dict[str, float]]:
-    """{component: rms error} by interpolation of each table, in its worst state."""
-    ends = np.cumsum([len(table.values) for table in tabled.tables])
-    for errors in np.split(grid.errors, ends[:-1]):
-        worst = errors.max(axis=0)
-        yield {
-            name: units.number(float(size), units.FINE[unit])
-            for name, unit, size in zip(want.names, want.units, worst, strict=True)
-        }
-
-
-def effect_table(
-    machine: Machine,
-    table: StateTable,
-    command: Array,
-    interpolation: Mapping[str, float],
-) -> EffectTable:
-    """A table in display units, at commands (n, n_dof), SI."""
-    names = [column(joint.name, joint.unit) for joint in machine.joints]
-    factors = [units.factor(display_unit(joint.unit)) for joint in machine.joints]
-    return EffectTable(
-        effect=table.effect,
-        state=table.column,
-        joint_wise=table.joint_wise,
-        values=table.values.tolist(),
-        joints=names,
-        commands=[describe.displayed_command(machine, c) for c in command],
-        table=(table.joints / factors).tolist(),
-        interpolation=dict(interpolation),
-    )
 
 
 # Reports parameters and effects estimated together: the section `corrected`.
@@ -405,14 +366,18 @@ def _parameters_only(
 
 def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str]:
     """One sentence for each condition."""
-    moving = [f.effect.name for f in corrected.forms if _moves_machine(corrected, f)]
+    moving = [f.effect.name for f in corrected.forms if corrected.moves_machine(f)]
     sentences = []
     if moving:
         names = join_words([plain_name(name) for name in moving])
         sentences.append(f"the controller corrects {names} as well as the parameters")
     effects_of: dict[str, list[str]] = {}
     for form in corrected.forms:
-        for condition in _effect_conditions(corrected, form):
+        if corrected.moves_machine(form):
+            found = _effect_conditions(form.effect, form.signature.names)
+        else:
+            found = ["an effect of the measurement; the machine needs no correction"]
+        for condition in found:
             effects_of.setdefault(condition, []).append(plain_name(form.effect.name))
     sentences += [f"{join_words(e)}: {words}" for words, e in effects_of.items()]
     if gap is not None:
@@ -420,43 +385,29 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
     return list(dict.fromkeys(sentences))
 
 
-def _effect_conditions(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
-    """Conditions of one effect, which is not named."""
-    if not _moves_machine(corrected, form):
-        return ["an effect of the measurement; the machine needs no correction"]
+def _effect_conditions(effect: Effect, coefficients: Sequence[str]) -> list[str]:
+    """Conditions of one effect of the machine, which is not named."""
     sentences = []
-    for need in form.effect.needs:
+    for need in effect.needs:
         covariate = need.partition(":")[0].strip()
         if covariate in KNOWN:
             sentences.append(KNOWN[covariate])
         elif "time" in need or "temp" in need:
-            sentences.append(_warmth_text(form))
-    if not sentences and form.effect.name in LOADED:
+            sentences.append(_warmth_text(coefficients))
+    if not sentences and effect.name in LOADED:
         sentences.append(
             "the machine carries the payload of these readings, or a known one"
         )
     return sentences
 
 
-def _warmth_text(form: ChosenForm) -> str:
-    if any("per kelvin" in n for n in form.signature.names):
+def _warmth_text(coefficients: Sequence[str]) -> str:
+    if any("per kelvin" in n for n in coefficients):
         return "the temperatures are read as in these readings"
     return (
         "no temperature was recorded, so that the correction holds for the warm-up of this"
         " session alone"
     )
-
-
-def _moves_machine(corrected: CorrectedEstimate, form: ChosenForm) -> bool:
-    """Whether the effect changes joints or parameters of the machine."""
-    columns = [
-        column
-        for state in corrected.states
-        for column in form.effect.columns(state, **form.constants)
-    ]
-    names_of_machine = {p.name for p in corrected.measurement.machine.parameters}
-    joints = any(np.any(v) for c in columns for v in c.joints.values())
-    return joints or any(n in names_of_machine for c in columns for n in c.parameters)
 
 
 def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:
@@ -637,9 +588,7 @@ def _add_section(
         theta = _approximate(corrected, rng) if draws is None else draws.pooled
         worth = None if draws is None else float(np.nanmin(draws.ess))
         plain = state.estimate.theta[: len(kinematics.machine.parameters)]
-        accuracy = predict_corrected(
-            corrected, command, reference, rng, theta, worth, plain
-        )
+        accuracy = corrected.predict(command, reference, rng, theta, worth, plain)
     workspace = Workspace(
         command=command,
         axes=workspace_axes(study, kinematics.machine),
@@ -668,9 +617,11 @@ def _add_section(
     )
     if accuracy is not None:
         section = add_least_error(section, corrected, accuracy, plain)
-    turned = find_turned_runs(corrected)
+    turned = corrected.turned_runs()
     if turned is not None:
-        return _mark_turned_runs(state, section, turned)
+        names = [run for _, run in turned.runs]
+        before, after = turned.before, turned.after
+        return _mark_turned_runs(state, section, names, before, after)
     state = state.add_sections(corrected=section)
     if gap is not None and not state.with_effects:
         joint = add_joint_coefficients(gap, corrected)
@@ -680,23 +631,30 @@ def _add_section(
 
 
 def _mark_turned_runs(
-    state: Fitted, section: CorrectedSection, turned: TurnedRuns
+    state: Fitted,
+    section: CorrectedSection,
+    turned: Sequence[str],
+    before: float,
+    after: float,
 ) -> Fitted:
-    """The state whose first finding is runs that were driven the other way than written."""
-    names = ", ".join(run for _, run in turned.runs)
-    runs, were = ("run", "was") if len(turned.runs) == 1 else ("runs", "were")
+    """The state whose first finding is runs that were driven the other way than written.
+
+    before, after  residuals over the stated noise as given, and with these runs turned
+    """
+    names = ", ".join(turned)
+    runs, were = ("run", "was") if len(turned) == 1 else ("runs", "were")
     effects = " and ".join(section.constants)
     sentence = (
         f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
         f" order of the rows says, or all others were (residuals with {effects}:"
-        f" {rounded(turned.before)} times the stated noise; with the order of {names} reversed:"
-        f" {rounded(turned.after)} times)."
+        f" {rounded(before)} times the stated noise; with the order of {names} reversed:"
+        f" {rounded(after)} times)."
     )
     mistake = MistakeRecord(
         what=f"direction reversed: {names}",
         evidence=(
-            f"residuals {turned.before:.3g} times the stated noise as given,"
-            f" {turned.after:.3g} times with this undone"
+            f"residuals {before:.3g} times the stated noise as given,"
+            f" {after:.3g} times with this undone"
         ),
     )
     goodness = msgspec.structs.replace(

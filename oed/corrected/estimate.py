@@ -1,0 +1,584 @@
+"""Parameters and effects, estimated together: accuracy, tables for a controller, senses of runs.
+
+The pose error of the compensated machine is A delta + E epsilon, with delta and epsilon
+the errors of parameters and coefficients, jointly normal, and E the twist per
+coefficient in the states of the session. Without the effects' compensation E beta_hat
+stays as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.accuracy import (
+    Budget,
+    ErrorMaps,
+    Prediction,
+    Reference,
+    Spread,
+    budget_model,
+    driven_errors,
+    error_maps,
+    predict,
+    spread_after,
+)
+from oed.base import Array, Index, Mask
+from oed.corrected.forms import ChosenForm, FormEvidence, form_evidence
+from oed.effect_model import State
+from oed.effects import ActingForm, ExpectedColumns, SessionStates
+from oed.estimation import Discrepancy, Estimate
+from oed.gap import GapProblem
+from oed.measurement import Series
+from oed.mechanism import ErrorModel, error_model
+from oed.noise import LawNoise
+
+if TYPE_CHECKING:
+    from oed.corrected.fit import EffectReadings, MeasurementWithEffects
+
+#: name of a coefficient in theta: `effect: coefficient`
+SEPARATOR = ": "
+
+
+@dataclasses.dataclass(frozen=True)
+class CorrectedEstimate:
+    """Parameters and effects, estimated together.
+
+    readings     what was fitted
+    measurement  with the effects' coefficients at the end of theta
+    series       the readings' series, each reading with its pose
+    estimate     of theta = [parameters, coefficients]; a coefficient is in prior
+                 standard deviations of its effect
+    forms        of the effects, with their constants
+    scales       (k,) prior standard deviations of the coefficients, in their own units
+    states       of the machine, one a series
+    """
+
+    readings: EffectReadings
+    measurement: MeasurementWithEffects
+    series: tuple[Series, ...]
+    estimate: Estimate
+    forms: tuple[ChosenForm, ...]
+    scales: Array
+    states: tuple[State, ...]
+
+    @property
+    def parameters(self) -> int:
+        """Number of leading entries of theta that are not coefficients."""
+        return len(self.estimate.theta) - len(self.scales)
+
+    @property
+    def session(self) -> SessionStates:
+        """States in which the readings were taken."""
+        of = self.readings
+        return SessionStates(of.measurement, of.covariates, self.states, of.gravity)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Names (k,) of the coefficients, `effect: coefficient`."""
+        return self.measurement.names[self.parameters :]
+
+    @property
+    def columns(self) -> ExpectedColumns:
+        """Effects in the forms of the fit, one column a coefficient."""
+        acting = tuple(
+            ActingForm(form.effect, form.constants, form.signature.names)
+            for form in self.forms
+        )
+        count = len(self.scales)
+        discrepancy = Discrepancy(
+            columns=np.hstack([form.signature.columns for form in self.forms]),
+            group=np.arange(count, dtype=np.intp),
+            names=self.coefficient_names,
+            unknown=np.zeros(count, dtype=bool),
+        )
+        return ExpectedColumns(discrepancy, acting, np.eye(count))
+
+    def moves_machine(self, form: ChosenForm) -> bool:
+        """Whether an effect changes joints or parameters of the machine."""
+        columns = [
+            column
+            for state in self.states
+            for column in form.effect.columns(state, **form.constants)
+        ]
+        names_of_machine = {p.name for p in self.measurement.machine.parameters}
+        joints = any(np.any(v) for c in columns for v in c.joints.values())
+        return joints or any(
+            n in names_of_machine for c in columns for n in c.parameters
+        )
+
+    def predict(
+        self,
+        command: Array,
+        reference: Reference,
+        rng: np.random.Generator,
+        draws: Array | None = None,
+        worth: float | None = None,
+        plain: Array | None = None,
+    ) -> CorrectedAccuracy:
+        """Predict the residual accuracy at commands (n, n_dof), SI.
+
+        draws  (m, n_all) posterior draws of theta; the normal approximation by default
+        worth  number of independent draws that these are worth; m by default
+        plain  (np,) other parameters to compare with, as those of a fit without effects
+        """
+        return _predict(self, command, reference, rng, draws, worth, plain)
+
+    def tables(self, command: Array) -> TabledEffects:
+        """Tables of all effects at commands (n, n_dof), SI. Raises AssemblyError."""
+        return _tabled_effects(self, command)
+
+    def turned_runs(self) -> TurnedRuns | None:
+        """Runs that fit clearly better driven the other way; None: there are none."""
+        return _find_turned_runs(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class CorrectedAccuracy:
+    """Residual accuracy over workspace poses, in states drawn from the session.
+
+    compensated      with parameters and effects compensated
+    parameters_only  {component: Spread} with the effects left as they are
+    plain            {component: Spread} with other parameters sent, the effects as they
+                     are; empty where none are given
+    budget           sources of the errors that remain
+    """
+
+    compensated: Prediction
+    parameters_only: Mapping[str, Spread]
+    plain: Mapping[str, Spread]
+    budget: Budget
+
+
+def _predict(
+    corrected: CorrectedEstimate,
+    command: Array,
+    reference: Reference,
+    rng: np.random.Generator,
+    draws: Array | None,
+    worth: float | None,
+    plain: Array | None,
+) -> CorrectedAccuracy:
+    machine = corrected.readings.measurement.machine
+    count, setups = len(machine.parameters), corrected.parameters
+    kinematics = corrected.readings.measurement.kinematics
+    maps = error_maps(kinematics, command, reference)
+    theta = corrected.estimate.theta
+    of_effects = corrected.columns.workspace_maps(
+        corrected.session, theta[:setups], command, reference, rng
+    )
+    both = ErrorMaps(
+        command=command,
+        names=maps.names,
+        raw=np.concatenate([maps.raw, of_effects.raw], axis=2),
+        remaining=np.concatenate([maps.remaining, of_effects.remaining], axis=2),
+    )
+    used = np.r_[0:count, setups : len(theta)]
+    nominal = corrected.measurement.drawn
+    mean, covariance = (theta - nominal)[used], corrected.estimate.covariance
+    covariance = covariance[np.ix_(used, used)]
+    changes = None
+    if draws is not None:
+        changes = (draws - theta)[:, used]
+        covariance = changes.T @ changes / len(changes)
+    prior = corrected.measurement.prior_covariance[np.ix_(used, used)]
+    before = None
+    if kinematics.controller is not None:
+        before = driven_errors(kinematics, command, theta[:count], reference)
+        before = before + of_effects.raw @ mean[count:]
+
+    compensated = predict(
+        both,
+        prior,
+        covariance,
+        rng,
+        mean=mean,
+        before=before,
+        draws=changes,
+        worth=worth,
+        reference=reference,
+    )
+    by_effects = of_effects.raw @ mean[count:]
+    known_errors = maps.remaining @ mean[:count] + by_effects
+    spreads = functools.partial(
+        spread_after, both, covariance, rng, draws=changes, worth=worth
+    )
+    parameters_only, of_plain = spreads(known_errors), {}
+    if plain is not None:
+        change = (maps.raw - maps.remaining) @ (theta[:count] - plain)
+        of_plain = spreads(known_errors + change)
+    budget = _budget(corrected, both, compensated, used)
+    return CorrectedAccuracy(compensated, parameters_only, of_plain, budget)
+
+
+def _budget(
+    corrected: CorrectedEstimate, maps: ErrorMaps, predicted: Prediction, used: Index
+) -> Budget:
+    """Sources of what remains, over the `used` entries of theta."""
+    estimate = corrected.estimate
+    noise = estimate.noise
+    model = budget_model(
+        corrected.measurement,
+        corrected.series,
+        estimate.theta,
+        laws=noise.law if isinstance(noise, LawNoise) else None,
+        coefficients=len(corrected.scales),
+    )
+    spreads = predicted.fully_corrected
+    return model.budget(
+        maps,
+        estimated=estimate.covariance[np.ix_(used, used)],
+        predicted=np.array([spreads[name].rms ** 2 for name in predicted.names]),
+    )
+
+
+# Tables of joint corrections by state, with which a controller corrects effects.
+#
+# In each state of an axis (direction of travel, temperature of a body, payload) an
+# effect's estimated coefficients move joints by dq and parameters by dp. The controller
+# adds -dq, and -(C X)^-1 C A dp for the parameters (Tian et al. 2016, Eq. 24). A
+# correction is that of the state less that of the neutral one, which has a table of its
+# own where it is not zero. The corrections of all tables add up.
+
+#: axis of what depends on the pose alone
+POSE = "pose"
+DIRECTION = "direction"
+PAYLOAD = "payload"
+#: beginning of the axis of a body's temperature
+TEMPERATURE = "temp_"
+#: corrections up to here, m or rad, are nothing
+MIN_CORRECTION = 1e-10
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StateTable:
+    """Joint corrections of one effect over one state, SI.
+
+    effect      its name
+    axis        `pose`, `direction`, `payload` or `temp_<body>`
+    joint_wise  whether each joint's correction is read at that joint's own state
+    values      (s,) of the state; temperatures in K above the session's start
+    joints      (s, n, nq) to add to the joints at n commands
+    """
+
+    effect: str
+    axis: str
+    joint_wise: bool
+    values: Array
+    joints: Array
+
+    @property
+    def column(self) -> str:
+        """Name of the state's column in a file: its axis, with the unit."""
+        if self.axis == PAYLOAD:
+            return f"{PAYLOAD}_N"
+        return f"{self.axis}_C" if self.axis.startswith(TEMPERATURE) else self.axis
+
+
+@dataclasses.dataclass(frozen=True)
+class TabledEffects:
+    """Tables of an estimate, and the effects that they do not hold.
+
+    tables   over the same commands
+    missing  {effect: why}
+    """
+
+    tables: tuple[StateTable, ...]
+    missing: Mapping[str, str]
+
+    def corrections(self, other: TabledEffects) -> Array:
+        """Corrections (n, s, nq) of `other` in all states of these tables, in a row."""
+        of = {(t.effect, t.axis): t.joints for t in other.tables}
+        count = next(iter(of.values())).shape[1]
+        states = []
+        for table in self.tables:
+            nothing = np.zeros((len(table.values), count, table.joints.shape[2]))
+            states.append(of.get((table.effect, table.axis), nothing))
+        return np.swapaxes(np.concatenate(states), 0, 1)
+
+    def largest(self, errors: Array) -> list[Array]:
+        """For each table the largest (k,) of errors (s, k) in all states over its own."""
+        ends = np.cumsum([len(table.values) for table in self.tables])
+        return [part.max(axis=0) for part in np.split(errors, ends[:-1])]
+
+
+def _tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffects:
+    neutral = _neutral_state(corrected, command)
+    kinematics = corrected.readings.measurement.kinematics
+    model = error_model(kinematics, command)
+    tables: list[StateTable] = []
+    missing: dict[str, str] = {}
+    for form in corrected.forms:
+        name = form.effect.name
+        rest = _correction(corrected, form, neutral, model)
+        late = _correction(corrected, form, _late(neutral), model)
+        of_effect = list(_tables_of(corrected, form, neutral, model))
+        if rest is None or late is None or any(t is None for t in of_effect):
+            missing[name] = "it moves no joint of the machine in a known state"
+            continue
+        if np.abs(late - rest).max() > MIN_CORRECTION:
+            missing[name] = "it follows the time of that session, not a state"
+            continue
+        tables += [t for t in of_effect if t is not None]
+        if np.abs(rest).max() > MIN_CORRECTION:
+            tables.append(StateTable(name, POSE, False, np.zeros(1), rest[None]))
+        if not any(t.effect == name for t in tables):
+            missing[name] = (
+                "it moves no joint of the machine, or follows the feed or tensions"
+            )
+    return TabledEffects(tuple(tables), missing)
+
+
+def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
+    """The machine at commands, at rest, without payload or tension, as warm as at first."""
+    session = corrected.session
+    theta = corrected.estimate.theta[: corrected.parameters]
+    rng = np.random.default_rng(0)
+    state = session.workspace_state(theta, command, rng, still=True)
+    count, still = len(state), np.zeros_like(state.joints)
+    started = np.full(count, session.states[0].session_span[0])
+    return dataclasses.replace(
+        state,
+        motion_sign=still,
+        travel_since_reversal=np.full_like(still, np.inf),
+        rate=still,
+        acceleration=still,
+        direction=np.zeros(count),
+        payload=np.zeros(count),
+        tension=np.zeros_like(still),
+        time=started,
+        session_progress=np.zeros(count),
+        temperature={
+            body: np.full(count, start)
+            for body, start in state.start_temperature.items()
+        },
+    )
+
+
+def _late(state: State) -> State:
+    """The same at the end of the session."""
+    return dataclasses.replace(
+        state,
+        time=np.full(len(state), state.session_span[1]),
+        session_progress=np.ones(len(state)),
+    )
+
+
+def _tables_of(
+    corrected: CorrectedEstimate,
+    form: ChosenForm,
+    neutral: State,
+    model: ErrorModel,
+) -> Iterator[StateTable | None]:
+    """The tables of one effect over each state that it depends on."""
+    rest = _correction(corrected, form, neutral, model)
+    for axis, values in _axes(corrected, neutral):
+        joints = []
+        for value in values:
+            state = _with_state(neutral, axis, float(value))
+            change = _correction(corrected, form, state, model)
+            if change is None or rest is None:
+                yield None
+                return
+            joints.append(change - rest)
+        if np.abs(joints).max() > MIN_CORRECTION:
+            wise = axis == DIRECTION
+            name = form.effect.name
+            yield StateTable(name, axis, wise, values, np.array(joints))
+
+
+def _axes(corrected: CorrectedEstimate, state: State) -> Iterator[tuple[str, Array]]:
+    """States of the session, and the values at which they are tabled."""
+    yield DIRECTION, np.array([-1.0, 1.0])
+    if state.max_payload > 0.0:
+        yield PAYLOAD, np.array([0.0, state.max_payload])
+    for body, start in state.start_temperature.items():
+        indices = [
+            s.temperature[body] for s in corrected.states if body in s.temperature
+        ]
+        rise = np.concatenate(indices) - start
+        rise = rise[np.isfinite(rise)]
+        if rise.size and np.ptp(rise) > 0.0:
+            low, high = min(float(rise.min()), 0.0), max(float(rise.max()), 0.0)
+            yield f"{TEMPERATURE}{body}", np.array([low, high])
+
+
+def _with_state(state: State, axis: str, value: float) -> State:
+    """The state with another value along an axis."""
+    count = len(state)
+    if axis == DIRECTION:
+        return dataclasses.replace(
+            state,
+            motion_sign=np.full_like(state.joints, value),
+            direction=np.full(count, value),
+        )
+    if axis == PAYLOAD:
+        return dataclasses.replace(state, payload=np.full(count, value))
+    body = axis.removeprefix(TEMPERATURE)
+    warm = np.full(count, state.start_temperature[body] + value)
+    return dataclasses.replace(state, temperature={**state.temperature, body: warm})
+
+
+def _correction(
+    corrected: CorrectedEstimate, form: ChosenForm, state: State, model: ErrorModel
+) -> Array | None:
+    """Joint corrections (n, nq) of one effect in a state; None where it is unknown."""
+    values = corrected.estimate.theta[corrected.parameters :] * corrected.scales
+    amounts = dict(zip(corrected.coefficient_names, values, strict=True))
+    machine = corrected.readings.measurement.machine
+    indices = {p.name: k for k, p in enumerate(machine.parameters)}
+    total = np.zeros_like(state.joints[:-1])
+    for column in form.effect.columns(state, **form.constants):
+        name = f"{form.effect.name}{SEPARATOR}{column.name}"
+        amount = amounts.get(name, 0.0)
+        for joint, change in column.joints.items():
+            total[:, joint] -= amount * change[:-1]
+        for parameter, change in column.parameters.items():
+            if parameter in indices:
+                gradient = model.joints[:, :, indices[parameter]]
+                total += amount * gradient * change[:-1, None]
+    return total if np.isfinite(total).all() else None
+
+
+# Runs that were driven the other way than their rows say, as far as readings can tell.
+#
+# Play and friction follow the sense of travel, which the order of a run's rows states.
+# With U the columns of the effects and U' those of the same runs driven the other way, a
+# set of turned runs takes its rows from U'. Sets are compared by the log evidence of their
+# columns (`oed.corrected.forms`). All runs turned at once only change the sign of the
+# effects, so the smaller of two complementary sets is reported.
+
+#: least gain of the log evidence
+MIN_GAIN = 20.0
+#: least change of a run's columns by turning it, in units of the noise
+MIN_CHANGE = 1.0
+#: fewest runs with a sense: of one run alone, turning only changes the effects' sign
+MIN_RUNS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class TurnedRuns:
+    """Runs whose rows are in the opposite order of their travel.
+
+    runs    (set-up, run) of each
+    before  residuals with the effects over the stated noise, of the readings as given
+    after   the same with these runs turned
+    gain    of the log evidence
+    """
+
+    runs: tuple[tuple[str, str], ...]
+    before: float
+    after: float
+    gain: float
+
+
+def _find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:
+    readings, theta = corrected.readings, corrected.estimate.theta
+    theta = theta[: corrected.parameters]
+    as_stated = readings.problem(theta)
+    other_way = as_stated.with_reversed_runs()
+    search = _Search(
+        form_evidence(as_stated),
+        as_stated.residual,
+        _columns(as_stated, corrected),
+        _columns(other_way, corrected),
+    )
+    felt = [rows for rows in as_stated.members if search.is_felt(rows)]
+    if len(felt) < MIN_RUNS:
+        return None
+    turned = search.best(felt)
+    if turned.sum() > len(felt) / 2:
+        turned = ~turned
+    none = np.zeros(len(felt), dtype=bool)
+    gain = search.value(felt, turned) - search.value(felt, none)
+    if not turned.any() or gain < MIN_GAIN:
+        return None
+    names = [(as_stated.rows["setup"], as_stated.rows["run"], rows[0]) for rows in felt]
+    labels = [(str(s.iloc[k]), str(r.iloc[k])) for s, r, k in names]
+    return TurnedRuns(
+        runs=tuple(
+            label for label, is_one in zip(labels, turned, strict=True) if is_one
+        ),
+        before=search.ratio(felt, none),
+        after=search.ratio(felt, turned),
+        gain=gain,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Search:
+    """Residual (N,) and columns (N, k) of the runs as given and turned, noise units."""
+
+    evidence: FormEvidence
+    residual: Array
+    as_stated: Array
+    turned: Array
+
+    def is_felt(self, rows: Index) -> bool:
+        """Whether turning the run of these readings changes them."""
+        change = self.turned[rows] - self.as_stated[rows]
+        return bool(np.linalg.norm(change) > MIN_CHANGE)
+
+    def value(self, runs: Sequence[Index], turned: Mask) -> float:
+        """Log evidence with some of the runs turned."""
+        return self.evidence.log_evidence(self._columns(runs, turned), self.residual)
+
+    def ratio(self, runs: Sequence[Index], turned: Mask) -> float:
+        """Residuals over the stated noise with some of the runs turned."""
+        columns = self._columns(runs, turned)
+        unexplained = self.evidence.unexplained(columns, self.residual)
+        return float(np.sqrt(unexplained / len(self.residual)))
+
+    def _columns(self, runs: Sequence[Index], turned: Mask) -> Array:
+        columns = self.as_stated.copy()
+        for rows, is_turned in zip(runs, turned, strict=True):
+            if is_turned:
+                columns[rows] = self.turned[rows]
+        return columns
+
+    def best(self, runs: Sequence[Index]) -> Mask:
+        """The set (R,) of turned runs of highest evidence: by single runs, two starts."""
+        none = np.zeros(len(runs), dtype=bool)
+        starts = [none, self._one_after_the_other(runs)]
+        climbed = [self._climb(runs, start) for start in starts]
+        return max(climbed, key=lambda turned: self.value(runs, turned))
+
+    def _one_after_the_other(self, runs: Sequence[Index]) -> Mask:
+        """Each run turned or not as the runs before it ask for."""
+        turned = np.zeros(len(runs), dtype=bool)
+        for k in range(1, len(runs)):
+            rows = np.concatenate(runs[: k + 1])
+            values = []
+            for choice in (False, True):
+                turned[k] = choice
+                columns = np.zeros_like(self.as_stated)
+                columns[rows] = self._columns(runs, turned)[rows]
+                values.append(self.evidence.log_evidence(columns, self.residual))
+            turned[k] = values[1] > values[0]
+        return turned
+
+    def _climb(self, runs: Sequence[Index], turned: Mask) -> Mask:
+        """Turn the run that gains most, until none does."""
+        value = self.value(runs, turned)
+        while True:
+            changed = [turned ^ (np.arange(len(runs)) == k) for k in range(len(runs))]
+            values = [self.value(runs, one) for one in changed]
+            k = int(np.argmax(values))
+            if values[k] <= value + 1e-9:
+                return turned
+            turned, value = changed[k], values[k]
+
+
+def _columns(problem: GapProblem, corrected: CorrectedEstimate) -> Array:
+    """Columns (N, k) of the effects at their estimated sizes, in noise units."""
+    parts = []
+    for form in corrected.forms:
+        signature = problem.signature(form.effect, form.constants)
+        columns = signature.columns_of(form.signature.names)
+        parts.append(problem.in_noise_units(columns))
+    sizes = corrected.measurement.tolerance[corrected.parameters :]
+    return np.hstack(parts) * sizes
