@@ -1,26 +1,31 @@
-"""Mutate single lines of `oed`, and name the mutants that their room's tests miss.
+"""Mutate single lines of the packages; name the mutants that their room's tests miss.
 
     python -m benchmarks.mutants --seed 1
-    python -m benchmarks.mutants --seed 1 --count 20 --rooms noise gap --out mutants.csv
+    python -m benchmarks.mutants --seed 1 --count 20 --rooms oed/noise page
 
 Draws mutations over the rooms by their lines of code: a sign, a factor, an index, the
 order of two arguments, a comparison, an extremum, a negation or a default changes;
-docstrings, annotations, decorators and formatted strings stay. The tests in
-tests/oed/<room> run against each, in a temporary copy of the tree. A mutant is killed by
-a failure or by the time limit; those that survive are printed.
+docstrings, annotations, decorators and formatted strings stay. A room is a folder of
+tests with the modules that it mirrors: tests/oed/gap has those of oed/gap, tests/page
+those of studies/pkm_page. Its tests run in a temporary copy of the tree: unmutated, which
+tells what reaches the drawn statements, then against each mutant, those that reach it
+first. A mutant is killed by a failure or by the time limit; those that survive are
+printed. A statement that no test of the room reaches is printed, does not count, and
+another one of the room stands in its place.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import compileall
 import contextlib
-import csv
 import dataclasses
 import itertools
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -28,18 +33,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 # -- mutations of a module, by its syntax tree -----------------------------------------
 
 
-SIGNS = {
-    ast.Add: ("+", "-"),
-    ast.Sub: ("-", "+"),
-    ast.Mult: ("*", "/"),
-    ast.Div: ("/", "*"),
-}
+SIGNS = {ast.Add: "+-", ast.Sub: "-+", ast.Mult: "*/", ast.Div: "/*"}
 TURNED = {
     ast.Lt: ("<", "<="),
     ast.LtE: ("<=", "<"),
@@ -48,14 +49,8 @@ TURNED = {
     ast.Eq: ("==", "!="),
     ast.NotEq: ("!=", "=="),
 }
-EXCHANGED = {
-    "min": "max",
-    "max": "min",
-    "minimum": "maximum",
-    "maximum": "minimum",
-    "argmin": "argmax",
-    "argmax": "argmin",
-}
+EXTREMA = (("min", "max"), ("minimum", "maximum"), ("argmin", "argmax"))
+EXCHANGED = dict(EXTREMA) | {most: least for least, most in EXTREMA}
 #: functions whose first arguments may change places
 SYMMETRIC = {
     *("min", "max", "minimum", "maximum", "hypot", "logaddexp"),
@@ -81,8 +76,7 @@ class Mutation:
     after: str
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Edit:
+class Edit(NamedTuple):
     """Text in place of the characters from start to stop of a line (from 1)."""
 
     line: int
@@ -190,8 +184,8 @@ def _constants_of_indices(tree: ast.AST) -> set[int]:
 def _sign(node: ast.AST, source: Source) -> Iterator[Edit]:
     if isinstance(node, ast.BinOp) and type(node.op) in SIGNS:
         if not (_is_text(node.left) or _is_text(node.right)):
-            signs = SIGNS[type(node.op)]
-            yield from source.replace_operator(node.left, node.right, *signs)
+            operands = (node.left, node.right)
+            yield from source.replace_operator(*operands, *SIGNS[type(node.op)])
     elif isinstance(node, ast.AugAssign) and type(node.op) in SIGNS:
         old, new = SIGNS[type(node.op)]
         pair = (f"{old}=", f"{new}=")
@@ -247,10 +241,8 @@ def _swap(node: ast.AST, source: Source) -> Iterator[Edit]:
 def _comparison(node: ast.AST, source: Source) -> Iterator[Edit]:
     if not isinstance(node, ast.Compare):
         return
-    operands = [node.left, *node.comparators]
-    for operator, (left, right) in zip(
-        node.ops, itertools.pairwise(operands), strict=True
-    ):
+    sides = itertools.pairwise([node.left, *node.comparators])
+    for operator, (left, right) in zip(node.ops, sides, strict=True):
         if type(operator) in TURNED:
             pair = TURNED[type(operator)]
             yield from source.replace_operator(left, right, *pair)
@@ -328,14 +320,18 @@ def _on_one_line(node: ast.expr) -> bool:
 # -- mutants over the rooms ------------------------------------------------------------
 
 
-PACKAGE = "oed"
+TESTS = Path("tests")
+#: folders of the packages; their folders of tests have no prefix
+PACKAGES = ("oed", "models/pkm_*", "reports/pkm_*", "studies/pkm_*")
+#: so many candidates are drawn for each mutant: some lines are not reached
+SPARE = 4
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Mutant:
     """A mutation of a module of a room.
 
-    room        folder of `oed`
+    room        folder of its tests, from `tests`
     path        of the module, from the root of the tree
     mutation    the changed line
     """
@@ -345,24 +341,38 @@ class Mutant:
     mutation: Mutation
 
 
-def rooms_of(root: Path) -> list[str]:
-    """The rooms of `oed`: its folders that hold modules, sorted."""
-    folders = sorted((root / PACKAGE).iterdir())
-    return [folder.name for folder in folders if any(folder.glob("*.py"))]
+def rooms_of(root: Path) -> dict[str, list[Path]]:
+    """Modules by room; what no folder of tests mirrors belongs to its package's."""
+    rooms: dict[str, list[Path]] = {}
+    for package in itertools.chain.from_iterable(map(root.glob, PACKAGES)):
+        house = package.name.removeprefix("pkm_")
+        for path in sorted(package.rglob("*.py")):
+            first = path.relative_to(package).parts[0].removesuffix(".py")
+            mirrored = (root / TESTS / house / first).is_dir()
+            room = f"{house}/{first}" if mirrored else house
+            rooms.setdefault(room, []).append(path)
+    return dict(sorted(rooms.items()))
 
 
 def draw(
     root: Path, rooms: list[str], count: int, rng: np.random.Generator
-) -> list[Mutant]:
-    """`count` mutants: at most one a line, the kind drawn before the mutation.
+) -> list[tuple[int, list[Mutant]]]:
+    """Shares of `count` of the rooms that have one, and candidates in their order.
 
-    A room gives fewer than its share where it has fewer lines to mutate.
+    Candidates lie on different lines; the kind is drawn before the mutation. A room has
+    fewer where it has fewer lines to mutate.
     """
-    numbers = [_number_of_lines(root, room) for room in rooms]
-    mutants = []
-    for room, number in zip(rooms, shares(numbers, count), strict=True):
-        mutants += _draw_in_room(root, room, number, rng)
-    return mutants
+    modules = rooms_of(root)
+    texts = [
+        {path: path.read_text("utf-8") for path in modules[room]} for room in rooms
+    ]
+    numbers = [sum(len(code_lines(t)) for t in room.values()) for room in texts]
+    drawn = []
+    for room, of_room, share in zip(rooms, texts, shares(numbers, count), strict=True):
+        found = itertools.islice(_draw_in_room(of_room, rng), SPARE * share)
+        names = [(path.relative_to(root).as_posix(), change) for path, change in found]
+        drawn.append((share, [Mutant(room, *named) for named in names]))
+    return [of_room for of_room in drawn if of_room[1]]
 
 
 def shares(sizes: list[int], count: int) -> list[int]:
@@ -375,60 +385,74 @@ def shares(sizes: list[int], count: int) -> list[int]:
 
 
 def _draw_in_room(
-    root: Path, room: str, count: int, rng: np.random.Generator
-) -> list[Mutant]:
-    texts = {
-        path.relative_to(root).as_posix(): path.read_text(encoding="utf-8")
-        for path in _modules(root, room)
-    }
-    by_line: dict[tuple[str, int], list[Mutation]] = {}
-    for name, text in texts.items():
+    texts: dict[Path, str], rng: np.random.Generator
+) -> Iterator[tuple[Path, Mutation]]:
+    by_line: dict[tuple[Path, int], list[Mutation]] = {}
+    for path, text in texts.items():
         for mutation in mutations(text):
-            by_line.setdefault((name, mutation.line), []).append(mutation)
+            by_line.setdefault((path, mutation.line), []).append(mutation)
     lines = sorted(by_line)
-    mutants: list[Mutant] = []
     for k in rng.permutation(len(lines)):
-        if len(mutants) == count:
-            break
-        name, _ = lines[k]
-        mutation = _draw_mutation(by_line[lines[k]], rng)
-        if is_valid(texts[name], mutation):
-            mutants.append(Mutant(room, name, mutation))
-    return mutants
+        path, _ = lines[k]
+        choices = by_line[lines[k]]
+        kinds = sorted({choice.kind for choice in choices})
+        kind = kinds[rng.integers(len(kinds))]
+        of_kind = [choice for choice in choices if choice.kind == kind]
+        mutation = of_kind[rng.integers(len(of_kind))]
+        if is_valid(texts[path], mutation):
+            yield path, mutation
 
 
-def _draw_mutation(choices: list[Mutation], rng: np.random.Generator) -> Mutation:
-    kinds = sorted({choice.kind for choice in choices})
-    kind = kinds[rng.integers(len(kinds))]
-    of_kind = [choice for choice in choices if choice.kind == kind]
-    return of_kind[rng.integers(len(of_kind))]
+# -- the tests that reach a statement --------------------------------------------------
 
 
-def _number_of_lines(root: Path, room: str) -> int:
-    texts = (path.read_text(encoding="utf-8") for path in _modules(root, room))
-    return sum(len(code_lines(text)) for text in texts)
+#: module of the copy: writes each test that executes a marked statement, once
+MARKS = '''"""Marks of statements."""
+import os
+FOLDER, SEEN = os.path.dirname(os.path.abspath(__file__)), set()
+def mark(number):
+    test = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" (")[0]
+    if (number, test) not in SEEN:
+        SEEN.add((number, test))
+        with open(os.path.join(FOLDER, "reached.txt"), "a", encoding="utf-8") as file:
+            file.write(f"{number} {test}" + chr(10))
+'''
 
 
-def _modules(root: Path, room: str) -> list[Path]:
-    return sorted((root / PACKAGE / room).rglob("*.py"))
+def marked(text: str, numbers: dict[int, int]) -> str:
+    """The module with a call of `mark(number)` before the innermost statement of a line."""
+    tree = ast.parse(text)
+    nodes = list(ast.walk(tree))
+    statements: dict[int, ast.AST] = {}
+    for node in nodes:
+        if isinstance(node, ast.stmt):
+            lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+            statements |= dict.fromkeys(lines, node)
+    marks: dict[ast.AST, list[ast.stmt]] = {}
+    for line, number in numbers.items():
+        call = f"__import__('reached_lines').mark({number})"
+        marks.setdefault(statements[line], []).extend(ast.parse(call).body)
+    for node in nodes:
+        for _, children in ast.iter_fields(node):
+            if isinstance(children, list):
+                parts = ((*marks.get(child, ()), child) for child in children)
+                children[:] = itertools.chain.from_iterable(parts)
+    return ast.unparse(tree)
 
 
 # -- trials ----------------------------------------------------------------------------
 
 
-TESTS = Path("tests") / "oed"
 #: where the packages of a tree lie; before the installed ones
-PACKAGES = (".", "models", "studies", "reports", "tests", "tests/fixtures")
+SEARCHED = (".", "models", "studies", "reports", "tests", "tests/fixtures")
 IGNORED = shutil.ignore_patterns(".*", "__pycache__", "out")
 #: seconds that a mutant may take: so many times the unchanged tests, and a margin
 SLOWER, MARGIN = 4.0, 20.0
+#: pytest's exit codes where tests fail, and where they cannot be collected
+FAILURES = {1, 2}
 
 KILLED, TIMED_OUT, SURVIVED = "killed", "time limit", "survived"
-NO_TESTS = "no tests"
-
-
-class FailingTestsError(Exception):
-    """The tests of a room fail without any mutation."""
+NOT_REACHED, NOT_JUDGED = "not reached", "not judged"
 
 
 @contextlib.contextmanager
@@ -440,57 +464,84 @@ def copied(root: Path) -> Iterator[Path]:
         data = root.parent / "shared"
         if data.is_dir():
             (tree.parent / "shared").symlink_to(data.resolve())
+        compileall.compile_dir(tree, quiet=2)
         yield tree
 
 
-def limit_of(tree: Path, room: str) -> float:
-    """Seconds that the tests of a room may take, from a run without mutation."""
-    start = time.monotonic()
-    if _run_tests(tree, room, None) != SURVIVED:
-        command = f"pytest {TESTS / room}"
-        raise FailingTestsError(f"{command} fails without a mutation: mend that first.")
-    return MARGIN + SLOWER * (time.monotonic() - start)
-
-
-def has_tests(tree: Path, room: str) -> bool:
-    return any((tree / TESTS / room).glob("test_*.py"))
-
-
-def try_mutant(tree: Path, mutant: Mutant, limit: float) -> str:
-    """KILLED, TIMED_OUT or SURVIVED; the copy is as before afterwards."""
-    path = tree / mutant.path
-    text = path.read_text(encoding="utf-8")
-    path.write_text(applied(text, mutant.mutation), encoding="utf-8")
+@contextlib.contextmanager
+def replaced(tree: Path, texts: dict[str, str]) -> Iterator[None]:
+    """Files of the copy have other texts; they are as before afterwards."""
+    before = {name: (tree / name).read_text("utf-8") for name in texts}
     try:
-        return _run_tests(tree, mutant.room, limit)
+        for name, text in texts.items():
+            (tree / name).write_text(text, "utf-8")
+        yield
     finally:
-        path.write_text(text, encoding="utf-8")
+        for name, text in before.items():
+            (tree / name).write_text(text, "utf-8")
 
 
-def _run_tests(tree: Path, room: str, limit: float | None) -> str:
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    command = [sys.executable, "-m", "pytest", str(TESTS / room), *options]
-    process = subprocess.Popen(
-        command,
-        cwd=tree,
-        env=_environment(tree),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+def baseline(
+    tree: Path, candidates: list[Mutant]
+) -> tuple[bool, float, dict[int, list[str]]]:
+    """Run the room's tests unmutated.
+
+    Returns whether there are tests and all pass, the seconds that a mutant may take, and
+    the tests that execute the statement of the k-th candidate, by k.
+    """
+    numbers: dict[str, dict[int, int]] = {}
+    for k, mutant in enumerate(candidates):
+        numbers.setdefault(mutant.path, {})[mutant.mutation.line] = k
+    texts = {p: marked((tree / p).read_text("utf-8"), n) for p, n in numbers.items()}
+    (tree / "reached_lines.py").write_text(MARKS, "utf-8")
+    (tree / "reached.txt").write_text("", "utf-8")
+    start = time.monotonic()
+    with replaced(tree, texts):
+        code = _run_tests(tree, str(TESTS / candidates[0].room), None)
+    limit = MARGIN + SLOWER * (time.monotonic() - start)
+    reaching: dict[int, list[str]] = {}
+    for line in (tree / "reached.txt").read_text("utf-8").splitlines():
+        number, _, test = line.partition(" ")
+        reaching.setdefault(int(number), []).extend([test] if test else [])
+    return code == 0, limit, reaching
+
+
+def try_mutant(tree: Path, mutant: Mutant, first: list[str], limit: float) -> str:
+    """KILLED, TIMED_OUT or SURVIVED; the tests that reach the statement run first."""
+    text = applied((tree / mutant.path).read_text("utf-8"), mutant.mutation)
+    (tree / "reaching.txt").write_text("\n".join(first), "utf-8")
     try:
-        return KILLED if process.wait(limit) else SURVIVED
+        with replaced(tree, {mutant.path: text}):
+            if first and _run_tests(tree, "@reaching.txt", limit) in FAILURES:
+                return KILLED
+            code = _run_tests(tree, str(TESTS / mutant.room), limit)
     except subprocess.TimeoutExpired:
         return TIMED_OUT
-    finally:
-        process.kill()
-        process.wait()
+    return KILLED if code else SURVIVED
 
 
-def _environment(tree: Path) -> dict[str, str]:
-    """The copy's modules are imported; no bytecode of a mutant remains."""
-    search = os.pathsep.join(str(tree / name) for name in PACKAGES)
+def _run_tests(tree: Path, tests: str, limit: float | None) -> int:
+    """pytest's exit code; subprocess.TimeoutExpired after `limit` seconds.
+
+    The copy's modules are imported, and no bytecode of a mutant remains.
+    """
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    search = os.pathsep.join(str(tree / name) for name in SEARCHED)
     settings = {"PYTHONPATH": search, "PYTHONDONTWRITEBYTECODE": "1"}
-    return {"OPENBLAS_NUM_THREADS": "1", **os.environ, **settings}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pytest", tests, *options],
+        cwd=tree,
+        env={"OPENBLAS_NUM_THREADS": "1", **os.environ, **settings},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        return process.wait(limit)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 # -- command ---------------------------------------------------------------------------
@@ -498,83 +549,61 @@ def _environment(tree: Path) -> dict[str, str]:
 
 ROOT = Path(__file__).resolve().parents[1]
 DETECTED = {KILLED, TIMED_OUT}
-COLUMNS = ("room", "file", "line", "kind", "verdict", "before", "after")
 
 Trial = tuple[Mutant, str]
 
 
 def main(arguments: list[str] | None = None, root: Path = ROOT) -> int:
     """Exit code: 0 all mutants are killed, 1 some survive, 2 bad input."""
-    rooms = rooms_of(root)
-    parser = _parser(rooms)
+    rooms = list(rooms_of(root))
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--count", type=int, default=60, help="of mutants judged")
+    parser.add_argument("--rooms", nargs="+", choices=rooms, metavar="ROOM")
     options = parser.parse_args(arguments)
-    if options.out and options.out.exists():
-        parser.error(f"--out {options.out} exists: name a new file or remove it.")
     rng = np.random.default_rng(options.seed)
-    mutants = draw(root, options.rooms or rooms, options.count, rng)
-    try:
-        trials = list(_trials(root, mutants))
-    except FailingTestsError as error:
-        parser.error(str(error))
-    if options.out:
-        _write(options.out, trials)
-    _print_summary(trials)
-    return int(any(verdict not in DETECTED for _, verdict in trials))
-
-
-def _trials(root: Path, mutants: list[Mutant]) -> Iterator[Trial]:
-    limits: dict[str, float] = {}
+    drawn = draw(root, options.rooms or rooms, options.count, rng)
     with copied(root) as tree:
-        for mutant in mutants:
-            verdict = NO_TESTS
-            if has_tests(tree, mutant.room):
-                if mutant.room not in limits:
-                    limits[mutant.room] = limit_of(tree, mutant.room)
-                verdict = try_mutant(tree, mutant, limits[mutant.room])
-            _print_trial(mutant, verdict)
-            yield mutant, verdict
+        trials = [trial for of_room in drawn for trial in _trials(tree, *of_room)]
+    _print_summary(trials)
+    return int(any(verdict in (SURVIVED, NOT_JUDGED) for _, verdict in trials))
+
+
+def _trials(tree: Path, share: int, candidates: list[Mutant]) -> Iterator[Trial]:
+    """Candidates with their verdicts, until the room's share is judged."""
+    passes, limit, reaching = baseline(tree, candidates)
+    judged = 0
+    for k, mutant in enumerate(candidates):
+        if judged == share:
+            return
+        verdict = NOT_REACHED if passes else NOT_JUDGED
+        if passes and k in reaching:
+            verdict = try_mutant(tree, mutant, reaching[k], limit)
+        judged += verdict != NOT_REACHED
+        _print_trial(mutant, verdict)
+        yield mutant, verdict
 
 
 def _print_trial(mutant: Mutant, verdict: str) -> None:
     mutation = mutant.mutation
-    place = f"{mutant.path}:{mutation.line}"
-    print(f"{verdict:10s}  {mutation.kind:10s}  {place}", flush=True)
+    line = f"{mutant.path}:{mutation.line}"
+    print(f"{verdict:11s}  {mutation.kind:10s}  {line}", flush=True)
     if verdict not in DETECTED:
         print(f"    - {mutation.before.strip()}", flush=True)
         print(f"    + {mutation.after.strip()}", flush=True)
 
 
 def _print_summary(trials: list[Trial]) -> None:
-    drawn = Counter(mutant.room for mutant, _ in trials)
-    killed = Counter(mutant.room for mutant, v in trials if v in DETECTED)
-    print(f"\n{'room':20s}{'mutants':>8s}{'survivors':>11s}")
-    for room, number in sorted(drawn.items()):
-        print(f"{room:20s}{number:8d}{number - killed[room]:11d}")
-    print(f"{'all':20s}{drawn.total():8d}{drawn.total() - killed.total():11d}")
-
-
-def _write(path: Path, trials: list[Trial]) -> None:
-    with path.open("x", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for mutant, verdict in trials:
-            m = mutant.mutation
-            texts = (m.before.strip(), m.after.strip())
-            row = (mutant.room, mutant.path, m.line, m.kind, verdict, *texts)
-            writer.writerow(row)
-
-
-def _parser(rooms: list[str]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.mutants",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--count", type=int, default=60, help="of mutants")
-    parser.add_argument("--rooms", nargs="+", choices=rooms, metavar="ROOM")
-    parser.add_argument("--out", type=Path, help="a table of all mutants (CSV)")
-    return parser
+    shown = (SURVIVED, NOT_REACHED, NOT_JUDGED)
+    print(f"\n{'room':20s}{'judged':>12s}" + "".join(f"{v:>13s}" for v in shown))
+    by_room = {mutant.room: Counter() for mutant, _ in trials}
+    for mutant, verdict in trials:
+        by_room[mutant.room][verdict] += 1
+    by_room["all"] = sum(by_room.values(), Counter())
+    for room, numbers in by_room.items():
+        judged = sum(numbers[v] for v in (*DETECTED, SURVIVED))
+        print(f"{room:20s}{judged:12d}" + "".join(f"{numbers[v]:13d}" for v in shown))
 
 
 if __name__ == "__main__":

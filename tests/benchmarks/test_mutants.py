@@ -1,5 +1,6 @@
 """Mutations of a small text, and their verdicts in a toy room."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from benchmarks.mutants import (
     applied,
     draw,
     is_valid,
+    marked,
     mutations,
     shares,
 )
@@ -43,6 +45,7 @@ EXPECTED = {
     (7, "sign", "range(x)) - norm"),
 }
 TOY = "def mean(x):\n    n = len(x)\n    assert n > 0\n    return sum(x) / n\n"
+TOY += "def after(x):\n    return x + 1\n"
 TESTS = """from oed.toy.mean import mean
 
 
@@ -90,40 +93,65 @@ def toy(tmp_path: Path) -> Path:
     return tmp_path / "toy"
 
 
+def mutant(kind: str, line: int) -> Mutant:
+    drawn = {(m.kind, m.line): m for m in mutations(TOY)}
+    return Mutant("oed/toy", "oed/toy/mean.py", drawn[kind, line])
+
+
+def test_a_mark_stands_before_the_statement_of_its_line() -> None:
+    """In TEXT: line 5 stands in a branch, and line 2 has the default of a function."""
+    after = marked(TEXT, {2: 0, 5: 1}).replace("\n\n", "\n").split("\n")
+    for number, statement in enumerate(("def total", "return max")):
+        (k,) = (k for k, line in enumerate(after) if f".mark({number})" in line)
+        assert after[k + 1].strip().startswith(statement)
+
+
+def test_modules_belong_to_the_folder_of_tests_that_mirrors_them(toy: Path) -> None:
+    for name in ("oed/plain.py", "studies/pkm_page/show.py", "oed/toy/more/sums.py"):
+        (toy / name).parent.mkdir(parents=True, exist_ok=True)
+        (toy / name).touch()
+    (toy / "tests/page").mkdir()
+    names = {r: [p.stem for p in paths] for r, paths in mutants.rooms_of(toy).items()}
+    mirrored = ["__init__", "mean", "sums"]
+    expected = {"oed": ["__init__", "plain"], "oed/toy": mirrored, "page": ["show"]}
+    assert names == expected
+
+
 @pytest.mark.slow
 def test_a_fault_is_killed_and_an_equivalent_survives(toy: Path) -> None:
-    """sum(x) * n is detected; n >= 0 in place of n > 0 is not: no test has n = 0."""
+    """sum(x) * n is detected; n >= 0 in place of n > 0 is not: no test has n = 0.
+
+    The function with a default of its own is not called.
+    """
     cases = {("sign", 4): mutants.KILLED, ("comparison", 3): mutants.SURVIVED}
-    drawn = {(m.kind, m.line): m for m in mutations(TOY)}
+    drawn = [mutant(*case) for case in (*cases, ("sign", 6))]
     with mutants.copied(toy) as tree:
-        limit = mutants.limit_of(tree, "toy")
-        for case, expected in cases.items():
-            mutant = Mutant("toy", "oed/toy/mean.py", drawn[case])
-            assert mutants.try_mutant(tree, mutant, limit) == expected
-            assert (tree / mutant.path).read_text(encoding="utf-8") == TOY
+        passes, limit, reaching = mutants.baseline(tree, drawn)
+        test = "tests/oed/toy/test_mean.py::test_mean"
+        assert passes
+        assert reaching == {0: [test], 1: [test]}
+        for k, expected in enumerate(cases.values()):
+            assert mutants.try_mutant(tree, drawn[k], reaching[k], limit) == expected
+            assert (tree / drawn[k].path).read_text(encoding="utf-8") == TOY
     assert (toy / "oed/toy/mean.py").read_text(encoding="utf-8") == TOY
 
 
 def test_a_mutant_without_end_is_killed_by_the_time_limit(toy: Path) -> None:
-    before = "    n = len(x)"
-    endless = Mutation("sign", 2, before, "    while True: pass")
+    endless = Mutation("sign", 2, "    n = len(x)", "    while True: pass")
     with mutants.copied(toy) as tree:
-        mutant = Mutant("toy", "oed/toy/mean.py", endless)
-        assert mutants.try_mutant(tree, mutant, 3.0) == mutants.TIMED_OUT
+        trial = Mutant("oed/toy", "oed/toy/mean.py", endless)
+        assert mutants.try_mutant(tree, trial, [], 3.0) == mutants.TIMED_OUT
 
 
 @pytest.mark.slow
-def test_the_command_names_survivors(
-    toy: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+def test_the_command_names_survivors_and_what_no_test_reaches(
+    toy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table = tmp_path / "mutants.csv"
-    arguments = ["--seed", "1", "--count", "9", "--out", str(table)]
-    assert mutants.main(arguments, toy) == 1
+    assert mutants.main(["--seed", "1", "--count", "9"], toy) == 1
     printed = capsys.readouterr().out
     assert "+ assert n >" in printed
-    assert len(table.read_text(encoding="utf-8").splitlines()) > 2
-    with pytest.raises(SystemExit):
-        mutants.main(arguments, toy)
+    assert re.search(r"not reached +[a-z]+ +oed/toy/mean.py:6", printed)
+    assert re.search(r"^all +[2-4] +1 +1 +0$", printed, re.MULTILINE)
 
 
 def test_shares_follow_the_sizes() -> None:
@@ -133,6 +161,10 @@ def test_shares_follow_the_sizes() -> None:
 
 
 def test_same_seed_draws_the_same_mutants(toy: Path) -> None:
-    first, second = (draw(toy, ["toy"], 2, np.random.default_rng(5)) for _ in range(2))
+    first, second = (
+        draw(toy, ["oed/toy"], 2, np.random.default_rng(5)) for _ in range(2)
+    )
     assert first == second
-    assert len({m.mutation.line for m in first}) == 2
+    ((share, candidates),) = first
+    assert share == 2
+    assert len({m.mutation.line for m in candidates}) == len(candidates) >= 2
