@@ -32,6 +32,32 @@ def test_guideway_is_the_slider_joint_displaced() -> None:
     assert found == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max())
 
 
+#: first column of an effect, and the sizes that its source publishes, SI
+PUBLISHED = {
+    "backlash": ("leg 1", 5e-6, 50e-6),  # ball screws without preload
+    "bar_length": ("camera bar", 10e-6, 10e-6),  # an unzeroed bar
+    "cable_stretch": ("cables", 5e-6, 50e-6),  # a steel rope; a braided fibre, 1/N
+    "drum_runout": ("leg 1 sin 1", 50e-6, 0.2e-3),  # turned drums
+    "encoder_subdivision": ("leg 1 sin 1", 0.0, 0.005 * 10e-6),  # 1 % end to end
+    "friction": ("leg 1", 1e-6, 5e-6),
+    "gear_eccentricity": ("leg 1 sin 1", 20e-6 / 0.1, 40e-6 / 0.1),  # F_r / d
+    "gravity": ("drives", 1e3 / 50e6, 1e3 / 50e6),  # m a kN on legs of 50 N/um
+    "guideway": ("leg 1 radial curve 1", 5e-6, 20e-6),
+    "joint_clearance": ("leg 1", 5e-6, 20e-6),
+    "joint_runout": ("leg 1 2 sin", 1e-6, 5e-6),
+    "leg_thermal": ("leg 1 rise", 2.0, 10.0),  # K
+    "mount_drift": ("set-up camera cup_x", 1e-6, 5e-6),
+    "screw_cyclic": ("leg 1 sin 1", 3e-6, 4e-6),  # 6 to 8 um end to end
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_expected_size_is_one_that_the_source_publishes(name: str) -> None:
+    column, least, most = PUBLISHED[name]
+    scale = columns(name, session("hexapod").states[1])[column].scale
+    assert least * (1.0 - 1e-9) <= scale <= most * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize("machine", ["hexapod", "a3_head", "linear_delta"])
 def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
     """Castigliano: with joints of compliance c under a weight W its place sinks by W c
