@@ -16,10 +16,12 @@ from oed.accuracy import (
     Prediction,
     Spread,
     error_maps,
+    least_error,
     predict,
     relative_to_reference,
 )
 from oed.mechanism import Kinematics, error_model
+from oed.result import CompensationName
 
 ARCSEC = 180 * 3600 / np.pi
 A3 = Kinematics(a3_head.machine)
@@ -321,3 +323,23 @@ def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> N
         np.abs(relative_to_reference(fixed, at_home, model, home, "home", 1.0)).max()
         > 0.1
     )
+
+
+@pytest.mark.parametrize("per_unit", [1.0, ARCSEC, 1e-6])
+def test_least_error_counts_components_alike_in_any_unit(per_unit: float) -> None:
+    """0.5^2 + 1.1^2 < 1 + 1 < 0.1^2 + 1.5^2, in units of the errors with nothing sent."""
+
+    def spreads(z: float, tilt: float, x: float) -> dict[str, Spread]:
+        sizes = {"z": 2e-4 * z, "tilt": 3e-5 * per_unit * tilt, "x": x}
+        return {name: Spread(size, size, size) for name, size in sizes.items()}
+
+    nothing, mended, turned = (
+        spreads(1.0, 1.0, 0.1),
+        spreads(0.5, 1.1, 9.0),
+        spreads(0.1, 1.5, 0.0),
+    )
+    both = {"turned": turned, "mended": mended}
+    assert least_error(nothing, both, ["z", "tilt"]) == "mended"
+    only = least_error(nothing, {"turned": turned}, ["z", "tilt"])
+    assert only == CompensationName.NOTHING
+    assert least_error(nothing, both, ["z", "tilt", "x"]) == "turned"
