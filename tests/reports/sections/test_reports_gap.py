@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from report_fixture import check_inside, result_of, text_of
 from sketches import Sketches
 
-from oed.gap import assemble
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
 from pkm_reports.page import build_document, document
@@ -22,7 +21,6 @@ from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
 from pkm_studies.stages import start
 from pkm_studies.stages.gap.diagnosis import gap_section
-from pkm_studies.stages.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
 pytestmark = pytest.mark.pictures
@@ -32,17 +30,9 @@ pytestmark = pytest.mark.pictures
 def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
     """The gap of the diagnosis by hand, as it comes back from result.json."""
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
-    state = start(load(path), 3, Silent(), None)
-    readings = simulate_readings(state, planned_series(state)).readings
-    residuals = assemble(
-        state.measurement,
-        readings.series,
-        readings.covariates,
-        readings.truth,
-        readings.y,
-    )
-    diagnosis = gap_fixture.diagnosis(residuals)
-    section = gap_section(diagnosis, state.resolved.gap.effects)
+    diagnosis = gap_fixture.diagnosis(gap_fixture.problem(path))
+    effects = start(load(path), 3, Silent(), None).resolved.gap.effects
+    section = gap_section(diagnosis, effects)
     return msgspec.json.decode(msgspec.json.encode(section), type=GapSection)
 
 
