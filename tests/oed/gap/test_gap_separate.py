@@ -36,13 +36,8 @@ def laid_out(
 
 
 @functools.cache
-def pool(
-    tools=(0.0, 0.1),
-    strokes=(0.0, 0.05, 0.1, 0.15, 0.2),
-    payloads=(0.0, 50.0),
-    points=12,
-):
-    _, p, rows = laid_out(tools, strokes, payloads, points)
+def pool(**layout):
+    _, p, rows = laid_out(**layout)
     return pool_runs(p, STATED_LAW, rows, WANTED)
 
 
