@@ -225,13 +225,7 @@ def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
         "value"
     ] == pytest.approx(1.5e-3)
     code, _, _ = oed(
-        "identify",
-        study,
-        "--readings",
-        "new/r.readings.csv",
-        "--out",
-        "out",
-        "--quiet",
+        "identify", study, "--readings", "new/r.readings.csv", "--out", "out", "--quiet"
     )
     assert code == 0
     estimate = json.loads((tmp_path / "out/result.json").read_text())["estimate"]

@@ -80,11 +80,7 @@ def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path: Path) -> Non
     formats = {"csv": few, "json": few, "c": [], "klipper": [], "rrf": [], "marlin": []}
     for word, options in (formats | {"linuxcnc": [], "gcode": []}).items():
         folder = hostile(tmp_path / word, linear_delta.machine)
-        assert main(["compensate", str(folder), "--to", word, *options]) in (
-            0,
-            1,
-            2,
-        )
+        assert main(["compensate", str(folder), "--to", word, *options]) in (0, 1, 2)
         texts = [p.read_text("utf-8") for p in folder.glob("compensation*")]
         assert texts, word
         for line in "\n".join(texts).splitlines():
@@ -105,9 +101,7 @@ def hostile(folder: Path, machine: Machine) -> Path:
     design = compensation_sample.design([home])
     poses = [msgspec.structs.replace(p, setup=TEXT, run=TEXT) for p in design.poses]
     content = compensation_sample.result(
-        machine,
-        machine.nominal,
-        design=msgspec.structs.replace(design, poses=poses),
+        machine, machine.nominal, design=msgspec.structs.replace(design, poses=poses)
     )
     hostile = msgspec.structs.replace(content, version=TEXT, title=TEXT, question=TEXT)
     return compensation_sample.save(folder, hostile)

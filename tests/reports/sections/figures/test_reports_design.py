@@ -12,12 +12,7 @@ from report_fixture import result_of, shown_text
 
 from oed.base import Array
 from oed.design import CRITERIA, Criterion
-from oed.result import (
-    CriterionComparison,
-    PlannedReading,
-    RobustSummary,
-    StudyResult,
-)
+from oed.result import CriterionComparison, PlannedReading, RobustSummary, StudyResult
 from pkm_reports import style
 from pkm_reports.page import build_document
 from pkm_reports.sections import design, plan
@@ -129,11 +124,7 @@ def test_a_design_without_optional_parts_has_its_page() -> None:
 
 def test_numbers_that_were_not_finite_leave_gaps() -> None:
     design = _design()
-    design["compared"][1]["values"] = {
-        "D": None,
-        "E": 3.0e-6,
-        "kappa": None,
-    }
+    design["compared"][1]["values"] = {"D": None, "E": 3.0e-6, "kappa": None}
     del design["plans"][1]["predicted"]["z_um"]
     design["robust"]["values"][0] = None
     design["how_many"]["accuracy"]["z_um"][0] = None
@@ -195,14 +186,7 @@ def test_efficiencies_are_ratios_of_phi(main: str) -> None:
     np.testing.assert_allclose(design.efficiencies(entries), expected, rtol=1e-9)
     # Proven designs leave only the gain, and for D the directions.
     replace = msgspec.structs.replace
-    proven = [
-        replace(
-            entry,
-            bound=entry.value,
-            efficiency=1.0,
-        )
-        for entry in entries
-    ]
+    proven = [replace(entry, bound=entry.value, efficiency=1.0) for entry in entries]
     again = design.efficiencies(proven, 4)
     known = slice(0 if main != "Ds" else 1, None)
     np.testing.assert_allclose(again[known], expected[known], rtol=1e-9)
@@ -220,12 +204,7 @@ def _poses(commands: list[dict[str, float]]) -> list[PlannedReading]:
 def test_the_path_takes_the_coordinates_that_vary_most() -> None:
     # 2000 mm, 18 mm, 5.7 degrees, 20 degrees
     commands = [
-        {
-            "a_mm": 1e3 * k,
-            "b_um": 9e3 * k,
-            "c_rad": 0.05 * k,
-            "d_deg": 10.0 * k,
-        }
+        {"a_mm": 1e3 * k, "b_um": 9e3 * k, "c_rad": 0.05 * k, "d_deg": 10.0 * k}
         for k in range(3)
     ]
     plane = plan.choose_plane(_poses(commands))
