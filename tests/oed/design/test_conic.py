@@ -70,10 +70,14 @@ def test_no_plan_exceeds_the_bound(seed: int) -> None:
     every = criteria(n, rng)
     for criterion in (every[seed % len(every)], every[(seed + 7) % len(every)]):
         optimum = conic.relax(rows, size, criterion, base, 1.0, limits)
-        assert (
-            max(criterion.value(base + information(rows[c])) for c in subsets)
-            <= optimum.bound
-        )
+        matrices = [base + information(rows[c]) for c in subsets]
+        values = np.array([criterion.value(matrix) for matrix in matrices])
+        assert values.max() <= optimum.bound
+        ahead = [optimum.gradient[c].sum() for c in subsets]
+        ahead -= optimum.gradient @ optimum.weights
+        assert max(ahead) < 1e-3  # no plan gains along the gradient at the optimum
+        if criterion.concave:
+            assert (values - optimum.value <= ahead + 1e-3).all()
         assert optimum.value == pytest.approx(
             criterion.value(base + information(rows, optimum.weights))
         )
