@@ -91,6 +91,21 @@ def test_searches_end_at_the_best_plan_and_below_the_bound(
     assert evaluator.value(start) <= evaluator.value(improved) <= best + 1e-9
 
 
+@pytest.mark.parametrize("name", CRITERIA)
+def test_sweeps_end_where_no_exchange_helps(name: str) -> None:
+    """Candidate by candidate, as under any limit but a size alone."""
+    blocks, base = problem(10)
+    evaluator = CriterionEvaluator(blocks, CRITERIA[name], base)
+    rules = Rules(time=TimeBudget(np.ones(COUNT), SIZE))
+    plan = improve(evaluator, rules, np.arange(SIZE), evaluator.levels - 1)
+    assert len(set(plan.tolist())) == SIZE
+    for place, other in itertools.product(range(SIZE), range(COUNT)):
+        exchanged = plan.copy()
+        exchanged[place] = other
+        if len(set(exchanged.tolist())) == SIZE:
+            assert evaluator.value(exchanged) <= evaluator.value(plan) + 1e-9
+
+
 def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
     criterion, (blocks, base) = CRITERIA["D"], problem(5)
     cost = np.random.default_rng(5).uniform(1.0, 3.0, COUNT)
