@@ -143,7 +143,7 @@ def draw_path(poses: Sequence[PlannedReading]) -> Figure:
     style.hide(grid[len(setups) :])
     figure.supxlabel(style.label(text.heading(plane.names[0])), fontsize=8)
     figure.supylabel(style.label(text.heading(plane.names[1])), fontsize=8)
-    figure.draw_without_rendering()  # numbers need the panels' final size
+    figure.lay_out()  # numbers need the panels' final size
     for k, (axes, group) in enumerate(zip(grid, groups, strict=False)):
         numbers = _numbers_by_place(plane, group)
         write_numbers(axes, numbers, style.CYCLE[k % len(style.CYCLE)])

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 Limits = tuple[float, float]
 MAX_CORNER_PARAMETERS: Final = 6
 MAX_LABEL_LENGTH: Final = 18
+#: inches to the left and right of all panels, below and above them, for the labels
+EDGES: Final = (0.55, 0.08, 0.56, 0.06)
+#: gap between panels, as a share of their size
+GAP: Final = 0.13
 #: sd below which a marginal is shown from close by, without the prior
 CLOSE_VIEW_MAX_RATIO: Final = 0.3
 #: prior standard deviations that hold the prior
@@ -49,8 +53,12 @@ def draw_corner(posterior: PosteriorSection) -> Figure:
         return style.empty("No draws of the posterior are stored in this result.")
     n = len(names)
     width = min(style.FIGURE_WIDTH, 0.8 + 1.25 * n) if n > 1 else 3.2
-    figure = style.figure(0.6 + 1.15 * n, width=width)
-    grid = figure.add_gridspec(n, n)
+    height = 0.6 + 1.15 * n
+    figure = style.placed_figure(height, width=width)
+    left, right, bottom, top = EDGES
+    edges: Any = {"left": left / width, "right": 1.0 - right / width}
+    edges |= {"bottom": bottom / height, "top": 1.0 - top / height}
+    grid = figure.add_gridspec(n, n, **edges, wspace=GAP, hspace=GAP)
     limits = [_limits(draws[:, i]) for i in range(n)]
     labels = [style.label(name, MAX_LABEL_LENGTH) for name in short_names(names)]
     for i in range(n):

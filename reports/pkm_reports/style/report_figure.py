@@ -19,14 +19,19 @@ class ReportFigure(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw, or compute the layout alone where the file is drawn right after."""
-        engine = self.get_layout_engine()
         precedes = self.canvas.is_saving() and bool(self.axes)
-        if precedes and isinstance(engine, ConstrainedLayoutEngine):
-            # after a save matplotlib gives its default layout to a figure that had none
-            if any(axes.get_subplotspec() is not None for axes in self.axes):
-                engine.execute(self)
-        else:
+        if not (precedes and self.lay_out()):
             super().draw(renderer)
+
+    def lay_out(self) -> bool:
+        """Give the axes of a grid their places; whether the figure has such a layout."""
+        engine = self.get_layout_engine()
+        if not isinstance(engine, ConstrainedLayoutEngine):
+            return False
+        # after a save matplotlib gives its default layout to a figure that had none
+        if any(axes.get_subplotspec() is not None for axes in self.axes):
+            engine.execute(self)
+        return True
 
 
 class PlainLog(Formatter):
