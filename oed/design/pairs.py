@@ -101,7 +101,7 @@ class _Crossed(NamedTuple):
     def determinant(self) -> Array:
         """(1 - d_ii)(1 + d_jj) + d_ij^2 (N, C)."""
         factors = self.cross**2
-        factors += np.outer(1.0 - self.rows, 1.0 + self.others)
+        factors += (1.0 - self.rows)[:, None] * (1.0 + self.others)
         return np.maximum(factors, SINGULAR_SHARE)
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from functools import cached_property
 
 import numpy as np
 
@@ -137,6 +138,11 @@ class _TabuProblem:
     criterion: Criterion
     copies: Index
 
+    @cached_property
+    def has_copies(self) -> bool:
+        """Whether a candidate may come beside an equal one."""
+        return bool((self.copies > 1).any())
+
     def information(self, plan: Index) -> Array:
         """M (n, n)."""
         return self.base + information(self.blocks[plan])
@@ -216,8 +222,9 @@ class _Trail:
         leaving = self.plan[places]
         blocks = problem.blocks
         values = guide.exchange_values(Pairs(m, blocks[leaving], blocks[others]))
-        # a copy in place of its row changes nothing, and would use up the step
-        values[leaving[:, None] == others] = -np.inf
+        if problem.has_copies:
+            # one in place of its row changes nothing, and would use up the step
+            values[leaving[:, None] == others] = -np.inf
         first, second = divmod(int(values.argmax()), len(others))
         self._exchange(int(places[first]), int(others[second]), rng)
 

@@ -127,10 +127,11 @@ def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
 
 
 def _pair(axes: Axes, x: Array, y: Array, xlim: Limits, ylim: Limits) -> None:
-    counts, xs, ys = np.histogram2d(x, y, bins=34, range=(xlim, ylim))
+    counts, _, _ = np.histogram2d(x, y, bins=34, range=(xlim, ylim))
     density = np.ma.masked_equal(counts.T, 0.0)
     shade: Any = {"cmap": style.AMOUNT, "vmin": -0.1 * counts.max()}
-    axes.pcolormesh(xs, ys, density, rasterized=True, **shade)
+    cells: Any = {"extent": (*xlim, *ylim), "origin": "lower", "aspect": "auto"}
+    axes.imshow(density, interpolation="nearest", **cells, **shade)
     # An arc of the prior's circle would only puzzle: it is drawn where all of it fits.
     lower, upper = max(xlim[0], ylim[0]), min(xlim[1], ylim[1])
     if lower <= -1.0 and upper >= 1.0:
