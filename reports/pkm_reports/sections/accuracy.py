@@ -238,7 +238,7 @@ def _set_polar_axes(axes: Any, up: Array) -> None:
     axes.grid(False)
     outer = _edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]
     axes.set_rlim(0.0, float(outer))
-    style.ticks_at(axes.yaxis, [])
+    axes.yaxis.set_visible(False)
     style.ticks_at(axes.xaxis, QUARTERS)
     axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
     axes.tick_params(axis="x", pad=-2)

@@ -110,9 +110,8 @@ def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) ->
         _pair(axes, draws[:, j], draws[:, i], limits[j], limits[i])
     for axis in (axes.xaxis, axes.yaxis):
         style.few_ticks(axis, 3, steps=[1, 2, 5, 10])
-    axes.tick_params(labelsize=6.5)
-    axes.tick_params(labelbottom=i == len(limits) - 1)
-    axes.tick_params(labelleft=j == 0 and i > 0)
+    outer = {"labelbottom": i == len(limits) - 1, "labelleft": j == 0 and i > 0}
+    axes.tick_params(labelsize=6.5, **outer)
 
 
 def _histogram(axes: Axes, x: Array, limits: Limits) -> None:

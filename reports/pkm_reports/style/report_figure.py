@@ -19,6 +19,7 @@ class ReportFigure(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw, or compute the layout alone where the file is drawn right after."""
+        self._skip_absent_texts()
         precedes = self.canvas.is_saving() and bool(self.axes)
         if not (precedes and self.lay_out()):
             super().draw(renderer)
@@ -32,6 +33,18 @@ class ReportFigure(Figure):
         if any(axes.get_subplotspec() is not None for axes in self.axes):
             engine.execute(self)
         return True
+
+    def _skip_absent_texts(self) -> None:
+        """Seek no place for titles and labels that are not there.
+
+        To find one, matplotlib measures all labels of the ticks anew.
+        """
+        for axes in self.axes:
+            if not any(map(axes.get_title, ("left", "center", "right"))):
+                axes.set_title("", y=1.0)
+            for axis in (axes.xaxis, axes.yaxis):
+                if not axis.get_label_text():
+                    axis.set_label_coords(0.5, 0.0)
 
 
 class PlainLog(Formatter):
