@@ -24,7 +24,8 @@ from scipy import special
 
 from oed import posterior
 from oed.base import Array, Index
-from oed.corrected.fit import CorrectedEstimate, EffectReadings
+from oed.corrected.estimate import CorrectedEstimate
+from oed.corrected.fit import EffectReadings
 from oed.effect_model import Effect
 from oed.effects import ExpectedColumns
 from oed.estimation import Discrepancy, Estimate, IdentificationError, identify

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-    from pkm_reports.report_figure import ReportFigure
+    from pkm_reports.style.report_figure import ReportFigure
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print
 FIGURE_WIDTH: Final = 6.7
@@ -122,14 +122,14 @@ def applied() -> Iterator[None]:
         yield
 
 
-def figure(height: float, width: float = WIDTH) -> ReportFigure:
+def figure(height: float, width: float = FIGURE_WIDTH) -> ReportFigure:
     """An empty figure, in inches, without pyplot: no window system, no global state."""
     from pkm_reports.style.report_figure import ReportFigure
 
     return ReportFigure(figsize=(width, height))
 
 
-def placed_figure(height: float, width: float = WIDTH) -> ReportFigure:
+def placed_figure(height: float, width: float = FIGURE_WIDTH) -> ReportFigure:
     """As `figure`, for axes that are placed by hand: no layout moves them."""
     from pkm_reports.style.report_figure import ReportFigure
 
@@ -209,7 +209,7 @@ def log_axis(axes: Axes, which: str) -> None:
     axis.set_major_formatter(PlainLog())
     axis.set_minor_formatter(NullFormatter())
     axis.set_minor_locator(NullLocator() if narrow else LogLocator(subs=(2.0, 5.0)))
-    if high < SHORT * low:
+    if high < SHORT_AXIS_MAX_RANGE * low:
         few_ticks(axis, 5, steps=[1, 2, 5, 10])
 
 
