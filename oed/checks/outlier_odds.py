@@ -231,9 +231,11 @@ def _neighbours(
     return [group for group in groups if len(group) >= 3]
 
 
-#: standard deviations of what all others predict within which another number fits, and
-#: from which on the one of the file is so far off that a fitting one says something
-FITS, FAR = 4.0, 40.0
+#: standard deviations of what all others predict within which another number fits
+FITS = 4.0
+#: such deviations from which on the file's number is so far off that a fitting one says
+#: something
+FAR = 40.0
 
 
 def other_number(session: SessionReadings, solution: Fit, one: FarReading) -> str:

@@ -268,8 +268,12 @@ def _values_alone(trial: MistakeTrial) -> Array | None:
 # along it), with the prior of the laws as weight, and of rivals that no law holds:
 # tolerances that are too narrow, and more noise in one channel of several.
 
-#: coordinates of the laws that are looked at: error of a run, carried share and reach
-LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)
+#: coordinates of the laws that are looked at: of the error of a run
+LEVELS = (-2.0, 0.0, 1.5, 3.0)
+#: of the share that is carried over
+SHARES = (-1.5, 0.3, 1.8)
+#: of the reach in readings
+REACHES = (0.0, 1.5)
 #: prior probability of no rival
 NO_RIVAL_PROBABILITY = 0.6
 #: prior probability of all rivals together

@@ -44,8 +44,10 @@ from oed.noise_law import NoisePosterior, ResidualModel
 
 #: readings from which on interpolation is faster
 MIN_READINGS = 1000
-#: points that the decomposition is of, and that it is checked at
-POINTS, CHECKS = 200, 20
+#: points that the decomposition is of
+POINTS = 200
+#: further points that it is checked at
+CHECKS = 20
 #: readings of points that are solved at once
 AT_ONCE = 300_000
 #: error over the noise of a reading that is left out

@@ -34,8 +34,10 @@ INVISIBLE: Final = {
     code: "\N{REPLACEMENT CHARACTER}"
     for code in (*range(9), 11, 12, *range(14, 32), 127)
 }
-#: sizes between which a number is written without a power of ten
-SMALLEST, LARGEST = 1e-4, 1e6
+#: size from which a number is written without a power of ten
+SMALLEST = 1e-4
+#: size up to which it is
+LARGEST = 1e6
 #: size from which a number with given decimals gets a power of ten all the same
 TOO_LONG: Final = 1e9
 MAX_DECIMALS: Final = 9

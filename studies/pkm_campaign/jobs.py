@@ -31,9 +31,12 @@ from pkm_studies.base import InputError
 # Neighbouring items may share what is expensive to prepare. So each process starts with a
 # stretch of neighbours, and takes others' items only once its own are done.
 
-#: parameters of mallopt, and bytes
+#: parameters of mallopt (malloc.h)
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
-KEPT, LARGEST = 64 * 2**20, 32 * 2**20
+#: bytes of free memory that a process keeps
+KEPT = 64 * 2**20
+#: bytes of the largest block that comes from there
+LARGEST = 32 * 2**20
 #: items that each process has at once, so that none waits for the next
 ITEMS_AHEAD = 2
 #: seconds in which a scheduler has to answer

@@ -23,8 +23,12 @@ if TYPE_CHECKING:
 
 #: what 95 % intervals should hold
 NOMINAL_COVERAGE = 0.95
-#: inches of a row, of the axis below, and of the name beside
-ROW, AXIS, NAME_LENGTH = 0.28, 0.8, 40
+#: height of a row, inches
+ROW = 0.28
+#: height of the axis below the rows, inches
+AXIS = 0.8
+#: characters of the name beside a row
+NAME_LENGTH = 40
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -24,8 +24,10 @@ from oed.dataset import ReadingsColumn
 from pkm_page import typed
 from pkm_studies.base import InputError
 
-#: time between two looks at a file, and before a lost line is opened again, s
-PAUSE, AGAIN = 0.3, 2.0
+#: time between two looks at a file, s
+PAUSE = 0.3
+#: time before a lost line is opened again, s
+AGAIN = 2.0
 #: bytes of a line, and of what is read at a time
 MAX_LINE_BYTES: Final = 4000
 MAX_STREAM_BYTES: Final = 4_000_000

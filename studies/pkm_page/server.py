@@ -81,8 +81,10 @@ def judge_acceptance(folder: Path, text: str) -> list[str]:
     return [*verdict_sentences(verdict), f"Stored as {stored.name}."]
 
 
-#: time between two looks for news, and from one sign of life to the next, s
-PAUSE, ALIVE = 0.1, 15.0
+#: time between two looks for news, s
+PAUSE = 0.1
+#: time from one sign of life to the next, s
+ALIVE = 15.0
 #: pages that may listen at once
 MAX_LISTENERS: Final = 32
 #: status of an answer: in doubt or out of date; not usable; too many

@@ -196,8 +196,10 @@ def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
 #     F = (S6 - S8) / 2 / (S8 / (n - 8)),    distributed as F(2, n - 8).
 
 
-#: factors without the lean, and with it
-PLAIN, LEANING = 6, 8
+#: factors without the lean
+PLAIN = 6
+#: factors with the lean
+LEANING = 8
 #: heights that give the lean with one degree of freedom to spare
 MIN_LEAN_HEIGHTS = LEANING + 1
 #: probability by chance below which a lean is reported

@@ -49,8 +49,10 @@ MODEL: Final = "cable_robot"
 USUAL: Final = {"H": 255.0, "L": 20.0, "O": 1.0}
 #: words that are identified, or written in any case; others are written back as they are
 WRITTEN: Final = f"{LETTERS}KN", "QR"
-#: shares of the nearest anchor across, and of the highest, that the workspace spans
-ACROSS, UP = 0.25, 0.6
+#: share of the nearest anchor's distance that the workspace spans across
+ACROSS = 0.25
+#: share of the highest anchor's height that it spans upward
+UP = 0.6
 MORE_LINES: Final = refused(
     "the firmware has five anchors at most, A to D and I", "remove it from a copy"
 )

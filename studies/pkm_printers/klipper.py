@@ -52,8 +52,10 @@ FULL_TURN = 360.0
 LOGS = (".log", ".txt")
 #: weight of a height's square over that of a distance, times heights over distances
 MEASURE_WEIGHT = 0.5
-#: mm; one probed height, with the bed's flatness, and one calliper distance
-HEIGHT_SIGMA, DISTANCE_SIGMA = 0.1, 0.05
+#: standard deviation, mm, of one probed height, with the bed's flatness
+HEIGHT_SIGMA = 0.1
+#: standard deviation, mm, of one calliper distance
+DISTANCE_SIGMA = 0.05
 FULL_STEPS = 200.0
 #: a saved position, and what was measured there
 POSITION = re.compile(r"((?:manual_)?height\d+|distance\d+)_pos[12]?")

@@ -38,10 +38,14 @@ DIRECTIONS = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 
 INNER_RING = 0.1
 #: places of the outer ring for a step of one direction, by P
 FINENESS = {3: 1, 4: 2, 5: 3, 6: 5, 7: 7, 8: 3, 9: 4, 10: 5}
-#: P from which on a ring has three circles, and those without a reading in the middle
-CIRCLES_FROM, WITHOUT_MIDDLE = 8, (3, 6, 9)
-#: P8 divides the sum of ten readings by eight
-MISCOUNTED, MISCOUNT = 8, 10.0 / 8.0
+#: P from which on a ring has three circles
+CIRCLES_FROM = 8
+#: P without a reading in the middle
+WITHOUT_MIDDLE = (3, 6, 9)
+#: P whose sum of ten readings is divided by eight
+MISCOUNTED = 8
+#: its mean over the true one
+MISCOUNT = 10.0 / 8.0
 #: P of Marlin's example configurations
 USUAL_POINTS = 4
 #: mm; the last digit that G33 prints
@@ -232,8 +236,10 @@ def _to_bed(places: Array, geometry: DeltaGeometry) -> Array:
 HEIGHT = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER}){ENDS}")
 PRINTED_RADIUS = re.compile(r"\bat radius:\s*" + f"({NUMBER})")
 BEGINS = re.compile(r"\bG33 Auto Calibrate")
-#: heights of a report of P3 and more, and P of one with fewer: its places are single
-ALL_HEIGHTS, SINGLE_PLACES = 7, 2
+#: heights of a report of P3 and more
+ALL_HEIGHTS = 7
+#: P of a report with fewer: its places are single
+SINGLE_PLACES = 2
 GIVE_RADIUS = "add a line probe_radius_mm = 80 to the log, or probe with G30"
 
 

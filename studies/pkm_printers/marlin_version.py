@@ -43,8 +43,10 @@ Retreat = Literal["exact", "tenth", "steps", "dead band"]
 #: what becomes of a value of M666 above 0
 Positive = Literal["no move", "normalised", "ignored"]
 PRINTED = re.compile(r"\bMarlin[ _-]?(?:bugfix[-_ ])?(\d+\.\d+(?:\.\w+)*(?:-RC\d+)?)")
-#: steps that a planned move has at least, and steps per mm of a usual printer
-MIN_STEPS, STEPS_PER_MM = 6, 80.0
+#: steps that a planned move has at least
+MIN_STEPS = 6
+#: steps per mm of a usual printer
+STEPS_PER_MM = 80.0
 TENTH_MM = 0.1
 
 

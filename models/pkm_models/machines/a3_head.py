@@ -25,7 +25,11 @@ from pkm_models.machines.parts import coordinates, passive, six_dof
 from pkm_models.machines.parts.families import numbers, places, point_group
 from pkm_models.machines.parts.six_dof import platform
 
-A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
+# m, Table 1
+A = 0.250
+B = 0.250
+C = 0.526
+D = 0.540
 LIMBS = (1, 2, 3)
 PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 - math.pi / 2.0 for i in LIMBS}
 XYZ = "xyz"

@@ -51,10 +51,14 @@ SOURCE = (
     " endstop); Liu, Fang and others, error modelling of linear deltas, for the tilts"
 )
 ANGLES = tuple(math.radians(d) for d in (210.0, 330.0, 90.0))
-#: workspace over the arm's horizontal and vertical reach, where none is given
-PRINT_SHARE, HEIGHT_SHARE = 0.8, 0.6
-#: prior standard deviations of angles and tilts, rad
-ANGLE_SD, TILT_SD = 3.5e-3, 2e-3
+#: radius of the workspace over the arm's horizontal reach, where none is given
+PRINT_SHARE = 0.8
+#: height of the workspace over the arm's vertical reach, where none is given
+HEIGHT_SHARE = 0.6
+#: prior standard deviation of angles, rad
+ANGLE_SD = 3.5e-3
+#: prior standard deviation of tilts, rad
+TILT_SD = 2e-3
 
 DIMENSIONS = (
     Dimension("radius", "m", (3,), 0.16175, "tower's distance less the platform's"),

@@ -32,12 +32,10 @@ from pkm_models.machines.parts.coordinates import joint
 from pkm_models.machines.parts.six_dof import XYZ, command, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
-STRUT, START, HEIGHT, PLATFORM = (
-    0.800,
-    -1.200,
-    0.200,
-    0.200,
-)  # m; START: x of the guides' ends; HEIGHT: z at home
+STRUT = 0.800  # m
+START = -1.200  # m, x of the guides' ends
+HEIGHT = 0.200  # m, z at home
+PLATFORM = 0.200  # m
 # Tolerances (prior standard deviations), m
 JOINT_SD = 0.3e-3
 ZERO_SD = 0.5e-3

@@ -27,12 +27,10 @@ from pkm_models.machines.parts.coordinates import joint
 from pkm_models.machines.parts.six_dof import XYZ, command, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
-BASE, PLATFORM, ABOVE, HEIGHT = (
-    0.300,
-    0.200,
-    0.100,
-    0.500,
-)  # m; HEIGHT: tool point over the base at home
+BASE = 0.300  # m
+PLATFORM = 0.200  # m
+ABOVE = 0.100  # m
+HEIGHT = 0.500  # m, tool point over the base at home
 # Tolerances (prior standard deviations), m
 JOINT_SD = 0.3e-3
 ZERO_SD = 0.5e-3

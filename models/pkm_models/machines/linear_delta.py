@@ -25,7 +25,9 @@ from pkm_models.machines.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
 DOWN = "travel of carriage {} down from its endstop"
-RADIUS, ARM, ENDSTOP = 0.16175, 0.345, 0.420  # m
+RADIUS = 0.16175  # m
+ARM = 0.345  # m
+ENDSTOP = 0.420  # m
 ANGLE = {1: math.radians(210.0), 2: math.radians(330.0), 3: math.radians(90.0)}
 
 

@@ -31,7 +31,8 @@ from pkm_models.machines.parts.families import numbers
 from pkm_models.machines.parts.translation import tool_point
 
 LEGS = (1, 2, 3)
-R_FRAME, R_PLATFORM = 0.200, 0.060  # m
+R_FRAME = 0.200  # m
+R_PLATFORM = 0.060  # m
 ANGLE = {i: 2.0 * math.pi * (i - 1) / 3.0 for i in LEGS}
 MANUFACTURING_SD = 50e-6  # m
 

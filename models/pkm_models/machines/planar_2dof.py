@@ -29,7 +29,8 @@ from pkm_models.machines.parts.translation import tool_point
 
 LIMBS = (1, 2)
 SIDE = {1: -0.5, 2: 0.5}
-D, L = 3.584, 3.350  # m, section 2.2
+D = 3.584  # m, section 2.2
+L = 3.350  # m, section 2.2
 # Tolerances (prior standard deviations)
 DISTANCE_SD = 0.5e-3  # m
 HOME_SD = 0.5e-3  # m

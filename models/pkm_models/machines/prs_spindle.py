@@ -42,12 +42,11 @@ from pkm_models.machines.parts import coordinates, passive, six_dof
 from pkm_models.machines.parts.families import point_group
 from pkm_models.machines.parts.six_dof import platform
 
-R, RADIUS, H, L = (
-    0.349,
-    0.200,
-    0.340722,
-    1.107,
-)  # m, Table 1: sliders' circle, ball joints' circle and height, struts
+# m, Table 1
+R = 0.349  # circle of the sliders
+RADIUS = 0.200  # circle of the ball joints
+H = 0.340722  # height of the ball joints
+L = 1.107  # struts
 LIMBS = (1, 2, 3)
 PHI = {i: 2.0 * math.pi * (i - 1) / 3.0 for i in LIMBS}
 TILT = math.radians(35.0)

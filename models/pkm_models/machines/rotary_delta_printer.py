@@ -25,7 +25,10 @@ from pkm_models.machines.parts.coordinates import joint, point
 LIMBS = (1, 2, 3)
 DOWN = "turn of upper arm {} down from its switch"
 #: those of Klipper's example, m and rad; switches where the tool is 252 mm over the bed
-RADIUS, HEIGHT, UPPER, LOWER = 0.0339, 0.4129, 0.170, 0.320
+RADIUS = 0.0339
+HEIGHT = 0.4129
+UPPER = 0.170
+LOWER = 0.320
 ANGLES = tuple(math.radians(d) for d in (30.0, 150.0, 270.0))
 ENDSTOP = 0.7734
 ANGLE_SD = 3.5e-3  # rad: limbs are mounted within 0.2 degrees

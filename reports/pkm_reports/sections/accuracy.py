@@ -337,8 +337,10 @@ BARS: Final[tuple[Bar, ...]] = (
     ("known", "with additional axes", style.GREEN),
 )
 REALISED: Final = "realised, virtual machine"
-#: width of a bar, and distance between the bars of a component
-BAR_WIDTH, BAR_STEP = 0.25, 0.27
+#: width of a bar, components
+BAR_WIDTH = 0.25
+#: distance between the bars of a component
+BAR_STEP = 0.27
 
 
 def draw_components(prediction: PredictionSection) -> Figure:

@@ -48,8 +48,10 @@ if TYPE_CHECKING:
 # Circles as a ball bar shows them: residuals magnified about the circle.
 
 MAX_CIRCLES: Final = 3
-#: the largest residual as a share of the drawn radius, and the outer radius
-SWING, OUTER = 0.45, 1.6
+#: largest residual as a share of the drawn radius
+SWING = 0.45
+#: outer radius over the drawn one
+OUTER = 1.6
 #: label, line and colour of a direction of travel
 DIRECTIONS: Final = {
     1: ("forward", "-", style.BLUE),

@@ -39,8 +39,10 @@ if TYPE_CHECKING:
 
 # Which effects can be distinguished from which others: a matrix of sqrt(lambda).
 
-#: sqrt(lambda) below which two effects are not distinguished, and above which they clearly are
-LIMIT, CLEAR = 5.0, 10.0
+#: sqrt(lambda) below which two effects are not distinguished
+LIMIT = 5.0
+#: sqrt(lambda) above which they clearly are
+CLEAR = 10.0
 #: colours and legend of: not distinguished, barely, clearly
 COLOURS: Final = ("#f3c4a5", "#f7ecc8", "#cfe6dd")
 MEANINGS: Final = (
@@ -48,8 +50,10 @@ MEANINGS: Final = (
     f"{LIMIT:g} to {CLEAR:g}: barely",
     f"above {CLEAR:g}: distinguished",
 )
-#: inches of one cell, at most, and from which its number has normal size
-MAX_CELL, SMALL_CELL = 0.42, 0.34
+#: inches of one cell, at most
+MAX_CELL = 0.42
+#: inches of a cell from which its number has normal size
+SMALL_CELL = 0.34
 #: size from which a number has no decimal
 MIN_WHOLE_NUMBER: Final = 9.95
 

@@ -24,8 +24,10 @@ MAX_TRACES: Final = 9
 MAX_COLUMNS: Final = 3
 #: readings of a run up to which each has a mark of full size
 FULL_SIZE_MAX_READINGS: Final = 60
-#: quantile of the residuals, and the factor above it that counts as an outlier
-QUANTILE, FAR = 0.98, 3.0
+#: quantile of the residuals that a figure shows
+QUANTILE = 0.98
+#: factor above it that counts as an outlier
+FAR = 3.0
 #: channels that set-ups have alone, so that a title need not name them
 SINGLE_CHANNELS: Final = ("length", "height")
 AXIS_LABELS: Final = {"circle": "angle [°]", "line": "distance along the line [mm]"}

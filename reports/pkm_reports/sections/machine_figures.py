@@ -34,8 +34,10 @@ VIEW: Final[dict[str, float]] = {"elev": 20.0, "azim": -58.0}
 AZIMUTHS: Final[tuple[float, ...]] = (-58.0, *map(float, range(-85, -4, 5)))
 #: width and height of a label, relative to one another
 LETTERING: Final = np.array([3.0, 1.0])
-#: least depth of a box, as a share of its largest side, and room around it
-MIN_DEPTH, MARGIN = 0.3, 1.06
+#: least depth of a box, as a share of its largest side
+MIN_DEPTH = 0.3
+#: size of the drawing over that of the box
+MARGIN = 1.06
 #: share of the largest side below which an axis has few ticks
 SHORT_AXIS_SHARE: Final = 0.6
 #: letters do not scale with the box, so fitting takes more than one step

@@ -89,8 +89,10 @@ OFFSETS: Final = np.array(
 #: numbers of readings written at one place
 MAX_NUMBERS: Final = 3
 LETTER_SIZE: Final = 5.5  # points
-#: half-width of a label in letter sizes: of its frame, and of each letter
-FRAME, LETTER = 0.45, 0.33
+#: half-width of a label's frame, in letter sizes
+FRAME = 0.45
+#: half-width of each letter of a label, in letter sizes
+LETTER = 0.33
 HALF_HEIGHT: Final = 0.8
 #: distance of a label from its place, in half-widths and half-heights
 LABEL_DISTANCE: Final = 2.2

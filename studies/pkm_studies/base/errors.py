@@ -16,8 +16,12 @@ from oed.text import shorten
 # Fields are dotted paths as in the file; entries of lists count from 1
 # (`setup[2].length_mm`).
 
-#: most characters of a value, a problem and a remedy
-VALUE, PROBLEM, REMEDY = 60, 220, 240
+#: characters of a value, at most
+VALUE = 60
+#: of a problem
+PROBLEM = 220
+#: of a remedy
+REMEDY = 240
 _MISSING: Final = object()
 
 

@@ -34,8 +34,10 @@ DEFAULT_MAX_COMMANDS = 5000
 GROWTH_SHARE = 0.2
 #: where no accuracy was predicted, the error of each joint, m or rad
 JOINT_ERROR = 1e-6
-#: a box that is partly out of reach shrinks by this factor, so many times
-SHRINK, SHRINKS = 0.9, 20
+#: factor by which a box that is partly out of reach shrinks
+SHRINK = 0.9
+#: times that it shrinks, at most
+SHRINKS = 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -251,8 +253,10 @@ def _place(value: float, unit: str) -> str:
 # Limbs of a machine as bodies and joints, from the ends of its struts.
 
 
-#: change of a joint, m or rad, from which the motion of a strut's end is taken
-TURN, TRAVEL = 0.5, 0.01
+#: change of a rotary joint, rad, from which the motion of a strut's end is taken
+TURN = 0.5
+#: change of a linear joint, m, for the same
+TRAVEL = 0.01
 #: m; what differs less between two poses does not move
 MOTION_TOLERANCE = 1e-9
 LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"

@@ -13,8 +13,12 @@ from oed.model import Coordinate, Machine
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.tables import PredictionReference
 
-#: most poses of the grid; its values a coordinate, and with too many poses
-POSES, VALUES, FEWER_VALUES = 1000, 5, 3
+#: poses of the grid, at most
+POSES = 1000
+#: values of a coordinate
+VALUES = 5
+#: values of a coordinate where these are too many poses
+FEWER_VALUES = 3
 #: values where an instrument leaves two coordinates free: enough readings to choose from
 MORE_VALUES = 8
 #: values of an angle that goes all the way round

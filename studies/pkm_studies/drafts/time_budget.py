@@ -24,8 +24,10 @@ TIME: Final = re.compile(
 )
 #: characters of a time
 MAX_TIME_CHARACTERS: Final = 40
-#: fewest and most readings that a time is turned into
-FEWEST, MOST = 6, 300
+#: readings that a time is turned into, at least
+FEWEST = 6
+#: and at most
+MOST = 300
 
 
 def read_time(text: str) -> float:

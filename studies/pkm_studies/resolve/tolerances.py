@@ -29,9 +29,10 @@ from pkm_studies.tables import BoundsTable, ToleranceTable
 # Noise of the set-ups, and what else of it is stated, as the study gives them.
 
 
-#: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
-#: squares lose all digits
-MIN_SIGMA, LARGEST = 1e-12, 1e3
+#: least noise of an instrument, SI: below it sums of squares lose all digits
+MIN_SIGMA = 1e-12
+#: largest noise and tolerance, SI: above it sums of squares lose all digits
+LARGEST = 1e3
 #: ends of the names of an error that all readings of a run share, and of a display's step
 RUN, RESOLUTION = "_run", "_resolution"
 #: name of what each run seats anew

@@ -13,8 +13,14 @@ from oed.model import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location
 
-#: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)
-SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8
+#: sampled commands
+SAMPLES = 600
+#: steps of the solution, at most
+STEPS = 30
+#: step of a difference quotient, m or rad
+SLOPE_STEP = 1e-6
+#: miss that is accepted, m
+MISS = 1e-8
 #: largest step, over a coordinate's range
 MAX_STEP = 0.2
 #: digits of a command, m or rad: less is rounding of the solution

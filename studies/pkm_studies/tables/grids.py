@@ -11,8 +11,12 @@ from pkm_studies.tables.base import Count, Positive, StudyTable, Triple
 # Tables of poses as a user has them: circles, lines and cubes of tool points.
 
 
-#: poses on a circle, points on a line, and along an edge of a cube
-CIRCLE_COUNT, LINE_COUNT, CUBE_COUNT = 36, 11, 3
+#: poses on a circle
+CIRCLE_COUNT = 36
+#: points on a line
+LINE_COUNT = 11
+#: points along an edge of a cube
+CUBE_COUNT = 3
 #: columns of the first and second axis of a circle's plane
 CIRCLE_PLANES: Final = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 

@@ -15,8 +15,10 @@ from pkm_studies.catalogue import (
 )
 from pkm_studies.quantities import display_unit
 
-#: seconds of rest before a reading, and feed, mm/min
-DWELL, FEED = 2.0, 300
+#: rest before a reading, s
+DWELL = 2.0
+#: mm/min
+FEED = 300
 #: letters of angles, in the order of the command
 TURNS = "ABC"
 

@@ -266,8 +266,12 @@ def _close(
 
 
 SUFFIXES = (".xml", ".urdf")
-#: first half width of the workspace over the largest length, and largest tilt, rad
-REACH, TILT, HALVINGS = 0.08, 0.08, 6
+#: first half width of the workspace over the largest length
+REACH = 0.08
+#: largest tilt, rad
+TILT = 0.08
+#: times that a workspace out of reach is halved, at most
+HALVINGS = 6
 TOLERANCE = 1e-9
 #: rad; a knee that bends by less is drawn straight
 STRAIGHT_ANGLE = 1e-6

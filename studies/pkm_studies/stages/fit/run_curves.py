@@ -33,8 +33,10 @@ MAX_HEIGHT = 0.05
 MIN_POINTS = 5
 #: tool points nearer than this are one place, m
 SAME_PLACE = 1e-4
-#: decimals of residuals and of positions
-DIGITS, PLACE_DIGITS = 4, 3
+#: decimals of residuals
+DIGITS = 4
+#: decimals of positions
+PLACE_DIGITS = 3
 #: the unit of residuals given as multiples of the stated noise
 SIGMA = "sigma"
 
