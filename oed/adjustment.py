@@ -114,20 +114,20 @@ def choose_steps(problem: StepProblem) -> Array:
     sizes = np.array([problem.size(amounts) for amounts in fitted])
     good = np.flatnonzero(sizes <= (1.0 + WORTH_SHARE) * sizes.min())
     best = min(good, key=lambda k: (len(lists[k]), sizes[k]))
-    return _without_idle_lines(problem, _swapped(problem, fitted[best]))
+    return _drop_idle_lines(problem, _swapped(problem, fitted[best]))
 
 
 def sizes_without(problem: StepProblem, amounts: Array) -> Array:
     """Errors (lines,) where one line is left out and the others are fitted again."""
     lines = np.flatnonzero(amounts).tolist()
-    return np.array([problem.size(_without(problem, lines, j)) for j in lines])
+    return np.array([problem.size(_dropped(problem, lines, j)) for j in lines])
 
 
-def _without(problem: StepProblem, lines: list[int], line: int) -> Array:
+def _dropped(problem: StepProblem, lines: list[int], line: int) -> Array:
     return problem.fit_steps([j for j in lines if j != line])
 
 
-def _without_idle_lines(problem: StepProblem, amounts: Array) -> Array:
+def _drop_idle_lines(problem: StepProblem, amounts: Array) -> Array:
     """Remove the line that is worth least while it is not worth its work."""
     while amounts.any():
         lines = np.flatnonzero(amounts).tolist()
@@ -135,7 +135,7 @@ def _without_idle_lines(problem: StepProblem, amounts: Array) -> Array:
         least = int(np.argmin(sizes))
         if sizes[least] > (1.0 + WORTH_SHARE) * problem.size(amounts):
             break
-        amounts = _without(problem, lines, lines[least])
+        amounts = _dropped(problem, lines, lines[least])
     return amounts
 
 
@@ -246,7 +246,7 @@ class AdjustableMachine:
             before, amounts = amounts, choose_steps(problem)
             if np.array_equal(before, amounts):
                 break
-        lines = _in_order(problem, amounts)
+        lines = _line_order(problem, amounts)
         without = dict(
             zip(np.flatnonzero(amounts), sizes_without(problem, amounts), strict=True)
         )
@@ -323,7 +323,7 @@ class AdjustableMachine:
         )
 
 
-def _in_order(problem: StepProblem, amounts: Array) -> list[int]:
+def _line_order(problem: StepProblem, amounts: Array) -> list[int]:
     """Numbers of the lines: each next one leaves the smallest error."""
     waiting = np.flatnonzero(amounts).tolist()
     lines: list[int] = []

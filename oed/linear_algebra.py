@@ -98,7 +98,7 @@ def first_largest(values: Array) -> int:
     return int(np.argmax(sizes >= (1.0 - EQUAL_VALUE_TOLERANCE) * sizes.max()))
 
 
-def by_size(values: Array) -> Index:
+def size_order(values: Array) -> Index:
     """Numbers of the entries, the largest size first; equal ones, but for rounding, in
     their order.
     """

@@ -63,7 +63,7 @@ def temporary_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, str(part)):
             raise  # another file was refused
-        raise _about(path, error) from error
+        raise _named_error(path, error) from error
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
@@ -104,7 +104,7 @@ def flush(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _about(path: Path, error: OSError) -> OSError:
+def _named_error(path: Path, error: OSError) -> OSError:
     """The error with the name of the file that was to be written.
 
     A full disk is reported without a name, and HDF5 reports it without a number.

@@ -47,11 +47,11 @@ def section_objections(
     if final is None:
         return []
     far = far_parameters(final)
-    sentences = [_of_the_check(goodness)] if _fails_check(goodness) else []
+    sentences = [_check_reasons(goodness)] if _fails_check(goodness) else []
     if corrected is not None:
         sentences += corrected.warnings
     elif not sentences and estimate is not None:
-        sentences += _of_residuals(goodness, estimate)
+        sentences += _residual_reasons(goodness, estimate)
     if far:
         sentences.append(
             f"these ended more than {FAR_TOLERANCES:.0f} tolerances from nominal: {', '.join(far)};"
@@ -95,7 +95,7 @@ def _fails_check(goodness: GoodnessSection | None) -> bool:
     return goodness is not None and goodness.bad_fit
 
 
-def _of_the_check(goodness: GoodnessSection | None) -> str:
+def _check_reasons(goodness: GoodnessSection | None) -> str:
     """What a check of the readings found."""
     if goodness is None:
         return ""
@@ -109,7 +109,7 @@ def _of_the_check(goodness: GoodnessSection | None) -> str:
     return _large(ratio)
 
 
-def _of_residuals(
+def _residual_reasons(
     goodness: GoodnessSection | None, estimate: EstimateSection
 ) -> list[str]:
     """Residuals of readings that no check looked at: those of a virtual machine."""

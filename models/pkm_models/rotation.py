@@ -35,10 +35,10 @@ def tilt_torsion(rx: Expr, ry: Expr, spin: Expr) -> Expr:
         ca.horzcat(b * rx * ry, c + b * ry * ry, -a * rx),
         ca.horzcat(-a * ry, a * rx, c),
     )
-    return tilt @ about_z(spin)
+    return tilt @ z_rotation(spin)
 
 
-def about_z(angle: Expr) -> Expr:
+def z_rotation(angle: Expr) -> Expr:
     """Rotation (3 x 3) about z."""
     cos, sin = ca.cos(angle), ca.sin(angle)
     return ca.vertcat(

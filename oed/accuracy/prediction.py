@@ -87,7 +87,7 @@ class Spread:
         largest_of_each.sort(axis=1)
         of_machine = {
             "rms": np.sqrt(np.mean(size**2, axis=1)),
-            "p95": _of_ordered(largest_of_each, place % 1.0),
+            "p95": _interpolated(largest_of_each, place % 1.0),
             "largest": largest_of_each[:, -1],
         }
         rms = root_mean_square(size, worth)
@@ -368,21 +368,21 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
     machines = len(values) if worth is None else worth
     end = float(np.quantile(values[::TAIL_STEP], 1.0 - TAIL * (1.0 - share)))
     tail = np.sort(values[values >= end])
-    value = _of_tail(tail, share, values)
+    value = _tail_quantile(tail, share, values)
     beyond = (values > value).mean(axis=1)
     step = beyond.std() / np.sqrt(machines)
     low, high = np.clip([share - step, share + step], 0.0, 1.0)
-    below, above = _of_tail(tail, low, values), _of_tail(tail, high, values)
+    below, above = _tail_quantile(tail, low, values), _tail_quantile(tail, high, values)
     return Drawn(float(value), float(0.5 * (above - below)))
 
 
-def _of_tail(tail: Array, share: float, values: Array) -> Array:
+def _tail_quantile(tail: Array, share: float, values: Array) -> Array:
     """A quantile of values, of which the largest are given in order."""
     place = share * (values.size - 1) - (values.size - tail.size)
-    return np.quantile(values, share) if place < 0.0 else _of_ordered(tail, place)
+    return np.quantile(values, share) if place < 0.0 else _interpolated(tail, place)
 
 
-def _of_ordered(ordered: Array, place: float) -> Array:
+def _interpolated(ordered: Array, place: float) -> Array:
     """What stands at a place, from 0 on and between two, of the ordered values (..., n)."""
     number = int(place)
     pair = ordered[..., number : number + 2]

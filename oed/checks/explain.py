@@ -26,7 +26,7 @@ from oed.checks.mistakes.suspect import (
     part_scopes,
     several_runs,
 )
-from oed.checks.mistakes.trial import OnScope, in_scopes
+from oed.checks.mistakes.trial import OnScope, mistakes_of_scopes
 from oed.checks.outlier_odds import MAX_GROSS_SHARE
 from oed.checks.outliers import MEDIAN_SIZE, find_outliers
 from oed.checks.screening import (
@@ -188,7 +188,7 @@ def _neighbouring_parts(
     near = part_scopes(data.session, likeliest)
     for on in dict.fromkeys(one.trial.on for one in of_rows):
         if on is not None:
-            yield from in_scopes(near, on)
+            yield from mistakes_of_scopes(near, on)
 
 
 # -- mistakes of several runs ----------------------------------------------------------

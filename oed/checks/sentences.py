@@ -136,7 +136,7 @@ def _one_of(rows: Sequence[Row]) -> str:
 def guessed(ratio: float, outliers: OutlierSearch) -> CheckFinding:
     """Residuals above a noise that was stated as a guess."""
     sentence = (
-        f"The residuals are {_times(ratio)} the stated noise{_without(outliers)}: the"
+        f"The residuals are {_times(ratio)} the stated noise{_drop_words(outliers)}: the"
         " noise was understated, or an effect is not in the model. The standard"
         " deviations come from the residuals, as `estimate` in [noise] asks."
     )
@@ -158,7 +158,7 @@ def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     """Residuals below what the stated noise leaves."""
     sentence = (
         f"The residuals are only {_times(fitted.ratio or 0.0)} the stated noise"
-        f"{_without(outliers)} (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of"
+        f"{_drop_words(outliers)} (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of"
         f" freedom, p {format_p_value(fitted.p_low)}): the noise is overstated or"
         " correlated along each run, or the readings were smoothed, averaged or computed."
     )
@@ -170,17 +170,17 @@ def _misfit(fitted: Goodness, outliers: OutlierSearch) -> str:
     p = format_p_value(fitted.p_high)
     if fitted.ratio is None:
         return (
-            f"no machine within its tolerances gives these readings{_without(outliers)}"
+            f"no machine within its tolerances gives these readings{_drop_words(outliers)}"
             f" (p {p}). They have no degree of freedom beyond the unknowns, and say"
             " nothing of the noise"
         )
     return (
-        f"residuals are {_times(fitted.ratio)} the stated noise{_without(outliers)}"
+        f"residuals are {_times(fitted.ratio)} the stated noise{_drop_words(outliers)}"
         f" (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of freedom, p {p})"
     )
 
 
-def _without(outliers: OutlierSearch) -> str:
+def _drop_words(outliers: OutlierSearch) -> str:
     """Which rows a figure leaves out."""
     aside = GoodnessSection.without_rows(len(outliers.gross), "set aside")
     doubt = GoodnessSection.without_rows(len(outliers.doubtful), "in doubt")

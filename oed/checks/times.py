@@ -163,7 +163,7 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
 FAR_STEPS = 10.0
 
 
-def within_one_run(runs: Sequence[TimedRun], column: TimeColumn) -> list[CheckFinding]:
+def first_run_fault(runs: Sequence[TimedRun], column: TimeColumn) -> list[CheckFinding]:
     """The first run of each kind of fault, and how many others have one."""
     by_kind: dict[str, list[CheckFinding]] = {}
     for run in runs:
@@ -317,7 +317,9 @@ LATER_WORDS = {HALF_DAY: "12 h (a clock of 12 hours)", DAY: "24 h (another day)"
 Clash = tuple[TimedRun, int, TimedRun, int]
 
 
-def between_runs(runs: Sequence[TimedRun], column: TimeColumn) -> list[CheckFinding]:
+def first_fault_of_runs(
+    runs: Sequence[TimedRun], column: TimeColumn
+) -> list[CheckFinding]:
     """The first fault of the times of several runs."""
     paced = [
         run for run in runs if len(run) >= MIN_CADENCE_READINGS and run.cadence > 0.0
@@ -527,4 +529,4 @@ def wrong_times(session: SessionReadings) -> list[CheckFinding]:
     """
     runs = timed_runs(session)
     column = time_column(session)
-    return within_one_run(runs, column) or between_runs(runs, column)
+    return first_run_fault(runs, column) or first_fault_of_runs(runs, column)

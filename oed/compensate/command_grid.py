@@ -207,7 +207,7 @@ def choose_command_grid(
         """Errors (n, s, k) over the target of interpolation along one axis."""
         if count == 1:
             return np.zeros((*exact.shape[:2], len(target)))
-        lines = _between(positions, k, axes[k].knots(count), correction)
+        lines = _interpolated(positions, k, axes[k].knots(count), correction)
         return np.asarray(np.einsum("nkj,nsj->nsk", motion_per_target, lines - exact))
 
     counts = [axis.fewest for axis in axes]
@@ -241,7 +241,7 @@ def _grown(counts: list[int], k: int, largest: int) -> list[int] | None:
     return None
 
 
-def _between(
+def _interpolated(
     positions: Array, k: int, knots: Array, correction: Callable[[Array], Array]
 ) -> Array:
     """Corrections (n, s, nq) at places, in straight lines between the knots of axis k."""

@@ -40,7 +40,7 @@ class InterpolationTable:
         """Interpolated values (n, m) at places (n, a)."""
         low = np.array([axis[0] for axis in self.knots])
         high = np.array([axis[-1] for axis in self.knots])
-        inside = np.clip(self._in_first_turn(positions, low, high), low, high)
+        inside = np.clip(self._reduce_turns(positions, low, high), low, high)
         varied = [k for k, axis in enumerate(self.knots) if len(axis) > 1]
         if not varied:
             return np.repeat(self.values.reshape(1, -1), len(positions), axis=0)
@@ -50,7 +50,7 @@ class InterpolationTable:
         interpolator = scipy.interpolate.RegularGridInterpolator(knots, values)
         return np.asarray(interpolator(inside[:, varied]))
 
-    def _in_first_turn(self, positions: Array, low: Array, high: Array) -> Array:
+    def _reduce_turns(self, positions: Array, low: Array, high: Array) -> Array:
         """Places with the angles of full turns between the ends of their axes."""
         reduced = np.array(positions, dtype=float)
         for k in np.flatnonzero(self.turns):

@@ -185,14 +185,14 @@ def updated_sizes(
         for members in groups:
             of_group = covariance[np.ix_(members, members)]
             prior = float(sizes[members[0]])
-            likelihood = _by_readings_alone(values[members], of_group, prior)
+            likelihood = _divide_prior(values[members], of_group, prior)
             table.append(_log_evidences(*likelihood))
         for members, size in zip(groups, _group_sizes(np.array(table)), strict=True):
             updated[members] = size
     return updated
 
 
-def _by_readings_alone(
+def _divide_prior(
     values: Array, covariance: Array, prior: float
 ) -> tuple[Array, Array]:
     """An estimate divided by its prior N(0, prior^2): information (k,), precision (k,).

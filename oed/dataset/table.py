@@ -137,7 +137,7 @@ class TableCells:
     columns: Mapping[str, Sequence[str] | Array]
 
 
-def by_column(
+def convert_columns(
     rows: Iterable[Row], places: Mapping[str, int], convert: Convert
 ) -> TableCells:
     """Columns of numbered rows of cells; `places` are those of stems in a row.
@@ -274,7 +274,7 @@ def from_rows(
         remedy = cell_remedy(stem, poses)
         return numbers_of(columns[stem], points, numbers, file, remedy)
 
-    cells = by_column(rows, places, convert)
+    cells = convert_columns(rows, places, convert)
     if not len(cells.rows):
         raise ReadingsError(
             "there are no readings below the header", "add one row a reading", file=file

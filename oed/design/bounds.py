@@ -45,7 +45,7 @@ def bound(
     by_candidates: dict[bytes, Relaxation] = {}
     for problem in rules.relaxations(len(blocks)):
         optimum = _relax(blocks, criterion, problem, prior, rounding)
-        new = _over_all_candidates(optimum, problem, len(blocks))
+        new = _all_candidates(optimum, problem, len(blocks))
         key = problem.candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
         if key not in by_candidates or new.bound < by_candidates[key].bound:
@@ -132,7 +132,7 @@ def _relax_capped(
     )
 
 
-def _over_all_candidates(
+def _all_candidates(
     optimum: Relaxation, problem: RelaxedRules, count: int
 ) -> Relaxation:
     """The relaxation with weights and gradient of all candidates (C,), as numbers."""

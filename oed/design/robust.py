@@ -84,7 +84,7 @@ def choose(
     def objective(cost: Array | None, sharpness: float) -> RiskObjective:
         parts = objectives
         if cost is not None:
-            parts = tuple(_per_cost(o, cost) for o in objectives)
+            parts = tuple(_cost_ratio(o, cost) for o in objectives)
         return RiskObjective(parts, risk, tail_share, sharpness)
 
     levels = SHARPNESS[:1] if risk == "mean" else SHARPNESS
@@ -129,7 +129,7 @@ def _check(criterion: Criterion, tail_share: float) -> None:
         )
 
 
-def _per_cost(objective: CriterionObjective, cost: Array) -> CriterionObjective:
+def _cost_ratio(objective: CriterionObjective, cost: Array) -> CriterionObjective:
     blocks = objective.blocks / np.sqrt(cost)[:, None, None]
     return dataclasses.replace(objective, blocks=blocks)
 

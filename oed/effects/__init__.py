@@ -11,7 +11,7 @@ absorbing_shift   how far the parameters move that absorb effects
 Course            a course that a planned session may take
 draw_courses      courses in pairs of opposite sides
 CourseColumns     changes of planned readings over courses
-over_courses      what columns change in each course
+course_changes      what columns change in each course
 PlannedEffects    combinations of effects that planned readings show
 planned_effects   the combinations of largest change
 """
@@ -22,7 +22,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.effects.columns import ExpectedColumns, expected_columns
-    from oed.effects.courses import Course, CourseColumns, draw_courses, over_courses
+    from oed.effects.courses import Course, CourseColumns, course_changes, draw_courses
     from oed.effects.effect_maps import ActingForm, SessionStates, absorbing_shift
     from oed.effects.planned import PlannedEffects, planned_effects
     from oed.effects.unmodelled import (

@@ -51,11 +51,15 @@ Series = Callable[[State], Array]
 def unknown_effects() -> tuple[Effect, ...]:
     """Effects of no known form, for any machine."""
     series: dict[str, Series] = {
-        "place": over_places,
-        "direction": over_places,
-        "time": over_time,
+        "place": place_terms,
+        "direction": place_terms,
+        "time": course_terms,
     }
-    carriers = {"tool": _on_tool, "joints": _on_joints, "readings": _on_readings}
+    carriers = {
+        "tool": _tool_columns,
+        "joints": _joint_columns,
+        "readings": _reading_columns,
+    }
     effects = []
     for (carrier, columns), (course, values) in itertools.product(
         carriers.items(), series.items()
@@ -87,12 +91,12 @@ def _columns(
     return columns
 
 
-def over_places(state: State) -> Array:
+def place_terms(state: State) -> Array:
     """Terms (m, k) of a smooth function of the joints in their travels."""
     return np.column_stack(list(_terms(state.travel, WORKSPACE_TERMS)))
 
 
-def over_time(state: State) -> Array:
+def course_terms(state: State) -> Array:
     """Terms (m, k) of a smooth function of the session's course."""
     course = 2.0 * state.session_progress[:, None] - 1.0
     return np.column_stack(list(_terms(course, TIME_TERMS)))
@@ -117,7 +121,7 @@ def _smoothest(dimensions: int, count: int) -> Array:
     return np.array(ranked[1 : count + 1], dtype=float)
 
 
-def _on_tool(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
+def _tool_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Displacements of the tool along the axes of the base."""
     sense = _zero_where_unknown(state.direction) if reverses else 1.0
     for axis, name in enumerate("xyz"):
@@ -126,7 +130,7 @@ def _on_tool(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
             yield Column(f"{name} {k + 1}", UNIT_SIZE, joints=joints)
 
 
-def _on_joints(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
+def _joint_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Errors of each joint by itself."""
     for i in state.limbs:
         sense = _zero_where_unknown(state.motion_sign[:, i]) if reverses else 1.0
@@ -135,7 +139,7 @@ def _on_joints(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
             yield Column(f"{leg} {k + 1}", UNIT_SIZE, leg, {i: sense * term})
 
 
-def _on_readings(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
+def _reading_columns(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Errors of the instrument, in each channel of each set-up."""
     for channel in state.channels:
         label = f"{state.setup} {channel}"

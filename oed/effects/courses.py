@@ -213,7 +213,7 @@ def depends_on_course(effect: Effect) -> bool:
     return any(part.startswith(COURSE_NEEDS) for part in parts)
 
 
-def over_courses(
+def course_changes(
     problem: GapProblem,
     courses: Sequence[Course],
     columns: ExpectedColumns,

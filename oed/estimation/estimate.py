@@ -195,7 +195,7 @@ def add_warnings(
             f"these ended more than {FAR_TOLERANCES:.0f} tolerances from where they began; widen"
             f" [prior] or doubt the model: {', '.join(far)}"
         )
-    near = _near_bounds(measurement, estimate)
+    near = _bounded_parameters(measurement, estimate)
     if near:
         sentences.append(
             "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
@@ -295,7 +295,7 @@ def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
     return [measurement.names[k] for k in far]
 
 
-def _near_bounds(measurement: Measurement, estimate: Estimate) -> list[str]:
+def _bounded_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
     """Parameters whose bound is within two standard deviations, or was passed."""
     margin = BOUND_MARGIN * estimate.sd
     bounds = measurement.bounds

@@ -353,9 +353,7 @@ def _p_value(chi2: float, dof: int, widening: float) -> float:
     return float(special.chdtrc(dof, chi2 / widening**2)) if dof else 1.0
 
 
-def _per_time(
-    change: CombinationChange, span: float, widening: float
-) -> CombinationChange:
+def _rate(change: CombinationChange, span: float, widening: float) -> CombinationChange:
     """A change over the whole span as a rate."""
     rate, sd = change.change / span, widening * change.sd / span
     return CombinationChange(
@@ -414,7 +412,7 @@ class MachineSessions:
         back = np.linalg.pinv(root) if dof else np.zeros((len(tolerance), 0))
         covariance = widening**2 * back @ back.T * np.outer(scale, scale)
         rates = [
-            _per_time(c, span, widening)
+            _rate(c, span, widening)
             for c in combinations(names, tolerance, root, white)
         ]
         return SessionDrift(

@@ -250,7 +250,7 @@ def lost_motions(
         target /= np.linalg.norm(target)
         lost = _null_direction(null_space, target, of_machine)
         if lost is not None:
-            texts.append(motion.text + _along_with(identified.names, lost))
+            texts.append(motion.text + _setups_along(identified.names, lost))
             directions.append(lost / np.linalg.norm(lost))
     if not directions:
         return texts, null_space
@@ -271,7 +271,7 @@ def _null_direction(null_space: Array, target: Array, of_machine: Mask) -> Array
     return None
 
 
-def _along_with(names: Sequence[str], direction: Array) -> str:
+def _setups_along(names: Sequence[str], direction: Array) -> str:
     """The set-ups that move along with a direction (n,), in words."""
     setups = []
     for name, value in zip(names, direction, strict=True):

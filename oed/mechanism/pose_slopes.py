@@ -157,16 +157,16 @@ class PoseAdjoints:
         """
         distinct = np.unique(index)
         if len(distinct) > MAX_POSE_SHARE * len(index):
-            return self._of_many(slopes, index)
+            return self._pull_back_each(slopes, index)
         if len(distinct) == 1:
-            return self._of_one(slopes, distinct[0])
+            return self._pull_back_single(slopes, distinct[0])
         rows = np.empty((*slopes.shape[:3], self._p.shape[1]))
         for pose in distinct:
             readings = index == pose
-            rows[:, readings] = self._of_one(slopes[:, readings], pose)
+            rows[:, readings] = self._pull_back_single(slopes[:, readings], pose)
         return rows
 
-    def _of_many(self, slopes: Array, index: Index) -> Array:
+    def _pull_back_each(self, slopes: Array, index: Index) -> Array:
         """As `pull_back`, reading by reading."""
         m, n, channels, nx = slopes.shape
         x = self._x[:, index].reshape(m * n, nx)
@@ -177,7 +177,7 @@ class PoseAdjoints:
         self._check(condition)
         return rows.reshape(m, n, channels, -1)
 
-    def _of_one(self, slopes: Array, pose: int) -> Array:
+    def _pull_back_single(self, slopes: Array, pose: int) -> Array:
         """As `pull_back`, of readings that see one pose."""
         m, n, channels, nx = slopes.shape
         sensitivity, condition = self._slopes.over_parameters_with_condition(

@@ -132,7 +132,9 @@ class _Arrays:
                 self._calls.append((np.positive, (values[sources[0]], entry)))
             else:
                 arguments = [values[source] for source in sources]
-                operation = OPERATIONS[code].array or _of_library(code, len(sources))
+                operation = OPERATIONS[code].array or _library_operation(
+                    code, len(sources)
+                )
                 row = values[targets[0]] = rows[targets[0]]
                 self._calls.append((operation, (*arguments, row)))
 
@@ -147,7 +149,7 @@ class _Arrays:
 
 
 @functools.cache
-def _of_library(code: int, count: int) -> Callable[..., None]:
+def _library_operation(code: int, count: int) -> Callable[..., None]:
     """An operation on so many numbers, in the interpreter; writes its last argument."""
     symbols = [ca.SX.sym(f"x{k}", LIBRARY_POINTS) for k in range(count)]
     build = ca.SX.unary if count == 1 else ca.SX.binary

@@ -488,7 +488,7 @@ def _too_short(problem: PlanProblem) -> str:
     )
 
 
-def _by_combination(plans: Sequence[StagePlan]) -> list[StagePlan]:
+def _first_plans(plans: Sequence[StagePlan]) -> list[StagePlan]:
     """The first plan of each combination of options."""
     combinations: dict[tuple[str, ...], StagePlan] = {}
     for plan in plans:
@@ -502,7 +502,7 @@ def _refine(
     """The best combinations of options, refined and verified."""
     by_value = sorted(partial, key=lambda plan: plan.value)
     refined = []
-    for k, plan in enumerate(_by_combination(by_value)[:REFINED_SEQUENCES]):
+    for k, plan in enumerate(_first_plans(by_value)[:REFINED_SEQUENCES]):
         refined.append(move_time(problem, plan))
         if progress is not None:
             progress((k + 1) / REFINED_SEQUENCES)
@@ -521,7 +521,7 @@ def _plans_on_target(
     """
     by_time = sorted(partial, key=lambda plan: plan.seconds)
     near = [plan for plan in by_time if plan.value <= NEAR_TARGET_VALUE]
-    shortest = _by_combination(near)
+    shortest = _first_plans(near)
     on_target = [plan for plan in refined if plan.value <= 1.0]
     trimmed = [
         trim_plan(problem, plan) for plan in [*shortest[:REFINED_SEQUENCES], *on_target]

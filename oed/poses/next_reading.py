@@ -144,7 +144,7 @@ class Belief:
             return None
         fewer = chosen
         while len(chosen) > 1:
-            fewer = _without_least(self, blocks, chosen, limits)
+            fewer = _drop_least(self, blocks, chosen, limits)
             if not _exchange_until_reached(self, blocks, fewer, limits):
                 break
             chosen = fewer
@@ -194,7 +194,7 @@ def _exchange_until_reached(
     return not updated.open_components(limits)
 
 
-def _without_least(
+def _drop_least(
     belief: Belief, blocks: Array, chosen: list[int], limits: Array
 ) -> list[int]:
     """The chosen candidates without the one that is missed least."""

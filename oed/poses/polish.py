@@ -288,7 +288,7 @@ class PolishProgram:
         for i, name in enumerate(self._setups):
             setup = self.start.measurement.setups[name]
             settings, tool = numbers[2 * i], numbers[2 * i + 1]
-            setups.append(self._with_values(setup, settings, tool))
+            setups.append(self._set_values(setup, settings, tool))
         unshifted = numbers[2 * len(self._setups) :]
         measurement = self.start.measurement.with_setups(setups)
         plan = ReadingPlan(measurement, self.start.series)
@@ -298,7 +298,7 @@ class PolishProgram:
             commands.append(command + shift)
         return move_to_commands(plan, commands)
 
-    def _with_values(self, setup: Setup, settings: Array, tool: Array) -> Setup:
+    def _set_values(self, setup: Setup, settings: Array, tool: Array) -> Setup:
         """The set-up with other settings and another tool, its teach pose moved by it."""
         items = zip(setup.instrument.settings, settings.ravel(), strict=True)
         values = {item.name: float(value) for item, value in items}

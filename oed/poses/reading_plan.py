@@ -77,7 +77,7 @@ def symbolic_pose(machine: Machine) -> SymbolicPose:
     target = machine.target(cs)
     errors = [a - b for a, b in zip(reached, target, strict=True)]
     equations = ca.vertcat(phi, ca.vertcat(*errors))
-    residual, phi_x = _at_nominal(machine, p, equations, ca.jacobian(phi, x))
+    residual, phi_x = _nominal_values(machine, p, equations, ca.jacobian(phi, x))
     levers = [1.0 if item.unit == "rad" else machine.lever for item in machine.pose]
     determinant: Any = ca.SX(0, 1)
     if phi_x.shape[0] == phi_x.shape[1]:
@@ -118,7 +118,7 @@ def symbolic_reading(
     y = ca.vertcat(*instrument.observe(frames, ss, by_name))
     by_machine = ca.jacobian(y, p)
     for x, _, phi in poses:
-        by_machine += _through_pose(y, x, phi, p)
+        by_machine += _pose_slope(y, x, phi, p)
     rows: Any = _all_columns(measurement, setup, by_machine, ca.jacobian(y, s))
     rows = rows @ ca.diag(ca.DM(column_scale(measurement, scaling)))
     if scaling == "tolerance":
@@ -128,7 +128,7 @@ def symbolic_reading(
         rows = ca.diag(ca.DM(_channel_lengths(machine, setup))) @ rows
     nuisances = ca.DM([n.nominal for n in setup.nuisances])
     at_nominal: Any = [
-        ca.substitute(e, s, nuisances) for e in _at_nominal(machine, p, rows, y)
+        ca.substitute(e, s, nuisances) for e in _nominal_values(machine, p, rows, y)
     ]
     rows, y = at_nominal
     pose_symbols = [symbol for x, q, _ in poses for symbol in (x, q)]
@@ -140,14 +140,14 @@ def symbolic_reading(
     )
 
 
-def _through_pose(y: Any, x: Any, phi: Any, p: Any) -> Any:
+def _pose_slope(y: Any, x: Any, phi: Any, p: Any) -> Any:
     """Slope of y over p by way of the pose x."""
     settled = phi if phi.numel() == x.numel() else ca.jacobian(phi, x).T @ phi
     adjoint = ca.solve(ca.jacobian(settled, x).T, ca.jacobian(y, x).T)
     return -adjoint.T @ ca.jacobian(settled, p)
 
 
-def _at_nominal(machine: Machine, p: Any, *expressions: Any) -> list[Any]:
+def _nominal_values(machine: Machine, p: Any, *expressions: Any) -> list[Any]:
     nominal = ca.DM(machine.nominal)
     return [ca.substitute(e, p, nominal) for e in expressions]
 

@@ -169,11 +169,11 @@ def _entries(tree: Any, steps: Sequence[str], keys: Keys = ()) -> Iterator[Entry
     if not steps:
         yield keys, tree
         return
-    for key, value in _below(tree, steps[0]):
+    for key, value in _children(tree, steps[0]):
         yield from _entries(value, steps[1:], (*keys, key))
 
 
-def _below(tree: Any, step: str) -> Iterator[tuple[str, Any]]:
+def _children(tree: Any, step: str) -> Iterator[tuple[str, Any]]:
     """Keys and values of a table or list that a step of a pattern stands for."""
     if isinstance(tree, list | tuple):
         every = step in EVERY

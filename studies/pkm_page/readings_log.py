@@ -149,7 +149,7 @@ class ReadingsLog:
         Raises StaleError where the file has another version by now.
         """
         data = content.text.encode("utf-8")
-        files.out_folder(self.path.parent)
+        files.make_folder(self.path.parent)
         with _exclusive(self.path):
             if self.read().version != base:
                 raise StaleError

@@ -34,7 +34,7 @@ from pkm_printers.delta_study import (
     free_tilts,
     noise_table,
 )
-from pkm_printers.repeated import PooledSpread, by_place, pooled
+from pkm_printers.repeated import PooledSpread, heights_by_place, pooled
 from pkm_studies.base import InputError
 from pkm_studies.importers import ImportedSession, MeshUse
 from pkm_studies.tables import ControllerTable
@@ -96,7 +96,7 @@ def delta_session(
     mesh_notes += [one.sentence(mesh) for one in meshes]
     mesh_notes += explanations(meshes, "M665 and M666")
     probed = points or [point for one in meshes[:1] for point in one.points]
-    spread = pooled([*by_place(points), *repeated])
+    spread = pooled([*heights_by_place(points), *repeated])
     free, about_lean = _factors(controller, geometry, probed, free)
     offsets = [point.probe for point in probed]
     tilts = free_tilts(offsets, free, len(probed), geometry)

@@ -303,7 +303,7 @@ def _noise(
     A saved height is the mean or median of the probe's samples.
     """
     if spread is not None and spread.is_known:
-        touches = max(1.0, klipper_config.of_probe(config, "samples", 1.0))
+        touches = max(1.0, klipper_config.probe_number(config, "samples", 1.0))
         height = 1e3 * spread.sigma / math.sqrt(touches)
         distance = 1e3 * DISTANCE_SIGMA if distances else None
         return noise_table("", round(height, 3), distance, spread.freedom)

@@ -139,7 +139,7 @@ def read(paths: Sequence[Path]) -> KlipperConfig:
     return KlipperConfig(file, saved | written, unused, parsed.sections)
 
 
-def of_text(text: str) -> KlipperConfig:
+def parse_options(text: str) -> KlipperConfig:
     """The options of a text that has no saved block."""
     parsed = _Parsed()
     _parse(text, "", parsed)
@@ -307,10 +307,10 @@ def _places(config: KlipperConfig, section: str, axis: str, count: int) -> Array
 
 def probe_offset(config: KlipperConfig) -> Offset:
     """Place (2,) of the probe from the nozzle, mm; 0 without a probe of its own place."""
-    return of_probe(config, "x_offset", 0.0), of_probe(config, "y_offset", 0.0)
+    return probe_number(config, "x_offset", 0.0), probe_number(config, "y_offset", 0.0)
 
 
-def of_probe(config: KlipperConfig, key: str, default: float) -> float:
+def probe_number(config: KlipperConfig, key: str, default: float) -> float:
     """A number of the section of the probe."""
     for section in (*PROBES, *other_probes(config)):
         if config.find(section, key) is not None:

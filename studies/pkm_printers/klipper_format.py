@@ -17,7 +17,7 @@ from pkm_printers.delta_numbers import (
 )
 from pkm_printers.klipper import RADIUS_OFFSET, linear_geometry
 from pkm_printers.klipper_rotary import WHERE, rotary_format
-from pkm_printers.machine_formats import by_machine
+from pkm_printers.machine_formats import choose_by_machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME, TOWERS = "klipper", "abc"
@@ -60,7 +60,7 @@ def notes(compensation: Compensation) -> tuple[str, ...]:
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Travels of a printer with this file."""
-    config = klipper_config.of_text(texts[".cfg"])
+    config = klipper_config.parse_options(texts[".cfg"])
     slope = [config.number("bed_tilt", f"{a}_adjust", 0.0) for a in "xy"]
     geometry = linear_geometry(config)
     numbers = dataclasses.replace(geometry, bed_slope=np.array(slope))
@@ -76,4 +76,4 @@ linear_format = ControllerFormat(
     unfit=not_a_delta,
     notes=notes,
 )
-controller = by_machine(linear_format, {rotary_delta.MODEL: rotary_format})
+controller = choose_by_machine(linear_format, {rotary_delta.MODEL: rotary_format})

@@ -10,7 +10,7 @@ from oed.model import Machine
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 
-def by_machine(
+def choose_by_machine(
     usual: ControllerFormat, others: Mapping[str, ControllerFormat]
 ) -> ControllerFormat:
     """The usual format, with others for machines of these names."""

@@ -206,7 +206,7 @@ def _corrections(
     starts = np.cumsum([0, *counts[:-1]])
     for row, (start, contact) in enumerate(zip(starts, contacts, strict=True)):
         means[row, start : start + len(contact.weights)] = contact.weights
-    travels = _to_bed(places, geometry)
+    travels = _bed_points(places, geometry)
 
     def believed(change: Array, travels: Array) -> Array:
         changed = geometry.changed(change)
@@ -218,11 +218,11 @@ def _corrections(
 
     change = optimize.least_squares(misses, np.zeros(len(TOLERANCE))).x
     single = np.array([[contact.x, contact.y] for contact in contacts])
-    at_place = believed(change, _to_bed(single, geometry))
+    at_place = believed(change, _bed_points(single, geometry))
     return at_place - means @ believed(change, travels)
 
 
-def _to_bed(places: Array, geometry: DeltaGeometry) -> Array:
+def _bed_points(places: Array, geometry: DeltaGeometry) -> Array:
     """Travels (n, 3) to z = 0 at places (n, 2), mm."""
     return geometry.travels(np.pad(places, ((0, 0), (0, 1))))
 

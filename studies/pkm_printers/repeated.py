@@ -106,11 +106,11 @@ def repeated_in_log(lines: Sequence[TextLine]) -> list[list[float]]:
             last, singles = place, True
         summary = SUMMARY.search(line.text)
         if summary and not singles:
-            groups.append(_with_deviation(gcode.finite(summary[1], line), samples))
+            groups.append(_add_deviation(gcode.finite(summary[1], line), samples))
     return groups
 
 
-def _with_deviation(deviation: float, samples: float) -> list[float]:
+def _add_deviation(deviation: float, samples: float) -> list[float]:
     """As many readings as were taken, with their root mean square deviation."""
     count = max(2, round(samples))
     signs = [(-1.0) ** k for k in range(2 * (count // 2))]
@@ -118,7 +118,7 @@ def _with_deviation(deviation: float, samples: float) -> list[float]:
     return values + [0.0] * (count % 2)
 
 
-def by_place(points: Iterable[ProbedPoint]) -> list[list[float]]:
+def heights_by_place(points: Iterable[ProbedPoint]) -> list[list[float]]:
     """Heights of points, mm, in lists by place and probe."""
     groups: dict[tuple[float, float, Offset], list[float]] = {}
     for point in points:

@@ -385,7 +385,7 @@ def probed_points(
         raise line.error(problem, "give the bed.g that was probed")
     _check_not_calibrated(lines, line)
     notes = [*reset, _places_text(points, "probe_offset_mm" in numbers)]
-    alike = _with_one_geometry(lines, reports)
+    alike = _one_geometry(lines, reports)
     if len(alike) > 1:
         notes.append(f"Heights: {len(alike)} passes over all points with one geometry.")
     if len(reports) > len(alike):
@@ -397,7 +397,7 @@ def probed_points(
     ], notes
 
 
-def _with_one_geometry(
+def _one_geometry(
     lines: Sequence[TextLine], reports: Sequence[Report]
 ) -> Sequence[Report]:
     """The last reports between which nothing changed the printer, with as many heights."""

@@ -22,7 +22,7 @@ from pkm_printers.delta_numbers import (
     trims,
 )
 from pkm_printers.hangprinter import hangprinter_format
-from pkm_printers.machine_formats import by_machine
+from pkm_printers.machine_formats import choose_by_machine
 from pkm_printers.rrf import linear_geometry
 from pkm_printers.rrf_rotary import rotary_format
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
@@ -120,7 +120,7 @@ linear_format = ControllerFormat(
     unfit=not_a_delta,
     notes=notes,
 )
-controller = by_machine(
+controller = choose_by_machine(
     linear_format,
     {
         rotary_delta.MODEL: rotary_format,

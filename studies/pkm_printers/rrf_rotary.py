@@ -53,7 +53,7 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
     """The geometry of M669 K10 and M666. Raises InputError."""
     delta = gcode.merged(lines, "M669", "give the config.g that has M669 K10")
     stops = gcode.optional(lines, "M666")
-    heights = _by_limb(delta, "H")
+    heights = _limb_numbers(delta, "H")
     if np.ptp(heights) > ACCEPTED_LOSS:
         raise delta.line_of("H").error(
             "the model has its three shoulders at one height",
@@ -63,8 +63,8 @@ def rotary_geometry(lines: Sequence[TextLine]) -> RotaryGeometry:
     return RotaryGeometry(
         radius=delta.number("R"),
         height=float(heights.mean()),
-        upper=_by_limb(delta, "U"),
-        lower=_by_limb(delta, "L"),
+        upper=_limb_numbers(delta, "U"),
+        lower=_limb_numbers(delta, "L"),
         angles=TOWER_ANGLES + delta.numbers("XYZ"),
         endstops=_largest(delta) + stops.numbers("XYZ"),
     )
@@ -88,7 +88,7 @@ def _largest(command: Command) -> float:
     return stated.values("A", 2)[1]
 
 
-def _by_limb(command: Command, letter: str) -> Array:
+def _limb_numbers(command: Command, letter: str) -> Array:
     """Numbers (3,) of the limbs; one stands for all. Raises InputError."""
     return np.array(command.values(letter, 1, 3)) * np.ones(3)
 

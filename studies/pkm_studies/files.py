@@ -43,7 +43,7 @@ def write_all(contents: Mapping[Path, bytes | str]) -> tuple[Path, ...]:
                 raise InputError(
                     "a folder of this name is in the way", "name a file", file=str(path)
                 )
-            out_folder(path.parent)
+            make_folder(path.parent)
             part = opened.enter_context(temporary_file(path))
             part.write_bytes(content.encode() if isinstance(content, str) else content)
             flush(part)
@@ -75,7 +75,7 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def out_folder(path: Path) -> Path:
+def make_folder(path: Path) -> Path:
     """Make a folder for results. Raises InputError where that is impossible."""
     check_writable(path)
     path.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ def prepare(folder: Path) -> None:
 
     Also where it has a result.json of another program.
     """
-    files.out_folder(folder)
+    files.make_folder(folder)
     written_before(folder)
 
 

@@ -24,7 +24,7 @@ def block(state: State) -> str:
     return f"set-up {state.setup}"
 
 
-def along_line(state: State, axis: int) -> Array:
+def line_places(state: State, axis: int) -> Array:
     """Places (m,) along the straightedge of a set-up, from -1 to 1 at its ends.
 
     It is as long as the way that the set-up reads along it.

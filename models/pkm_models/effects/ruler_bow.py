@@ -22,7 +22,7 @@ def columns(state: State) -> Iterable[Column]:
     if state.instrument not in references.LINES:
         return
     axis, channel = references.LINES[state.instrument]
-    u = references.along_line(state, axis)
+    u = references.line_places(state, axis)
     yield _column(state, channel, "bow", BOW, 1.0 - u**2)
     s_shape = (u - u**3) * 1.5 * np.sqrt(3.0)
     yield _column(state, channel, "S", terms.SHAPE_SHARE * BOW, s_shape)

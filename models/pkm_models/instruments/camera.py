@@ -37,7 +37,7 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return registration.coordinates_in_frame(s, frames[0].point)
 
 
-def _in_base_frame(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+def _base_rotation(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return list(ca.vertsplit(frames[0].point))
 
 
@@ -61,5 +61,5 @@ known_frame = dataclasses.replace(
     about="camera: three coordinates of the tool point, in the machine's base frame",
     channels=KNOWN,
     nuisances=(),
-    observe=_in_base_frame,
+    observe=_base_rotation,
 )

@@ -74,7 +74,7 @@ def _channels(machine: Machine) -> tuple[Channel, ...]:
     )
 
 
-def _for_machine(machine: Machine) -> Instrument:
+def _machine_channels(machine: Machine) -> Instrument:
     count = _spare(machine)
     return dataclasses.replace(
         instrument,
@@ -93,7 +93,7 @@ def _unlike(machine: Machine, count: int) -> str | None:
     return f"it is for {count} spare joints, here are {spare}: use for_machine(machine)"
 
 
-def _per_leg(machine: Machine) -> Instrument:
+def _leg_channels(machine: Machine) -> Instrument:
     legs, m = machine.joints, len(machine.joints)
     default = DEFAULT_SIGMA * math.sqrt(m)
 
@@ -127,7 +127,7 @@ instrument = Instrument(
     implied=0.0,
     observe=_one,
     unfit=lambda machine: _unfit(machine) or _unlike(machine, 1),
-    adapt=_for_machine,
+    adapt=_machine_channels,
 )
 
 per_leg = dataclasses.replace(
@@ -136,5 +136,5 @@ per_leg = dataclasses.replace(
     about="closure of a redundant machine, with a noise for each leg",
     observe=_several,
     unfit=lambda machine: _unfit(machine) or "use for_machine(machine)",
-    adapt=_per_leg,
+    adapt=_leg_channels,
 )

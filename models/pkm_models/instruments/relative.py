@@ -46,17 +46,20 @@ TILT = Parameter(
 Y, Z = 1, 2
 
 
-def _along(axis: int) -> Callable[[Sequence[Frame], Values, Values], Expr]:
+def _displacement(axis: int) -> Callable[[Sequence[Frame], Values, Values], Expr]:
     """Displacement from the reference along a base axis."""
     return lambda frames, s, k: frames[0].point[axis] - frames[1].point[axis]
 
 
-def _across(axis: int, line: int) -> Callable[[Sequence[Frame], Values, Values], Expr]:
+def _deviation(
+    axis: int, line: int
+) -> Callable[[Sequence[Frame], Values, Values], Expr]:
     """Deviation along a base axis from a ruler that lies along the axis `line`, up to
     its tilt.
     """
     return lambda frames, s, k: (
-        _along(axis)(frames, s, k) - s["tilt"] * _along(line)(frames, s, k)
+        _displacement(axis)(frames, s, k)
+        - s["tilt"] * _displacement(line)(frames, s, k)
     )
 
 
@@ -96,7 +99,7 @@ rm1 = _relative(
     "rm1",
     "RM 1: dy along y, laser interferometer",
     (_channel("dy", LASER_SIGMA),),
-    (_along(Y),),
+    (_displacement(Y),),
     (),
     _LASER_COST,
 )
@@ -104,7 +107,7 @@ rm2 = _relative(
     "rm2",
     "RM 2: dz along z, laser interferometer",
     (_channel("dz", LASER_SIGMA),),
-    (_along(Z),),
+    (_displacement(Z),),
     (),
     _LASER_COST,
 )
@@ -112,7 +115,7 @@ rm3 = _relative(
     "rm3",
     "RM 3: dz along y, micrometer",
     (_channel("dz", MICROMETER_SIGMA),),
-    (_across(Z, Y),),
+    (_deviation(Z, Y),),
     (TILT,),
     _MICROMETER_COST,
 )
@@ -120,7 +123,7 @@ rm4 = _relative(
     "rm4",
     "RM 4: dy along z, micrometer",
     (_channel("dy", MICROMETER_SIGMA),),
-    (_across(Y, Z),),
+    (_deviation(Y, Z),),
     (TILT,),
     _MICROMETER_COST,
 )
@@ -128,7 +131,7 @@ rm5 = _relative(
     "rm5",
     "RM 5: dy and dz along y, laser interferometer and micrometer",
     (_channel("dy", LASER_SIGMA), _channel("dz", MICROMETER_SIGMA)),
-    (_along(Y), _across(Z, Y)),
+    (_displacement(Y), _deviation(Z, Y)),
     (TILT,),
     Cost(setup=4800.0, reading=40.0),
 )

@@ -133,7 +133,7 @@ def build(geometry: families.Geometry) -> Machine:
     count = len(anchors)
     stated = math.inf if table["stiffness"] is None else table["stiffness"]
     fold, gear, stiffness = (
-        families.as_rows(values, count)
+        families.limb_rows(values, count)
         for values in (table["fold"], table["gear"], stated)
     )
     if min(fold.min(), gear.min(), stiffness.min()) <= 0.0 or count < 3:

@@ -41,7 +41,7 @@ from pkm_models.machines import linear_delta
 from pkm_models.machines.linear_delta import DOWN
 from pkm_models.machines.parts import families, translation
 from pkm_models.machines.parts.coordinates import joint, point
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 from pkm_models.machines.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
@@ -138,7 +138,7 @@ def build(geometry: Geometry) -> Machine:
     """A delta of this geometry. Raises ValueError where its arms are too short."""
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "radius", "arm", "print_radius", "print_height")
-    radius, arm = as_rows(table["radius"], 3), as_rows(table["arm"], 3)
+    radius, arm = limb_rows(table["radius"], 3), limb_rows(table["arm"], 3)
     if not (arm > radius).all():
         raise ValueError(
             "an arm is shorter than its radius: it cannot reach the centre"
@@ -180,11 +180,11 @@ def _workspace(
         width = PRINT_SHARE * min(reach, float(radius.min())) / math.sqrt(2.0)
     endstop = table["endstop"]
     if endstop is not None:
-        endstop = as_rows(endstop, 3)
+        endstop = limb_rows(endstop, 3)
         height = HEIGHT_SHARE * float(endstop.min()) if height is None else height
     else:
         height = HEIGHT_SHARE * 2.0 * float(arm.min()) if height is None else height
-        endstop = as_rows(height / HEIGHT_SHARE, 3)
+        endstop = limb_rows(height / HEIGHT_SHARE, 3)
     if not height > 0.0:
         raise ValueError("the endstops must be above z = 0, the plane of the bed")
     return float(width), float(height), endstop
@@ -206,7 +206,7 @@ def _parameters(
         parameter
         for stem, values, spread, unit, about in rows
         for parameter in families.numbers(
-            stem, as_rows(values, 3).tolist(), spread, unit, about
+            stem, limb_rows(values, 3).tolist(), spread, unit, about
         )
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from oed.model import Dimension, Family, Machine
 from pkm_models.machines.parts import cranks, families, translation
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "five_bar"
 CENTRES = ((-0.100, 0.0), (0.100, 0.0))
@@ -35,11 +35,11 @@ def build(geometry: Geometry) -> Machine:
     limbs = cranks.CrankedStruts(
         axis=np.tile([0.0, 0.0, 1.0], (2, 1)),
         first=np.tile([1.0, 0.0, 0.0], (2, 1)),
-        side=as_rows(table["side"], 2),
+        side=limb_rows(table["side"], 2),
         joint=lambda x, p, i: translation.tool_point(x),
         flat=True,
     )
-    crank, strut = as_rows(table["crank"], 2), as_rows(table["strut"], 2)
+    crank, strut = limb_rows(table["crank"], 2), limb_rows(table["strut"], 2)
     sd = families.tolerance(table, float(strut.max()))
     return translation.machine(
         home.tolist(),

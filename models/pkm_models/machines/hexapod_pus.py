@@ -19,7 +19,7 @@ import numpy as np
 from oed.model import Dimension, Family, Machine
 from pkm_models.machines.parts import families, legs, six_dof
 from pkm_models.machines.parts.carriages import GuidedStruts
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "hexapod_pus"
 GUIDES = families.ring(0.350, (-15, 15, 105, 135, 225, 255), 0.0)
@@ -40,8 +40,8 @@ def build(geometry: Geometry) -> Machine:
     home = families.array(table, "home")
     reach = families.number(table, "reach")
     along = families.unit_vectors(table["direction"], 6)
-    limbs = GuidedStruts(along, as_rows(table["side"], 6))
-    strut = as_rows(table["strut"], 6)
+    limbs = GuidedStruts(along, limb_rows(table["side"], 6))
+    strut = limb_rows(table["strut"], 6)
     size = families.largest(platform)
     span = families.largest(home + platform - guides)
     longest = float(strut.max())

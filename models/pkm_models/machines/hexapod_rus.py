@@ -18,7 +18,7 @@ import numpy as np
 
 from oed.model import Dimension, Family, Machine
 from pkm_models.machines.parts import cranks, families, legs, six_dof
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "hexapod_rus"
 CENTRES = families.ring(0.250, (-15, 15, 105, 135, 225, 255), 0.0)
@@ -42,9 +42,9 @@ def build(geometry: Geometry) -> Machine:
     home = families.array(table, "home")
     axis, first = cranks.directions(table["axis"], table["first"], 6)
     limbs = cranks.CrankedStruts(
-        axis, first, as_rows(table["side"], 6), legs.platform_joint
+        axis, first, limb_rows(table["side"], 6), legs.platform_joint
     )
-    crank, strut = as_rows(table["crank"], 6), as_rows(table["strut"], 6)
+    crank, strut = limb_rows(table["crank"], 6), limb_rows(table["strut"], 6)
     sd = families.tolerance(table, float(strut.max()))
     command = six_dof.command(
         home.tolist(), families.number(table, "reach"), families.number(table, "tilt")

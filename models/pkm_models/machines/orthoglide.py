@@ -19,7 +19,7 @@ import numpy as np
 from oed.model import Expr, Family, Machine, Values
 from pkm_models.machines.parts import families, legs, translation
 from pkm_models.machines.parts.carriages import GuidedStruts
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "orthoglide"
 DIMENSIONS = (
@@ -36,7 +36,7 @@ def build(geometry: Geometry) -> Machine:
     along = families.unit_vectors(table["direction"], 3)
     limbs = GuidedStruts(
         along,
-        as_rows(table["side"], 3),
+        limb_rows(table["side"], 3),
         joint=lambda x, p, i: translation.tool_point(x),
     )
 
@@ -45,7 +45,7 @@ def build(geometry: Geometry) -> Machine:
         ends = zip(limbs.limbs, limbs.struts(x, q, p), strict=True)
         return [[families.point(p, "b", i), *strut] for i, strut in ends]
 
-    strut, reach = as_rows(table["strut"], 3), families.number(table, "reach")
+    strut, reach = limb_rows(table["strut"], 3), families.number(table, "reach")
     longest, span = float(strut.max()), families.largest(home - guides)
     low, high = -span - reach - longest, span + reach + longest
     sd = families.tolerance(table, longest)

@@ -18,7 +18,7 @@ import numpy as np
 
 from oed.model import Dimension, Expr, Family, Machine, Start, Strut, Values
 from pkm_models.machines.parts import coordinates, families, legs, six_dof
-from pkm_models.machines.parts.families import Geometry, as_rows, point
+from pkm_models.machines.parts.families import Geometry, limb_rows, point
 from pkm_models.rotation import tilt_torsion
 
 NAME = "pentapod"
@@ -81,7 +81,7 @@ def build(geometry: Geometry) -> Machine:
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "radius", "reach", "tilt")
     base, home = families.array(table, "base"), families.array(table, "home")
-    height, radius = as_rows(table["height"], 5), as_rows(table["radius"], 5)
+    height, radius = limb_rows(table["height"], 5), limb_rows(table["radius"], 5)
     reach, tilt = families.number(table, "reach"), families.number(table, "tilt")
     offset = base - home
     across = np.linalg.norm(offset[:, :2], axis=1)

@@ -86,7 +86,7 @@ def joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     return slider, point + rotation @ local
 
 
-def out_of_plane(x: Values, q: Values, p: Values, i: int) -> Expr:
+def plane_distance(x: Values, q: Values, p: Values, i: int) -> Expr:
     """v_i . s_i: how far the ball joint is beside the plane of its strut, m."""
     slider, ball = joints(x, q, p, i)
     return ca.dot(ca.DM(_hinge_axis(i)), ball - slider)
@@ -105,7 +105,7 @@ def strut(x: Values, q: Values, p: Values, i: int) -> Expr:
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut length and strut plane of each limb, m."""
-    return [row(x, q, p, i) for i in LIMBS for row in (strut, out_of_plane)]
+    return [row(x, q, p, i) for i in LIMBS for row in (strut, plane_distance)]
 
 
 def target(c: Values) -> list[Expr]:

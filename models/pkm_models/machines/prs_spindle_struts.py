@@ -26,7 +26,7 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     return [
         row
         for i in full.LIMBS
-        for row in (full.strut(x, q, p, i), full.out_of_plane(x, q, drawn, i))
+        for row in (full.strut(x, q, p, i), full.plane_distance(x, q, drawn, i))
     ]
 
 

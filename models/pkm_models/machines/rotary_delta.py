@@ -25,7 +25,7 @@ import numpy as np
 from oed.base import Array
 from oed.model import Dimension, Family, Machine
 from pkm_models.machines.parts import cranks, families, translation
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "rotary_delta"
 ANGLES = tuple(math.radians(d) for d in (270.0, 150.0, 30.0))
@@ -53,7 +53,7 @@ def build(geometry: Geometry) -> Machine:
     limbs = cranks.CrankedStruts(
         axis, outward, np.full(3, -1.0), lambda x, p, i: translation.tool_point(x)
     )
-    upper, lower = as_rows(table["upper"], 3), as_rows(table["lower"], 3)
+    upper, lower = limb_rows(table["upper"], 3), limb_rows(table["lower"], 3)
     sd = families.tolerance(table, float(lower.max()))
     return translation.machine(
         home.tolist(),
@@ -79,8 +79,8 @@ def build(geometry: Geometry) -> Machine:
 
 def _shoulders(table: Geometry) -> tuple[Array, Array]:
     """Shoulders (3, 3) less the platform's joints, and outward directions (3, 3)."""
-    radius, height = as_rows(table["radius"], 3), as_rows(table["height"], 3)
-    angle = as_rows(table["angle"], 3)
+    radius, height = limb_rows(table["radius"], 3), limb_rows(table["height"], 3)
+    angle = limb_rows(table["angle"], 3)
     outward = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
     shoulders = radius[:, None] * outward
     shoulders[:, 2] = height

@@ -23,7 +23,7 @@ from oed.base import Array
 from oed.model import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models.machines.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.machines.parts.carriages import GuidedStruts
-from pkm_models.machines.parts.families import Geometry, as_rows
+from pkm_models.machines.parts.families import Geometry, limb_rows
 
 NAME = "tripod_prs"
 DEGREES = (0.0, 120.0, 240.0)
@@ -76,7 +76,7 @@ def build(geometry: Geometry) -> Machine:
     home = families.array(table, "home")
     along = families.unit_vectors(table["direction"], 3)
     axes = families.unit_vectors(table["axis"], 3)
-    strut = as_rows(table["strut"], 3)
+    strut = limb_rows(table["strut"], 3)
     size = families.largest(platform)
     span = families.largest(home + platform - guides)
     reach = families.number(table, "reach")
@@ -101,7 +101,7 @@ def build(geometry: Geometry) -> Machine:
         lever=size,
         command_orientation=coordinates.TILT_DIRECTION,
         family=family,
-        **_builder(along, axes, as_rows(table["side"], 3)),
+        **_builder(along, axes, limb_rows(table["side"], 3)),
     )
 
 

@@ -20,7 +20,13 @@ from oed.base import Array, Index, Mask
 from oed.checks.findings import rounded
 from oed.checks.mistakes.moved import AGAIN_SUFFIX, mounted_again, with_moved
 from oed.checks.mistakes.suspect import MIN_PART, Scope, Suspect, rows_scope
-from oed.checks.mistakes.trial import MistakeTrial, Words, amount, in_scopes, in_values
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    Words,
+    amount,
+    mistakes_of_scopes,
+    mistakes_of_values,
+)
 from oed.checks.session import SessionReadings
 from oed.instrument import InnerReading
 from oed.measurement import Series
@@ -38,9 +44,9 @@ N_STRETCHES = 5
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Zeros, offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
     yield from _zeros(data)
-    yield from in_values(data, partial(_offset, data))
-    yield from in_values(data, partial(_scale, data))
-    yield from in_values(data, partial(_offsets_of_runs, data))
+    yield from mistakes_of_values(data, partial(_offset, data))
+    yield from mistakes_of_values(data, partial(_scale, data))
+    yield from mistakes_of_values(data, partial(_offsets_of_runs, data))
     yield from _offsets_of_stretches(data)
     scopes = [*data.scopes, *data.parts]
     yield from filter(None, (_moved_setup(data, scope) for scope in scopes))
@@ -61,7 +67,7 @@ def _has_one(data: Suspect, scope: Scope, values: Mask) -> bool:
     return scope.level == "instrument" or len(set(data.channel[values])) == 1
 
 
-def _off_by(
+def _shifted_values(
     data: Suspect, kind: str, scope: Scope, text: Words, columns: Array, family: str
 ) -> MistakeTrial:
     """Values that are off by columns (N, k) times amounts."""
@@ -97,7 +103,7 @@ def _offset(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
 
     column = np.asarray(values, dtype=float)[:, None]
     family = "offset" if len(set(data.channel)) == 1 else f"offset {channel}"
-    return _off_by(data, kind, scope, text, column, family)
+    return _shifted_values(data, kind, scope, text, column, family)
 
 
 def _offsets_of_stretches(data: Suspect) -> Iterator[MistakeTrial]:
@@ -154,7 +160,7 @@ def _offsets_of_runs(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial 
             f" {most}: the instrument was not zeroed at each run, or moved between them"
         )
 
-    return _off_by(data, "run", scope, text, columns, f"offsets {channel}")
+    return _shifted_values(data, "run", scope, text, columns, f"offsets {channel}")
 
 
 def _scale(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
@@ -177,7 +183,7 @@ def _scale(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     column = np.where(values, session.y, 0.0)[:, None]
     family = f"factor {data.names(values)}"
     return dataclasses.replace(
-        _off_by(data, "factor", scope, text, column, family),
+        _shifted_values(data, "factor", scope, text, column, family),
         steps=np.array([1e-6]),
         log_prior=PART_LOG_PRIOR if scope.is_part else 0.0,
         scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
@@ -296,7 +302,7 @@ def _zeros(data: Suspect) -> Iterator[MistakeTrial]:
     inner = {one.name: one for s in setups for one in s.instrument.inner}
     for one in inner.values():
         off = partial(_zero, data, one, _slopes(data, one.name))
-        yield from in_scopes([*data.scopes, *data.parts], off)
+        yield from mistakes_of_scopes([*data.scopes, *data.parts], off)
 
 
 def _slopes(data: Suspect, name: str) -> Array:
@@ -333,4 +339,6 @@ def _zero(
         size = amount(abs(amounts[0]), sd[0], unit, with_sd=True)
         return f"every {inner.name}{scope.within} is {size} too {way}: {cause}"
 
-    return _off_by(data, kind, scope, text, slopes[:, None], f"zero {inner.name}")
+    return _shifted_values(
+        data, kind, scope, text, slopes[:, None], f"zero {inner.name}"
+    )

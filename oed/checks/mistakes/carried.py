@@ -15,7 +15,7 @@ import numpy as np
 from oed.base import Array, Index
 from oed.checks.findings import rounded
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, mistakes_of_scopes, value_trial
 from oed.checks.session import SessionReadings
 
 #: step of the share of the reading before, for differences
@@ -56,9 +56,9 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     for each in (True, False):
         scopes = [data.file] if each and len(data.runs) > 1 else data.scopes
         for text in FIXED:
-            yield from in_scopes(scopes, partial(_fixed, data, text, each))
+            yield from mistakes_of_scopes(scopes, partial(_fixed, data, text, each))
         for text in LAGS:
-            yield from in_scopes(scopes, partial(_lagging, data, text, each))
+            yield from mistakes_of_scopes(scopes, partial(_lagging, data, text, each))
 
 
 def _groups(data: Suspect, scope: Scope, *, each: bool) -> list[Index]:
@@ -81,7 +81,7 @@ def _where(data: Suspect, scope: Scope, *, each: bool) -> str:
     return " of each run" if each and len(data.runs) > 1 else ""
 
 
-def _without(
+def _drop_carried(
     data: Suspect, groups: list[Index], matrix: Callable[[int], Array]
 ) -> Array:
     """Values (N,) without what they hold of others."""
@@ -96,7 +96,7 @@ def _fixed(data: Suspect, text: str, each: bool, scope: Scope) -> MistakeTrial |
     matrices = [FIXED[text](len(group)) for group in groups]
     if not groups or any(np.linalg.cond(q) > 1e4 for q in matrices):
         return None
-    y = _without(data, groups, FIXED[text])
+    y = _drop_carried(data, groups, FIXED[text])
     log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
     sentence = f"the readings{_where(data, scope, each=each)} are {text}"
     return value_trial(data.session, "carried", scope, sentence, y, log_scale=log_scale)
@@ -112,7 +112,7 @@ def _lagging(
     count = sum(len(group) - 1 for group in groups)
 
     def without(share: float) -> Array:
-        return _without(data, groups, lambda n: LAGS[shown_part](n, share))
+        return _drop_carried(data, groups, lambda n: LAGS[shown_part](n, share))
 
     def undo(amounts: Array) -> list[SessionReadings]:
         if not 0.0 <= amounts[0] <= MAX_SHARE:

@@ -26,7 +26,7 @@ from oed.base import Array, Mask, Orientation
 from oed.checks.mistakes.moved import Change, commanded, moved_trials, permuted
 from oed.checks.mistakes.pose import RANGE_SLACK
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, mistakes_of_scopes, value_trial
 
 #: places (n, 3) and rotations (n, 3, 3) without a mistake, of those with it
 Unframed = Callable[[Array, Array], tuple[Array, Array]]
@@ -56,7 +56,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
                 if order == tuple(names) and sum(signs) > len(names) - 4.0:
                     continue  # the sign of one alone: see `values`
                 on = partial(_exchanged, data, names, order, signs)
-                yield from in_scopes(data.scopes, on)
+                yield from mistakes_of_scopes(data.scopes, on)
     yield from _read(data)
     yield from _driven(data)
 
@@ -203,7 +203,7 @@ def _read(data: Suspect) -> Iterator[MistakeTrial]:
             continue
         for mistake in _mistakes(orientation):
             on = partial(_read_otherwise, data, orientation, mistake)
-            yield from in_scopes(data.scopes, on)
+            yield from mistakes_of_scopes(data.scopes, on)
 
 
 def _read_otherwise(

@@ -12,11 +12,11 @@ from oed.base import Array
 from oed.checks.mistakes.moved import (
     Moved,
     SoughtAmount,
+    change_column,
     displaced_trials,
     exchanged,
     jointed,
     moved_trials,
-    of_column,
     permuted,
 )
 from oed.checks.mistakes.suspect import Scope, Suspect
@@ -41,7 +41,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
         )
     for k, joint in enumerate(joints):
         if joint.lower < 0.0 < joint.upper:
-            moved = jointed(measurement, of_column(k, np.negative))
+            moved = jointed(measurement, change_column(k, np.negative))
             sentence = f"the sign of {joint.name} is reversed{{within}}"
             yield from moved_trials(data, "joints", sentence, moved, PART_LOG_PRIOR)
         for sign in (1.0, -1.0):
@@ -56,7 +56,7 @@ def _stopped(data: Suspect, k: int, sign: float) -> Iterator[MistakeTrial]:
 
     def moved(end: float) -> Moved:
         stop = np.minimum if sign > 0.0 else np.maximum
-        change = of_column(k, lambda values: stop(values, end))
+        change = change_column(k, lambda values: stop(values, end))
         return jointed(data.session.measurement, change)
 
     text = partial(_stop_words, data, k, sign)

@@ -14,8 +14,8 @@ from oed.checks.copies import resolution
 from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import (
     MistakeTrial,
-    in_values,
     log_density_of_known,
+    mistakes_of_values,
     value_trial,
 )
 
@@ -29,10 +29,10 @@ MIN_DIVISIONS = 10.0
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings at the ends of a range, and revolutions."""
-    yield from in_values(data, partial(_clipped, data))
+    yield from mistakes_of_values(data, partial(_clipped, data))
     for si, turns in REVOLUTIONS.items():
         for turn in turns:
-            yield from in_values(data, partial(_revolved, data, si, turn))
+            yield from mistakes_of_values(data, partial(_revolved, data, si, turn))
 
 
 def _clipped(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:

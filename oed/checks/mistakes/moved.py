@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from oed.base import Array, Index, Mask
 from oed.checks.fit import CANNOT_BE, NO_AMOUNTS
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, mistakes_of_scopes
 from oed.checks.session import SessionReadings
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
@@ -111,7 +111,7 @@ def displaced_trials(
             table=table,
         )
 
-    yield from in_scopes(scopes, on)
+    yield from mistakes_of_scopes(scopes, on)
 
 
 def same(data: Suspect, table: PoseTable) -> bool:
@@ -120,7 +120,7 @@ def same(data: Suspect, table: PoseTable) -> bool:
     return predicted and np.allclose(table.slopes, data.slopes, rtol=1e-9, atol=1e-15)
 
 
-def by_run(series: Series) -> list[Index]:
+def readings_by_run(series: Series) -> list[Index]:
     """Readings of each run of a series, by number in it."""
     return [np.flatnonzero(series.run == name) for name in dict.fromkeys(series.run)]
 
@@ -145,7 +145,7 @@ def moved_rows(series: Series, moved: Moved) -> tuple[Index, Series] | None:
 def _reached(series: Series, lost: Index) -> Index:
     """Readings of the runs in which no pose is lost."""
     is_lost = np.isin(series.index, lost)
-    runs = [rows for rows in by_run(series) if not is_lost[rows].any()]
+    runs = [rows for rows in readings_by_run(series) if not is_lost[rows].any()]
     return np.concatenate(runs) if runs else np.zeros(0, dtype=np.intp)
 
 
@@ -302,13 +302,13 @@ def inside(
 
 def _rows(series: Series, rows: str, *, is_taught: bool) -> Mask:
     """Poses (m,) that are commanded in the file's rows, the teach pose, or all."""
-    of_file = in_file(series, is_taught=is_taught)
+    of_file = commanded_in_file(series, is_taught=is_taught)
     if rows == "teach":
         return ~of_file
     return of_file if rows == "file" else np.ones_like(of_file)
 
 
-def in_file(series: Series, *, is_taught: bool) -> Mask:
+def commanded_in_file(series: Series, *, is_taught: bool) -> Mask:
     """Poses (m,) that are commanded in the file's rows."""
     of_file = np.ones(len(series.command), dtype=bool)
     if is_taught:
@@ -348,7 +348,7 @@ def turns_freely(lower: float, upper: float) -> bool:
     return bool(np.isfinite(span) and span >= FULL_TURN * (1.0 - RANGE_TOLERANCE))
 
 
-def of_column(k: int, meant: Change) -> Change:
+def change_column(k: int, meant: Change) -> Change:
     """Column k (n,) changed. NaN, which is no pose, raises ValueError later on."""
 
     def change(values: Array) -> Array:
@@ -361,7 +361,7 @@ def of_column(k: int, meant: Change) -> Change:
 
 def shifted(k: int, amount: float) -> Change:
     """Column k plus an amount, SI."""
-    return of_column(k, lambda values: values + amount)
+    return change_column(k, lambda values: values + amount)
 
 
 def exchanged(count: int, one: int, other: int) -> tuple[int, ...]:

@@ -17,7 +17,12 @@ from oed.base import Array, Mask
 from oed.checks.mistakes.moved import commanded, pose_table, shifted
 from oed.checks.mistakes.pose import RANGE_SLACK
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, in_scopes, in_values, value_trial
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    mistakes_of_scopes,
+    mistakes_of_values,
+    value_trial,
+)
 from oed.dataset import ReadingsColumn
 
 #: decimals that a column has where it is rounded, from tens on
@@ -58,14 +63,14 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
         if (error > MIN_ROUNDING_ERROR * data.sigma).any():
             text = f"{name}{{}} is rounded to {step:g}: finer numbers were driven"
             on = partial(_rounded, data, text, error)
-            yield from in_scopes(data.scopes, on)
+            yield from mistakes_of_scopes(data.scopes, on)
 
 
 def noise_trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Noise that is stated in another unit."""
     for si, factors in OTHER_NOISE.items():
         for factor in factors:
-            yield from in_values(data, partial(_other_noise, data, si, factor))
+            yield from mistakes_of_values(data, partial(_other_noise, data, si, factor))
 
 
 def _decimals(values: Array) -> int | None:

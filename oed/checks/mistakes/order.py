@@ -11,7 +11,12 @@ import numpy as np
 from oed.base import Array, Index
 from oed.checks.mistakes.moved import exchanged
 from oed.checks.mistakes.suspect import Scope, Suspect, several_runs
-from oed.checks.mistakes.trial import MistakeTrial, in_scopes, members, value_trial
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    members,
+    mistakes_of_scopes,
+    value_trial,
+)
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
@@ -30,11 +35,11 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
         scopes = [data.file] if each else data.scopes
         for text, turn in {**BACKWARD, **_column_orders(data)}.items():
             on = partial(_turned_round, data, text, turn, each)
-            yield from in_scopes(scopes, on)
+            yield from mistakes_of_scopes(scopes, on)
         for shift in SHIFTS:
             parts = data.parts if not each and abs(shift) == 1 else []
             on = partial(_late, data, shift, each)
-            yield from in_scopes([*scopes, *parts], on)
+            yield from mistakes_of_scopes([*scopes, *parts], on)
         for scope in scopes:
             if scope.level != "set-up":
                 yield from filter(None, _turned(data, scope, each))

@@ -20,13 +20,13 @@ from oed.checks.mistakes.moved import (
     Change,
     Moved,
     SoughtAmount,
+    change_column,
     commanded,
+    commanded_in_file,
     displaced_trials,
     exchanged,
-    in_file,
     inside,
     moved_trials,
-    of_column,
     permuted,
     pose_table,
     same,
@@ -102,7 +102,7 @@ def _changes(data: Suspect) -> Iterator[tuple[str, Change]]:
     names = list(data.columns)
     for k, coordinate in enumerate(command):
         for text, meant in column_meanings(coordinate, data.command[:, k]).items():
-            yield text.format(names[k]), of_column(k, meant)
+            yield text.format(names[k]), change_column(k, meant)
     for j, k in itertools.combinations(range(len(command)), 2):
         if command[j].unit != command[k].unit:
             continue
@@ -267,17 +267,21 @@ def _solved(
 ) -> Series | None:
     """The same, with readings (n,) of the first channel that are a goal."""
     setup = measurement.setups[series.setup]
-    rows = in_file(series, is_taught=setup.teach is not None)
+    rows = commanded_in_file(series, is_taught=setup.teach is not None)
     command = series.command.copy()
     command[rows, k] += amount
     reading = _place_of_rows(series, rows)
     for _ in range(MAX_STEPS):
-        here = _first_channel(measurement, _at(measurement, series, command)) - goal
+        here = (
+            _first_channel(measurement, _series_at(measurement, series, command)) - goal
+        )
         if np.abs(here).max() < 1e-10:
             break
         nearby = command.copy()
         nearby[rows, follower] += COMMAND_STEP
-        there = _first_channel(measurement, _at(measurement, series, nearby)) - goal
+        there = (
+            _first_channel(measurement, _series_at(measurement, series, nearby)) - goal
+        )
         change = there - here
         if not np.all(np.abs(change) > 0.0):  # also where a reading is not finite
             return None
@@ -288,7 +292,7 @@ def _solved(
         return None
     if not inside(command[rows], measurement.machine, setup.tool, RANGE_SLACK):
         return None
-    return _at(measurement, series, command)
+    return _series_at(measurement, series, command)
 
 
 def _check_distance(command: Array, follower: int, measurement: Measurement) -> None:
@@ -311,7 +315,7 @@ def _place_of_rows(series: Series, rows: Mask) -> Array:
     return np.asarray(reading[rows])
 
 
-def _at(measurement: Measurement, series: Series, command: Array) -> Series:
+def _series_at(measurement: Measurement, series: Series, command: Array) -> Series:
     tool = np.array(measurement.setups[series.setup].tool)
     x, q = measurement.kinematics.sent(command, tool)
     return dataclasses.replace(series, q=q, start=x, command=command)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from oed.base import Index
-from oed.checks.mistakes.moved import Moved, by_run, moved_trials
+from oed.checks.mistakes.moved import Moved, moved_trials, readings_by_run
 from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement import Measurement, Series
@@ -32,14 +32,14 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     used = list(dict.fromkeys(s.setup for s in data.session.series))
     for name, other in itertools.product(used, measurement.setups):
         if name != other and _alike(measurement, name, other):
-            moved = in_other_setup(measurement, {name: other})
+            moved = poses_of_other_setup(measurement, {name: other})
             scopes = [scope for scope in data.scopes if _is_of(data, scope, name)]
             sentence = f"the readings{{of}} are of set-up {other}"
             yield from moved_trials(data, "setups", sentence, moved, scopes=scopes)
     for name, other in itertools.combinations(used, 2):
         if _alike(measurement, name, other):
             sentence = f"the set-ups {name} and {other} are exchanged"
-            moved = in_other_setup(measurement, {name: other, other: name})
+            moved = poses_of_other_setup(measurement, {name: other, other: name})
             yield from moved_trials(data, "setups", sentence, moved, scopes=[data.file])
 
     setups = measurement.setups
@@ -68,7 +68,7 @@ def _alike(measurement: Measurement, name: str, other: str) -> bool:
     )
 
 
-def in_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:
+def poses_of_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:
     """The poses of a series as commanded in the set-up of another name."""
 
     def moved(series: Series) -> Series:
@@ -95,7 +95,7 @@ def _differences_from(data: Suspect, reference: Callable[[int], int]) -> Moved:
         if setups[series.setup].instrument.reference != "run":
             return series
         index: Index = series.index.copy()
-        for rows in by_run(series):
+        for rows in readings_by_run(series):
             index[rows, 1] = series.index[rows[reference(len(rows))], 0]
         if np.array_equal(index, series.index):
             return None

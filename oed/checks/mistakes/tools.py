@@ -19,7 +19,12 @@ from oed.base import Array
 from oed.checks.fit import CANNOT_BE
 from oed.checks.mistakes.moved import AGAIN_SUFFIX, Moved, mounted_again, with_moved
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, amount, in_scopes
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    PoseTable,
+    amount,
+    mistakes_of_scopes,
+)
 from oed.checks.session import SessionReadings
 from oed.measurement import Measurement, Series
 
@@ -55,7 +60,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
             table = _table(data, partial(shift, data.file), amounts)
             if table is not None:
                 on = partial(_elsewhere, data, shift, text, axes, amounts, table)
-                yield from in_scopes(scopes, on)
+                yield from mistakes_of_scopes(scopes, on)
 
 
 #: the session with the tool point of a scope moved by amounts, m

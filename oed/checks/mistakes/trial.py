@@ -121,7 +121,7 @@ OnScope = Callable[[Scope], "MistakeTrial | None"]
 OnValues = Callable[[Scope, Mask], "MistakeTrial | None"]
 
 
-def in_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[MistakeTrial]:
+def mistakes_of_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[MistakeTrial]:
     """One mistake in each of some scopes."""
     for scope in scopes:
         trial = on(scope)
@@ -129,7 +129,7 @@ def in_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[MistakeTrial]:
             yield dataclasses.replace(trial, on=on)
 
 
-def in_values(data: Suspect, make: OnValues) -> Iterator[MistakeTrial]:
+def mistakes_of_values(data: Suspect, make: OnValues) -> Iterator[MistakeTrial]:
     """One mistake of all values, of a unit and of a channel, in the file, set-ups, runs
     and rows, and in what one instrument may have read.
     """

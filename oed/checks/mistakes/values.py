@@ -10,7 +10,7 @@ import numpy as np
 from oed import units
 from oed.base import Array, Mask
 from oed.checks.mistakes.suspect import Scope, Suspect
-from oed.checks.mistakes.trial import MistakeTrial, in_values, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, mistakes_of_values, value_trial
 from oed.dataset import SEXAGESIMAL, WRONG_FACTORS
 
 #: units that a file's readings may be in, beside those of a column
@@ -34,30 +34,34 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
     """Readings in other units, deviations, reversed and lost signs, simple factors."""
     for si in dict.fromkeys(data.unit[data.shown]):
         for name, factor in _unit_factors(si).items():
-            yield from in_values(
+            yield from mistakes_of_values(
                 data, partial(_other_unit_trial, data, si, name, factor)
             )
     for text, meant in SEXAGESIMAL.items():
-        yield from in_values(data, partial(_sexagesimal, data, text, meant))
+        yield from mistakes_of_values(data, partial(_sexagesimal, data, text, meant))
     for origin in ORIGINS[1:]:
         for fine in ({}, FINE_UNITS, DIVISIONS):
             for sign in (1.0, -1.0):
                 make = partial(_deviation, data, origin, fine, sign)
-                yield from in_values(data, make)
-        yield from in_values(data, partial(_added_twice, data, origin))
-    yield from in_values(data, partial(_lost, data))
+                yield from mistakes_of_values(data, make)
+        yield from mistakes_of_values(data, partial(_added_twice, data, origin))
+    yield from mistakes_of_values(data, partial(_lost, data))
     for origin in ORIGINS:
         reversed_sign = "the sign of {} is reversed"
-        yield from in_values(
-            data, partial(_about, data, origin, "sign", reversed_sign, -1.0)
+        yield from mistakes_of_values(
+            data,
+            partial(_deviations_changed, data, origin, "sign", reversed_sign, -1.0),
         )
         for text, factor in (
             FACTORS | (THOUSAND_FACTORS if origin else POINT_LOST_FACTORS)
         ).items():
             why = ": the decimal point is lost" if text in POINT_LOST_FACTORS else ""
             sentence = f"{{}} are {text} what they should be{why}"
-            yield from in_values(
-                data, partial(_about, data, origin, "scale", sentence, 1.0 / factor)
+            yield from mistakes_of_values(
+                data,
+                partial(
+                    _deviations_changed, data, origin, "scale", sentence, 1.0 / factor
+                ),
             )
 
 
@@ -218,7 +222,7 @@ def _lost(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     return value_trial(data.session, "sign", scope, sentence, changed)
 
 
-def _about(
+def _deviations_changed(
     data: Suspect,
     origin: str,
     kind: str,

@@ -98,7 +98,9 @@ class Compound(Criterion):
         levels = max(map(len, sequences))
         approach = []
         for level in range(levels - 1):
-            parts = tuple(_at_level(sequence, level, levels) for sequence in sequences)
+            parts = tuple(
+                _level_member(sequence, level, levels) for sequence in sequences
+            )
             approach.append(dataclasses.replace(self, parts=parts))
         return (*approach, self)
 
@@ -109,6 +111,6 @@ def compound(parts: Mapping[Criterion, float]) -> Criterion:
     return Compound(tuple(parts), tuple(s / total for s in parts.values()))
 
 
-def _at_level(sequence: Sequence[Criterion], level: int, levels: int) -> Criterion:
+def _level_member(sequence: Sequence[Criterion], level: int, levels: int) -> Criterion:
     """The member of a shorter continuation that goes with a level of a longer one."""
     return sequence[min(level * len(sequence) // levels, len(sequence) - 1)]

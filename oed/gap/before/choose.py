@@ -25,7 +25,7 @@ from scipy import linalg
 from oed.base import Array, Index
 from oed.design import Rules
 from oed.effect_model import Effect
-from oed.gap.before.detect import Form, effect_forms, in_words
+from oed.gap.before.detect import Form, combination_words, effect_forms
 from oed.gap.before.separation import (
     SMOOTHING_LEVELS,
     Separation,
@@ -242,7 +242,7 @@ def _targets(forms: Sequence[Form], rivals: Sequence[Form]) -> list[Target]:
     alike = [kind for kind in kinds.values() if len(kind) > 1]
     for members in alike + [[name] for kind in kinds.values() for name in kind]:
         shares = np.isin(signature.names, members).astype(float)
-        phrase = in_words(dict.fromkeys(members, 1.0))
+        phrase = combination_words(dict.fromkeys(members, 1.0))
         targets += [Target(middle, shares, phrase, rival) for rival in rivals]
     return targets
 

@@ -29,7 +29,7 @@ from oed.base import Array, Index, Mask
 from oed.effect_model import Effect
 from oed.gap.data.evidence import separated
 from oed.gap.data.problem import GapProblem, Metric, Signature, untestable
-from oed.linear_algebra import by_size, canonical_rows, eigenvectors, first_largest
+from oed.linear_algebra import canonical_rows, eigenvectors, first_largest, size_order
 from oed.measurement import Measurement
 from oed.noise import NoiseLaw
 from oed.result import (
@@ -343,7 +343,7 @@ def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
             shares = v / v[first_largest(v)]
             combination = dict(zip(names, shares.tolist(), strict=True))
             record = SharedRecord(
-                words=in_words(combination),
+                words=combination_words(combination),
                 combination=combination,
                 detectability=float(np.sqrt(whole)),
                 separation=float(np.sqrt(distinct)),
@@ -390,7 +390,7 @@ def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
     return vectors[:, visible] / np.sqrt(values[visible])
 
 
-def in_words(combination: Mapping[str, float]) -> str:
+def combination_words(combination: Mapping[str, float]) -> str:
     """A combination of coefficients, its largest share 1, in words."""
     values = np.array(list(combination.values()))
     names = list(combination)
@@ -400,7 +400,7 @@ def in_words(combination: Mapping[str, float]) -> str:
     if np.all(np.abs(values - mean) < COMMON_TOLERANCE * abs(mean)):
         return f"common to {', '.join(names[:-1])} and {names[-1]}"
     terms = []
-    for k in by_size(values):
+    for k in size_order(values):
         if abs(values[k]) >= 0.2:
             terms.append(_term(float(values[k]), names[k]))
     return " ".join(terms).removeprefix("+ ")

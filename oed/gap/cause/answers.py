@@ -82,11 +82,13 @@ def _add_rivals(
 ) -> list[str]:
     """What decides comes before a remedy, which may be for another effect."""
     rival = max(rivals, key=lambda answer: answer.visible)
-    tests = _between(first, rival, by_name)
+    tests = _distinction(first, rival, by_name)
     if not first.effects:
         return [*sentences, *tests]
     noise = [a for a in rivals if not a.effects and a.visible >= REPEAT_PROBABILITY]
-    repeats = [text for answer in noise for text in _between(first, answer, by_name)]
+    repeats = [
+        text for answer in noise for text in _distinction(first, answer, by_name)
+    ]
     beside = []
     if set(rival.effects) == {*first.effects, UNKNOWN}:
         beside = [
@@ -212,7 +214,7 @@ def _class_advice(members: Sequence[str], by_name: Mapping[str, Effect]) -> str:
     return f"These readings cannot tell {names} apart: " + "; ".join(tests) + "."
 
 
-def _between(
+def _distinction(
     first: AnswerRecord,
     second: AnswerRecord,
     by_name: Mapping[str, Effect],

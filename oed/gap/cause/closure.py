@@ -57,7 +57,7 @@ class Paths:
 
     def __init__(self, problem: GapProblem) -> None:
         joints = [state.joints for state in problem.states]
-        self._joints = discrepancy.at_poses(problem, joints)[:, 0]
+        self._joints = discrepancy.values_of_poses(problem, joints)[:, 0]
         self._runs = problem.members
         readings = problem.rows.groupby(["setup", "run", "order"], sort=False)
         self._reading = readings.ngroup().to_numpy()
@@ -73,7 +73,7 @@ class Paths:
         for number, runs in enumerate(self.groups()):
             rows = self._rows(runs)
             longest = max((self._runs[k] for k in runs), key=len)
-            pose, count = self._along(rows, longest)
+            pose, count = self._run_places(rows, longest)
             is_short = count < N_FOLDS
             fold[rows] = (
                 (pose + number) % N_FOLDS if is_short else pose * N_FOLDS // count
@@ -148,7 +148,7 @@ class Paths:
         rounding = 1e-12 * float(np.abs(together).max())
         return max(by_step, STILL_SHARE * extent, rounding)
 
-    def _along(self, rows: Index, longest: Index) -> tuple[Index, int]:
+    def _run_places(self, rows: Index, longest: Index) -> tuple[Index, int]:
         """Place of each row among the poses of the longest run, in its order.
 
         The second result is the number of places.

@@ -113,7 +113,7 @@ def _class_of(
     grams = search.grams.project_out(np.concatenate(selected))
 
     @functools.cache
-    def in_its_place() -> dict[str, Further]:
+    def allowed_effects() -> dict[str, Further]:
         """Effects with all their forms and sizes, under the law of the search."""
         return search.screen(beside, others, sizes)
 
@@ -121,7 +121,7 @@ def _class_of(
         """Log evidence over the effect's; 0 beside an unknown remainder, which hides it."""
         if h.unknown:
             return 0.0
-        rivals = in_its_place()
+        rivals = allowed_effects()
         return rivals[rival].log_evidence - rivals[effect].log_evidence
 
     members = [effect]

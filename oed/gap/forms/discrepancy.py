@@ -105,14 +105,16 @@ def _joints(problem: GapProblem, slopes: Array) -> Carrier:
 
 def _tool(problem: GapProblem, slopes: Array) -> Carrier:
     """The tool's place along the three axes of the base."""
-    pushing = at_poses(problem, [s.joints_per_displacement for s in problem.states])
+    pushing = values_of_poses(
+        problem, [s.joints_per_displacement for s in problem.states]
+    )
     columns = np.einsum("nqj,njqk->nkj", slopes, pushing)
     return Carrier("the tool", _scaled(columns), ("", "", ""))
 
 
 def _tool_length(problem: GapProblem, slopes: Array) -> Carrier:
     """The tool along its own axis, as of a spindle that warms."""
-    growth = at_poses(problem, [s.joints_per_extension for s in problem.states])
+    growth = values_of_poses(problem, [s.joints_per_extension for s in problem.states])
     columns = np.einsum("nqj,njq->nj", slopes, growth)
     return Carrier("the tool's length", _scaled(columns[:, None]), ("",))
 
@@ -136,7 +138,7 @@ def _joint_slopes(problem: GapProblem) -> Array:
     return problem.in_noise_units(np.concatenate(parts))
 
 
-def at_poses(problem: GapProblem, values: Sequence[Array]) -> Array:
+def values_of_poses(problem: GapProblem, values: Sequence[Array]) -> Array:
     """Values (m, ...) at the poses of each series, as the readings see them (N, J, ...).
 
     First comes the pose read, then what it is read against. The last repeats where a
@@ -453,7 +455,7 @@ def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bo
 
 
 def _covariate(problem: GapProblem, name: str) -> Values:
-    return at_poses(problem, [getattr(s, name) for s in problem.states])
+    return values_of_poses(problem, [getattr(s, name) for s in problem.states])
 
 
 def _temperature(problem: GapProblem, body: str) -> Values:
@@ -462,7 +464,7 @@ def _temperature(problem: GapProblem, body: str) -> Values:
     for state in problem.states:
         unknown = np.full(len(state), np.nan)
         values.append(state.temperature.get(body, unknown))
-    return at_poses(problem, values)
+    return values_of_poses(problem, values)
 
 
 def known_values(values: Array) -> Array:

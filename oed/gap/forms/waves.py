@@ -139,10 +139,10 @@ def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band
 
     They act on a channel, or on a part of the other carriers.
     """
-    times = discrepancies.at_poses(problem, [s.time for s in problem.states])
+    times = discrepancies.values_of_poses(problem, [s.time for s in problem.states])
     unit = "s"
     if not np.isfinite(times).all():
-        number = discrepancies.at_poses(
+        number = discrepancies.values_of_poses(
             problem, [s.session_progress for s in problem.states]
         )
         readings = sum(len(series) for series in problem.series)
@@ -158,7 +158,7 @@ def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band
 
 def _travel_bands(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band]:
     """Waves of a joint along its own travel."""
-    joints = discrepancies.at_poses(problem, [s.joints for s in problem.states])
+    joints = discrepancies.values_of_poses(problem, [s.joints for s in problem.states])
     joints = joints - joints.min(axis=(0, 1))
     for i, joint in enumerate(problem.measurement.machine.joints):
         clock = joints[:, :, i]

@@ -394,7 +394,9 @@ def _closure(gap: GapSection) -> list[Block]:
             str(closure.n),
             _closed(closure.value),
             _interval(closure),
-            text.MISSING if closure.p_worse is None else _of_draws(closure.p_worse),
+            text.MISSING
+            if closure.p_worse is None
+            else _drawn_probability(closure.p_worse),
             text.number(closure.s0),
             text.number(closure.s1),
             text.number(closure.s_noise),
@@ -410,7 +412,7 @@ def _closure(gap: GapSection) -> list[Block]:
     return [Table(columns, rows, caption)]
 
 
-def _of_draws(probability: float) -> str:
+def _drawn_probability(probability: float) -> str:
     """A probability by draws, of which a few hundred exclude no more than 1 %."""
     return text.percent(probability) if probability >= 0.01 else "under 1 %"
 

@@ -378,7 +378,7 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
 def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
     """Write the texts; a file that a user names is never replaced."""
     if out is None:
-        files.out_folder(folder)
+        files.make_folder(folder)
         return tuple(
             write_own(folder / f"compensation{suffix}", text.encode())
             for suffix, text in texts.items()
@@ -391,5 +391,5 @@ def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
             raise InputError(
                 "this file is there already", "name another one", file=str(path)
             )
-    files.out_folder(out.parent)
+    files.make_folder(out.parent)
     return files.write_all(dict(zip(paths, texts.values(), strict=True)))

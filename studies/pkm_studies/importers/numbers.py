@@ -67,7 +67,7 @@ class NumbersImporter:
         rows = columns.rows(table, mapped, mapping, tool, location)
         model = _widened(model, rows)
         if kind == REDUNDANCY:
-            model = _without_zeros(model)
+            model = _drop_zeros(model)
         setup: dict[str, Any] = columns.setup_table(
             msgspec.structs.replace(mapping, columns=mapped), kind, tool
         )
@@ -190,7 +190,7 @@ def _ranges(
     return ranges
 
 
-def _without_zeros(model: Model) -> Model:
+def _drop_zeros(model: Model) -> Model:
     """The machine without zeros and scales of its joints: no closure alone tells them."""
     names = {_stem(p.name) for p in model.machine.parameters}
     zeros = sorted(f"{stem}*" for stem in names - _sized_stems(model.machine))

@@ -109,7 +109,7 @@ class TrackerImporter:
         rows = columns.rows(table, mapped, mapping, tool, location)
         rows, left_out = columns.drop_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
-        rows = at_targets(rows, mapping, kinematics, location)
+        rows = target_rows(rows, mapping, kinematics, location)
         rows, sentence = _registered(rows, mapping, kinematics, tool, table, location)
         rows, channels = split_by_channels(rows, tool)
         return columns.session(
@@ -400,7 +400,7 @@ STATION = "tracker"
 POINTS = "_points"
 
 
-def at_targets(
+def target_rows(
     rows: Sequence[Row], mapping: ColumnMap, kinematics: Kinematics, location: Location
 ) -> list[Row]:
     """Rows whose commands are those of their target. Raises InputError.

@@ -170,7 +170,7 @@ def identify(
     >>> estimate.theta.shape == estimate.sd.shape
     True
     """
-    state = _with_readings(readings)
+    state = _add_readings(readings)
     if effects is not None:
         table = msgspec.structs.replace(
             state.study.identify, effects=_effects_value(effects)
@@ -193,7 +193,7 @@ def identify(
     return EstimateView(diagnosed(fitted))
 
 
-def _with_readings(source: Any) -> Measured:
+def _add_readings(source: Any) -> Measured:
     """The state of readings. Raises InputError where there are none."""
     state = getattr(source, "state", None)
     if isinstance(state, Measured):
@@ -287,7 +287,7 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     >>> diagnosis.section.verdict
     'none'
     """
-    state = _with_readings(source)
+    state = _add_readings(source)
     if not isinstance(state, Fitted):
         state = fit_checked(state)
     return DiagnosisView(diagnosed(state))

@@ -156,8 +156,8 @@ def effects_of_planned(
     """
     from oed.effects import (
         SessionStates,
+        course_changes,
         expected_columns,
-        over_courses,
         planned_effects,
     )
 
@@ -167,7 +167,9 @@ def effects_of_planned(
         return None
     session = SessionStates.of(problem)
     where, table = prediction.command, prediction.table
-    over = over_courses(problem, courses, columns, session, where, table.reference, rng)
+    over = course_changes(
+        problem, courses, columns, session, where, table.reference, rng
+    )
     return planned_effects(over, columns, session, problem.sigma, most)
 
 

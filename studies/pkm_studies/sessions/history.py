@@ -260,7 +260,7 @@ def write_comparison(folders: Sequence[Path], out: Path) -> tuple[Path, ...]:
     loaded = [load_result(folder) for folder in folders]
     results = dict(zip(short_names(folders), loaded, strict=True))
     changes = _changes(folders, loaded) if len(folders) == 2 else []
-    files.out_folder(out)
+    files.make_folder(out)
     return write_comparison(results, out, changes)
 
 

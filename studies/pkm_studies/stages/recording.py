@@ -18,8 +18,8 @@ from oed.effects import (
     ExpectedColumns,
     PlannedEffects,
     SessionStates,
+    course_changes,
     expected_columns,
-    over_courses,
 )
 from oed.gap import GapProblem
 from oed.measurement import Measurement, Series
@@ -198,7 +198,7 @@ def _stated(
     session: SessionStates,
 ) -> _Case:
     where, rng = plan.prediction, np.random.default_rng(plan.seed)
-    over = over_courses(
+    over = course_changes(
         problem, courses, columns, session, where.command, where.table.reference, rng
     )
     return _Case(_readings(plan, problem), courses, columns, over)

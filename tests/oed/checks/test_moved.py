@@ -8,16 +8,16 @@ from shipped_models import a3_head
 
 from oed.checks.mistakes import Suspect
 from oed.checks.mistakes.moved import (
-    by_run,
+    change_column,
     commanded,
-    in_file,
+    commanded_in_file,
     inside,
     jointed,
     moved_rows,
     moved_trials,
-    of_column,
     permuted,
     pose_table,
+    readings_by_run,
     shifted,
     turns_freely,
     with_moved,
@@ -37,7 +37,10 @@ def session() -> SessionReadings:
 
 def test_columns_are_changed_shifted_and_permuted() -> None:
     values = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    assert of_column(1, lambda v: 10.0 * v)(values).tolist() == [[1, 20, 3], [4, 50, 6]]
+    assert change_column(1, lambda v: 10.0 * v)(values).tolist() == [
+        [1, 20, 3],
+        [4, 50, 6],
+    ]
     assert shifted(2, -1.0)(values).tolist() == [[1, 2, 2], [4, 5, 5]]
     assert permuted((2, 0, 1))(values).tolist() == [[3, 1, 2], [6, 4, 5]]
     turned = permuted((1, 0, 2), (1.0, -1.0, 1.0))
@@ -70,7 +73,7 @@ def test_changed_commands_have_the_oracles_joints(session: SessionReadings) -> N
     (first, *_) = session.series
     moved = commanded(session.measurement, shifted(1, 0.2))(first)
     assert moved is not None
-    of_file = in_file(first, is_taught=True)
+    of_file = commanded_in_file(first, is_taught=True)
     assert 0 < (~of_file).sum() < len(of_file)
     assert moved.command[~of_file] == pytest.approx(first.command[~of_file])
     tool = session.measurement.setups[first.setup].tool[2]
@@ -94,7 +97,7 @@ def test_changed_joints_lead_to_the_oracles_poses(session: SessionReadings) -> N
 
 def test_only_the_readings_of_the_scope_are_moved(session: SessionReadings) -> None:
     (first, *_) = session.series
-    run = by_run(first)[0]
+    run = readings_by_run(first)[0]
     moved = commanded(session.measurement, shifted(1, 0.2))
     changed = with_moved(session, run, moved)
     assert sorted(changed.y) == sorted(session.y)
@@ -117,7 +120,7 @@ def test_only_the_readings_of_the_scope_are_moved(session: SessionReadings) -> N
 
 def test_runs_are_told_by_their_names(session: SessionReadings) -> None:
     (first, *_) = session.series
-    runs = by_run(first)
+    runs = readings_by_run(first)
     assert np.sort(np.concatenate(runs)).tolist() == list(range(len(first)))
     assert all(len({first.run[k] for k in run}) == 1 for run in runs)
 

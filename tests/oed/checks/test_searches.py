@@ -243,7 +243,7 @@ def test_runs_at_one_time_clash() -> None:
     assert clash is not None
     column = times.TimeColumn("time_s", "s", 1.0)
     assert column.others["min"] == 60.0
-    assert not times.within_one_run([first], column)
+    assert not times.first_run_fault([first], column)
     backward = run("c", [20.0, 10.0, 0.0])
-    (finding,) = times.within_one_run([backward], column)
+    (finding,) = times.first_run_fault([backward], column)
     assert "runs backward" in finding.sentence

@@ -9,8 +9,8 @@ from oed.effects.columns import (
     TIME_TERMS,
     UNIT_SIZE,
     WORKSPACE_TERMS,
-    over_places,
-    over_time,
+    course_terms,
+    place_terms,
     unknown_effects,
 )
 
@@ -29,7 +29,7 @@ def columns(name: str, state: State) -> dict[str, Column]:
 
 
 def test_an_error_of_the_tool_displaces_it_along_one_axis(state: State) -> None:
-    terms = over_places(state)
+    terms = place_terms(state)
     for k in (0, 3):
         moved = np.zeros((len(state), 3))
         for joint, change in columns("unknown tool place", state)[
@@ -63,7 +63,7 @@ def test_joints_err_one_by_one_and_readings_by_channel(state: State) -> None:
 
 
 def test_terms_are_independent_and_fall_with_their_order(state: State) -> None:
-    places, times = over_places(state), over_time(state)
+    places, times = place_terms(state), course_terms(state)
     assert places.shape == (len(state), WORKSPACE_TERMS)
     assert times.shape == (len(state), TIME_TERMS)
     assert np.abs(places).max(axis=0)[0] > np.abs(places).max(axis=0)[-1]

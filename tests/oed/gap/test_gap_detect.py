@@ -13,7 +13,7 @@ from kernel import a3_plans, gap_a3
 from kernel.dense_noise import law_covariance
 from kernel.laws import STATED_LAW, noise_law
 from oed.gap.before import choose, detect
-from oed.gap.before.detect import RIVAL_SD, in_words, needed_lambda, power
+from oed.gap.before.detect import RIVAL_SD, combination_words, needed_lambda, power
 from oed.gap.data.problem import signature
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
@@ -205,11 +205,14 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
 
 
 def test_combinations_in_words():
-    assert in_words({"leg 1": 1.0, "leg 2": 0.98, "leg 3": 0.99}).startswith(
+    assert combination_words({"leg 1": 1.0, "leg 2": 0.98, "leg 3": 0.99}).startswith(
         "common to leg 1, leg 2"
     )
-    assert in_words({"leg 1": 1.0, "leg 2": -0.9, "leg 3": 0.05}) == "leg 1 - 0.9 leg 2"
-    assert in_words({"bar": 1.0}) == "bar"
+    assert (
+        combination_words({"leg 1": 1.0, "leg 2": -0.9, "leg 3": 0.05})
+        == "leg 1 - 0.9 leg 2"
+    )
+    assert combination_words({"bar": 1.0}) == "bar"
 
 
 def test_same_seed_same_figures_and_bad_input():

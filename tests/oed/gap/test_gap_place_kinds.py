@@ -142,8 +142,10 @@ def test_a_worn_place_of_a_leg_is_no_backlash_beside_something() -> None:
     mean over both ways and its half difference are of one unknown.
     """
     problem = gap_lines.readings(3)
-    places = discrepancy.at_poses(problem, [s.joints for s in problem.states])
-    senses = discrepancy.at_poses(problem, [s.motion_sign for s in problem.states])
+    places = discrepancy.values_of_poses(problem, [s.joints for s in problem.states])
+    senses = discrepancy.values_of_poses(
+        problem, [s.motion_sign for s in problem.states]
+    )
     leg = places[..., 0]
     width = 0.2 * np.ptp(leg)
     bump = np.exp(-(((leg - leg.mean()) / width) ** 4)) * (1.0 + senses[..., 0] / 3.0)

@@ -120,7 +120,9 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
     against, has its part of it.
     """
     problem = readings(33, uneven=0.03)
-    place = discrepancy.at_poses(problem, [s.joints for s in problem.states])[:, :, 0]
+    place = discrepancy.values_of_poses(problem, [s.joints for s in problem.states])[
+        :, :, 0
+    ]
     wave = 2.5 * np.sin(2.0 * np.pi * place / 0.037 + 0.4)[..., None]
     _, joints, *_ = discrepancy.carriers_of(problem)
     leg = joints.columns[:, 0, None]

@@ -32,7 +32,7 @@ from pkm_models.machines.parts.coordinates import (
     turn_error,
 )
 from pkm_models.machines.parts.families import Geometry
-from pkm_models.rotation import about_z, tilt_torsion
+from pkm_models.rotation import tilt_torsion, z_rotation
 
 #: prior standard deviation of the drums' scales
 SCALE_SD = 0.5e-3
@@ -161,7 +161,7 @@ def _stiffness(table: Geometry, count: int) -> tuple[float, ...]:
         raise ValueError(
             "stiffness must have one number for each cable, or one for all"
         )
-    return tuple(families.as_rows(table["stiffness"], count).tolist())
+    return tuple(families.limb_rows(table["stiffness"], count).tolist())
 
 
 def _lever(attach: Any, span: float) -> float:
@@ -181,7 +181,7 @@ class _Mover:
         if not self.turns:
             return ca.SX.eye(3), origin
         if len(self.turns) == 1:
-            return about_z(x["spin"]), origin
+            return z_rotation(x["spin"]), origin
         return tilt_torsion(x["rx"], x["ry"], x["spin"]), origin
 
     def ends(self, x: Values, p: Values, i: int) -> tuple[Expr, Expr]:

@@ -117,7 +117,7 @@ def around(
     return tuple(joint(f"q{i + 1}", "m", low, high, about) for i in range(count))
 
 
-def as_rows(value: Any, count: int) -> Array:
+def limb_rows(value: Any, count: int) -> Array:
     """One number for each limb (count,), from one for all or one each."""
     return np.broadcast_to(np.asarray(value, dtype=float), (count,)).copy()
 

@@ -236,7 +236,7 @@ def accuracy_by_size(
     reached = np.array([p.accuracy for p in points])
     bounds = np.array([p.bound for p in points])
 
-    def by_component(shares: Array) -> dict[str, list[float]]:
+    def component_shares(shares: Array) -> dict[str, list[float]]:
         """Shares (sizes, components) of the scale, by component in its fine unit."""
         columns = {}
         for k, name in enumerate(names):
@@ -247,8 +247,8 @@ def accuracy_by_size(
     summary = HowManySummary(
         wanted={f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in wanted.items()},
         sizes=[p.size for p in points],
-        accuracy=by_component(reached),
-        bound=by_component(bounds),
+        accuracy=component_shares(reached),
+        bound=component_shares(bounds),
     )
     if not wanted:
         return summary

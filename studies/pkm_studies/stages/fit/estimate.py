@@ -30,7 +30,7 @@ from oed.fit_limits import ALARM_PROBABILITY, noise_ratio
 from oed.gap import GapProblem
 from oed.identifiability import Identifiability
 from oed.instrument import Setup
-from oed.linear_algebra import by_size
+from oed.linear_algebra import size_order
 from oed.measurement import Measurement, Series
 from oed.model import Machine
 from oed.noise import reach_phrase
@@ -519,7 +519,7 @@ def _widest(
     names = []
     for k in widest:
         weight = estimate.coordinates.basis[:, k] / scale
-        largest = by_size(weight)[:MAX_DIRECTION_PARAMETERS]
+        largest = size_order(weight)[:MAX_DIRECTION_PARAMETERS]
         terms = [f"{weight[j]:+.2f} {measurement.names[j]}" for j in largest]
         names.append(" ".join(terms))
     thin = max(1, len(z) // CORNER_DRAWS)
