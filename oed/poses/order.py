@@ -22,6 +22,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -501,39 +502,61 @@ def _nearest_neighbours_from(states: RunStates, first: int) -> Index:
 def _improve(tour: Index, states: RunStates, tolerance: float) -> Index:
     """The best reversal or shift, until none helps."""
     while True:
-        closed = np.concatenate([[0], tour, [0]])
-        changes = [_best_reversal(closed, states)]
+        path = _ClosedPath.of(tour, states)
+        changes = [_best_reversal(path, states)]
         for size in range(1, min(MAX_SHIFTED, len(tour) - 1) + 1):
-            changes.append(_best_shift(closed, states, size))
+            changes.append(_best_shift(path, states, size))
         delta, changed = min(changes, key=lambda change: change[0])
         if delta > -tolerance:
             return tour
         tour = changed()
 
 
-def _prefix_lengths(closed: Index, states: RunStates) -> tuple[Array, Array]:
-    """Length up to each place (n + 2,) of the closed path, forwards and backwards.
+class _ClosedPath(NamedTuple):
+    """A path from home and back, and what its moves cost.
 
-    Backwards every run is flipped.
+    closed           (n + 2,) states
+    moves            (n + 2, n + 2) cost from each place to each
+    into, out        the same into and out of flipped runs
+    forwards         (n + 2,) length up to each place
+    backwards        the same backwards, where every run is flipped
     """
-    flipped = states.flip[closed]
-    forwards = np.cumsum(states.cost[closed[:-1], closed[1:]])
-    backwards = np.cumsum(states.cost[flipped[1:], flipped[:-1]])
-    return np.append(0.0, forwards), np.append(0.0, backwards)
+
+    closed: Index
+    moves: Array
+    into: Array
+    out: Array
+    forwards: Array
+    backwards: Array
+
+    @classmethod
+    def of(cls, tour: Index, states: RunStates) -> _ClosedPath:
+        """The path (n,) of states."""
+        closed = np.concatenate([[0], tour, [0]])
+        flipped = states.flip[closed]
+        rows = states.cost[closed]
+        moves, into = rows[:, closed], rows[:, flipped]
+        forwards = np.cumsum(moves.diagonal(1))
+        backwards = np.cumsum(states.cost[flipped[1:], flipped[:-1]])
+        return cls(
+            closed,
+            moves,
+            into,
+            states.cost[flipped][:, closed],
+            np.append(0.0, forwards),
+            np.append(0.0, backwards),
+        )
 
 
-def _best_reversal(closed: Index, states: RunStates) -> PathChange:
+def _best_reversal(path: _ClosedPath, states: RunStates) -> PathChange:
     """The best reversal of the places i to j."""
-    cost, flipped = states.cost, states.flip[closed]
-    forwards, backwards = _prefix_lengths(closed, states)
-    into = cost[np.ix_(closed[:-2], flipped[1:-1])]
-    out = cost[np.ix_(flipped[1:-1], closed[2:])]
+    forwards, backwards = path.forwards, path.backwards
     inside = backwards[None, 1:-1] - backwards[1:-1, None]
     removed = forwards[None, 2:] - forwards[:-2, None]
-    delta = into + out + inside - removed
-    delta[np.tril_indices(len(delta), -1)] = np.inf
+    delta = path.into[:-2, 1:-1] + path.out[1:-1, 2:] + inside - removed
+    delta[np.tri(len(delta), k=-1, dtype=bool)] = np.inf
     i, j = np.unravel_index(int(delta.argmin()), delta.shape)
-    tour = closed[1:-1]
+    tour = path.closed[1:-1]
 
     def reverse() -> Index:
         turned = states.flip[tour[i : j + 1]][::-1]
@@ -542,21 +565,18 @@ def _best_reversal(closed: Index, states: RunStates) -> PathChange:
     return float(delta[i, j]), reverse
 
 
-def _best_shift(closed: Index, states: RunStates, size: int) -> PathChange:
+def _best_shift(path: _ClosedPath, states: RunStates, size: int) -> PathChange:
     """The best shift of `size` neighbours to another place, in either direction."""
-    cost, flipped = states.cost, states.flip[closed]
-    forwards, backwards = _prefix_lengths(closed, states)
+    closed, forwards, backwards = path.closed, path.forwards, path.backwards
     i = np.arange(1, len(closed) - size)  # first place of the neighbours
     j = i + size - 1  # their last place
     k = np.arange(len(closed) - 1)  # they go between the places k and k + 1
-    step = cost[closed[:-1], closed[1:]]
-    removed = cost[closed[i - 1], closed[j + 1]] - step[i - 1] - step[j]
+    firsts, lasts = slice(1, len(closed) - size), slice(size, -1)
+    step = path.moves.diagonal(1)
+    removed = path.moves.diagonal(size + 1) - step[i - 1] - step[j]
     turned = (backwards[j] - backwards[i]) - (forwards[j] - forwards[i])
-    into_first = cost[np.ix_(closed[k], closed[i])].T
-    same_direction = into_first + cost[np.ix_(closed[j], closed[k + 1])]
-    into_last = cost[np.ix_(closed[k], flipped[j])].T
-    out_of_first = cost[np.ix_(flipped[i], closed[k + 1])]
-    other_direction = into_last + out_of_first + turned[:, None]
+    same_direction = path.moves[:-1, firsts].T + path.moves[lasts, 1:]
+    other_direction = path.into[:-1, lasts].T + path.out[firsts, 1:] + turned[:, None]
     delta = np.minimum(same_direction, other_direction)
     delta = delta + removed[:, None] - step[None, :]
     overlaps = (k[None, :] >= i[:, None] - 1) & (k[None, :] <= j[:, None])

@@ -118,7 +118,7 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
     states = order.RunStates.of(distance, start, runs, True)
     tour = np.random.default_rng(seed).permutation([1, 3, 4, 6, 8, 9, 11])
     assert states.run[tour].tolist() != list(range(7))
-    length, closed = states.length(tour), np.concatenate([[0], tour, [0]])
+    length, path = states.length(tour), order._ClosedPath.of(tour, states)
 
     def turned(part: np.ndarray) -> np.ndarray:
         return states.flip[part][::-1]
@@ -127,7 +127,7 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
         assert all(sorted(states.run[p]) == list(range(7)) for p in paths)
         return min(states.length(p) for p in paths) - length
 
-    delta, changed = order._best_reversal(closed, states)
+    delta, changed = order._best_reversal(path, states)
     stretches = [(i, j) for i in range(7) for j in range(i + 1, 8)]
     assert delta == pytest.approx(
         gain([np.r_[tour[:i], turned(tour[i:j]), tour[j:]] for i, j in stretches])
@@ -139,7 +139,7 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
             part, rest = tour[i : i + size], np.delete(tour, np.s_[i : i + size])
             for k in (k for k in range(len(rest) + 1) if k != i):
                 paths += [np.r_[rest[:k], p, rest[k:]] for p in (part, turned(part))]
-        delta, changed = order._best_shift(closed, states, size)
+        delta, changed = order._best_shift(path, states, size)
         assert delta == pytest.approx(gain(paths))
         assert states.length(changed()) - length == pytest.approx(delta)
 
