@@ -27,7 +27,7 @@ COMMAND = """
 import sys
 from pkm_studies.commands.cli import main
 try:
-    main(sys.argv[1:])
+    main()
 except SystemExit:
     pass
 print("loaded", *[name for name in {heavy} if name in sys.modules])

@@ -89,7 +89,15 @@ COMMAND_DECIMALS: Final = 9
 MIN_GRID_SHARE: Final = 0.4
 #: factor between the errors from which colours are logarithmic
 LOG_COLOUR_MIN_RANGE: Final = 6.0
-QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
+#: angle, direction and alignment of the labels around a polar map
+QUARTERS: Final = (
+    ("0°", (1.05, 0.0), "left", "center"),
+    ("90°", (0.0, 1.05), "center", "bottom"),
+    ("180°", (-1.05, 0.0), "right", "center"),
+    ("270°", (0.0, -1.05), "center", "top"),
+)
+#: points between a polar map and its title, which has a label in between
+POLAR_PAD: Final = 13.0
 
 
 def draw_workspace(prediction: PredictionSection) -> Figure:
@@ -108,14 +116,15 @@ def draw_workspace(prediction: PredictionSection) -> Figure:
     # Single panels stand side by side; otherwise each component has a row.
     rows, columns = (len(names), panels) if panels > 1 else (1, len(names))
     figure = style.figure(0.35 + 2.05 * rows + (0.6 if panels == 1 else 0.0))
-    kind: Any = {"projection": "polar"} if layout.polar else {}
-    grid = figure.subplots(rows, columns, squeeze=False, subplot_kw=kind)
+    grid = figure.subplots(rows, columns, squeeze=False)
     grid = grid.reshape(len(names), panels)
     for k, (row, name) in enumerate(zip(grid, names, strict=True)):
         _component_row(figure, row, layout, commands, name, prediction)
         for axes, level in zip(row, layout.levels, strict=True):
             title = _level_title(layout, level) if k == 0 or panels == 1 else ""
-            axes.set_title(title, loc="center", fontsize=7.5, fontweight="normal")
+            letters: Any = {"fontsize": 7.5, "fontweight": "normal"}
+            pad = POLAR_PAD if layout.polar else None
+            axes.set_title(title, loc="center", pad=pad, **letters)
     return figure
 
 
@@ -195,15 +204,18 @@ def _map_panel(
     layout: MapLayout,
     norm: Normalize,
 ) -> Any:
-    if layout.polar:
-        across = np.radians(across)
     cells = _cells(across, up, values)
     shade: Any = {"cmap": style.AMOUNT, "norm": norm}
+    places = (across, up) if cells is None else np.meshgrid(*cells[:2])
+    if layout.polar:
+        # axes of a rectangle take a third of the time of matplotlib's polar ones
+        angle, radius = np.radians(places[0]), np.maximum(places[1], 0.0)
+        places = radius * np.cos(angle), radius * np.sin(angle)
     if cells is None:
         marks: Any = {"s": 26, "ec": style.GREY, "lw": 0.3}
-        image = axes.scatter(across, up, c=values, **shade, **marks)
+        image = axes.scatter(*places, c=values, **shade, **marks)
     else:
-        image = axes.pcolormesh(*cells, rasterized=True, **shade)
+        image = axes.pcolormesh(*places, cells[2], rasterized=True, **shade)
     if layout.polar:
         _set_polar_axes(axes, up)
     else:
@@ -235,14 +247,11 @@ def _edges(x: Array) -> Array:
 def _set_polar_axes(axes: Any, up: Array) -> None:
     """No tilt in the centre; labels outside the coloured cells."""
     tilts = np.unique(up)
-    axes.grid(False)
-    outer = _edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1]
-    axes.set_rlim(0.0, float(outer))
-    axes.yaxis.set_visible(False)
-    style.ticks_at(axes.xaxis, QUARTERS)
-    axes.set_xticklabels(["0°", "90°", "180°", "270°"], fontsize=6)
-    axes.tick_params(axis="x", pad=-2)
-    axes.spines["polar"].set_visible(False)
+    outer = float(_edges(tilts)[-1] if len(tilts) > 1 else 1.1 * tilts[-1])
+    axes.set_axis_off()
+    axes.set(xlim=(-outer, outer), ylim=(-outer, outer), aspect="equal")
+    for angle, (x, y), ha, va in QUARTERS:
+        axes.text(outer * x, outer * y, angle, fontsize=6, ha=ha, va=va)
 
 
 def _set_cartesian_axes(axes: Axes, layout: MapLayout) -> None:
