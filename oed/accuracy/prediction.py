@@ -379,7 +379,9 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
 def _tail_quantile(tail: Array, share: float, values: Array) -> Array:
     """A quantile of values, of which the largest are given in order."""
     place = share * (values.size - 1) - (values.size - tail.size)
-    return np.quantile(values, share) if place < 0.0 else _interpolated(tail, place)
+    if place < 0.0:
+        return np.asarray(np.quantile(values, share))
+    return _of_ordered(tail, place)
 
 
 def _interpolated(ordered: Array, place: float) -> Array:

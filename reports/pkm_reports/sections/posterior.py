@@ -110,7 +110,7 @@ def _cell(axes: Axes, draws: Array, limits: Sequence[Limits], i: int, j: int) ->
         _pair(axes, draws[:, j], draws[:, i], limits[j], limits[i])
     for axis in (axes.xaxis, axes.yaxis):
         style.few_ticks(axis, 3, steps=[1, 2, 5, 10])
-    outer = {"labelbottom": i == len(limits) - 1, "labelleft": j == 0 and i > 0}
+    outer: Any = {"labelbottom": i == len(limits) - 1, "labelleft": j == 0 and i > 0}
     axes.tick_params(labelsize=6.5, **outer)
 
 

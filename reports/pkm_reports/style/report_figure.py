@@ -40,7 +40,8 @@ class ReportFigure(Figure):
         To find one, matplotlib measures all labels of the ticks anew.
         """
         for axes in self.axes:
-            if not any(map(axes.get_title, ("left", "center", "right"))):
+            titles = axes.get_title("left"), axes.get_title(), axes.get_title("right")
+            if not any(titles):
                 axes.set_title("", y=1.0)
             for axis in (axes.xaxis, axes.yaxis):
                 if not axis.get_label_text():
