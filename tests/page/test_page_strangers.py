@@ -146,6 +146,15 @@ def test_strangers_are_refused(machine: Any) -> None:
     assert not opened.job.state.name
 
 
+def test_an_address_has_at_most_512_characters(machine: Any) -> None:
+    """Of the path and of the query together, without the question mark."""
+    _, client, _ = machine
+    for start, answer in (("/state?", 200), ("/", 404)):
+        longest = start + "x" * (512 - len(start.rstrip("?")))
+        assert client.ask("GET", longest)[0] == answer
+        assert client.ask("GET", f"{longest}x")[0] == 414
+
+
 def test_a_script_in_a_remark_is_text(machine: Any) -> None:
     opened, client, operator = machine
     script = "</script><script>alert(1)</script>\n=cmd|'/c calc'!A1"
