@@ -225,6 +225,8 @@ def test_pages_hear_of_each_reading(machine: Any) -> None:
         ("30.012", "300.12 would fit: is the decimal point misplaced?"),
         ("300.21", "300.12 would fit: were two digits exchanged?"),
         ("3000.12", "300.12 would fit: was a digit typed twice?"),
+        ("300.122", "300.12 would fit: was a digit typed twice?"),
+        ("3050.12", None),
         ("123.45", None),
     ],
 )
