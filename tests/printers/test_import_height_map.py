@@ -134,6 +134,7 @@ def test_a_broken_map_is_refused(
     with pytest.raises(InputError, match=problem) as caught:
         mesh_rows(content, tmp_path)
     assert "heightmap.csv" in str(caught.value)
+    assert "give" not in caught.value.problem
 
 
 def test_a_map_of_other_axes_is_refused(tmp_path: Path) -> None:
