@@ -7,7 +7,6 @@ import pytest
 from oracles import planar_cables
 
 import oed
-from pkm_studies import csv_table
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 
@@ -103,82 +102,6 @@ def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
     assert readings.y.size == 4
 
 
-@pytest.mark.parametrize(
-    ("text", "header"),
-    [
-        ("a,b\n1,2\n3,4\n", ("a", "b")),
-        ("a\tb\n1\t2\n3\t4\n", ("a", "b")),
-        ("1 2.5\n3 4\n", ("1", "2")),
-        ("Test 5\n\na; b\n1,5;2\n3;4\n", ("a", "b")),
-        ("Machine,M\nFeed,1500\n\na,b\n1,2\n3,4\n", ("a", "b")),
-        ("a,b\n1,2\na,b\n3,4\n", ("a", "b")),
-    ],
-)
-def test_tables_of_any_separator(
-    text: str, header: tuple[str, ...], tmp_path: Path
-) -> None:
-    (tmp_path / "t.csv").write_text(text)
-    table = csv_table.read(tmp_path / "t.csv")
-    assert table.header == header
-    assert len(table) == 2
-    assert table.numbers(header[1])[1] == 4.0
-
-
-@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
-def test_a_file_of_another_program_has_an_encoding_of_its_own(
-    encoding: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "t.csv"
-    path.write_bytes("X [mm],Température [°C]\n1.5,20\n2.5,21\n".encode(encoding))
-    table = csv_table.read(path)
-    assert table.header == ("X [mm]", "Température [°C]")
-    np.testing.assert_array_equal(table.numbers("X [mm]"), [1.5, 2.5])
-    path.write_bytes(b"PK\x03\x04\x00\xff,1\n2,3\n")  # a workbook with this name
-    with pytest.raises(InputError, match="no UTF-8 text"):
-        csv_table.read(path)
-
-
-MARKERS = ("rig:a X [mm]", "rig:a Y [mm]", "rig:a Z [mm]", "rig:b X [mm]")
-
-
-@pytest.mark.parametrize(
-    ("lines", "header"),
-    [
-        (
-            (
-                "Trajectories,,,,,,,",
-                "100,,,,,,,",
-                ",,rig:a,,,rig:b,,",
-                "Frame,Sub Frame,X,Y,Z,X,Y,Z",
-                ",,mm,mm,mm,mm,mm,mm",
-            ),
-            ("Frame", "Sub Frame", *MARKERS),
-        ),
-        (
-            (
-                "PathFileType,4,(X/Y/Z),a.trc,,,,",
-                "DataRate,CameraRate,NumFrames,NumMarkers,Units,,,",
-                "100,100,2,2,mm,,,",
-                "Frame#,Time,a,,,b,,",
-                ",,X1,Y1,Z1,X2,Y2,Z2",
-                ",,,,,,,",
-            ),
-            ("1", "2", "X1", "Y1", "Z1", "X2"),
-        ),
-    ],
-)
-def test_markers_side_by_side_have_their_names(
-    lines: tuple[str, ...], header: tuple[str, ...], tmp_path: Path
-) -> None:
-    """Facts of the file, such as a rate, are no readings; a name is over three columns."""
-    path = tmp_path / "m.csv"
-    path.write_text("\n".join([*lines, "1,0,1,2,3,4,5,6", "2,0,7,8,9,10,11,12"]))
-    table = csv_table.read(path)
-    assert table.header[:6] == header
-    assert len(table) == 2
-    np.testing.assert_array_equal(table.numbers(header[2]), [1.0, 7.0])
-
-
 def test_contacts_alone_come_in(tmp_path: Path) -> None:
     """Poses at which a probe stopped the machine need no column of readings."""
     (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n0,0,0.02\n50,0,0.01\n0,50,0.04\n")
@@ -191,14 +114,3 @@ def test_contacts_alone_come_in(tmp_path: Path) -> None:
     loaded = oed.load_study(study)
     assert loaded.prediction.reference == "home"
     np.testing.assert_array_equal(oed.read_readings(loaded).state.readings.y, 0.0)
-
-
-def test_a_first_row_with_empty_cells_is_no_header(tmp_path: Path) -> None:
-    """As a reference row has them, which reads nothing."""
-    path = tmp_path / "s.readings.csv"
-    path.write_text(
-        "setup,run,order,y_mm,z_mm,dy_mm,dz_mm\nm,one,1,0,0,,\nm,one,2,0,3,.1,.2\n"
-    )
-    read = csv_table.read(path)
-    assert read.header == ("setup", "run", "order", "y_mm", "z_mm", "dy_mm", "dz_mm")
-    assert len(read) == 2
