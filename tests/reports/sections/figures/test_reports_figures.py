@@ -74,6 +74,17 @@ def _empty_figures() -> list[Callable[[], Figure]]:
     ]
 
 
+@pytest.mark.parametrize("number", [1, 2, 3, 5])
+def test_each_map_and_each_set_of_held_out_readings_has_a_panel(number: int) -> None:
+    full = result_of(report_fixture.sample())
+    maps, held_out = full.kappa_maps[:1] * number, full.held_out[:1] * number
+    with style.applied():
+        kappa = identifiability.draw_kappa(maps)
+        residuals = acceptance.draw_residuals(held_out)
+    for figure in (kappa, residuals):
+        assert sum(axes.get_visible() for axes in figure.axes) == number
+
+
 @pytest.mark.parametrize("draw", _empty_figures())
 def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
     with style.applied():
