@@ -1,11 +1,21 @@
-"""What each instrument reads of a pose, in NumPy and by SciPy's rotations."""
+"""What each instrument reads of a pose, in NumPy and by SciPy's rotations; what it states.
+
+Angles are compared with the rotation that SciPy makes of them in their stated order.
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+import stated_order
+from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
-from oed.instrument import Frame, Instrument
+from oed.instrument import Frame, Instrument, mount
+from oed.measurement import Measurement
 from pkm_models.instruments import (
     ball_bar,
     ball_plate,
@@ -20,6 +30,9 @@ from pkm_models.instruments import (
     seat,
     touch_plane,
 )
+from pkm_models.machines import cable_robot, cables_planar, cables_spatial, hexapod
+from pkm_studies import catalogue
+from pkm_studies.base import Location
 
 RNG = np.random.default_rng(8)
 TURNS = Rotation.from_euler("XYZ", RNG.uniform(-0.5, 0.5, (2, 3)))
@@ -83,3 +96,84 @@ def test_a_reading_is_as_by_hand(instrument: Instrument, expected: np.ndarray) -
     read = instrument.observe(frames, s, k)
     assert len(read) == len(instrument.channels)
     assert [float(value) for value in read] == pytest.approx(list(expected), abs=1e-12)
+
+
+# -- what is stated, and angles --------------------------------------------------------
+
+INSTRUMENTS = [e.name for e in catalogue.listing("instruments")]
+#: what a channel reads of the rotation of a hexapod's platform
+Reading = Callable[[np.ndarray], float]
+SLOPES: dict[str, Reading] = {
+    "read_tilt_x": lambda r: math.asin(r[2, 1]),
+    "read_tilt_y": lambda r: -math.asin(r[2, 0]),
+}
+#: readings of angles by hand; those of an orientation are rebuilt from the stated order
+ANGLES: dict[str, dict[str, Reading]] = {
+    "laser_ball_bar": {},
+    "pose_tracker": {},
+    "passive_joint": {},
+    "locked_joint": {},
+    "home_orientation": SLOPES | {"read_spin": lambda r: math.atan2(r[1, 0], r[0, 0])},
+    "level": SLOPES,
+    "autocollimator": {
+        "read_tilt_x": lambda r: math.atan2(-r[1, 2], r[2, 2]),
+        "read_tilt_y": lambda r: math.atan2(r[0, 2], r[2, 2]),
+    },
+}
+#: read the closure, not the pose: see test_redundancy.py
+OF_CLOSURE = ("redundancy", "redundancy_per_leg")
+
+
+def of_name(name: str) -> Instrument:
+    return catalogue.instrument(name, Path(), Location("catalogue"))
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_every_channel_of_an_instrument_is_stated(name: str) -> None:
+    tool = of_name(name)
+    assert all(c.about for c in tool.channels)
+    if tool.orientation is not None:
+        assert set(tool.orientation.names) <= {c.name for c in tool.channels}
+        formula = tool.orientation.formula
+        for c in tool.channels:
+            assert (c.name in tool.orientation.names) == (formula in c.about)
+
+
+def test_every_instrument_is_worked_by_hand() -> None:
+    worked = {instrument.name for instrument, _ in BY_HAND}
+    assert worked | set(ANGLES) | set(OF_CLOSURE) == set(INSTRUMENTS)
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_angles_are_those_of_their_words(name: str, rng: np.random.Generator) -> None:
+    """On a hexapod that stands about home."""
+    tool, m = of_name(name), hexapod.machine
+    at = dict(at_x=0.1, at_y=-0.7, at_z=0.05) if name == "laser_ball_bar" else {}
+    measurement = Measurement(m, [mount(tool, "one", **at)])
+    low, high = np.array([(c.lower, c.upper) for c in m.command]).T
+    command = m.home_command + 0.3 * (rng.uniform(low, high, (2, 6)) - m.home_command)
+    series = measurement.series("one", command)
+    y = measurement.readings([series], measurement.nominal)[-len(tool.channels) :]
+    values = dict(zip((c.name for c in tool.channels), y, strict=True))
+    x = measurement.poses(series, measurement.nominal)
+    rotation, point, _ = measurement.kinematics.frames(x, np.zeros(3))
+    rows = series.index[-1]
+    actual = rotation[rows[0]]
+    for channel, reading in ANGLES[name].items():
+        assert values[channel] == pytest.approx(reading(actual), abs=1e-12)
+    if name.endswith("_joint"):
+        turned = pytest.approx(swing1(point[rows], rotation[rows]), abs=1e-12)
+        assert list(values.values()) == [turned]
+    if tool.orientation is not None:
+        rebuilt = stated_order.rotation(tool.orientation, values)
+        columns = [2] if tool.orientation.axis_only else [0, 1, 2]
+        assert np.abs(actual - np.eye(3)).max() > 0.02
+        assert rebuilt[:, columns] == pytest.approx(actual[:, columns], abs=1e-12)
+
+
+def test_redundancy_states_its_channels_on_every_machine() -> None:
+    for m in (one.machine for one in (cables_spatial, cable_robot, cables_planar)):
+        for name in OF_CLOSURE:
+            channels = of_name(name).for_machine(m).channels
+            assert len(channels) == len(m.joints) - len(m.command)
+            assert "" not in {c.about for c in channels}

@@ -5,26 +5,19 @@ the machine's own rotation is what they are compared with.
 """
 
 import json
-import math
-from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 import stated_order
-from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
 from oed import units
-from oed.instrument import Instrument, mount
-from oed.measurement import Measurement
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_models.machines import (
     a3_head,
-    hexapod,
-    planar_2dof,
     prs_spindle,
 )
 from pkm_studies import catalogue
@@ -38,10 +31,6 @@ INSTRUMENTS = [e.name for e in catalogue.listing("instruments")]
 
 def machine(name: str) -> Machine:
     return catalogue.machine(name, Path(), PLACE)
-
-
-def instrument(name: str) -> Instrument:
-    return catalogue.instrument(name, Path(), PLACE)
 
 
 def random_poses(m: Machine, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -68,17 +57,6 @@ def test_every_coordinate_of_a_machine_is_stated(name: str) -> None:
     angles = {c.name for c in m.command if c.unit == "rad"}
     named = set() if m.command_orientation is None else set(m.command_orientation.names)
     assert angles == named
-
-
-@pytest.mark.parametrize("name", INSTRUMENTS)
-def test_every_channel_of_an_instrument_is_stated(name: str) -> None:
-    tool = instrument(name)
-    assert all(c.about for c in tool.channels)
-    if tool.orientation is not None:
-        assert set(tool.orientation.names) <= {c.name for c in tool.channels}
-        formula = tool.orientation.formula
-        for c in tool.channels:
-            assert (c.name in tool.orientation.names) == (formula in c.about)
 
 
 def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) -> None:
@@ -251,155 +229,3 @@ def test_cables_pay_out_as_they_grow(name: str) -> None:
         _, moved = kinematics.inverse(command[None])
         assert moved[0, k] > q[0, k]
         assert "paid out" in joint.about or "paying out" in joint.about
-
-
-# -- instruments keep to it ------------------------------------------------------------
-
-#: what a channel reads of the tool points (2, 3) and rotations (2, 3, 3) of a pose and
-#: of its reference, with the set-up's settings
-Reading = Callable[[np.ndarray, np.ndarray, dict[str, float]], float]
-
-
-def coordinate(axis: int) -> Reading:
-    return lambda p, r, k: p[0, axis]
-
-
-def difference(axis: int) -> Reading:
-    return lambda p, r, k: p[0, axis] - p[1, axis]
-
-
-def distance(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
-    return float(np.linalg.norm(p[0] - p[1]))
-
-
-def to_cup(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
-    return float(np.linalg.norm(p[0] - [k["at_x"], k["at_y"], k["at_z"]]))
-
-
-def from_plate(axis: int) -> Reading:
-    return lambda p, r, k: p[0, axis] - k[f"at_{'xyz'[axis]}"]
-
-
-def tilt_of_edge(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
-    return math.asin(r[0][2, 1])
-
-
-POINT = {f"read_{n}": coordinate(i) for i, n in enumerate("xyz")}
-SLOPES: dict[str, Reading] = {
-    "read_tilt_x": tilt_of_edge,
-    "read_tilt_y": lambda p, r, k: -math.asin(r[0][2, 0]),
-}
-#: readings by hand; those of an orientation are rebuilt from the stated order
-READINGS: dict[str, dict[str, Reading]] = {
-    "ball_bar": {"length": distance},
-    "ball_bar_free_cup": {"length": to_cup},
-    "ball_distance": {"length": distance},
-    "ball_plate": {f"ball_{n}": from_plate(i) for i, n in enumerate("xyz")},
-    "calliper": {"length": distance},
-    "camera": POINT,
-    "camera_known_frame": POINT,
-    "contact_probe": {
-        "height": lambda p, r, k: (
-            p[0, 2] - k["bed_slope_x"] * p[0, 0] - k["bed_slope_y"] * p[0, 1]
-        )
-    },
-    "height_probe": {"height": coordinate(2)},
-    "height_probe_tilted_bed": {"height": coordinate(2)},
-    "length_gauge": {"height": lambda p, r, k: p[0, 2] - k["at_z"]},
-    "laser_ball_bar": POINT,
-    "laser_ball_bar_position": POINT,
-    "planar_position": {n: POINT[n] for n in ("read_x", "read_y")},
-    "pose_tracker": POINT,
-    "pose_tracker_position": POINT,
-    "passive_joint": {"swing1": lambda p, r, k: swing1(p, r)},
-    "locked_joint": {"off_swing1": lambda p, r, k: swing1(p, r)},
-    "seat": {f"miss_{n}": from_plate(i) for i, n in enumerate("xyz")},
-    "touch_plane": {"off": lambda p, r, k: p[0, 2] - k["at"]},
-    "rm1": {"dy": difference(1)},
-    "rm2": {"dz": difference(2)},
-    "rm3": {"dz": difference(2)},
-    "rm4": {"dy": difference(1)},
-    "rm5": {"dy": difference(1), "dz": difference(2)},
-    "home_orientation": SLOPES
-    | {"read_spin": lambda p, r, k: math.atan2(r[0][1, 0], r[0][0, 0])},
-    "level": SLOPES,
-    "autocollimator": {
-        "read_tilt_x": lambda p, r, k: math.atan2(-r[0][1, 2], r[0][2, 2]),
-        "read_tilt_y": lambda p, r, k: math.atan2(r[0][0, 2], r[0][2, 2]),
-    },
-}
-#: read the closure, not the pose: see tests/models/instruments/test_redundancy.py
-OF_CLOSURE = ("redundancy", "redundancy_per_leg")
-SETTINGS = {
-    "at_x": 0.1,
-    "at_y": -0.7,
-    "at_z": 0.05,
-    "at": 0.3,
-    "bed_slope_x": 0.02,
-    "bed_slope_y": -0.03,
-}
-
-
-@pytest.mark.parametrize("name", [n for n in INSTRUMENTS if n not in OF_CLOSURE])
-def test_channels_read_what_they_state(name: str, rng: np.random.Generator) -> None:
-    """On a hexapod, or on the plane machine where the line of a run is one of its own."""
-    tool = instrument(name)
-    m = planar_2dof.machine if name.startswith("rm") else hexapod.machine
-    settings = {
-        s.name: SETTINGS.get(s.name, s.default)
-        for s in tool.settings
-        if s.name in SETTINGS or s.default is not None
-    }
-    teach = tuple(m.home_command) if tool.reference == "teach" else None
-    setup = mount(tool, "one", teach=teach, **settings)
-    measurement = Measurement(m, [setup])
-    command = random_poses(m, rng, 2)
-    series = measurement.series("one", command)
-    y = measurement.readings([series], measurement.nominal)
-    values = dict(
-        zip((c.name for c in tool.channels), y[-len(tool.channels) :], strict=True)
-    )
-    x = measurement.poses(series, measurement.nominal)
-    rotation, point, _ = measurement.kinematics.frames(x, np.zeros(3))
-    rows = series.index[-1]
-    by_hand = READINGS[name]
-    for channel, reading in by_hand.items():
-        expected = reading(point[rows], rotation[rows], dict(settings))
-        assert values[channel] == pytest.approx(expected, abs=1e-12), channel
-    angles = () if tool.orientation is None else tool.orientation.names
-    assert set(by_hand) | set(angles) == {c.name for c in tool.channels}
-    if tool.orientation is not None:
-        rebuilt = stated_order.rotation(tool.orientation, values)
-        columns = [2] if tool.orientation.axis_only else [0, 1, 2]
-        actual = rotation[rows[0]]
-        assert np.abs(actual - np.eye(3)).max() > 0.02
-        assert rebuilt[:, columns] == pytest.approx(actual[:, columns], abs=1e-12)
-
-
-def test_the_laser_ball_bar_s_direction_runs_from_b_to_a() -> None:
-    """B is one baseline from A against the tool axis, as the channels say."""
-    tool = instrument("laser_ball_bar")
-    m = prs_spindle.machine
-    at = {name: value for name, value in SETTINGS.items() if name.startswith("at_")}
-    setup = mount(tool, "bar", **at)
-    measurement = Measurement(m, [setup])
-    series = measurement.series("bar", np.array([[0.2, 0.3, -0.25]]))
-    y = measurement.readings([series], measurement.nominal)
-    a, alpha, beta = y[:3], y[3], y[4]
-    n = [
-        math.sin(beta),
-        -math.sin(alpha) * math.cos(beta),
-        math.cos(alpha) * math.cos(beta),
-    ]
-    x = measurement.poses(series, measurement.nominal)
-    _, b, _ = measurement.kinematics.frames(x, np.array([0.0, 0.0, -0.1]))
-    assert (a - b[0]) / 0.1 == pytest.approx(n, abs=1e-12)
-    assert (alpha, beta) == pytest.approx((0.3, -0.25), abs=1e-12)
-
-
-def test_redundancy_states_its_channels_on_every_machine() -> None:
-    for m in map(machine, ("cables_spatial", "cable_robot", "cables_planar")):
-        for name in OF_CLOSURE:
-            channels = instrument(name).for_machine(m).channels
-            assert len(channels) == len(m.joints) - len(m.command)
-            assert "" not in {c.about for c in channels}
