@@ -95,11 +95,9 @@ def test_known_stretch_is_taken_off_the_recorded_drums(
     text, at = _robot_file(rng, robot, 0.0)
     (tmp_path / "drums.csv").write_text(text, encoding="utf-8")
     study = resolved(_study(f"stiffness_N = {STIFFNESS}"), tmp_path)
-    assert study.dataset is not None
     (series,) = study.dataset.series
     np.testing.assert_allclose(series.q, robot.lengths(at), rtol=0.0, atol=1e-9)
     without = resolved(_study(""), tmp_path)
-    assert without.dataset is not None
     (rigid,) = without.dataset.series
     stretch = np.abs(robot.lengths(at) - rigid.q)
     assert stretch.max() > 5e-3
@@ -117,7 +115,6 @@ def test_commands_stretch_as_well(tmp_path: Path) -> None:
     text = _study(geometry, 'instrument = "planar_position"\nchannels = ["read_x"]')
     text = text.replace("gap1_mm", "read_x_mm").replace("gap2_mm", "# ")
     data = resolved(text, tmp_path).dataset
-    assert data is not None
     (series,) = data.series
     free = np.hypot(*np.moveaxis(at[:, None] - anchors, -1, 0))
     expected = free.copy()
@@ -164,10 +161,8 @@ def test_an_unknown_compliance_is_estimated(
     options = ("--with", "cable_stretch")
     code, result = _identified(tmp_path, _study(""), text, *options)
     assert code == 0
-    assert result.estimate is not None
     assert result.estimate.chi2 > 10.0 * result.estimate.dof
     corrected = result.corrected
-    assert corrected is not None
     assert 0.7 < corrected.chi2 / corrected.dof < 1.4
     compliance = corrected.effects["cable_stretch: cables"]
     legs = [corrected.effects[f"cable_stretch: leg {k}"].value for k in (1, 2, 3, 4)]
@@ -191,7 +186,6 @@ def test_the_diagnosis_names_the_stretch(
     arguments = ["diagnose", path, "--readings", data, "--out", out, "--quiet"]
     assert main([str(a) for a in arguments]) == 0
     result = msgspec.json.decode((out / "result.json").read_bytes(), type=StudyResult)
-    assert result.gap is not None
     assert result.gap.answers[0].effects == ("cable_stretch",)
     assert not any("mistaken" in sentence for sentence in result.headline)
 

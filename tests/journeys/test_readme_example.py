@@ -26,8 +26,6 @@ def as_oed(command: str) -> list[str]:
         makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
         recipe = re.search(r"^study:.*\n\t\$\(BIN\)/(.*)$", makefile, re.MULTILINE)
         default = re.search(r"^STUDY := (\w+)$", makefile, re.MULTILINE)
-        assert recipe is not None
-        assert default is not None
         name = default.group(1)
         command = recipe.group(1).replace(
             "studies/$(STUDY)", str(ROOT / "studies" / name)

@@ -121,7 +121,6 @@ class Operator:
     def display(self) -> list[str]:
         """What the instrument shows at the present pose, mm, four decimals."""
         pose = self.session.state.pose
-        assert pose is not None
         one = [pose.series.take(np.array([pose.row]))]
         machine = self.session.measurement
         noise = machine.sigma(one) * self.rng.standard_normal(len(machine.sigma(one)))

@@ -270,7 +270,6 @@ def started(study: Path, path: Path) -> tuple[subprocess.Popen[str], Client]:
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
     line = process.stdout.readline()
     port = re.search(r":(\d+)/", line)
     assert port is not None, line
@@ -310,7 +309,6 @@ def read_once(client: Client, remark: str) -> dict[str, str]:
     """Send the expected value; remark and value once the page has confirmed them."""
     state = client.state()
     expected = re.search(r"should read ([\d.]+)", state["parts"]["pose"])
-    assert expected is not None
     values = {"version": state["version"], "key": remark, "remark": remark}
     status, _ = client.post("/reading", entries=[expected[1]], confirmed=True, **values)
     assert status == 200

@@ -92,7 +92,6 @@ def test_what_b_is(lines: str, meaning: str, arm2: float, tmp_path: Path) -> Non
     study, _ = take("marlin", {"log": log}, tmp_path)
     assert nominal(study)["arm2_mm"] == arm2
     controller = oed.load_study(study).controller
-    assert controller is not None
     assert controller.m665_b == meaning
 
 

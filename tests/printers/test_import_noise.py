@@ -40,14 +40,12 @@ def test_an_assumed_noise_follows_the_readings(
     study, _ = take("marlin", {"log": log}, tmp_path)
     main(["run", str(study), "--out", str(tmp_path / "r"), "--quiet"])
     result = load_result(tmp_path / "r")
-    assert result.goodness is not None
     assert set(result.goodness.noise) == {"reading probe.height"}
     record = result.goodness.noise["reading probe.height"]
     assert record.stated == 100.0
     # a scatter of so many degrees of freedom
     spread = 3.0 / np.sqrt(2.0 * (count - 6))
     assert abs(np.log(record.value / (1000.0 * sigma))) < 1.5 * spread
-    assert result.prediction is not None
     z = result.prediction.components["z"].after
     assert 0.2 < z.rms / record.value < 2.0
 
@@ -61,7 +59,6 @@ def test_an_assumed_noise_that_is_stated_too_carries_what_is_stated(
     study.write_text(text.replace("assumed = true", "assumed = true\ncarried = 0.3"))
     main(["run", str(study), "--out", str(tmp_path / "r"), "--quiet"])
     result = load_result(tmp_path / "r")
-    assert result.goodness is not None
     assert "carried" in result.goodness.noise
 
 

@@ -58,7 +58,6 @@ def test_passes_of_one_geometry_are_repeated_readings(tmp_path: Path) -> None:
     assert f"at 12 places spread by {right:.3g} um, with 24 degrees" in said(imported)
     main(["run", str(study), "--out", str(tmp_path / "r"), "--quiet"])
     result = load_result(tmp_path / "r")
-    assert result.goodness is not None
     value = result.goodness.noise["reading probe.height"].value
     assert value == pytest.approx(1e3 * SIGMA, rel=0.35)
 

@@ -147,7 +147,6 @@ def test_stored_values_count_where_m501_reads_them(tmp_path: Path) -> None:
     study, _ = take("rrf", given, tmp_path / "a")
     assert nominal(study)["radius_mm"] == 124.5
     controller = oed.load_study(study).controller
-    assert controller is not None
     assert controller.file == "config-override.g"
     study, _ = take(
         "rrf", given | {"config.g": loads + "M665 R124.9\n"}, tmp_path / "b"

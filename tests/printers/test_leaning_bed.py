@@ -176,7 +176,6 @@ def test_a_lean_that_few_heights_hide_is_said_to_be_hidden(tmp_path: Path) -> No
     again, imported = take("rrf", files_with(PLACES), tmp_path / "more")
     assert free(again) == FITTED[8]
     shown = re.search(r"y ([-+][\d.]+) \+- ([\d.]+) %", said(imported))
-    assert shown is not None
     assert float(shown[1]) == pytest.approx(-100.0 * LEAN, abs=3.0 * float(shown[2]))
     assert float(shown[2]) < 0.1
 

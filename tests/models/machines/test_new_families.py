@@ -132,7 +132,6 @@ def test_a_new_study_runs_at_once(name: str, oed: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize("end", ["base", "platform"])
 def test_legs_whose_revolute_axes_disagree_are_refused(end: str) -> None:
     family = model("tripod_upr_spr").family
-    assert family is not None
     table = {d.name: np.array(d.default) for d in family.dimensions if d.name == end}
     table[end][1, 1] += 0.01
     with pytest.raises(ValueError, match=f"{end} joints 1 and 2 must"):

@@ -168,7 +168,6 @@ def test_positioning_by_hand() -> None:
     target = np.array([0, 0, 0, 0, 1, 1, 1, 1])
     direction = np.array([1.0, 1, -1, -1, 1, 1, -1, -1])
     figures = positioning(errors, target, direction, "um")
-    assert figures is not None
     sd = np.sqrt(2.0)
     assert figures.reversal == pytest.approx(2.0)
     assert figures.mean == pytest.approx(2.0)

@@ -202,7 +202,6 @@ def test_without_a_source_machines_of_the_oracle_are_as_good_as_stated() -> None
     for name, (source, changed) in budget_machines.ALTERNATIVES.items():
         line = lines[source]
         stated = line.halved if name == "halved" else line.without
-        assert stated is not None
         predicted = stated[z] / np.sqrt(budget.variance[z])
         assert rms(changed) / whole == pytest.approx(predicted, rel=0.15), name
 

@@ -43,7 +43,6 @@ def test_readings_of_the_stated_noise_have_no_fault() -> None:
     assert not result.bad_fit
     assert not result.mistaken
     assert result.set_aside == ()
-    assert result.goodness is not None
     assert result.goodness.ratio == pytest.approx(1.0, abs=0.4)
 
 
@@ -61,7 +60,6 @@ def test_a_gross_error_is_set_aside_with_its_row() -> None:
 def exchanged(y: np.ndarray) -> tuple[int, int] | None:
     session = clean().with_y(y)
     outliers = find_outliers(session, np.empty(0, dtype=np.intp))
-    assert outliers is not None
     assert {one.reading for one in outliers.far} == {4, 9}
     return _exchanged(session, outliers)
 

@@ -98,7 +98,6 @@ def test_the_log_marginal_is_that_of_a_normal_density(
     bar: checks.SessionReadings,
 ) -> None:
     solution = fit(bar)
-    assert solution is not None
     linear = screening.linear_readings(solution)
     unit = dataclasses.replace(ONE, scale=np.ones((1, 1)))
     scale = 1.7
@@ -142,7 +141,6 @@ def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -
     assert of_values.y is not None
     moved = (of_values.y - given.predicted) / 0.5e-6
     assert scores[0].log_evidence == pytest.approx(best(moved, slopes), rel=1e-6)
-    assert of_poses.table is not None
     elsewhere = (bar.y - of_poses.table.predicted) / 0.5e-6
     there = of_poses.table.slopes / 0.5e-6
     assert scores[1].log_evidence == pytest.approx(best(elsewhere, there), rel=1e-6)
@@ -164,7 +162,6 @@ def test_an_offset_is_estimated_as_by_generalised_least_squares(
     every = trials(Suspect(moved))
     offset = next(t for t in every if t.kind == "offset" and t.scope.level == "file")
     fitted = fit_amounts(offset, 1.0)
-    assert fitted is not None
     m = bar.measurement
     h = m.jacobian(bar.series, fitted.theta) * m.tolerance
     covariance = h @ h.T + (0.5e-6) ** 2 * np.eye(len(bar))

@@ -50,7 +50,6 @@ def test_slopes_over_an_inner_zero_are_those_of_another_code(
     step = np.zeros_like(error)
     step[:, :, axis] = 1e-5
     by_steps = prs_poses(*nominal, step) - prs_poses(*nominal, -step)
-    assert trial.columns is not None
     assert trial.columns[:, 0] == pytest.approx(by_steps.ravel() / 2e-5, abs=1e-5)
 
 

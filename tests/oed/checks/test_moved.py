@@ -72,8 +72,7 @@ def test_changed_commands_have_the_oracles_joints(session: SessionReadings) -> N
     """Taught poses stay: they are not commanded in the file's rows."""
     (first, *_) = session.series
     moved = commanded(session.measurement, shifted(1, 0.2))(first)
-    assert moved is not None
-    of_file = commanded_in_file(first, is_taught=True)
+    of_file = in_file(first, is_taught=True)
     assert 0 < (~of_file).sum() < len(of_file)
     assert moved.command[~of_file] == pytest.approx(first.command[~of_file])
     tool = session.measurement.setups[first.setup].tool[2]
@@ -85,7 +84,6 @@ def test_changed_commands_have_the_oracles_joints(session: SessionReadings) -> N
 def test_changed_joints_lead_to_the_oracles_poses(session: SessionReadings) -> None:
     (first, *_) = session.series
     moved = jointed(session.measurement, shifted(0, 1e-3))(first)
-    assert moved is not None
     assert moved.q - first.q == pytest.approx(
         np.tile([1e-3, 0.0, 0.0], (len(first.q), 1))
     )
@@ -135,7 +133,6 @@ def test_a_run_with_a_pose_out_of_reach_is_left_out(session: SessionReadings) ->
         return series
 
     reached = moved_rows(first, moved)
-    assert reached is not None
     others = [k for k, name in enumerate(first.run) if name != lost]
     assert 0 < len(others) < len(first)
     assert reached[0].tolist() == others

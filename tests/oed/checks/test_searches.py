@@ -114,12 +114,10 @@ def test_the_best_set_is_the_best_of_all(rng: np.random.Generator) -> None:
 def test_gross_errors_are_found_and_measured(session: SessionReadings) -> None:
     wrong = spoiled(session, {7: 60.0, 30: -45.0})
     found = find_outliers(wrong, NOBODY)
-    assert found is not None
     assert found.readings == (7, 30)
     errors = [one.error for one in found.gross]
     assert errors == pytest.approx([60.0 * SIGMA, -45.0 * SIGMA], abs=5 * SIGMA)
     search = far_readings(wrong, NOBODY, 3, robust=False)
-    assert search is not None
     assert sorted(search.readings) == [7, 30]
 
 
@@ -142,11 +140,9 @@ def test_a_large_misfit_is_fitted_at_its_own_scale(session: SessionReadings) -> 
         session.y + 1e-4 * np.sin(7.0 * np.arange(len(session)) ** 2)
     )
     fitted = fit_of_any_misfit(wrong, 100.0)
-    assert fitted is not None
     assert fitted.scale / 2.0 <= fitted.remaining() <= 2.0 * fitted.scale
     assert fitted.scale > 20.0
     clean = fit_of_any_misfit(session, 100.0)
-    assert clean is not None
     assert clean.scale == 1.0
 
 

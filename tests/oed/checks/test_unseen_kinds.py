@@ -211,7 +211,6 @@ def test_readings_are_linear_about_a_fit_as_well() -> None:
     """There they predict what the fit reads, to rounding."""
     session = machines.session("a3", bar_mounted_anew(machines.readings("a3", 4)))
     solution = fit_of_any_misfit(session, 10.0)
-    assert solution is not None
     plain, near = Suspect(session), Suspect(session, at=solution)
     read = near.predicted + near.slopes @ solution.departure
     measurement = session.measurement
@@ -329,6 +328,4 @@ def test_an_error_of_a_run_beyond_noise_is_no_law() -> None:
     session = machines.session("a3", bar_mounted_anew(machines.readings("a3", 4)))
     clean = machines.session("a3", machines.readings("a3", 4))
     spoiled, right = (as_given(fit_of_any_misfit(s, 1.0)) for s in (session, clean))
-    assert spoiled is not None
-    assert right is not None
     assert spoiled.log_posterior < right.log_posterior - 20.0

@@ -61,11 +61,9 @@ def test_check_and_fit_judge_by_one_noise_law() -> None:
     """Of readings with run offsets: scale of single readings, error of a run."""
     one = machines.session("delta", machines.readings("delta", 3, "run offsets"))
     search = judgement.find_outliers(one, np.zeros(0, dtype=np.intp))
-    assert search is not None
     law, _ = judgement.estimated_law(search.solution)
     estimate = identify(one.measurement, one.series, one.y, estimate_noise=True)
     posterior = estimate.noise_posterior
-    assert posterior is not None
     fitted = posterior.prior.laws(posterior.mode[None])
     scales = [law.scale[name] for name in posterior.structure.names]
     assert scales == pytest.approx(fitted.scale[0].tolist(), rel=0.1)

@@ -68,9 +68,6 @@ def test_one_far_reading_is_no_misfit_of_the_others() -> None:
     spoiled = explain.as_given(fit(machines.session("a3", rows)))
     rows["length_mm"] += 50.0 * SIGMA * (np.arange(len(rows)) % 2)
     many = explain.as_given(fit(machines.session("a3", rows)))
-    assert clean is not None
-    assert spoiled is not None
-    assert many is not None
     assert spoiled.after == pytest.approx(clean.after, rel=0.1)
     assert many.after > 10.0
     assert spoiled.log_posterior < clean.log_posterior

@@ -91,7 +91,6 @@ def test_few_readings_far_off_do_not_make_an_effect_look_small() -> None:
     corrected = EffectReadings(m, (series,), y, rows).estimate(
         [backlash.effect], m.nominal
     )
-    assert corrected is not None
     start = corrected.parameters
     values = corrected.estimate.theta[start:] * corrected.scales
     sds = corrected.estimate.sd[start:] * corrected.scales

@@ -73,7 +73,6 @@ def test_draws_have_the_shares_and_the_moments_of_the_mixture(case: Case) -> Non
     assert np.abs(off).max() < 0.1
     assert drawn.theta.std(axis=0)[free] == pytest.approx(sd[free], rel=0.08)
     # an answer's effects act in its draws alone
-    assert drawn.columns is not None
     names = np.array(drawn.columns.discrepancy.names)[drawn.columns.discrepancy.group]
     for number, effect in enumerate(EFFECTS, start=1):
         of_effect = np.char.startswith(names, effect.name)
@@ -93,7 +92,6 @@ def test_an_answer_below_the_least_share_is_left_out_and_said(case: Case) -> Non
         given, EFFECTS, None, estimate_noise=False, rng=np.random.default_rng(1)
     )
     mixture = fits.fit(records, forms, plain)
-    assert mixture is not None
     assert len(mixture.answers) == 1
     assert mixture.rest == pytest.approx(0.01)
     assert mixture.mean == pytest.approx(plain.theta)

@@ -48,7 +48,6 @@ def test_turned_runs_are_named(seed: int, runs: list[str]) -> None:
     if not runs:
         assert result is None
         return
-    assert result is not None
     assert [run for _, run in result.runs] == runs
     assert result.after < 0.75 * result.before
 
@@ -60,7 +59,6 @@ def test_half_of_the_runs_are_named_or_the_other_half() -> None:
     names = list(dict.fromkeys(rows["run"]))
     back = [name for name in names if int(name[-1]) % 2]
     result = corrected(9, back).turned_runs()
-    assert result is not None
     runs = {run for _, run in result.runs}
     assert runs in (set(back), set(names) - set(back))
 

@@ -68,7 +68,6 @@ def test_covariates_are_known_by_their_stems() -> None:
     assert columns.temperature_body("temp_") is None
     assert columns.ReadingsColumn.of_covariate("length") is None
     tension = columns.ReadingsColumn.of_covariate("tension_2")
-    assert tension is not None
     assert tension.unit == "N"
     temperature = columns.ReadingsColumn.of_covariate("temp_bar")
     assert temperature == columns.ReadingsColumn("temp_bar_C", "temp_bar", "K", 1.0)

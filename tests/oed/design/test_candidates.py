@@ -58,10 +58,8 @@ def test_readings_too_near_each_other_are_nearer_than_one() -> None:
     candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     apart = np.array([0.0, 0.5, 0.0])
     distance = candidates.rules(size=4, apart=apart).distance
-    assert distance is not None
     assert distance.least == 1.0
     assert distance.position[:, 1] == pytest.approx(candidates.command[:, 1] / 0.5)
     assert (distance.position[:, [0, 2]] == 0.0).all()
     time = candidates.rules(budget=100.0).time
-    assert time is not None
     assert time.cost == pytest.approx(candidates.cost)

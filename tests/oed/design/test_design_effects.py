@@ -65,7 +65,6 @@ def test_the_plan_is_stated_beside_that_without_effects() -> None:
     """By I, no plan of three readings leaves less on a machine with the effects."""
     _, design = chosen(text('criterion = "I"\n' + KNOWN + EXTRA + EFFECTS))
     allowed = design.effects
-    assert allowed is not None
     assert allowed.groups > 3
     assert 0.0 < allowed.efficiency <= 1.0 + 1e-9
     assert 0.0 < allowed.efficiency_without <= 1.0 + 1e-9

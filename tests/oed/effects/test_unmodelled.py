@@ -45,7 +45,6 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     session = SessionStates(m, rows, problem.states, DOWN)
     # no feed is stated
     first = expected_of([leg_thermal.effect, servo_lag.effect], command, "absolute")
-    assert first is not None
     (expected,) = first.effects
     assert expected.not_testable is None
     assert set(expected.sizes["leg 2 per kelvin"]) == {PER_KELVIN}
@@ -64,7 +63,6 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     assert np.sqrt(np.mean(z**2)) > 1e-6
     smaller = leg_thermal.effect.with_expected_size("1/K", PER_KELVIN / 4.0)
     second = expected_of([smaller], command, "absolute")
-    assert second is not None
     (quarter,) = second.effects
     assert quarter.sizes["leg 2 per kelvin"][0] == pytest.approx(PER_KELVIN / 4.0)
     assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
@@ -81,7 +79,6 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     maps = error_maps(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
     all_of_it = expected_of([leg_thermal.effect], command, "absolute")
-    assert all_of_it is not None
     q = series.q[series.index[:, 0]].copy()
     cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
     cold = a3.ball_bar_reading(np.zeros(24), q, cup)
@@ -128,7 +125,6 @@ def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent()
             columns=lambda state: [Column("leg 1", 1e-3, joints={0: change(state)})],
         )
         expected = expected_of([effect], a3_plans.workspace()[::17], "absolute")
-        assert expected is not None
         return expected.prediction
 
     offset = of(lambda state: np.ones(len(state)))
@@ -182,7 +178,6 @@ def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
     expected = expected_of(
         [gravity.effect, servo_lag.effect], a3_plans.workspace()[::30]
     )
-    assert expected is not None
     assert [e.effect.name for e in expected.effects] == ["gravity"]
 
 

@@ -135,7 +135,6 @@ def test_checks_take_the_correlation(
     """Penalised sum of squares, and each run as the others predict it."""
     m = correlated
     solution = check_fit.fit(checks.session_readings(m, [series], y))
-    assert solution is not None
     h = m.jacobian([series], solution.theta)
     sigma = m.sigma([series])
     marginal = np.diag(sigma**2) + h @ prior(m) @ h.T
@@ -144,7 +143,6 @@ def test_checks_take_the_correlation(
     assert solution.penalised == pytest.approx(penalised, rel=1e-3)
     estimate = identify(m, [series], y)
     runs = predict_runs(m, [series], estimate)
-    assert runs is not None
     first, second = np.arange(12), np.arange(12, 24)
     gain = marginal[np.ix_(first, second)] @ np.linalg.inv(
         marginal[np.ix_(second, second)]

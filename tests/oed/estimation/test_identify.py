@@ -261,7 +261,6 @@ def test_understated_noise_is_estimated(printer: tuple) -> None:
 def total_noise(estimate: Estimate) -> list[float]:
     """Standard deviation of each group's readings over the stated one, mean of laws."""
     posterior = estimate.noise_posterior
-    assert posterior is not None
     laws = posterior.prior.laws(posterior.draws)
     total = laws.scale * np.sqrt(1.0 + laws.level**2)[:, None]
     return list(posterior.weights @ total)

@@ -35,7 +35,6 @@ def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise: bool) 
     taken = y if estimate.robust_readings is None else estimate.robust_readings
     linear = m.readings(series, estimate.theta) - h @ (estimate.theta - m.nominal)
     result = predict_runs(m, series, estimate)
-    assert result is not None
     assert [one.run for one in result.runs] == ["c0", "c1", "c2", "c3"]
     r = taken - linear
     for k, one in enumerate(result.runs):
@@ -56,11 +55,9 @@ def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise: bool) 
 def test_only_a_run_that_does_not_fit_the_others_is_surprising() -> None:
     m, series, y = problem(1)
     sound = predict_runs(m, series, identify(m, series, y))
-    assert sound is not None
     assert not sound.surprising
     shifted = y + 20e-6 * (np.arange(len(y)) // POINTS == 2)
     result = predict_runs(m, series, identify(m, series, shifted))
-    assert result is not None
     assert "c2" in [one.run for one in result.surprising]
     assert result.log_score < sound.log_score - 50.0
 

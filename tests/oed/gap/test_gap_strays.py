@@ -48,7 +48,6 @@ def test_strays_are_told_and_no_others() -> None:
     detected = detect_outliers(
         problem.with_residual(y), STATED_LAW, np.zeros((len(problem), 0))
     )
-    assert detected is not None
     ordinary = np.delete(np.arange(len(problem)), far)
     assert np.abs(detected.pseudo_residual - y)[far].min() > 5.0
     assert np.sqrt(np.mean((detected.pseudo_residual - y)[ordinary] ** 2)) < 0.3
@@ -89,7 +88,6 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
     detected = detect_outliers(problem.with_residual(y), STATED_LAW, columns)
-    assert detected is not None
     moved = np.abs(detected.pseudo_residual - y)
     assert moved[far].min() > 5.0
     assert np.quantile(np.delete(moved, far), 0.95) < 1.0
@@ -113,7 +111,6 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     detected = detect_outliers(
         problem.with_residual(spoilt), law, np.zeros((len(problem), 0))
     )
-    assert detected is not None
     neighbours = np.concatenate([far - 2, far + 2])  # two channels are read by turns
     assert np.abs(detected.pseudo_residual - y)[neighbours].max() < 1.0
     assert np.abs(detected.pseudo_residual - y)[far].max() < 5.0

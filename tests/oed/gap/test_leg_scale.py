@@ -42,7 +42,6 @@ def test_the_joint_estimate_is_that_of_least_squares(
     plain = identify(measurement, data.series, data.y)
     given = EffectReadings(measurement, tuple(data.series), data.y, data.covariates)
     corrected = given.estimate([encoder_scale.effect], plain.theta)
-    assert corrected is not None
     start = corrected.parameters
     values = corrected.estimate.theta[start:] * corrected.scales
     sds = corrected.estimate.sd[start:] * corrected.scales
@@ -64,7 +63,6 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 @pytest.mark.slow
 def test_six_percent_are_named_and_called_implausible(result: StudyResult) -> None:
     gap = result.gap
-    assert gap is not None
     assert gap.verdict == "effect"
     assert gap.selected == ["encoder_scale"]
     assert next(p.block for p in gap.where if p.p_value < 0.05) == "leg 1"
@@ -77,7 +75,6 @@ def test_six_percent_are_named_and_called_implausible(result: StudyResult) -> No
 @pytest.mark.slow
 def test_both_sections_have_one_estimate(result: StudyResult) -> None:
     gap, corrected = result.gap, result.corrected
-    assert gap is not None
     assert corrected is not None
     wanted, sd = leg_scale.least_squares_scale(leg_scale.readings(-0.06))
     leg = next(c for c in gap.coefficients if c.name == "leg 1")

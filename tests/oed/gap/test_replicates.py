@@ -105,7 +105,6 @@ def test_errors_that_recur_at_each_pose_are_no_noise(
     of = problem(1.2, on_the_spot=on_the_spot)
     result = diagnose(of, [effect], np.random.default_rng(1))
     assert result.verdict == "scatter"
-    assert result.scatter is not None
     assert result.scatter.against == against
     expected = np.sqrt(1.0 + TIMES * 1.2**2)
     assert result.scatter.factor == pytest.approx(expected, rel=0.2)

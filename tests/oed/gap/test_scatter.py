@@ -54,7 +54,6 @@ def test_scatter_that_a_data_sheet_is_good_for_is_noise(factor: float) -> None:
 def test_more_scatter_is_reported_with_its_factor_and_no_go_ahead() -> None:
     result = diagnosis(3.0)
     assert result.verdict == "scatter"
-    assert result.scatter is not None
     assert result.scatter.factor == pytest.approx(3.0, rel=0.2)
     assert result.next[0].startswith("Do not compensate yet: read some poses several")
     assert result.where == ()

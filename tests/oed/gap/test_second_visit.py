@@ -122,7 +122,6 @@ def test_what_was_not_read_under_load_is_to_be_read_under_load() -> None:
     candidates = second_visit.candidate_runs(diagnosis.problem, values)
     rng = np.random.default_rng(2)
     visit = second_visit.propose(diagnosis, EFFECTS, candidates, rng)
-    assert visit is not None
     poses = sum(len(run.command) for run in visit.runs)
     assert 0 < poses <= 0.25 * 36
     assert {run.condition["payload"] for run in visit.runs} == {1500.0}

@@ -162,7 +162,6 @@ def test_some_channels_keep_the_instruments_order_and_sources() -> None:
     some = toy().take_channels(["c", "a"])
     assert [c.name for c in some.channels] == ["a", "c"]
     assert [float(v) for v in some.observe([], {}, {})] == [1.0, 3.0]
-    assert some.sources is not None
     assert np.array(some.sources([], {}, {})).tolist() == [[1.0, 2.0], [5.0, 6.0]]
 
 

@@ -61,7 +61,6 @@ def runs_compiled() -> bool:
 def load(text: str) -> Any:
     """The functions of a text, compiled or found."""
     library = compiler.compiled_text(text)
-    assert library is not None
     library.make()
     return library.functions
 
@@ -82,7 +81,6 @@ def test_another_compiler_or_processor_compiles_anew(
     load(text_of(42))
     for identity in ("another", "a third"):
         known = compiler.find_compiler(os.environ["PATH"])
-        assert known is not None
         changed = compiler.Compiler(known.path, identity)
         monkeypatch.setattr(compiler, "find_compiler", lambda _, c=changed: c)
         assert load(text_of(42)).answer() == 42
@@ -154,7 +152,6 @@ def test_a_compiler_that_does_not_know_the_processor_serves(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     known = compiler.find_compiler(os.environ["PATH"])
-    assert known is not None
     script = tmp_path / "cc"
     script.write_text(
         f'#!/bin/sh\ncase "$*" in *native*) exit 1;; esac\nexec {known.path} "$@"\n'

@@ -137,7 +137,6 @@ def test_outliers_are_named() -> None:
         precision=inverse.__matmul__, precision_diagonal=lambda: np.diag(inverse)
     )
     result = detect_outliers(residual, covariance)
-    assert result is not None
     # what all readings share is hardly held by others, and moves on at each turn
     assert not result.has_converged
     assert int(np.argmax(np.abs(result.pseudo_residual - residual))) == 17

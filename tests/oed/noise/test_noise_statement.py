@@ -55,7 +55,6 @@ def test_an_assumed_noise_has_one_scale_that_follows_the_readings(
     y = m.readings([series], m.nominal) + factor * SIGMA * rng.standard_normal(24)
     estimate = identify(m, [series], y, estimate_noise=True)
     posterior = estimate.noise_posterior
-    assert posterior is not None
     assert posterior.prior.names == ("noise of all readings",)
     assert posterior.prior.is_common
     scale = posterior.prior.laws(posterior.draws).scale
@@ -270,11 +269,9 @@ def test_stated_tails_go_before_those_that_are_tried() -> None:
     share = detect_outliers(
         residual, ONES, statement=NoiseStatement(outlier_share=0.02)
     )
-    assert share is not None
     assert share.density.outlier_share == 0.02
     assert int(np.argmax(np.abs(share.pseudo_residual - residual))) == 17
     student = detect_outliers(residual, ONES, statement=NoiseStatement(student_dof=3.0))
-    assert student is not None
     assert student.density.dof == 3.0
     assert student.has_converged
     light = detect_outliers(residual[:17], Noise(np.ones(17)))

@@ -62,7 +62,6 @@ def dense_update(
     slopes = (slopes * measurement.tolerance)[:, measurement.free]
     free = int(measurement.free[: len(machine.parameters)].sum())
     nuisances = option.candidates.nuisances
-    assert nuisances is not None
     h = np.hstack([slopes[:, :free], nuisances.columns[numbers]])
     of_setup = slopes[:, free:]
     scatter = nuisances.scatter[numbers]
@@ -148,7 +147,6 @@ def test_the_plan_without_effects_promises_too_much(tmp_path: Path) -> None:
     outcome = compute_plan(resolved, resolved.plan, [1, 2], rng, Silent(), None)
     section = outcome.section
     allowed = section.effects
-    assert allowed is not None
     for key, promised in allowed.promised.items():
         assert promised < 0.2 * allowed.without.accuracy[key]
         assert section.accuracy[key] < 1.1 * allowed.without.accuracy[key]

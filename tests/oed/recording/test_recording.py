@@ -155,9 +155,7 @@ def test_the_table_of_a_design(tmp_path: Path) -> None:
     design = select_design(resolved, np.random.default_rng(0))
     assert design is not None
     whole = design_sample.section(resolved, design)
-    assert whole.effects is not None
     section = whole.effects.recording
-    assert section is not None
     choices = {choice.name: choice for choice in section.choices}
     assert {"direction", "time", "reference run", "temp_leg1_C"} <= set(choices)
     one, both = choices["temp_leg1_C"], choices["temp_leg1_C, temp_leg2_C"]

@@ -232,7 +232,6 @@ def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
     file = tmp_path / "result.json"
     file.write_text(json.dumps(old), encoding="utf-8")
     loaded = load_result(tmp_path)
-    assert loaded.design is not None
     assert loaded.design.value == full["design"]["value"]
     assert (loaded.headline, loaded.claims, loaded.gap) == ([], [], None)
     result_folder.write_report(tmp_path, pdf=False)

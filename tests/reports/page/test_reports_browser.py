@@ -153,7 +153,6 @@ def test_a_table_is_saved_as_csv(opened: Any, result: StudyResult) -> None:
         figure.locator("button.export").click()
     text = Path(download.value.path()).read_text(encoding="utf-8-sig")
     rows = list(csv.reader(io.StringIO(text)))
-    assert result.design is not None
     assert len(rows) == 1 + len(result.design.poses)
     column = rows[0].index("z [mm]")
     values = [float(row[column]) for row in rows[1:]]
@@ -209,7 +208,6 @@ def _picked_place(page: Any) -> Array:
 
 def _points(result: StudyResult) -> tuple[Array, Array]:
     drawing = result.drawing
-    assert drawing is not None
     tips = 1e3 * np.array(drawing.tool_points)
     corners = [np.array(line.points) for line in drawing.lines]
     bars = [np.array(bar) for bar in drawing.bars]
@@ -307,7 +305,6 @@ def test_the_error_map_is_drawn_with_its_scale(
     page = opened(1440)
     page.select_option("#field", label="error of z")
     page.select_option("#state", "before")
-    assert result.prediction is not None
     sizes = [point.before["z"] for point in result.prediction.map]
     words = page.text_content("#ramp")
     assert f"{max(sizes):.3g}".rstrip("0") in words

@@ -63,7 +63,6 @@ def test_accuracies_stand_beside_what_is_wanted(
     results: dict[str, StudyResult],
 ) -> None:
     design = results["one"].design
-    assert design is not None
     assert design.how_many is not None
     goal = replace(design.how_many, wanted={"z_um": 25.0})
     results["one"] = replace(results["one"], design=replace(design, how_many=goal))

@@ -66,7 +66,6 @@ def answered(
     result = stages.run_study(loaded, folder / "fit", report=False)
     sentence = calibration_answer(loaded, result, folder / "fit")
     judgement = sentence.removeprefix("Is the calibration good? ").partition(":")[0]
-    assert result.estimate is not None
     values = {n: p.value for n, p in result.estimate.parameters.items()}
     return judgement, sentence, values
 

@@ -187,7 +187,6 @@ def test_usual_effects_count_as_on_the_first_page(
     exported(folder, np.array([10.0, 5.0, 5.0]), "json", options=few)
     result = load_result(folder)
     section = result.prediction
-    assert section is not None
     assert section.budget is not None
     errors = dict.fromkeys(NAMES, 30.0)
     whole = {

@@ -145,7 +145,6 @@ def section(folder: Path) -> StudyResult:
 def test_table_and_axes_leave_what_the_report_says(folder: Path) -> None:
     """A head that the toolkit did not simulate, driven by code that shares none."""
     prediction = section(folder).prediction
-    assert prediction is not None
     assert prediction.mode == "identified"
     known = [prediction.components[n].known for n in ("x", "y", "phi")]
     stays = [prediction.components[n].after.rms for n in ("x", "y", "phi")]
@@ -165,7 +164,6 @@ def test_the_budget_of_the_file_has_both_lines(folder: Path) -> None:
     without = rms(folder, axes=False)
     assert list(budget["no_axes"].values()) == pytest.approx(without, rel=0.1)
     prediction = section(folder).prediction
-    assert prediction is not None
     assert prediction.budget is not None
     kinds = {line["kind"]: line for line in budget["lines"]}
     for name in ("x", "y", "phi"):
@@ -220,7 +218,6 @@ def fill_in(folder: Path, to: Path, axes: bool | None, scale: float = 1.0) -> Pa
 def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -> None:
     assert main(["verify", str(folder)]) == 0
     plan = section(folder).acceptance
-    assert plan is not None
     assert list(plan.components) == ["z", "psi", "theta"]
     assert list(plan.further) == ["x", "y", "phi"]
     off = fill_in(folder, tmp_path / "off.csv", axes=False)
@@ -229,7 +226,6 @@ def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -
     for file in (off, on):
         main(["verify", str(folder), "--readings", str(file)])
         judged = section(folder).verification
-        assert judged is not None
         assert judged.judgement != "fail"
         verdicts.append(judged.further)
     for name, demand in plan.further.items():
@@ -243,7 +239,6 @@ def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -
     none = fill_in(folder, tmp_path / "none.csv", axes=None)
     main(["verify", str(folder), "--readings", str(none)])
     judged = section(folder).verification
-    assert judged is not None
     assert judged.further == {}
 
 

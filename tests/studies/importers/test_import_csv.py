@@ -34,7 +34,6 @@ def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
     assert "Not used: name, remark." in imported.statements
     assert [row["height_mm"] for row in imported.rows] == ["0.02", "", "-0.01"]
     readings = oed.read_readings(oed.load_study(study))
-    assert readings.state.readings is not None
     np.testing.assert_allclose(readings.state.readings.y, [2e-5, -1e-5])
 
 
@@ -98,7 +97,6 @@ def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
     (setup,) = oed.load_study(study).setup
     assert setup.channels == ["read_x", "read_y"]
     readings = oed.read_readings(oed.load_study(study)).state.readings
-    assert readings is not None
     assert readings.y.size == 4
 
 

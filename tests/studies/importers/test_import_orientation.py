@@ -67,7 +67,6 @@ def write(path: Path, command: np.ndarray, point: np.ndarray, form: np.ndarray) 
 def imported_angles(study: Path) -> np.ndarray:
     """Angles (n, 3) of the imported readings, rad."""
     readings = oed.read_readings(oed.load_study(study)).state.readings
-    assert readings is not None
     return readings.y.reshape(-1, 6)[:, 3:]
 
 

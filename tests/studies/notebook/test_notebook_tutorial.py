@@ -82,8 +82,6 @@ def _new_axes() -> Axes:
 
 def test_other_sections_are_drawn_too() -> None:
     full = result_of(report_fixture.sample())
-    assert full.posterior is not None
-    assert full.estimate is not None
     drawn = axes.posterior(full.posterior, full.estimate.parameters, _new_axes())
     name = drawn.get_yticklabels()[0].get_text()
     marginal, p = full.posterior.marginals[name], full.estimate.parameters[name]
@@ -91,7 +89,6 @@ def test_other_sections_are_drawn_too() -> None:
     assert low * p.prior_sd + p.nominal == pytest.approx(marginal.q025)
     assert high * p.prior_sd + p.nominal == pytest.approx(marginal.q975)
     plan = result_of(report_fixture.bare() | {"plan": report_fixture_plan.plan()}).plan
-    assert plan is not None
     shares = axes.stages(plan, _new_axes()).lines[0].get_ydata()
     key = next(iter(plan.start_accuracy))
     assert shares[0] == 1.0

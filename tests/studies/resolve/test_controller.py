@@ -307,7 +307,6 @@ def test_every_format_says_that_it_is_the_whole(
 def session(covariance: Array) -> StudyResult:
     """A result whose estimate has this covariance of the free parameters, mm and mrad."""
     content = sample.result(a3_head.machine, si(KNOWN))
-    assert content.estimate is not None
     frame = set(a3_head.machine.frame)
     rows = {n: p for n, p in content.estimate.parameters.items() if n not in frame}
     estimate = msgspec.structs.replace(

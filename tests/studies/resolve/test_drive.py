@@ -126,7 +126,6 @@ def test_the_diagnosis_finds_the_motor_gear(tmp_path: Path) -> None:
     file.write_text("\n".join([names, *rows]))
     arm = study(tmp_path, 'drive = { kind = "gear", ratio = 63 }')
     gap = stages.diagnose_study(arm, [file], tmp_path / "out").gap
-    assert gap is not None
     best = gap.answers[0]
     assert tuple(best.effects) == ("gear_eccentricity",), gap.findings
     assert best.probability > 0.7

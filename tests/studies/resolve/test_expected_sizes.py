@@ -17,7 +17,6 @@ def scales(effect: Effect) -> dict[str, float]:
 
 def effects(text: str) -> dict[str, Effect]:
     resolved = sample.resolved(sample.STUDY + "[gap]\n" + text)
-    assert resolved.gap is not None
     return {e.name: e for e in resolved.gap.effects}
 
 

@@ -211,7 +211,6 @@ def test_a_source_becomes_readings(tmp_path: Path) -> None:
     data = sample.resolved(
         text + '[readings]\nsource = "delta_v400"\npath = "."\n', tmp_path
     ).dataset
-    assert data is not None
     np.testing.assert_allclose(data.y, [0.0181, 0.0649])
     np.testing.assert_allclose(data.series[0].q[0], [0.400, 0.401, 0.401])
     np.testing.assert_allclose(

@@ -57,7 +57,6 @@ def test_corrected_parameters_are_within_their_deviations(
     folder: Path, result: StudyResult
 ) -> None:
     truth = json.loads((folder / "loads.truth.json").read_text())
-    assert result.corrected is not None
     assert result.estimate is not None
     factor = {"mm": 1e-3, "mrad": 1e-3}
     worst_plain = 0.0
@@ -70,7 +69,6 @@ def test_corrected_parameters_are_within_their_deviations(
 
 
 def test_coefficients_have_a_readers_unit(result: StudyResult) -> None:
-    assert result.corrected is not None
     struts = result.corrected.effects["gravity: struts"]
     assert struts.unit == "um"
     assert abs(struts.value - 60.0) < 4.0 * struts.sd
@@ -78,8 +76,6 @@ def test_coefficients_have_a_readers_unit(result: StudyResult) -> None:
 
 def test_the_prediction_states_its_conditions(result: StudyResult) -> None:
     corrected = result.corrected
-    assert corrected is not None
-    assert corrected.prediction is not None
     assert any("payload" in sentence for sentence in corrected.conditions)
     z = corrected.prediction.components["z"]
     assert z.after.rms < 0.2 * corrected.parameters_only["z"].rms
@@ -89,7 +85,6 @@ def test_exports_hold_tables_of_the_effects_or_say_so(
     folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
     corrected = result.corrected
-    assert corrected is not None
     assert {t.state for t in corrected.tables} >= {"payload_N"}
     out = folder / "out"
     assert run("compensate", out, "--to", "csv") == 0
@@ -120,7 +115,6 @@ def test_interpolation_of_the_effects_tables_is_in_the_budget(
     folder: Path, result: StudyResult
 ) -> None:
     """A bound: the errors of all tables in the same sense."""
-    assert result.corrected is not None
     costs = [t.interpolation for t in result.corrected.tables]
     assert all(cost["y"] > 0.0 for cost in costs)
     out = folder / "out"
@@ -162,10 +156,7 @@ def test_a_file_without_the_effects_has_them_in_its_budget(
 def test_the_terminal_says_what_the_accuracy_rests_on(
     folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert result.corrected is not None
-    assert result.corrected.prediction is not None
     budget = result.corrected.prediction.budget
-    assert budget is not None
     assert budget.advice
     headline.report_outcome(result, folder / "out", quiet=False)
     printed = capsys.readouterr().out
@@ -249,8 +240,6 @@ def test_acceptance_poses_are_not_those_of_the_calibration(
 ) -> None:
     result = load_result(folder / "out")
     acceptance, estimate = result.acceptance, result.estimate
-    assert acceptance is not None
-    assert estimate is not None
     known = {tuple(f"{v:g}" for v in c.values()) for c in estimate.commands}
     rows = {tuple(line.split(",")[3:5]) for line in _readings(folder)}
     assert known == rows  # the poses that relative readings start from as well
@@ -284,7 +273,6 @@ def test_a_good_machine_passes_and_a_bad_one_fails(
     assert run("verify", out, "--readings", bad) == 1
     assert "does not meet" in capsys.readouterr().out
     stored = load_result(out).verification
-    assert stored is not None
     assert not stored.passed
 
 
@@ -316,7 +304,6 @@ def test_the_sampled_posterior_is_that_of_the_estimate(folder: Path) -> None:
     options = ["--with", "gravity,frame_bending", "--out", out]
     assert run("identify", study, "--readings", readings, *options) == 0
     corrected = load_result(out).corrected
-    assert corrected is not None
     for name, p in corrected.parameters.items():
         draws = corrected.posterior[name]
         assert abs(draws.mean - p.value) < 0.3 * p.sd, name

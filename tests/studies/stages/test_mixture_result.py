@@ -28,14 +28,12 @@ def result() -> StudyResult:
 
 
 def mixture_of(result: StudyResult) -> MixtureSection:
-    assert result.gap is not None
     assert result.gap.mixture is not None
     return result.gap.mixture
 
 
 def sent(result: StudyResult, *, tables: bool) -> tuple[np.ndarray, str]:
     identified = identified_parameters(result, machine, tables=tables)
-    assert identified is not None
     values = identified.values[[machine.index(name) for name in NAMES]]
     return values, identified.origin
 
@@ -66,9 +64,7 @@ def test_without_a_table_of_any_effect_geometry_is_all_that_is_sent() -> None:
 
 def test_a_file_says_what_is_reached_and_what_it_lacks(result: StudyResult) -> None:
     identified = identified_parameters(result, machine, tables=False)
-    assert identified is not None
     prediction = mixture_of(result).prediction
-    assert prediction is not None
     words = " ".join(identified.conditions)
     assert "not in this file: backlash" in words
     rms = prediction.components["z"].after.rms
@@ -128,8 +124,6 @@ def test_a_file_with_effects_says_what_all_answers_expect(result: StudyResult) -
     gap = msgspec.structs.replace(result.gap, mixture=both)
     result = msgspec.structs.replace(result, gap=gap)
     identified = identified_parameters(result, machine, tables=True)
-    assert identified is not None
-    assert mixture.prediction is not None
     rms = mixture.prediction.components["z"].after.rms
     assert identified.origin == "corrected"
     assert "take the diagnosis' best hypothesis as true" in identified.conditions[-1]
@@ -145,7 +139,6 @@ def test_what_to_do_first_is_no_second_diagnosis(result: StudyResult) -> None:
 def test_a_promise_says_what_geometry_alone_reaches(result: StudyResult) -> None:
     (condition,) = promise.without_effects(result)
     prediction = mixture_of(result).prediction
-    assert prediction is not None
     rms = prediction.components["z"].after.rms
     assert f"z_um={rms:.3g}" in condition
     assert result.gap is not None
@@ -162,7 +155,6 @@ def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) 
     slope = np.ones((1, 1, size))
     (rms,) = promise.promised_rms(sent_alone, machine, slope, [number], unit)
     prediction = mixture_of(result).prediction
-    assert prediction is not None
     assert rms == pytest.approx(1e-6 * prediction.components["z"].after.rms)
 
 

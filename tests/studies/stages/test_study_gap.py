@@ -104,7 +104,6 @@ def test_a_user_s_effect_replaces_one_of_the_library(tmp_path: Path) -> None:
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
     request = gap_request(load(path), sample.resolved().machine)
-    assert request is not None
     (backlash,) = [e for e in request.effects if e.name == "backlash"]
     assert backlash.source == "by hand"
 
@@ -176,7 +175,6 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     text = (tmp_path / "out/result.json").read_text()
     assert "NaN" not in text
     gap = msgspec.json.decode(text, type=result.StudyResult).gap
-    assert gap is not None
     assert gap.verdict == "effect"
     assert gap.selected == ["backlash"]
     assert gap.closure[1].value is None

@@ -64,8 +64,6 @@ def every_choice(budget: float) -> list[tuple[float, dict[str, float]]]:
     They follow from the normal equations alone.
     """
     resolved = resolve(study.parse(STUDY, HERE))
-    assert resolved.plan is not None
-    assert resolved.prediction is not None
     m = resolved.measurement_with(["rm4", "rm5"])
     maps = error_maps(m.kinematics, resolved.prediction.command, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]
@@ -267,7 +265,6 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
         for p, v in zip(machine_only.machine.parameters, mean, strict=True)
     ]
     identified = machine_only.machine.with_parameters(parameters)
-    assert resolved.prediction is not None
     command = resolved.prediction.command
     maps = error_maps(Kinematics(identified), command, "home")
     slopes = np.moveaxis(maps.raw, 2, 1)[:, :, :2].reshape(len(command), 7, 2)

@@ -247,8 +247,6 @@ def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -
         study.parse(fields, Path("x.study.toml")), tmp_path, report=False
     )
     design = result.design
-    assert design is not None
-    assert design.polished is not None
     assert design.polished.after > design.polished.before
     assert design.value == pytest.approx(design.polished.after, rel=1e-9)
     assert design.plans[0].value == pytest.approx(
@@ -280,8 +278,6 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
         Path("x.study.toml"),
     )
     design = stages.run_study(parsed, tmp_path, report=False).design
-    assert design is not None
-    assert design.order is not None
     assert design.order.exact
     assert design.order.after_s < design.order.before_s
     resolved, unordered = chosen(text(KNOWN.replace("3", "8")))

@@ -27,7 +27,6 @@ def best_accuracy(
     plain linear algebra.
     """
     m, maps = resolved.measurement, design.criteria.error_maps
-    assert maps is not None
     whitened = small.rows(resolved)
     plans = np.array(list(itertools.combinations(range(len(whitened)), size)))
     rows = whitened[plans]
@@ -46,7 +45,6 @@ def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound()
 ):
     resolved, design = small.chosen(small.text(ROBUST))
     robust = design.robust
-    assert robust is not None
     assert len(robust.values) == 6
     assert robust.value == pytest.approx(min(robust.values))
     assert robust.nominal == pytest.approx(min(robust.nominal_values))
@@ -69,7 +67,6 @@ def test_accuracy_against_the_number_of_readings() -> None:
     """No pair of readings is more accurate than the bound, and the curve falls."""
     resolved, design = small.chosen(small.text(MANY))
     curve = design.how_many
-    assert curve is not None
     assert curve.sizes == [2, 4, 6]
     pairs = best_accuracy(resolved, design, 2)
     for name, unit, key in (("x", 1e-6, "x_um"), ("z", 1e-6, "z_um")):
@@ -87,13 +84,11 @@ def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
     wanted = 1e6 * 0.5 * (best[3] + best[4])  # four can, three cannot
     changed = MANY.replace("most = 8", f"most = 8, wanted = {{ z_um = {wanted:.6f} }}")
     _, design = small.chosen(small.text(changed))
-    assert design.how_many is not None
     assert design.how_many.fewest == 4
     assert design.how_many.at_least <= 4
     _, unreachable = small.chosen(
         small.text(MANY.replace("most = 8", "most = 8, wanted = { z_um = 0.001 }"))
     )
-    assert unreachable.how_many is not None
     assert unreachable.how_many.fewest is None
     assert "no plan of that size can" in unreachable.how_many.words
 

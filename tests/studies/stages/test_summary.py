@@ -89,7 +89,6 @@ def test_readings_that_agree_do_not_read_as_a_failure(tmp_path: Path) -> None:
 def test_stages_of_a_plan_are_rows_with_a_column_for_each_accuracy() -> None:
     raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
     plan = report_fixture.result_of(raw).plan
-    assert plan is not None
     printed = display.plan_lines(plan, verbose=False)
     last = plan.stages[-1]
     for value in last.accuracy.values():
@@ -124,7 +123,6 @@ def test_held_out_channels_are_rows_and_contradictions_notices() -> None:
 
 def test_the_readings_stand_in_their_order() -> None:
     result = sample()
-    assert result.design is not None
     poses = result.design.poses
     table = table_of(answer.measure_blocks(result), "in their order")
     titles = [column.title for column in table.columns]

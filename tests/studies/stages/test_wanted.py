@@ -47,7 +47,6 @@ def test_verdicts_stand_beside_the_predicted(
     capsys.readouterr()
     result = _result(out)
     section = result.prediction
-    assert section is not None
     assert section.wanted == pytest.approx({"z": 1e5, "theta": 1e-6, "x": 1e6})
     stated = {name: v.judgement for name, v in result.verdicts.items()}
     assert stated == {"z": "pass", "theta": "fail", "x": "cannot tell"}

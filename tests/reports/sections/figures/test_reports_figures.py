@@ -34,10 +34,8 @@ def _empty_figures() -> list[Callable[[], Figure]]:
     design, estimate = full.design, full.estimate
     posterior, prediction = full.posterior, full.prediction
     section = full.identifiability
-    assert design is not None
     assert estimate is not None
     assert posterior is not None
-    assert prediction is not None
     assert section is not None
     assert design.robust is not None
     assert design.how_many is not None
