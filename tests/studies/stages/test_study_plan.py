@@ -5,6 +5,7 @@ import dataclasses
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace as Fake
 
 import msgspec
 import numpy as np
@@ -23,7 +24,11 @@ from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
-from pkm_studies.stages.plan.plan import loss_bound_text, more_accurate
+from pkm_studies.stages.plan.plan import (
+    _largest_residual_um,
+    loss_bound_text,
+    more_accurate,
+)
 
 
 @pytest.fixture(scope="module")
@@ -348,3 +353,27 @@ def test_a_plan_needs_a_workspace(tmp_path: Path) -> None:
     text = STUDY[: STUDY.index("[prediction]")]
     with pytest.raises(InputError, match="add a \\[prediction\\] table"):
         planned(text, tmp_path)
+
+
+def test_what_linearisation_leaves_is_the_largest_of_the_lengths() -> None:
+    """A set-up that reads a length and an angle, and one that reads angles alone."""
+
+    def setup(*units: str) -> Fake:
+        return Fake(instrument=Fake(channels=[Fake(unit=unit) for unit in units]))
+
+    class Readings(list):
+        setup: str
+
+    setups = {"both": setup("m", "rad"), "angles": setup("rad")}
+
+    def left(name: str, count: int, rms: list[float]) -> float | None:
+        series = Readings(range(count))
+        series.setup = name
+        option = Fake(measurement=Fake(setups=setups))
+        numbers = np.array(rms)
+        stage = Fake(linearisation_rms=numbers, option=option, series=[series])
+        return _largest_residual_um(stage)
+
+    assert left("both", 2, [1e-6, 0.5, 3e-6, 0.2]) == pytest.approx(3.0)
+    assert left("both", 1, [np.nan, 0.5]) is None
+    assert left("angles", 2, [0.5, 0.2]) is None
