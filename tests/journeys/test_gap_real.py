@@ -35,10 +35,7 @@ UNSUPPORTED = {
 }  # fmt: skip
 
 
-@pytest.fixture(
-    scope="module",
-    params=["delta_v400", "hangprinter_hp4"],
-)
+@pytest.fixture(scope="module", params=["delta_v400", "hangprinter_hp4"])
 def gap(
     request: pytest.FixtureRequest,
     shared_data: Path,

@@ -38,10 +38,7 @@ def identified(study: Path, readings: Path) -> tuple[dict[str, Any], int]:
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
     """Without the field, and without effects."""
     folder = tmp_path_factory.mktemp("effects")
-    lines = {
-        "default": "",
-        "none": '\n[identify]\neffects = "none"\n',
-    }
+    lines = {"default": "", "none": '\n[identify]\neffects = "none"\n'}
     return {name: run(folder / name, text) for name, text in lines.items()}
 
 

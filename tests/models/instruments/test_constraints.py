@@ -62,12 +62,7 @@ def of_class(name: str) -> tuple[Measurement, list[Series]]:
 
 @pytest.mark.parametrize(
     ("name", "rank", "count"),
-    [
-        ("external", 9, 15),
-        ("sensors", 21, 27),
-        ("plates", 15, 24),
-        ("locks", 12, 18),
-    ],
+    [("external", 9, 15), ("sensors", 21, 27), ("plates", 15, 24), ("locks", 12, 18)],
 )
 def test_slopes_and_ranks_of_each_class_of_calibration(
     name: str, rank: int, count: int

@@ -202,10 +202,7 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
     ],
 )
 def test_a_new_study_is_sound_and_runs(
-    machine: str,
-    instrument: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    machine: str, instrument: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     new = ["new", "draft", "--machine", machine, "--instrument", instrument]
@@ -220,9 +217,7 @@ def test_a_new_study_is_sound_and_runs(
 
 
 def test_a_lock_without_its_joint_is_refused(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     main(["new", "lock", "--machine", "a3_head", "--instrument", "locked_joint"])

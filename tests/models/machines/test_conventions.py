@@ -16,10 +16,7 @@ from scipy.spatial.transform import Rotation
 from oed import units
 from oed.mechanism import Kinematics
 from oed.model import Machine
-from pkm_models.machines import (
-    a3_head,
-    prs_spindle,
-)
+from pkm_models.machines import a3_head, prs_spindle
 from pkm_studies import catalogue
 from pkm_studies.base import Location
 from pkm_studies.commands import main

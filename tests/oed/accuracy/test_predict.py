@@ -211,10 +211,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
             "nkp,dp->dnk", moved, found
         )
         for k, name in enumerate(maps.names):
-            want, got = (
-                Spread.of_errors(errors[..., k]),
-                getattr(told, key)[name],
-            )
+            want, got = (Spread.of_errors(errors[..., k]), getattr(told, key)[name])
             assert got.rms == pytest.approx(want.rms, rel=0.04)
             assert (got.p95, got.largest) == pytest.approx(
                 (want.p95, want.largest), rel=0.12

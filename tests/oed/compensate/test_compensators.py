@@ -11,11 +11,7 @@ A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
 TABLE3 = a3.errors(**{k: a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")})
 Z = a3.D + a3.C + 0.100
 CIRCLE = np.column_stack(
-    [
-        np.full(72, Z),
-        np.arange(72) * 2 * np.pi / 72,
-        np.full(72, np.deg2rad(35.0)),
-    ]
+    [np.full(72, Z), np.arange(72) * 2 * np.pi / 72, np.full(72, np.deg2rad(35.0))]
 )
 
 

@@ -7,10 +7,7 @@ import pytest
 from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
-from oed.compensate.exact import (
-    joint_corrections,
-    undriven_components,
-)
+from oed.compensate.exact import joint_corrections, undriven_components
 from oed.mechanism import AssemblyError, Kinematics, component_errors
 
 PLANAR = Kinematics(planar_2dof.machine)

@@ -206,10 +206,7 @@ def test_a_plan_to_fill_in_has_empty_readings(
     unit=st.sampled_from(sorted(units.UNITS)),
 )
 def test_a_column_says_its_unit(stem: str, unit: str) -> None:
-    if stem in columns.UNITLESS or (stem, unit) == (
-        "feed",
-        "mm_min",
-    ):
+    if stem in columns.UNITLESS or (stem, unit) == ("feed", "mm_min"):
         return
     column = columns.ReadingsColumn.parse(f"{stem}_{unit}")
     assert (column.stem, column.unit, column.factor) == (

@@ -177,10 +177,7 @@ def test_what_no_reading_determines_is_refused() -> None:
     basis = np.eye(N)[:, :3]
     assert CRITERIA.build("Ds", N, np.eye(N)[:, 2:4]).restrict(
         basis
-    ).interest.shape == (
-        3,
-        1,
-    )
+    ).interest.shape == (3, 1)
     with pytest.raises(
         ValueError, match="no reading determines the directions of interest"
     ):

@@ -42,11 +42,7 @@ def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
     ).add_prior(np.eye(h.shape[1]))
     assert pool.nuisance_columns == 3
     choice = choose(
-        pool.blocks,
-        3,
-        np.random.default_rng(0),
-        pool.criterion(name),
-        prior=pool.prior,
+        pool.blocks, 3, np.random.default_rng(0), pool.criterion(name), prior=pool.prior
     )
     values = {}
     for subset in itertools.combinations(range(8), 3):

@@ -109,10 +109,7 @@ def fitted(poses: Poses, noise: float, *, estimate_noise: bool = True) -> Estima
     measurement = Measurement(machine, [dataclasses.replace(setup, nuisances=fixed)])
     series = measurement.series_from_joints("camera", poses.legs)
     return identify(
-        measurement,
-        [series],
-        poses.readings().ravel(),
-        estimate_noise=estimate_noise,
+        measurement, [series], poses.readings().ravel(), estimate_noise=estimate_noise
     )
 
 
@@ -151,11 +148,9 @@ def test_a_real_platform_is_fitted_as_well_as_by_least_squares(
     platform: Poses, withheld: str
 ) -> None:
     every = np.arange(len(platform.x))
-    judged = {
-        "none": every,
-        "every third": every[2::3],
-        "last third": every[72:],
-    }[withheld]
+    judged = {"none": every, "every third": every[2::3], "last third": every[72:]}[
+        withheld
+    ]
     used = every if withheld == "none" else np.setdiff1d(every, judged)
     estimate = fitted(platform.take(used), 0.2 * MM)
     same_readings = fitted(platform.take(used), 0.2 * MM, estimate_noise=False)

@@ -12,10 +12,7 @@ from shipped_models import a3_head, ball_bar, planar_2dof, pose_tracker, relativ
 from kernel.plan_catalogues import searched, stage_after
 from oed.accuracy import error_maps
 from oed.instrument import mount
-from oed.measurement import (
-    Measurement,
-    commands_at_fixed_reading,
-)
+from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.model import Machine
 from oed.planning import (
     Goal,

@@ -13,12 +13,7 @@ from kernel.bar_series import CUP, LENGTH, bar, places, planar_series, tips
 from kernel.cases import CASES
 from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.poses import (
-    DirectionCone,
-    ReadingLimits,
-    check_readings,
-    travel_probability,
-)
+from oed.poses import DirectionCone, ReadingLimits, check_readings, travel_probability
 
 
 def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> None:

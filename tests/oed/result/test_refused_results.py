@@ -35,10 +35,7 @@ MUTATIONS: list[tuple[Change, str]] = [
 
 @pytest.mark.parametrize(("change", "field"), MUTATIONS)
 def test_a_contradiction_is_refused_with_its_field(
-    change: Change,
-    field: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    change: Change, field: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plain = whole()
     change(plain)

@@ -40,11 +40,7 @@ def test_beyond_the_draws_nothing_is_certain() -> None:
 def test_the_verdict_follows_the_quantiles() -> None:
     """pass where the 0.95 quantile is within what is wanted, fail where the 0.05 is not."""
     upper, lower = NORMAL.inv_cdf(0.95), NORMAL.inv_cdf(0.05)
-    limits = {
-        "pass": 1.001 * upper,
-        "cannot tell": 0.99 * upper,
-        "fail": 0.99 * lower,
-    }
+    limits = {"pass": 1.001 * upper, "cannot tell": 0.99 * upper, "fail": 0.99 * lower}
     for stated, limit in limits.items():
         assert judge(SPREAD.probability_within(limit)) == stated
     assert judge(SPREAD.probability_within(1.01 * lower)) == "cannot tell"

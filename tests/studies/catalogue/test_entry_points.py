@@ -63,11 +63,7 @@ shop_files = shop_models:files
 klipper = shop_models:files
 shop_broken = shop_models:absent
 """
-NAMES = {
-    "instruments": "shop_gauge",
-    "effects": "shop_play",
-    "formats": "shop_table",
-}
+NAMES = {"instruments": "shop_gauge", "effects": "shop_play", "formats": "shop_table"}
 
 
 @pytest.fixture

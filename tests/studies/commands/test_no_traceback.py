@@ -84,10 +84,7 @@ def test_readings_of_a_set_up_that_the_design_does_not_use(
     ],
 )
 def test_studies(
-    change: tuple[str, str],
-    words: str,
-    study: Path,
-    capsys: pytest.CaptureFixture[str],
+    change: tuple[str, str], words: str, study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study.write_text(sample.changed(LINES, change), encoding="utf-8")
     assert main(["check", str(study)]) == 2

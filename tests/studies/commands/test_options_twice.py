@@ -57,10 +57,7 @@ def test_readings_of_all_files_count(tmp_path: Path) -> None:
     for given in (files[:1], files):
         out = tmp_path / f"out{len(given)}"
         readings = [part for path in given for part in ("--readings", str(path))]
-        assert main(["identify", str(study), *readings, "--out", str(out)]) in (
-            0,
-            1,
-        )
+        assert main(["identify", str(study), *readings, "--out", str(out)]) in (0, 1)
         result = json.loads((out / "result.json").read_text("utf-8"))
         counts.append(result["estimate"]["readings"])
     assert counts[1] == 2 * counts[0]

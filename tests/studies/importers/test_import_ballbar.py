@@ -159,11 +159,7 @@ def test_several_circles_each_have_their_centre_and_plane(
         "circle 3 ccw": "setup2",  # about one cup: one set-up
         "circle 4 cw": "setup2",
     }
-    axes = {
-        "1": (2, CENTRE),
-        "3": (1, HIGH),
-        "4": (0, HIGH),
-    }
+    axes = {"1": (2, CENTRE), "3": (1, HIGH), "4": (0, HIGH)}
     for number, (normal, centre) in axes.items():
         rows = [r for r in imported.rows if r["run"].startswith(f"circle {number} ")]
         at = np.array([[float(r[f"{n}_mm"]) for n in "xyz"] for r in rows]) - centre

@@ -156,11 +156,7 @@ def test_a_trusted_folder_needs_no_consent(
     ],
 )
 def test_a_study_names_files_of_its_folder_alone(
-    reference: str,
-    words: str,
-    folder: Path,
-    call: Run,
-    monkeypatch: pytest.MonkeyPatch,
+    reference: str, words: str, folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Consent covers the folder of the study, not every file that its text reaches."""
     parent = folder.parent

@@ -94,10 +94,7 @@ def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
 
 @pytest.mark.parametrize(
     "build",
-    [
-        report_fixture.sample,
-        pytest.param(report_fixture.delta, marks=pytest.mark.slow),
-    ],
+    [report_fixture.sample, pytest.param(report_fixture.delta, marks=pytest.mark.slow)],
 )
 def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> None:
     full = result_of(build())
