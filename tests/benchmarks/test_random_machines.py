@@ -68,10 +68,8 @@ def test_columns_of_effects_have_no_unit_of_length(model: str) -> None:
     apart = np.abs(other.slopes - usual.slopes).max()
     assert apart < 1e-4 * np.abs(usual.slopes).max()
     for effect, effect_there in zip(effects, scaled, strict=True):
-        here, there = (
-            library.build(usual, [effect]),
-            library.build(other, [effect_there]),
-        )
+        here = library.build(usual, [effect])
+        there = library.build(other, [effect_there])
         assert there.columns.shape == here.columns.shape, effect.name
         size = np.abs(here.columns).max(axis=0, initial=1e-6)
         change = np.abs(there.columns - here.columns) / size

@@ -160,10 +160,8 @@ def forward(p: ArrayLike, q: ArrayLike, tool: ArrayLike = 0.0) -> Forward:
     side2 = np.stack(
         [((plat[..., i, :] - plat[..., j, :]) ** 2).sum(-1) for i, j in PAIRS], -1
     )
-    reach, lateral = (
-        (length * np.cos(beta))[..., None],
-        (length * np.sin(beta))[..., None] * S1,
-    )
+    reach = (length * np.cos(beta))[..., None]
+    lateral = (length * np.sin(beta))[..., None] * S1
     gamma = np.zeros((*shape, 3), np.result_type(p, q, tool, float))
     polish = 2  # once the lengths agree: rounding, and the imaginary part, which lags one step behind
     for _ in range(60):

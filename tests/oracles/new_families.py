@@ -103,10 +103,8 @@ def _tripod_upr_spr(x: Array, q: Array, e: Errors) -> Array:
     turn = Rotation.from_rotvec([x[3], x[4], 0.0]) * Rotation.from_rotvec([0, 0, x[5]])
     rows = []
     for k in range(3):
-        foot, end = (
-            base[k] + _vector(e, f"b{k + 1}"),
-            joint[k] + _vector(e, f"a{k + 1}"),
-        )
+        foot = base[k] + _vector(e, f"b{k + 1}")
+        end = joint[k] + _vector(e, f"a{k + 1}")
         leg = turn.inv().apply(foot - x[:3]) - end
         axis = Rotation.from_rotvec(_vector(e, f"turn{k + 1}")).apply(
             np.eye(3)[0 if k == 2 else 1]

@@ -73,14 +73,12 @@ class Forward(NamedTuple):
 def rotation(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike) -> NDArray:
     """Rx(alpha) Ry(beta) Rz(gamma), (..., 3, 3), written out."""
     a, b, g = np.broadcast_arrays(alpha, beta, gamma)
-    ca, sa, cb, sb, cg, sg = (
-        np.cos(a),
-        np.sin(a),
-        np.cos(b),
-        np.sin(b),
-        np.cos(g),
-        np.sin(g),
-    )
+    ca = np.cos(a)
+    sa = np.sin(a)
+    cb = np.cos(b)
+    sb = np.sin(b)
+    cg = np.cos(g)
+    sg = np.sin(g)
     rows = (
         (cb * cg, -cb * sg, sb),
         (ca * sg + sa * sb * cg, ca * cg - sa * sb * sg, -sa * cb),
@@ -150,10 +148,8 @@ def forward(q: ArrayLike, p: ArrayLike) -> Forward:
         )  # d ball / d swing
         gap, slope = [], np.zeros((*shape, 3), dtype=swing.dtype)
         for k, (i, j) in enumerate(PAIRS):
-            d, side = (
-                balls[..., i, :] - balls[..., j, :],
-                local[..., i, :] - local[..., j, :],
-            )
+            d = balls[..., i, :] - balls[..., j, :]
+            side = local[..., i, :] - local[..., j, :]
             gap.append((d * d).sum(-1) - (side * side).sum(-1))
             slope[..., k, i] = 2 * (d * move[..., i, :]).sum(-1)
             slope[..., k, j] = -2 * (d * move[..., j, :]).sum(-1)

@@ -92,10 +92,8 @@ def test_forward_closes_every_joint_of_wrong_machines():
     z, psi, theta = random_poses(20)
     q = a3.inverse_nominal(z, psi, theta)
     got = a3.forward(p, q)
-    da0, db = (
-        p[..., a3.SL_A].reshape(300, 1, 3, 3),
-        p[..., a3.SL_B].reshape(300, 1, 3, 3),
-    )
+    da0 = p[..., a3.SL_A].reshape(300, 1, 3, 3)
+    db = p[..., a3.SL_B].reshape(300, 1, 3, 3)
     leg = (
         got.tip[..., None, :]
         + (a3.A0_NOM + da0) @ np.swapaxes(got.R, -1, -2)
@@ -368,12 +366,10 @@ def test_delta_satisfies_its_spheres_and_its_inverse():
 
 
 def test_delta_home_and_derivatives():
-    radius, arm, angle, endstop = (
-        161.75,
-        np.full(3, 345.0),
-        np.deg2rad([210.0, 330, 90]),
-        np.full(3, 420.0),
-    )
+    radius = 161.75
+    arm = np.full(3, 345.0)
+    angle = np.deg2rad([210.0, 330, 90])
+    endstop = np.full(3, 420.0)
     assert delta.nozzle(
         np.full(3, 100.0), radius, arm, angle, endstop
     ) == pytest.approx([0, 0, 320])

@@ -173,10 +173,8 @@ def test_the_signature_is_the_slope_of_the_exact_machine(
     assert found.names
     assert np.isfinite(found.columns).all()
     drawn = rng.standard_normal(len(found.names))
-    theta, zero = (
-        s.measurement.nominal,
-        s.measurement.readings(s.series, s.measurement.nominal),
-    )
+    theta = s.measurement.nominal
+    zero = s.measurement.readings(s.series, s.measurement.nominal)
     errors = []
     for size in (4.0, 2.0):
         factors = {n: size * d for n, d in zip(found.names, drawn, strict=True)}

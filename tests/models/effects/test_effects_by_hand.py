@@ -69,11 +69,9 @@ def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
     state = dataclasses.replace(state, payload=np.full(len(state), np.nan))
     drives = columns("gravity", state)["drives"]
     theta = s.measurement.nominal
-    p, tool, step = (
-        theta[: len(s.case.machine.parameters)],
-        np.array(s.case.setups["camera"].tool),
-        1e-6,
-    )
+    p = theta[: len(s.case.machine.parameters)]
+    tool = np.array(s.case.setups["camera"].tool)
+    step = 1e-6
 
     def heights(q: np.ndarray) -> np.ndarray:
         x = kinematics.forward(q, p, series.start)

@@ -122,10 +122,8 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
     state = session("hexapod").states[1]
     lever = np.cross(state.platform - state.tool[:, None], state.strut_direction)
     struts = np.concatenate([state.strut_direction, lever], axis=-1).transpose(0, 2, 1)
-    down, middle = (
-        np.array([0.0, 0.0, -600.0]),
-        state.platform.mean(axis=1) - state.tool,
-    )
+    down = np.array([0.0, 0.0, -600.0])
+    middle = state.platform.mean(axis=1) - state.tool
     weight = np.hstack([np.tile(down, (len(state), 1)), np.cross(middle, down)])
     weight[:, 2] -= state.payload  # at the tool
     tension = np.linalg.solve(struts, weight[..., None])[..., 0]
@@ -161,10 +159,8 @@ def test_pushing_displaces_the_tool_as_it_says(machine: str) -> None:
     hexapod does not turn.
     """
     s, step = session(machine), 1e-5
-    kinematics, p = (
-        s.measurement.kinematics,
-        s.measurement.nominal[: len(s.case.machine.parameters)],
-    )
+    kinematics = s.measurement.kinematics
+    p = s.measurement.nominal[: len(s.case.machine.parameters)]
     for state, series in zip(s.states, s.series, strict=True):
         tool = np.array(s.measurement.setups[series.setup].tool)
         for k, axis in enumerate(np.eye(3)):
@@ -208,10 +204,8 @@ def test_frame_bending_displaces_what_a_camera_sees(
     at = {
         k: (pose.get(k, zero) - c) / lever for k, c in zip("xyz", middle, strict=True)
     }
-    start, able = (
-        m.readings([series], theta),
-        "yz" if machine == "planar_2dof" else "xyz",
-    )
+    start = m.readings([series], theta)
+    able = "yz" if machine == "planar_2dof" else "xyz"
     made, acting = columns("frame_bending", state, sag=0.2), set()
     for name, column in made.items():
         axis, _, factors = name.partition(" by ")

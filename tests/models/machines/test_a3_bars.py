@@ -317,11 +317,9 @@ def test_a_home_error_of_8_mm_converges(
     They converge within five rounds, and end no worse than without these errors.
     """
     m = a3_plans.measurement(of=a3_plans.with_tolerances({"dq": HOME_ERROR}))
-    command, workspace, rng = (
-        grid[d_optimal.indices],
-        a3_plans.workspace(),
-        np.random.default_rng(5),
-    )
+    command = grid[d_optimal.indices]
+    workspace = a3_plans.workspace()
+    rng = np.random.default_rng(5)
     with_error, rounds = [], []
     for _ in range(machines):
         truth = a3_plans.table_3(m)

@@ -97,20 +97,16 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
     """
     command = a3_plans.workspace()[::7]
     maps = error_maps(A3, command, "home")
-    q, home_q = (
-        a3.inverse_nominal(*command.T),
-        a3.inverse_nominal(*A3.machine.home_command),
-    )
+    q = a3.inverse_nominal(*command.T)
+    home_q = a3.inverse_nominal(*A3.machine.home_command)
     tip, _ = a3.nominal_pose(*command.T)
     home_tip, home_rotation = a3.nominal_pose(*A3.machine.home_command)
     h = 1e-6
     for k in range(24):
         ends = []
         for step in (h, -h):
-            real, home = (
-                a3.forward(step * np.eye(24)[k], q),
-                a3.forward(step * np.eye(24)[k], home_q),
-            )
+            real = a3.forward(step * np.eye(24)[k], q)
+            home = a3.forward(step * np.eye(24)[k], home_q)
             zeroed = np.column_stack(a3.euler(real.R @ home.R.T @ home_rotation))
             ends.append(np.hstack([real.tip - tip - (home.tip - home_tip), zeroed]))
         slope = ends[0] - ends[1]
@@ -330,11 +326,9 @@ def test_least_error_counts_components_alike_in_any_unit(per_unit: float) -> Non
         sizes = {"z": 2e-4 * z, "tilt": 3e-5 * per_unit * tilt, "x": x}
         return {name: Spread(size, size, size) for name, size in sizes.items()}
 
-    nothing, mended, turned = (
-        spreads(1.0, 1.0, 0.1),
-        spreads(0.5, 1.1, 9.0),
-        spreads(0.1, 1.5, 0.0),
-    )
+    nothing = spreads(1.0, 1.0, 0.1)
+    mended = spreads(0.5, 1.1, 9.0)
+    turned = spreads(0.1, 1.5, 0.0)
     both = {"turned": turned, "mended": mended}
     assert least_error(nothing, both, ["z", "tilt"]) == "mended"
     only = least_error(nothing, {"turned": turned}, ["z", "tilt"])

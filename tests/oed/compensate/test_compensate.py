@@ -113,11 +113,9 @@ def test_twists_of_finite_turns_are_scipys(
     turn = Rotation.from_rotvec(
         angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     )
-    start, point, other = (
-        Rotation.random(20, rng=rng),
-        rng.standard_normal((20, 3)),
-        rng.standard_normal((20, 3)),
-    )
+    start = Rotation.random(20, rng=rng)
+    point = rng.standard_normal((20, 3))
+    other = rng.standard_normal((20, 3))
     twist = twist_between(start.as_matrix(), point, (turn * start).as_matrix(), other)
     assert twist[:, :3] == pytest.approx(other - point)
     assert np.abs(twist[:, 3:] - turn.as_rotvec()).max() < (

@@ -74,10 +74,8 @@ def test_agrees_with_a_conic_solver(cap: float) -> None:
         (condition.relax, ExtremeEigenvalues(0.5, 0.5, name="kappa"), -1.0),
         (condition.e_optimal, ExtremeEigenvalues(), 1.0),
     ):
-        optimum, other = (
-            method(rows, 9.0, prior, cap, 1e-6),
-            conic.relax(rows, 9.0, criterion, prior, cap),
-        )
+        optimum = method(rows, 9.0, prior, cap, 1e-6)
+        other = conic.relax(rows, 9.0, criterion, prior, cap)
         assert sign * np.log(optimum.value) == pytest.approx(other.value, abs=3e-6)
         assert sign * np.log(optimum.bound) >= other.value - 1e-9
         assert sign * np.log(optimum.value) <= other.bound + 1e-9
@@ -152,10 +150,8 @@ def test_slopes_are_derivatives() -> None:
     base, weights = np.zeros((3, 3)), np.ones(3)
     optimum = condition.relax(rows, 3.0)
     for i, step in enumerate(1e-6 * np.eye(3)):
-        low, high = (
-            criteria_of(rows, base, weights - step)[0],
-            criteria_of(rows, base, weights + step)[0],
-        )
+        low = criteria_of(rows, base, weights - step)[0]
+        high = criteria_of(rows, base, weights + step)[0]
         assert optimum.gradient[i] == pytest.approx(
             (np.log(low) - np.log(high)) / 2e-6, abs=1e-6
         )

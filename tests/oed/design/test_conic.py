@@ -54,11 +54,9 @@ def test_no_plan_exceeds_the_bound(seed: int) -> None:
     below a bound that is tight.
     """
     rng = np.random.default_rng(seed)
-    k, count, n = (
-        int(rng.integers(1, 4)),
-        int(rng.integers(7, 10)),
-        int(rng.integers(2, 5)),
-    )
+    k = int(rng.integers(1, 4))
+    count = int(rng.integers(7, 10))
+    n = int(rng.integers(2, 5))
     size = int(rng.integers(-(-n // k), 6))
     rows = rng.standard_normal((count, k, n)) @ np.diag(10.0 ** rng.uniform(-1, 1, n))
     base = np.diag(10.0 ** rng.uniform(-2, 1, n)) if seed % 2 else np.zeros((n, n))
@@ -93,10 +91,8 @@ def test_no_plan_exceeds_the_bound(seed: int) -> None:
 def test_agrees_with_newton_steps(which: int, cap: float) -> None:
     """D, A, I, G, phi_1 and phi_2 against the relaxation without a conic solver."""
     rng = np.random.default_rng(3)
-    rows, prior = (
-        rng.standard_normal((40, 2, 4)) * np.array([0.2, 1.0, 2.0, 9.0]),
-        np.diag(rng.uniform(0.1, 1.0, 4)),
-    )
+    rows = rng.standard_normal((40, 2, 4)) * np.array([0.2, 1.0, 2.0, 9.0])
+    prior = np.diag(rng.uniform(0.1, 1.0, 4))
     criterion = criteria(4, rng)[which]
     optimum = conic.relax(rows, 8.0, criterion, prior, cap)
     newton = relaxation.relax(rows, 8.0, prior, cap, 1e-8, criterion)
@@ -109,10 +105,8 @@ def test_agrees_with_newton_steps(which: int, cap: float) -> None:
 @pytest.mark.parametrize("which", range(15))
 def test_two_solvers_agree(which: int) -> None:
     rng = np.random.default_rng(5)
-    rows, group = (
-        rng.standard_normal((20, 1, 3)),
-        (np.arange(20) < 10).astype(float)[None],
-    )
+    rows = rng.standard_normal((20, 1, 3))
+    group = (np.arange(20) < 10).astype(float)[None]
     criterion = criteria(3, rng)[which]
     limits = (group, np.array([1.5]))
     optimum = [
@@ -129,10 +123,8 @@ def test_the_bound_under_limits_holds_at_random_weights() -> None:
     """No feasible weights exceed the bound of their gain, and one plan attains it."""
     rng = np.random.default_rng(6)
     rows, most = rng.uniform(0.0, 1.0, (3, 30)), np.array([2.0, 2.5, 3.0])
-    feasible, gains = (
-        Polytope(6.0, np.full(30, 1.0), rows, most),
-        rng.standard_normal(30),
-    )
+    feasible = Polytope(6.0, np.full(30, 1.0), rows, most)
+    gains = rng.standard_normal(30)
     bound, weights = feasible.maximise(gains)
     assert gains @ weights == pytest.approx(bound, abs=1e-8)
     for _ in range(200):

@@ -59,10 +59,8 @@ def test_scale_laws(h: np.ndarray, c: float) -> None:
     assert of_information("E", c**2 * m) == pytest.approx(
         of_information("E", m) * c**2, rel=1e-6
     )
-    once, scaled = (
-        CRITERIA.observability(s, len(h)),
-        CRITERIA.observability(c * s, len(h)),
-    )
+    once = CRITERIA.observability(s, len(h))
+    scaled = CRITERIA.observability(c * s, len(h))
     for index, power in {"O1": 1, "O2": 0, "O3": 1, "O4": 1, "O5": 1}.items():
         assert scaled[index] == pytest.approx(once[index] * c**power, rel=1e-9)
     assert CRITERIA.index("kappa", c * s) == pytest.approx(

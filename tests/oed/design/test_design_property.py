@@ -29,11 +29,9 @@ class Problem:
 
 def problem(seed: int) -> Problem:
     rng = np.random.default_rng(seed)
-    n, k, count = (
-        int(rng.integers(2, 7)),
-        int(rng.integers(1, 4)),
-        int(rng.integers(15, 50)),
-    )
+    n = int(rng.integers(2, 7))
+    k = int(rng.integers(1, 4))
+    count = int(rng.integers(15, 50))
     rank = n if seed % 3 else max(1, n - int(rng.integers(1, 3)))
     blocks = rng.standard_normal((count, k, rank)) @ rng.standard_normal((rank, n))
     blocks = blocks @ np.diag(10.0 ** rng.uniform(-1, 1, n))

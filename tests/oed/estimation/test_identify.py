@@ -204,10 +204,8 @@ def test_rough_before_fine(bar: tuple[Measurement, Series]) -> None:
     m, series = bar
     truth = a3_plans.table_3(m)
     y = noisy(series, truth, 7)
-    once, staged = (
-        identify(m, [series], y),
-        identify(m, [series], y, stages=[["dq*"], ["*"]]),
-    )
+    once = identify(m, [series], y)
+    staged = identify(m, [series], y, stages=[["dq*"], ["*"]])
     assert [r.patterns for r in staged.stages] == [("dq*",), ("*",)]
     assert staged.stages[0].rms_after < staged.stages[0].rms_before
     assert staged.stages[1].rms_before == pytest.approx(

@@ -181,10 +181,8 @@ def test_simulated_platforms_are_fitted_as_well_as_by_least_squares() -> None:
     for seed in range(1):
         poses = simulated(np.random.default_rng(seed), 120, 1.01)
         every = np.arange(120)
-        judged, used = (
-            poses.take(every[2::3]),
-            poses.take(np.delete(every, every[2::3])),
-        )
+        judged = poses.take(every[2::3])
+        used = poses.take(np.delete(every, every[2::3]))
         estimates = (
             fitted(used, 0.2 * MM, estimate_noise=estimate_noise)
             for estimate_noise in (True, False)

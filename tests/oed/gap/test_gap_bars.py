@@ -231,10 +231,8 @@ def test_without_time_nothing_thermal_is_absent(
     """Legs grow; the file does not tell when. Thermal effects, drift and steps are not
     tested: no hypothesis has a form of theirs.
     """
-    form, columns = (
-        blind.effects.KNOWN["leg_thermal"],
-        [c for c in COLUMNS if c != "time_s"],
-    )
+    form = blind.effects.KNOWN["leg_thermal"]
+    columns = [c for c in COLUMNS if c != "time_s"]
     machine = virtual(
         blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=columns
     )
@@ -251,10 +249,8 @@ def test_without_time_nothing_thermal_is_absent(
 def test_without_both_directions_backlash_is_not_absent(
     blind: SimpleNamespace, tmp_path: Path, rows: str
 ) -> None:
-    form, columns = (
-        blind.effects.KNOWN["backlash"],
-        [c for c in COLUMNS if rows or c != "direction"],
-    )
+    form = blind.effects.KNOWN["backlash"]
+    columns = [c for c in COLUMNS if rows or c != "direction"]
     machine = virtual(
         blind, tmp_path, 3, ("planar", "full"), form, 10.0, columns=columns, rows=rows
     )

@@ -86,10 +86,8 @@ def test_what_a_form_explains_is_that_of_least_squares(
     problem = case.circles()
     law = case.law(problem)
     metric, covariance = Metric(problem, law), case.dense(problem, law)
-    forms, r = (
-        rng.standard_normal((len(problem), 2, 3)),
-        2.0 * rng.standard_normal(len(problem)),
-    )
+    forms = rng.standard_normal((len(problem), 2, 3))
+    r = 2.0 * rng.standard_normal(len(problem))
     tails = waves._tails_of(metric, forms, metric.parts(r[:, None]))
     for k in range(3):
         inverse, G = np.linalg.inv(covariance), forms[:, :, k]

@@ -49,10 +49,8 @@ def readings(bars: tuple[Bar, ...]) -> GapProblem:
     for name, setup in m.setups.items():
         commands, runs = [], []
         for stroke in STROKES:
-            z, psi = (
-                a3_plans.HOME_Z + setup.tool[2] + stroke,
-                2 * np.pi * np.arange(POINTS) / POINTS,
-            )
+            z = a3_plans.HOME_Z + setup.tool[2] + stroke
+            psi = 2 * np.pi * np.arange(POINTS) / POINTS
             command, possible = commands_at_fixed_reading(
                 m, name, np.column_stack([0 * psi + z, psi, 0 * psi]), "theta"
             )
@@ -142,10 +140,8 @@ def dense(
     """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that
     absorbs most.
     """
-    m, mine = (
-        metric(p),
-        search.library.columns[:, search.library.atoms[h.atoms[0]].columns],
-    )
+    m = metric(p)
+    mine = search.library.columns[:, search.library.atoms[h.atoms[0]].columns]
     inner = mine.T @ m @ mine + np.eye(mine.shape[1]) / h.sizes[0] ** 2
     y = mine @ np.linalg.solve(inner, mine.T @ m @ search.problem.residual)
     energies = [y @ m @ y]

@@ -89,10 +89,8 @@ def _student(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> float:
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 3.0])
 def test_evidence_is_the_student_density(problem: GapProblem, size: float) -> None:
-    law, columns = (
-        _law(problem),
-        np.random.default_rng(3).standard_normal((len(problem), 5)),
-    )
+    law = _law(problem)
+    columns = np.random.default_rng(3).standard_normal((len(problem), 5))
     assert evidence.log_evidence(
         problem, law, np.hstack([problem.slopes, size * columns])
     ) == pytest.approx(_student(problem, law, size * columns))
@@ -106,10 +104,8 @@ def test_columns_one_after_the_other(problem: GapProblem) -> None:
     """Selecting step by step, and scoring what is left, is the evidence of all of them
     together.
     """
-    law, columns = (
-        _law(problem),
-        np.random.default_rng(4).standard_normal((len(problem), 6)),
-    )
+    law = _law(problem)
+    columns = np.random.default_rng(4).standard_normal((len(problem), 6))
     grams = _grams(problem, law, columns)
     first, second, third = np.array([0, 3]), np.array([1]), np.array([2, 4, 5])
     selected = grams.select(first, 0.3).select(second, 1.0)

@@ -121,10 +121,8 @@ def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
             continue
         kinds.add(atom.effect)
         h = empty.with_form(0, number, 1.0)
-        columns, turned = (
-            h.columns(search.library, search.processes),
-            other_way.columns(h, 1.0),
-        )
+        columns = h.columns(search.library, search.processes)
+        turned = other_way.columns(h, 1.0)
         both = "different each way" in atom.about
         if atom.effect == discrepancy.WITH_DIRECTION and not both:
             assert turned == pytest.approx(-columns)

@@ -21,10 +21,8 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     problem, rng = readings(seed), np.random.default_rng(seed)
     known, processes = library.build(problem, EFFECTS), smooth(problem)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
-    book, departure = (
-        known.columns[:, whole] @ np.array([1.0, -0.6]),
-        some(processes, "an error of the joints", rng),
-    )
+    book = known.columns[:, whole] @ np.array([1.0, -0.6])
+    departure = some(processes, "an error of the joints", rng)
     change = orthogonal_sum(
         problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2]
     )
@@ -77,10 +75,8 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
     problem = readings(12, timed=timed)
     gone = np.arange(len(problem)) / len(problem)
     fade = np.where(problem.rows["channel"] == "dz", 5.0 * np.exp(-gone / 0.15), 0.0)
-    acting, none = (
-        problem.with_residual(problem.residual + fade),
-        library.build(problem, ()),
-    )
+    acting = problem.with_residual(problem.residual + fade)
+    none = library.build(problem, ())
     processes = discrepancy.build(problem)
     best = compare([Search(acting, none, processes, STATED_LAW, 0.0)])[0]
     assert best.key == (frozenset(), True)

@@ -27,10 +27,8 @@ def _with(problem: GapProblem, **changes: object) -> GapProblem:
 def _best(
     problem: GapProblem, change: np.ndarray
 ) -> tuple[library.Library, Hypothesis]:
-    acting, processes = (
-        problem.with_residual(problem.residual + change),
-        discrepancy.build(problem),
-    )
+    acting = problem.with_residual(problem.residual + change)
+    processes = discrepancy.build(problem)
     return (
         processes,
         compare(

@@ -128,10 +128,8 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
     leg = joints.columns[:, 0, None]
     change = discrepancy.apply_carrier(leg, wave)[:, 0, 0]
     change *= 2.0 / np.sqrt(np.mean(change**2))
-    none, acting = (
-        library.build(problem, ()),
-        problem.with_residual(problem.residual + change),
-    )
+    none = library.build(problem, ())
+    acting = problem.with_residual(problem.residual + change)
     processes = waves.add(none, acting, STATED_LAW)
     assert _periods(processes, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
     best = compare([Search(acting, none, processes, STATED_LAW, 0.0)])[0]

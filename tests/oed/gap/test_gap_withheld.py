@@ -198,10 +198,8 @@ def test_what_one_run_prefers_and_others_deny_loses_power() -> None:
 
 def test_powers_are_those_of_a_sum_over_hypotheses() -> None:
     """Three hypotheses and two folds, by the definition."""
-    prior, by_fold = (
-        np.array([0.5, 0.3, 0.2]),
-        np.log([[4.0, 1.0], [1.0, 3.0], [2.0, 2.0]]),
-    )
+    prior = np.array([0.5, 0.3, 0.2])
+    by_fold = np.log([[4.0, 1.0], [1.0, 3.0], [2.0, 2.0]])
     evidence = np.array([6.0, 1.0, 5.0])
     expected = np.ones(len(withheld.POWERS))
     for fold in range(2):

@@ -319,10 +319,8 @@ def test_a_redundant_machine_settles_where_its_legs_miss_least(
         < 1e-8
     )
     assert np.abs(found - x).max() > 1e-4
-    slope, h = (
-        kinematics.slopes.over_parameters(x, kinematics.inverse(point, p)[1], p),
-        1e-4,
-    )
+    slope = kinematics.slopes.over_parameters(x, kinematics.inverse(point, p)[1], p)
+    h = 1e-4
     agreed = kinematics.inverse(point, p)[1]
     for k in range(10):
         step = h * np.eye(10)[k]

@@ -148,10 +148,8 @@ def test_laws_that_differ_in_what_runs_share_have_their_evidence(
 ) -> None:
     two = readings(3)
     for problem in (case.circles(), two, with_stated_errors(two, 0.4)):
-        columns, groups = (
-            rng.standard_normal((len(problem), 4)),
-            problem.channel.max() + 1,
-        )
+        columns = rng.standard_normal((len(problem), 4))
+        groups = problem.channel.max() + 1
         laws = Laws(
             scale=np.array([[1.0, 1.5], [1.0, 3.0], [1.0, 1.0]])[:, :groups],
             correlated=np.array([0.3, 0.3, 0.0]),

@@ -150,10 +150,8 @@ def test_series_with_and_without_related_readings_stand_together() -> None:
     both = m.with_setups([m.setups[related], setup])
     series = [circles(both), dataclasses.replace(circles(both), setup=alone)]
     parts = [both.noise([one]) for one in series]
-    whole, values = (
-        both.noise(series),
-        np.random.default_rng(2).standard_normal((48, 2)),
-    )
+    whole = both.noise(series)
+    values = np.random.default_rng(2).standard_normal((48, 2))
     assert parts[1].is_independent
     expected_parts = [
         n.precision(v) for n, v in zip(parts, np.split(values, 2), strict=True)

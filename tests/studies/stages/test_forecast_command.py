@@ -295,10 +295,8 @@ name = "rm5" """
         error = planar_geometry.forward(planar_geometry.inverse(both), truth) - both
         return error[:-1] - error[-1]
 
-    nodes, columns = (
-        tmp_path / "nodes.csv",
-        ["y_mm", "z_mm", "error_y_um", "error_z_um"],
-    )
+    nodes = tmp_path / "nodes.csv"
+    columns = ["y_mm", "z_mm", "error_y_um", "error_z_um"]
     units = np.array([1e-3, 1e-3, 1e-6, 1e-6])
     forecast_data.write(nodes, columns, command, errors(command), units)
     assert run("forecast", path, "--out", out, "--readings", nodes) == 0

@@ -57,10 +57,8 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
 
 def test_separate_passes_hold_what_their_mean_holds() -> None:
     """180 readings have the same information as 30 means of six, in runs by pass."""
-    separate, mean = (
-        resolved("repeats = 3\nboth_directions = true\naverage = false"),
-        resolved("repeats = 3\nboth_directions = true"),
-    )
+    separate = resolved("repeats = 3\nboth_directions = true\naverage = false")
+    mean = resolved("repeats = 3\nboth_directions = true")
     verdicts = [
         assess(r.measurement, r.reference_plans[0].series, "tolerance")
         for r in (separate, mean)

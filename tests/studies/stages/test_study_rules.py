@@ -150,10 +150,8 @@ def test_a_set_up_of_retained_readings_is_mounted_already() -> None:
     )
     m, old = resolved.measurement, resolved.reference_plans[0].series
     retained = (m.jacobian(old, m.nominal) * m.tolerance / 0.5e-6)[:, m.free]
-    h, owner = (
-        rows(resolved),
-        np.repeat(["low", "high", "side"], [len(s) for s in resolved.candidates]),
-    )
+    h = rows(resolved)
+    owner = np.repeat(["low", "high", "side"], [len(s) for s in resolved.candidates])
     subsets = (list(s) for s in itertools.combinations(range(len(h)), 3))
     best = max(
         value("D", np.vstack([retained, h[s]]), resolved)
