@@ -139,6 +139,36 @@ def test_every_channel_of_an_instrument_is_stated(name: str) -> None:
             assert (c.name in tool.orientation.names) == (formula in c.about)
 
 
+#: noise of a channel as data sheets and papers have it, SI
+NOISE = {
+    "ball_bar": ("length", 0.5e-6),
+    "ball_distance": ("length", 2 * 0.15e-6),  # both ends are probed
+    "length_gauge": ("height", 1e-6),
+    "pose_tracker": ("read_alpha", math.radians(5.0 / 3600.0)),
+    "rm2": ("dz", 1e-6),  # interferometer
+    "rm4": ("dy", 3e-6),  # micrometer
+}
+#: numbers of a set-up that states none: ISO 230-4's bar; a laser ball bar's data sheet
+DEFAULTS = {
+    "ball_bar": {"length": 0.3},
+    "laser_ball_bar": {
+        "baseline": 0.1,
+        "range_noise": 0.3e-6,
+        "angle_noise": math.radians(1.15 / 3600.0),
+    },
+    "touch_plane": {"normal_x": 0.0, "normal_y": 0.0, "normal_z": 1.0},
+}
+
+
+def test_noise_and_settings_are_those_of_data_sheets() -> None:
+    for name, (channel, sigma) in NOISE.items():
+        stated = {c.name: c.sigma for c in of_name(name).channels}
+        assert stated[channel] == pytest.approx(sigma)
+    for name, values in DEFAULTS.items():
+        settings = {s.name: s.default for s in of_name(name).settings}
+        assert {key: settings[key] for key in values} == pytest.approx(values)
+
+
 def test_every_instrument_is_worked_by_hand() -> None:
     worked = {instrument.name for instrument, _ in BY_HAND}
     assert worked | set(ANGLES) | set(OF_CLOSURE) == set(INSTRUMENTS)
