@@ -1,5 +1,6 @@
 """What the tests share."""
 
+import functools
 import gc
 import importlib
 import os
@@ -23,6 +24,11 @@ WRITE_TABLES = (
     ROOT / "tests/studies/resolve/test_controller.py",
     ROOT / "tests/studies/stages/test_corrected_command.py",
 )
+#: words with which a remedy begins, and no problem
+IMPERATIVES = {
+    *("add", "choose", "correct", "give", "identify", "install", "keep", "leave"),
+    *("load", "make", "measure", "mend", "remove", "save", "take", "widen", "write"),
+}
 #: what stands for the figures of reports, by the folder of tests
 SKETCHES: dict[Path, Any] = {}
 
@@ -129,6 +135,26 @@ def searched_mistakes() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check, "explain", explain)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def problems_before_remedies() -> Iterator[None]:
+    """An error that is raised in any test states what is wrong, then what to do."""
+    errors = {"pkm_studies.base": "InputError", "oed.dataset": "ReadingsError"}
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name in errors.items():
+            error = getattr(importlib.import_module(module), name)
+            patch.setattr(error, "__init__", problem_first(error.__init__))
+        yield
+
+
+def problem_first(initialise: Callable[..., None]) -> Callable[..., None]:
+    @functools.wraps(initialise)
+    def checked(self: Exception, problem: str, remedy: str, **options: Any) -> None:
+        assert problem.partition(" ")[0] not in IMPERATIVES, problem
+        initialise(self, problem, remedy, **options)
+
+    return checked
 
 
 @pytest.hookimpl(wrapper=True)
