@@ -381,7 +381,7 @@ def _tail_quantile(tail: Array, share: float, values: Array) -> Array:
     place = share * (values.size - 1) - (values.size - tail.size)
     if place < 0.0:
         return np.asarray(np.quantile(values, share))
-    return _of_ordered(tail, place)
+    return _interpolated(tail, place)
 
 
 def _interpolated(ordered: Array, place: float) -> Array:

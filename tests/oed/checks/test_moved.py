@@ -10,7 +10,6 @@ from oed.checks.mistakes import Suspect
 from oed.checks.mistakes.moved import (
     change_column,
     commanded,
-    commanded_in_file,
     inside,
     jointed,
     moved_rows,
@@ -72,7 +71,7 @@ def test_changed_commands_have_the_oracles_joints(session: SessionReadings) -> N
     """Taught poses stay: they are not commanded in the file's rows."""
     (first, *_) = session.series
     moved = commanded(session.measurement, shifted(1, 0.2))(first)
-    of_file = in_file(first, is_taught=True)
+    of_file = commanded_in_file(first, is_taught=True)
     assert 0 < (~of_file).sum() < len(of_file)
     assert moved.command[~of_file] == pytest.approx(first.command[~of_file])
     tool = session.measurement.setups[first.setup].tool[2]

@@ -374,10 +374,12 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
     effects_of: dict[str, list[str]] = {}
     for form in corrected.forms:
         if corrected.moves_machine(form):
-            found = _effect_conditions(form.effect, form.signature.names)
+            conditions = _effect_conditions(form.effect, form.signature.names)
         else:
-            found = ["an effect of the measurement; the machine needs no correction"]
-        for condition in found:
+            conditions = [
+                "an effect of the measurement; the machine needs no correction"
+            ]
+        for condition in conditions:
             effects_of.setdefault(condition, []).append(plain_name(form.effect.name))
     sentences += [f"{join_words(e)}: {words}" for words, e in effects_of.items()]
     if gap is not None:
