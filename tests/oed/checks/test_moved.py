@@ -10,6 +10,7 @@ from oed.checks.mistakes import Suspect
 from oed.checks.mistakes.moved import (
     change_column,
     commanded,
+    commanded_in_file,
     inside,
     jointed,
     moved_rows,
