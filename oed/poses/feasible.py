@@ -314,6 +314,132 @@ class ReadingLimits:
     cup: Point3 | None = None
     surroundings: Surroundings | None = None
 
+    @classmethod
+    def for_setup(
+        cls,
+        measurement: Measurement,
+        setup: str,
+        *,
+        joints: Mapping[str, tuple[float, float]],
+        singularity: float | None,
+        travel: float | None,
+        cup_cone: tuple[Point3, float] | None,
+        tool_cone: tuple[Point3, float] | None,
+        obstacles: Sequence[tuple[Point3, Point3, float]],
+        links: float | None,
+        bar: float | None,
+        margin: float,
+        ignore: Sequence[int],
+    ) -> ReadingLimits:
+        """Those limits that apply to a set-up; lengths m, angles rad.
+
+        Cones and bar count where the set-up has a cup, the travel where its instrument
+        holds a reading.
+
+        cup_cone, tool_cone  axis and half angle
+        obstacles            start, end and radius of each capsule
+        """
+        mounted = measurement.setups[setup]
+        at_cup = {"at_x", "at_y", "at_z"} <= {*mounted.settings}
+        has_cup = mounted.teach is not None or at_cup
+        moving_bar = bar if has_cup else None
+        cup, surroundings = None, None
+        if has_cup:
+            x, y, z = cup_position(measurement, setup).tolist()
+            cup = x, y, z
+        if obstacles and (links is not None or moving_bar is not None):
+            surroundings = Surroundings(
+                obstacles=tuple(Capsule(*obstacle) for obstacle in obstacles),
+                links=links,
+                bar=moving_bar,
+                margin=margin,
+                ignore=tuple(ignore),
+            )
+        holds = mounted.instrument.fixed_reading is not None
+        return cls(
+            joints=joints,
+            singularity=singularity,
+            travel=travel if holds else None,
+            base_cone=DirectionCone(*cup_cone) if has_cup and cup_cone else None,
+            platform_cone=DirectionCone(*tool_cone) if has_cup and tool_cone else None,
+            cup=cup,
+            surroundings=surroundings,
+        )
+
+    def check(self, measurement: Measurement, series: Series) -> Feasibility:
+        """Which readings of a series can be taken on the nominal machine.
+
+        A reading may depend on a second pose (teach, reference of the run). This pose must
+        be within joint travel, away from singular poses and clear of obstacles too.
+        """
+        x = measurement.expected_poses(series)
+        refused: dict[str, Mask] = dict(_outside_joints(measurement, series, self))
+        details: dict[str, Array] = {}
+        if self.singularity is not None:
+            margin = measurement.kinematics.slopes.reciprocal_condition(
+                x, series.q, measurement.kinematics.held
+            )
+            details["singularity"] = margin[series.index].min(axis=1)
+            too_near = details["singularity"] < self.singularity
+            refused["are too near a singular pose"] = too_near
+        if self.travel is not None:
+            held_value = _held_value(measurement, series, self.held)
+            readings = measurement.expected_readings(series)
+            distance = np.abs(
+                _first_channel(measurement, series, readings) - held_value
+            )
+            details["travel"] = distance
+            refused["leave the travel of the instrument"] = distance > self.travel
+        for name, angle, cone, reason in _cone_angles(measurement, series, x, self):
+            details[name] = angle
+            refused[reason] = angle > cone.half_angle
+        if self.surroundings is not None:
+            surroundings = self.surroundings
+            clearance = Clearance(measurement, series.setup, surroundings, self.cup)
+            details["clearance"] = clearance.at_readings(series, x)
+            too_near = details["clearance"] < surroundings.margin
+            refused["come too near an obstacle"] = too_near
+        refused = {reason: mask for reason, mask in refused.items() if mask.any()}
+        nobody = np.zeros(len(series), dtype=bool)
+        allowed = ~np.any([*refused.values(), nobody], axis=0)
+        return Feasibility(allowed, refused, details)
+
+    def travel_probability(
+        self, measurement: Measurement, series: Series, covariance: Array
+    ) -> Array:
+        """Probability (N,) that a reading's first channel stays within the travel.
+
+        The machine is drawn from N(nominal, covariance); first order in theta, SI.
+
+        covariance  (n_theta, n_theta)
+
+        Raises ValueError where no travel is stated, or the covariance does not fit.
+        """
+        from scipy.special import ndtr  # takes a tenth of a second to import
+
+        if self.travel is None:
+            raise ValueError("no travel is stated")
+        theta = measurement.nominal
+        if covariance.shape != (len(theta), len(theta)):
+            raise ValueError(
+                f"the covariance must be {len(theta)} x {len(theta)}, not of shape"
+                f" {covariance.shape}"
+            )
+        held_value = _held_value(measurement, series, self.held)
+        readings = measurement.readings([series], theta)
+        error = _first_channel(measurement, series, readings) - held_value
+        jacobian = measurement.jacobian([series], theta)
+        rows = _first_channel(measurement, series, jacobian)
+        variance = np.einsum("ni,ij,nj->n", rows, covariance, rows)
+        sigma = np.sqrt(np.maximum(variance, 0.0))
+        certain = sigma <= 0.0
+        safe = np.where(certain, 1.0, sigma)
+        probability = ndtr((self.travel - error) / safe) - ndtr(
+            (-self.travel - error) / safe
+        )
+        inside = np.abs(error) <= self.travel
+        return np.asarray(np.where(certain, inside, probability), dtype=float)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Feasibility:
@@ -343,82 +469,6 @@ class Feasibility:
         ranked = sorted(self.refusal_counts.items(), key=lambda item: -item[1])
         total = len(self.allowed)
         return [f"{count} of {total} candidates {reason}" for reason, count in ranked]
-
-
-def check_readings(
-    measurement: Measurement, series: Series, limits: ReadingLimits
-) -> Feasibility:
-    """Which readings of a series can be taken on the nominal machine.
-
-    A reading may depend on a second pose (teach, reference of the run). This pose must
-    be within joint travel, away from singular poses and clear of obstacles too.
-    """
-    x = measurement.expected_poses(series)
-    refused: dict[str, Mask] = dict(_outside_joints(measurement, series, limits))
-    details: dict[str, Array] = {}
-    if limits.singularity is not None:
-        margin = measurement.kinematics.slopes.reciprocal_condition(
-            x, series.q, measurement.kinematics.held
-        )
-        details["singularity"] = margin[series.index].min(axis=1)
-        too_near = details["singularity"] < limits.singularity
-        refused["are too near a singular pose"] = too_near
-    if limits.travel is not None:
-        held_value = _held_value(measurement, series, limits.held)
-        readings = measurement.expected_readings(series)
-        distance = np.abs(_first_channel(measurement, series, readings) - held_value)
-        details["travel"] = distance
-        refused["leave the travel of the instrument"] = distance > limits.travel
-    for name, angle, cone, reason in _cone_angles(measurement, series, x, limits):
-        details[name] = angle
-        refused[reason] = angle > cone.half_angle
-    if limits.surroundings is not None:
-        surroundings = limits.surroundings
-        clearance = Clearance(measurement, series.setup, surroundings, limits.cup)
-        details["clearance"] = clearance.at_readings(series, x)
-        too_near = details["clearance"] < surroundings.margin
-        refused["come too near an obstacle"] = too_near
-    refused = {reason: mask for reason, mask in refused.items() if mask.any()}
-    nobody = np.zeros(len(series), dtype=bool)
-    allowed = ~np.any([*refused.values(), nobody], axis=0)
-    return Feasibility(allowed, refused, details)
-
-
-def travel_probability(
-    measurement: Measurement,
-    series: Series,
-    covariance: Array,
-    travel: float,
-    held_reading: float | None = None,
-) -> Array:
-    """Probability (N,) that a reading's first channel stays within `travel`.
-
-    The machine is drawn from N(nominal, covariance); first order in theta, SI.
-
-    covariance  (n_theta, n_theta)
-    travel      about the value held
-    held_reading  that value; by default what the instrument holds by design
-    """
-    from scipy.special import ndtr  # takes a tenth of a second to import
-
-    theta = measurement.nominal
-    if covariance.shape != (len(theta), len(theta)):
-        raise ValueError(
-            f"the covariance must be {len(theta)} x {len(theta)}, not of shape"
-            f" {covariance.shape}"
-        )
-    held_value = _held_value(measurement, series, held_reading)
-    readings = measurement.readings([series], theta)
-    error = _first_channel(measurement, series, readings) - held_value
-    jacobian = measurement.jacobian([series], theta)
-    rows = _first_channel(measurement, series, jacobian)
-    variance = np.einsum("ni,ij,nj->n", rows, covariance, rows)
-    sigma = np.sqrt(np.maximum(variance, 0.0))
-    certain = sigma <= 0.0
-    safe = np.where(certain, 1.0, sigma)
-    probability = ndtr((travel - error) / safe) - ndtr((-travel - error) / safe)
-    inside = np.abs(error) <= travel
-    return np.asarray(np.where(certain, inside, probability), dtype=float)
 
 
 def _outside_joints(

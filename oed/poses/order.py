@@ -223,6 +223,14 @@ class ChangeTimes:
     place: float
     settings: float
 
+    def order_mounting(
+        self, setups: Sequence[Setup], rng: np.random.Generator
+    ) -> tuple[list[str], float]:
+        """Names of set-ups in the order of least re-mounting, and the time for that, s."""
+        costs, first = remounting(setups, self)
+        route = order_setups(costs, rng, first)
+        return [setups[k].name for k in route.indices], route.length
+
 
 def remounting(setups: Sequence[Setup], changes: ChangeTimes) -> tuple[Array, Array]:
     """Seconds (S, S) to change from one set-up to another, and (S,) to mount each first."""
@@ -597,15 +605,6 @@ def _best_shift(path: _ClosedPath, states: RunStates, size: int) -> PathChange:
 # -- readings of a plan ----------------------------------------------------------------
 
 
-def order_mounting(
-    setups: Sequence[Setup], changes: ChangeTimes, rng: np.random.Generator
-) -> tuple[list[str], float]:
-    """Names of set-ups in the order of least re-mounting, and the time for that, s."""
-    costs, first = remounting(setups, changes)
-    route = order_setups(costs, rng, first)
-    return [setups[k].name for k in route.indices], route.length
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadingOrder:
     """Readings of one set-up in an order of short joint travel.
@@ -623,6 +622,38 @@ class ReadingOrder:
     speeds: Sequence[float]
     from_home: bool
     as_given: float
+
+    @classmethod
+    def of_readings(
+        cls,
+        measurement: Measurement,
+        series: Series,
+        speeds: Sequence[float],
+        rng: np.random.Generator,
+        *,
+        from_home: bool,
+        keeps_runs: bool,
+    ) -> ReadingOrder:
+        """The readings of one set-up by short joint travel; those of a run stay together.
+
+        speeds      of the joints, SI
+        keeps_runs  whether runs keep their own order and direction
+        """
+        distance = travel_between(measurement, series, speeds)
+        start = travel_from_home(measurement, series, speeds) if from_home else None
+        path = order_poses(
+            distance,
+            rng,
+            start,
+            runs=_runs(series, distance, keeps_runs, rng),
+            reversible=not keeps_runs,
+            kicks=_kicks(len(series)),
+        )
+        as_given = float(
+            distance[np.arange(len(series) - 1), np.arange(1, len(series))].sum()
+        )
+        as_given += 0.0 if start is None else float(start[0])
+        return cls(measurement, series, path, speeds, from_home, as_given)
 
     @property
     def ordered(self) -> Series:
@@ -664,37 +695,6 @@ class ReadingOrder:
         planned = [command if k < 0 else commands[k] for k in timed.pose]
         runs = [REFERENCE_RUN if k < 0 else str(self.series.run[k]) for k in timed.pose]
         return self.measurement.series(setup, np.array(planned), runs), timed.seconds
-
-
-def order_readings(
-    measurement: Measurement,
-    series: Series,
-    speeds: Sequence[float],
-    rng: np.random.Generator,
-    *,
-    from_home: bool,
-    keeps_runs: bool,
-) -> ReadingOrder:
-    """The readings of one set-up by short joint travel; those of a run stay together.
-
-    speeds      of the joints, SI
-    keeps_runs  whether runs keep their own order and direction
-    """
-    distance = travel_between(measurement, series, speeds)
-    start = travel_from_home(measurement, series, speeds) if from_home else None
-    path = order_poses(
-        distance,
-        rng,
-        start,
-        runs=_runs(series, distance, keeps_runs, rng),
-        reversible=not keeps_runs,
-        kicks=_kicks(len(series)),
-    )
-    as_given = float(
-        distance[np.arange(len(series) - 1), np.arange(1, len(series))].sum()
-    )
-    as_given += 0.0 if start is None else float(start[0])
-    return ReadingOrder(measurement, series, path, speeds, from_home, as_given)
 
 
 def _kicks(count: int) -> int:

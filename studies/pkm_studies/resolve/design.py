@@ -17,15 +17,7 @@ from oed.base import Array, Index, Mask
 from oed.design import CRITERIA, QuotaSet
 from oed.measurement import Measurement, Series
 from oed.model import Machine
-from oed.poses import (
-    Capsule,
-    DirectionCone,
-    ReadingLimits,
-    Surroundings,
-    check_readings,
-    cup_position,
-    travel_probability,
-)
+from oed.poses import ReadingLimits
 from oed.text import suggest
 from pkm_studies import quantities
 from pkm_studies.base import Location
@@ -34,13 +26,7 @@ from pkm_studies.resolve import grids
 from pkm_studies.resolve.grids import Circles, ReferencePlan, command_units
 from pkm_studies.resolve.machine import known_name, matching_names
 from pkm_studies.study import Study
-from pkm_studies.tables import (
-    ConeTable,
-    DesignTable,
-    KappaTable,
-    LimitsTable,
-    QuotaTable,
-)
+from pkm_studies.tables import DesignTable, KappaTable, LimitsTable, QuotaTable
 
 # Applies [design.limits]: which candidates can be read, and why the others cannot.
 
@@ -64,10 +50,10 @@ def keep_within_limits(
     """
     try:
         limits = _limits(table, measurement, series.setup, location)
-        verdict = check_readings(measurement, series, limits)
+        verdict = limits.check(measurement, series)
         allowed, reasons = verdict.allowed.copy(), dict(verdict.refusal_counts)
         if table.travel_chance is not None:
-            likely = _likely(table, measurement, series, location)
+            likely = _likely(table, limits, measurement, series, location)
             allowed &= likely
             if not likely.all():
                 reasons[UNLIKELY] = int((~likely).sum())
@@ -86,43 +72,69 @@ def keep_within_limits(
 
 
 def _likely(
-    table: LimitsTable, measurement: Measurement, series: Series, location: Location
+    table: LimitsTable,
+    limits: ReadingLimits,
+    measurement: Measurement,
+    series: Series,
+    location: Location,
 ) -> Mask:
     """Held readings (n,) that stay within the travel with the wanted probability."""
     if table.travel_mm is None:
         raise location.key("travel_chance").error(
             "a chance to stay within which travel?", "give travel_mm as well"
         )
-    if measurement.setups[series.setup].instrument.fixed_reading is None:
+    if limits.travel is None:
         return np.ones(len(series), dtype=bool)
     covariance = measurement.prior_covariance
-    travel = _metres(table.travel_mm)
-    chance = travel_probability(measurement, series, covariance, travel)
+    chance = limits.travel_probability(measurement, series, covariance)
     return chance >= (table.travel_chance or 0.0)
 
 
 def _limits(
     table: LimitsTable, measurement: Measurement, name: str, location: Location
 ) -> ReadingLimits:
-    """The limits that apply to a set-up."""
-    setup = measurement.setups[name]
-    has_cup = setup.teach is not None or {"at_x", "at_y", "at_z"} <= {*setup.settings}
-    cup_cone, tool_cone, cup = None, None, None
-    if has_cup:
-        cup_cone = _cone(table.cup_cone, location.key("cup_cone"))
-        tool_cone = _cone(table.tool_cone, location.key("tool_cone"))
-        cup = _point(cup_position(measurement, name))
-    travel = None
-    if table.travel_mm is not None and setup.instrument.fixed_reading is not None:
-        travel = _metres(table.travel_mm)
-    return ReadingLimits(
+    """The limits that apply to a set-up. Raises InputError for a cone without an axis."""
+    cones = []
+    for key, cone in (("cup_cone", table.cup_cone), ("tool_cone", table.tool_cone)):
+        if cone is None:
+            cones.append(None)
+            continue
+        if not any(cone.axis):
+            raise (
+                location.key(key)
+                .key("axis")
+                .error(
+                    "a cone needs an axis that is not zero",
+                    "give a direction, as [0, 0, 1]",
+                )
+            )
+        cones.append((cone.axis, math.radians(cone.half_angle_deg)))
+    obstacles = []
+    for sphere in table.spheres:
+        centre = _metres_of(sphere.at_mm)
+        obstacles.append((centre, centre, _metres(sphere.radius_mm)))
+    for rod in table.rods:
+        start, end = _metres_of(rod.from_mm), _metres_of(rod.to_mm)
+        obstacles.append((start, end, _metres(rod.radius_mm)))
+    if obstacles and table.links_mm is None and table.bar_mm is None:
+        raise location.error(
+            "obstacles are given, but nothing that moves near them",
+            "give links_mm, bar_mm or both",
+        )
+    cup_cone, tool_cone = cones
+    return ReadingLimits.for_setup(
+        measurement,
+        name,
         joints=_joint_ranges(table, measurement, location.key("joints")),
         singularity=table.singularity,
-        travel=travel,
-        base_cone=cup_cone,
-        platform_cone=tool_cone,
-        cup=cup,
-        surroundings=_surroundings(table, has_cup, location),
+        travel=None if table.travel_mm is None else _metres(table.travel_mm),
+        cup_cone=cup_cone,
+        tool_cone=tool_cone,
+        obstacles=obstacles,
+        links=None if table.links_mm is None else _metres(table.links_mm),
+        bar=None if table.bar_mm is None else _metres(table.bar_mm),
+        margin=_metres(table.margin_mm),
+        ignore=table.ignore,
     )
 
 
@@ -138,60 +150,12 @@ def _joint_ranges(
     return ranges
 
 
-def _cone(table: ConeTable | None, location: Location) -> DirectionCone | None:
-    if table is None:
-        return None
-    if not any(table.axis):
-        raise location.key("axis").error(
-            "a cone needs an axis that is not zero", "give a direction, as [0, 0, 1]"
-        )
-    return DirectionCone(table.axis, math.radians(table.half_angle_deg))
-
-
-def _surroundings(
-    table: LimitsTable, has_cup: bool, location: Location
-) -> Surroundings | None:
-    obstacles = _obstacles(table)
-    if not obstacles:
-        return None
-    if table.links_mm is None and table.bar_mm is None:
-        raise location.error(
-            "obstacles are given, but nothing that moves near them",
-            "give links_mm, bar_mm or both",
-        )
-    bar = table.bar_mm if has_cup else None
-    if table.links_mm is None and bar is None:
-        return None
-    return Surroundings(
-        obstacles=obstacles,
-        links=None if table.links_mm is None else _metres(table.links_mm),
-        bar=None if bar is None else _metres(bar),
-        margin=_metres(table.margin_mm),
-        ignore=tuple(table.ignore),
-    )
-
-
-def _obstacles(table: LimitsTable) -> tuple[Capsule, ...]:
-    capsules = []
-    for sphere in table.spheres:
-        centre = _metres_of(sphere.at_mm)
-        capsules.append(Capsule(centre, centre, _metres(sphere.radius_mm)))
-    for rod in table.rods:
-        start, end = _metres_of(rod.from_mm), _metres_of(rod.to_mm)
-        capsules.append(Capsule(start, end, _metres(rod.radius_mm)))
-    return tuple(capsules)
-
-
 def _metres(mm: float) -> float:
     return float(units.to_si(mm, "mm"))
 
 
 def _metres_of(mm: Point) -> Point:
     return _metres(mm[0]), _metres(mm[1]), _metres(mm[2])
-
-
-def _point(values: Array) -> Point:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 # Candidates of [design], given reference plans, and circles of [[kappa]].

@@ -13,17 +13,16 @@ from kernel.bar_series import CUP, LENGTH, bar, places, planar_series, tips
 from kernel.cases import CASES
 from oed.instrument import mount
 from oed.measurement import Measurement
-from oed.poses import DirectionCone, ReadingLimits, check_readings, travel_probability
+from oed.poses import ReadingLimits
+from oed.poses.feasible import DirectionCone
 
 
 def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> None:
     m = a3_plans.measurement(taught=False)
     command = CASES["a3_head"].commands(rng, 300)
     q = a3.inverse_nominal(*command.T)
-    feasibility = check_readings(
-        m,
-        m.series("cup", command),
-        ReadingLimits(joints={"q2": (0.45, 0.70), "q3": (0.0, 0.75)}),
+    feasibility = ReadingLimits(joints={"q2": (0.45, 0.70), "q3": (0.0, 0.75)}).check(
+        m, m.series("cup", command)
     )
     out2, out3 = (q[:, 1] < 0.45) | (q[:, 1] > 0.70), q[:, 2] > 0.75
     assert 0 < out3.sum() < out2.sum()
@@ -34,9 +33,7 @@ def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> No
     ]
     assert (feasibility.refused["leave the travel of joint q3"] == out3).all()
     with pytest.raises(ValueError, match=r"no joint \['q9'\]"):
-        check_readings(
-            m, m.series("cup", command), ReadingLimits(joints={"q9": (0.0, 1.0)})
-        )
+        ReadingLimits(joints={"q9": (0.0, 1.0)}).check(m, m.series("cup", command))
 
 
 def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
@@ -45,7 +42,7 @@ def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
     """
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     q = np.array([[0.3, 0.3, 0.3], [0.19, 0.19, 0.19], [1.2, 1.2, 1.2]])
-    feasibility = check_readings(m, m.series_from_joints("probe", q), ReadingLimits())
+    feasibility = ReadingLimits().check(m, m.series_from_joints("probe", q))
     assert feasibility.allowed.tolist() == [True, False, True]
     assert feasibility.refusal_counts == {
         f"leave the travel of joint q{i}": 1 for i in (1, 2, 3)
@@ -63,7 +60,7 @@ def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
     half = np.arccos((along[:, 0] * along[:, 1]).sum(-1) / planar.L**2) / 2
     expected = np.minimum(np.tan(half), 1 / np.tan(half))
     limit = float(np.sort(expected)[50:52].mean())
-    feasibility = check_readings(m, series, ReadingLimits(singularity=limit))
+    feasibility = ReadingLimits(singularity=limit).check(m, series)
     assert feasibility.details["singularity"] == pytest.approx(expected, rel=1e-9)
     assert feasibility.sentences == [
         "51 of 200 candidates are too near a singular pose"
@@ -74,18 +71,18 @@ def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
 def test_travel_of_the_bar_about_its_length(rng: np.random.Generator) -> None:
     m, command, series = planar_series(rng)
     off = np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - LENGTH)
-    feasibility = check_readings(m, series, ReadingLimits(travel=0.2))
+    feasibility = ReadingLimits(travel=0.2).check(m, series)
     assert feasibility.details["travel"] == pytest.approx(off, abs=1e-13)
     assert (feasibility.allowed == (off <= 0.2)).all()
     assert 0 < feasibility.allowed.sum() < 200
-    other = check_readings(m, series, ReadingLimits(travel=0.2, held=0.5))
+    other = ReadingLimits(travel=0.2, held=0.5).check(m, series)
     assert (
         other.allowed
         == (np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - 0.5) <= 0.2)
     ).all()
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
     with pytest.raises(ValueError, match="height_probe holds no reading by design"):
-        check_readings(probe, probe.series("probe", command), ReadingLimits(travel=0.1))
+        ReadingLimits(travel=0.1).check(probe, probe.series("probe", command))
 
 
 def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
@@ -110,7 +107,9 @@ def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
     point = np.concatenate([np.zeros((*pose.shape[:2], 1)), pose], axis=-1)
     length = np.linalg.norm(point - CUP - theta[:, None, 7:], axis=-1)
     counted = (np.abs(length - LENGTH) <= travel).mean(axis=0)
-    probability = travel_probability(m, m.series("bar", command), root @ root.T, travel)
+    probability = ReadingLimits(travel=travel).travel_probability(
+        m, m.series("bar", command), root @ root.T
+    )
     assert counted.min() < 0.4 < 0.8 < counted.max()
     assert np.abs(probability - counted).max() < 4 * np.sqrt(0.25 / draws) + 0.002
     assert np.abs(probability - counted).mean() < 0.004
@@ -120,12 +119,14 @@ def test_a_known_machine_stays_within_the_travel_or_not(
     rng: np.random.Generator,
 ) -> None:
     m, _, series = planar_series(rng)
-    sure = travel_probability(m, series, np.zeros((10, 10)), 0.2)
-    assert (sure == check_readings(m, series, ReadingLimits(travel=0.2)).allowed).all()
-    wide = travel_probability(m, series, np.diag(m.tolerance**2), 1e9)
+    sure = ReadingLimits(travel=0.2).travel_probability(m, series, np.zeros((10, 10)))
+    assert (sure == ReadingLimits(travel=0.2).check(m, series).allowed).all()
+    wide = ReadingLimits(travel=1e9).travel_probability(
+        m, series, np.diag(m.tolerance**2)
+    )
     assert (wide == 1.0).all()
     with pytest.raises(ValueError, match="must be 10 x 10"):
-        travel_probability(m, series, np.eye(7), 0.2)
+        ReadingLimits(travel=0.2).travel_probability(m, series, np.eye(7))
 
 
 def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
@@ -134,10 +135,10 @@ def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
     assert len(m.setups["rm5"].sigma) == 2
     series = m.series("rm5", places(rng, 12), run=["line"] * 12)
     first = m.readings([series], m.nominal).reshape(-1, 2)[:, 0]
-    feasibility = check_readings(m, series, ReadingLimits(travel=0.5, held=0.0))
+    feasibility = ReadingLimits(travel=0.5, held=0.0).check(m, series)
     assert feasibility.details["travel"] == pytest.approx(np.abs(first))
-    chance = travel_probability(
-        m, series, np.zeros((len(m.names),) * 2), 0.5, held_reading=0.0
+    chance = ReadingLimits(travel=0.5, held=0.0).travel_probability(
+        m, series, np.zeros((len(m.names),) * 2)
     )
     assert (chance == feasibility.allowed).all()
 
@@ -147,9 +148,9 @@ def test_a_reading_falls_with_its_reference_pose() -> None:
     command = np.array([[0.0, 1.4], [0.1, 0.2], [0.2, 0.2], [0.0, 0.1], [0.1, 0.3]])
     series = m.series("calliper", command, run=["high", "high", "high", "low", "low"])
     highest = float(planar.inverse(command)[1:].max())
-    feasibility = check_readings(
-        m, series, ReadingLimits(joints={"q1": (0.0, highest), "q2": (0.0, highest)})
-    )
+    feasibility = ReadingLimits(
+        joints={"q1": (0.0, highest), "q2": (0.0, highest)}
+    ).check(m, series)
     assert feasibility.allowed.tolist() == [False, False, True]
 
 
@@ -174,7 +175,7 @@ def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) 
         base_cone=DirectionCone(tuple(down), 0.5),
         platform_cone=DirectionCone(tuple(out), 0.6),
     )
-    feasibility = check_readings(m, m.series("cup", command), limits)
+    feasibility = limits.check(m, m.series("cup", command))
     assert feasibility.details["base_cone"] == pytest.approx(at_cup, abs=1e-7)
     assert feasibility.details["platform_cone"] == pytest.approx(at_tool, abs=1e-7)
     assert (feasibility.allowed == ((at_cup <= 0.5) & (at_tool <= 0.6))).all()
@@ -193,11 +194,11 @@ def test_a_cup_that_is_given_wins(rng: np.random.Generator, given: bool) -> None
         base_cone=DirectionCone((0.0, 0.0, 1.0), 0.7), cup=tuple(cup) if given else None
     )
     expected = angle(tips(command) - cup, np.array([0.0, 0.0, 1.0]))
-    feasibility = check_readings(m, series, limits)
+    feasibility = limits.check(m, series)
     assert feasibility.details["base_cone"] == pytest.approx(expected, abs=1e-7)
     probe = Measurement(planar_2dof.machine, [mount(height_probe.instrument, "probe")])
     if not given:
         with pytest.raises(ValueError, match="give its cup"):
-            check_readings(probe, probe.series("probe", command), limits)
+            limits.check(probe, probe.series("probe", command))
     with pytest.raises(ValueError, match="axis that is not zero"):
         DirectionCone((0.0, 0.0, 0.0), 1.0)

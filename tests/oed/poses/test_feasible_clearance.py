@@ -14,8 +14,16 @@ from kernel import a3_plans
 from kernel.bar_series import CUP, bar, planar_series, tips
 from kernel.cases import CASES
 from oed.measurement import Measurement
-from oed.poses import Capsule, ReadingLimits, Surroundings, check_readings, cup_position
-from oed.poses.feasible import Clearance, point_distance, segment_distance, sphere
+from oed.poses import ReadingLimits
+from oed.poses.feasible import (
+    Capsule,
+    Clearance,
+    Surroundings,
+    cup_position,
+    point_distance,
+    segment_distance,
+    sphere,
+)
 
 
 @pytest.mark.parametrize("others", [(), ("length",)])
@@ -118,7 +126,7 @@ def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
     about = Surroundings(
         obstacles=around, links=0.03, bar=0.01, margin=0.05, ignore=(0, 2)
     )
-    feasibility = check_readings(m, series, ReadingLimits(surroundings=about))
+    feasibility = ReadingLimits(surroundings=about).check(m, series)
     link = sampled(struts(command), centre).min(axis=1) - 0.2 - 0.03
     rod = (
         sampled(

@@ -15,7 +15,7 @@ from oed import units
 from oed.base import Index
 from oed.measurement import Measurement, Series
 from oed.model import Machine
-from oed.poses import ChangeTimes, ReadingOrder, order_mounting, order_readings
+from oed.poses import ChangeTimes, ReadingOrder
 from oed.result import WorkingOrder
 from pkm_studies.base import Location
 from pkm_studies.resolve import ResolvedStudy, reference_command
@@ -131,7 +131,7 @@ def _order_setups(
         60.0 * table.change_place_min,
         60.0 * table.change_settings_min,
     )
-    return order_mounting([measurement.setups[name] for name in names], changes, rng)
+    return changes.order_mounting([measurement.setups[n] for n in names], rng)
 
 
 def _order_setup(
@@ -147,7 +147,7 @@ def _order_setup(
     speeds = _joint_speeds(measurement.machine, table.order)
     passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
-    order = order_readings(
+    order = ReadingOrder.of_readings(
         measurement,
         whole,
         speeds,
