@@ -35,7 +35,9 @@ from oed.effects import PlannedEffects, expected_columns
 from oed.estimation import Discrepancy, identify
 from oed.gap import assemble
 from oed.identifiability import prior_information
-from pkm_studies.resolve import effects_of_planned, pose_error_slopes
+from pkm_studies.base import Location
+from pkm_studies.resolve import GapRequest
+from pkm_studies.tables import ConditionsTable
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
@@ -120,9 +122,15 @@ def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
     place = SimpleNamespace(
         command=_workspace(bench), table=SimpleNamespace(reference="best_fit")
     )
-    request = SimpleNamespace(gravity=bench.gravity)
-    effects = effects_of_planned(
-        bench.measurement, bench.series, bench.effects, request, place, rng, UNKNOWNS
+    request = GapRequest(tuple(bench.effects), bench.gravity, (), ConditionsTable())
+    effects = request.planned_effects(
+        bench.measurement,
+        bench.series,
+        "catalogue",
+        Location(""),
+        place,
+        rng,
+        UNKNOWNS,
     )
     assert effects is not None  # every machine of the generator has some
     return effects
@@ -142,7 +150,7 @@ def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
     prior = pool.prior_information.copy()
     prior[: pool.columns, : pool.columns] += prior_information(measurement)
     tool = np.zeros((*maps.raw.shape[:2], 0)) if effects is None else effects.tool
-    slopes = pose_error_slopes(pool, maps.raw, SimpleNamespace(tool=tool))
+    slopes = pool.pose_error_slopes(maps.raw, tool)
     moved = [k for k, name in enumerate(maps.names) if name in "xyz"]
     factor = slopes[:, moved].reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
     return Problem(pool.blocks, prior, factor)

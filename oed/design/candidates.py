@@ -226,6 +226,19 @@ class Candidates:
         spread[..., self._columns_of(gradients)] = gradients
         return spread
 
+    def pose_error_slopes(self, raw: Array, tool: Array) -> Array:
+        """Pose errors (n, k, columns) per unit of each column, effects among them.
+
+        raw   (n, k, p) per unit of each parameter of the machine, SI
+        tool  (n, k, u) per unit of each effect, SI
+        """
+        measurement = self.measurement
+        poses, components, parameters = raw.shape
+        by_parameter = np.zeros((poses, components, len(measurement.names)))
+        by_parameter[:, :, :parameters] = raw
+        scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
+        return self.spread(np.concatenate([scaled, tool], axis=2))
+
     @property
     def _shared_words(self) -> str:
         if self.nuisances is not None:

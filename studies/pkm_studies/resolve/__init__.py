@@ -13,20 +13,10 @@ DesignRequest                what [design] means to the kernel
 CommandRanges                lower and upper ends of each command, by set-up
 PlanRequest                  what [plan] means to the kernel
 PredictionRequest            what [prediction] means to the kernel
-check_states                 an error for a state in use that no reading was recorded at
 GapRequest                   what [gap] means to the kernel
 gap_request                  what [gap] means, or its defaults
 ActingEffect                 an effect of the virtual machine
 GapDesignRequest             what [gap.design] means to the kernel
-NO_EFFECTS                   the value of `effects` that allows none
-ALL_EFFECTS                  the value of `effects` that allows the whole catalogue
-effects_of_planned           what effects do to planned readings and the workspace
-pose_error_slopes            pose errors per unit of each column of candidates
-planned_courses              planned readings in courses that a session may take
-MAX_EFFECT_UNKNOWNS          most combinations of effects that are unknowns
-SESSION_SECONDS              how long a session lasts where nothing says it
-planned_covariates           conditions of planned readings
-FEED_MM_PER_MIN              one mm/min, in m/s
 PASS_SUFFIX                  how a run's name ends in that of its pass
 Circles                      circles of readings, for a map of the condition number
 reference_command            the pose that a plan repeats to see heat
@@ -53,20 +43,11 @@ if TYPE_CHECKING:
     )
     from pkm_studies.resolve.design import CommandRanges, DesignRequest
     from pkm_studies.resolve.gap import (
-        ALL_EFFECTS,
-        FEED_MM_PER_MIN,
-        MAX_EFFECT_UNKNOWNS,
-        NO_EFFECTS,
         PASS_SUFFIX,
-        SESSION_SECONDS,
         ActingEffect,
         GapDesignRequest,
         GapRequest,
-        effects_of_planned,
         gap_request,
-        planned_courses,
-        planned_covariates,
-        pose_error_slopes,
     )
     from pkm_studies.resolve.grids import Circles, reference_command
     from pkm_studies.resolve.machine import (
@@ -79,7 +60,6 @@ if TYPE_CHECKING:
     from pkm_studies.resolve.plan import PlanRequest
     from pkm_studies.resolve.prediction import (
         PredictionRequest,
-        check_states,
         commands_between,
         regular_at,
         regular_commands,

@@ -94,7 +94,7 @@ def _limits(
     table: LimitsTable, measurement: Measurement, name: str, location: Location
 ) -> ReadingLimits:
     """The limits that apply to a set-up. Raises InputError for a cone without an axis."""
-    cones = []
+    cones: list[tuple[Point, float] | None] = []
     for key, cone in (("cup_cone", table.cup_cone), ("tool_cone", table.tool_cone)):
         if cone is None:
             cones.append(None)

@@ -37,7 +37,7 @@ from pkm_studies.tables import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oed.design import Candidates, Rules
+    from oed.design import Rules
     from oed.effects import Course, PlannedEffects
     from oed.gap import GapProblem, Run
 
@@ -137,80 +137,6 @@ DRAWN_COURSES = 8
 SESSION_SECONDS = 7200.0
 
 
-def effects_of_planned(
-    measurement: Measurement,
-    series: Sequence[Series],
-    effects: Sequence[Effect],
-    request: GapRequest,
-    prediction: PredictionRequest,
-    rng: np.random.Generator,
-    most: int,
-    seconds: float = SESSION_SECONDS,
-) -> PlannedEffects | None:
-    """What effects do to planned readings and workspace; None where nothing changes.
-
-    `most` of their combinations are unknowns, the others scatter.
-
-    The order of the readings is not known before they are chosen: what depends on sense
-    of travel, time or temperatures counts as if it were not recorded.
-    """
-    from oed.effects import (
-        SessionStates,
-        course_changes,
-        expected_columns,
-        planned_effects,
-    )
-
-    problem, courses = planned_courses(measurement, series, request, rng, seconds)
-    columns = expected_columns(problem, effects)
-    if columns is None:
-        return None
-    session = SessionStates.of(problem)
-    where, table = prediction.command, prediction.table
-    over = course_changes(
-        problem, courses, columns, session, where, table.reference, rng
-    )
-    return planned_effects(over, columns, session, problem.sigma, most)
-
-
-def planned_courses(
-    measurement: Measurement,
-    series: Sequence[Series],
-    request: GapRequest,
-    rng: np.random.Generator,
-    seconds: float,
-    bodies: Sequence[str] = (),
-    last: int = 0,
-) -> tuple[GapProblem, list[Course]]:
-    """Planned readings in courses that a session may take; the first is the problem's.
-
-    Temperatures of `bodies` are recorded; `last` readings repeat the first ones.
-    """
-    from oed.effects import draw_courses
-
-    parted = [s.separate_poses() for s in series]
-    empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
-    rows = dataset.from_series(parted, empty, measurement, None).covariates
-    courses = draw_courses(rows, seconds, DRAWN_COURSES, rng, bodies, last)
-    problem = gap.assemble(
-        measurement, parted, courses[0].covariates, gravity=request.gravity
-    )
-    return courses[0].of(problem), courses
-
-
-def pose_error_slopes(pool: Candidates, raw: Array, effects: PlannedEffects) -> Array:
-    """Pose errors (n, k, columns) per unit of each column of candidates with effects.
-
-    raw  (n, k, p) per unit of each parameter of the machine, SI
-    """
-    measurement = pool.measurement
-    poses, components, parameters = raw.shape
-    by_parameter = np.zeros((poses, components, len(measurement.names)))
-    by_parameter[:, :, :parameters] = raw
-    scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
-    return pool.spread(np.concatenate([scaled, effects.tool], axis=2))
-
-
 ALL = "all"
 
 
@@ -268,6 +194,113 @@ class GapRequest:
                 remedy = f"name some of {', '.join(by_name)}"
                 raise location.item(k).error("no such effect is tried", remedy, name)
         return [by_name[name] for name in dict.fromkeys(names)]
+
+    def planned_effects(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        names: str | Sequence[str],
+        location: Location,
+        prediction: PredictionRequest,
+        rng: np.random.Generator,
+        most: int = MAX_EFFECT_UNKNOWNS,
+        seconds: float | None = None,
+    ) -> PlannedEffects | None:
+        """What effects do to planned readings and workspace; None where nothing changes.
+
+        names  of the effects, or the word for all or none. Raises InputError as
+               `named_effects`
+        most   number of their combinations that are unknowns, the others scatter
+
+        The order of the readings is not known before they are chosen: what depends on
+        sense of travel, time or temperatures counts as if it were not recorded.
+        """
+        from oed.effects import (
+            SessionStates,
+            expected_columns,
+            over_courses,
+            planned_effects,
+        )
+
+        if names == NO_EFFECTS:
+            return None
+        problem, courses = self.planned_courses(measurement, series, rng, seconds)
+        columns = expected_columns(problem, self.named_effects(names, location))
+        if columns is None:
+            return None
+        session = SessionStates.of(problem)
+        where, reference = prediction.command, prediction.table.reference
+        over = over_courses(problem, courses, columns, session, where, reference, rng)
+        return planned_effects(over, columns, session, problem.sigma, most)
+
+    def planned_courses(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        rng: np.random.Generator,
+        seconds: float | None = None,
+        bodies: Sequence[str] = (),
+        last: int = 0,
+    ) -> tuple[GapProblem, list[Course]]:
+        """Planned readings in courses that a session may take; the first is the problem's.
+
+        Temperatures of `bodies` are recorded; `last` readings repeat the first ones.
+        """
+        from oed.effects import draw_courses
+
+        parted = [s.separate_poses() for s in series]
+        empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
+        rows = dataset.from_series(parted, empty, measurement, None).covariates
+        lasting = SESSION_SECONDS if seconds is None else seconds
+        courses = draw_courses(rows, lasting, DRAWN_COURSES, rng, bodies, last)
+        problem = gap.assemble(
+            measurement, parted, courses[0].covariates, gravity=self.gravity
+        )
+        return courses[0].of(problem), courses
+
+    def planned_covariates(
+        self, measurement: Measurement, series: Sequence[Series]
+    ) -> pd.DataFrame:
+        """Covariates of planned readings, SI, one row a reading; unknown columns left out.
+
+        Runs follow one another in the order given; each takes the next of several feeds
+        and payloads.
+        """
+        import pandas as pd
+
+        table = self.conditions
+        frames: list[pd.DataFrame] = []
+        clock, number, mounted = table.start_min * MINUTE, 0, ""
+        for s in series:
+            setup = measurement.setups[s.setup]
+            if s.setup != mounted:
+                clock += _mounting_time(setup, table)
+                mounted = s.setup
+            step = _pose_time(setup, table)
+            protocol = setup.protocol
+            both_ways = protocol.both_directions and protocol.average
+            frame = pd.DataFrame(
+                np.full((len(s), len(COLUMNS)), np.nan), columns=COLUMNS
+            )
+            for run in dict.fromkeys(s.run):
+                rows = np.flatnonzero(s.run == run)
+                backward, repeat = _pass_of(str(run))
+                way = -1.0 if backward else 1.0
+                frame.loc[rows, "time"] = clock + step * np.arange(1, len(rows) + 1)
+                frame.loc[rows, "direction"] = np.nan if both_ways else way
+                frame.loc[rows, "feed"] = (
+                    _value_of_run(table.feed_mm_min, number) * FEED_MM_PER_MIN
+                )
+                frame.loc[rows, "payload"] = _value_of_run(table.payload, number)
+                frame.loc[rows, "repeat"] = repeat
+                clock += step * len(rows) + table.pause_s
+                number += 1
+            frames.append(frame)
+        covariates = pd.concat(frames, ignore_index=True).dropna(axis=1, how="all")
+        for body, warming in table.temperature.items():
+            share = -np.expm1(-covariates["time"] / (warming.after_min * MINUTE))
+            covariates[f"temp_{body}"] = warming.rise * share
+        return covariates
 
 
 def stated_request(study: Study, machine: Machine) -> GapRequest | None:
@@ -388,48 +421,6 @@ MINUTE = units.factor("min")
 #: m/s in a mm/min
 FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")
 COLUMNS = ["time", "direction", "feed", "payload", "repeat"]
-
-
-def planned_covariates(
-    measurement: Measurement, series: Sequence[Series], table: ConditionsTable
-) -> pd.DataFrame:
-    """Covariates of planned readings, SI, one row a reading; unknown columns left out.
-
-    Runs follow one another in the order given; each takes the next of several feeds
-    and payloads.
-    """
-    import pandas as pd
-
-    frames: list[pd.DataFrame] = []
-    clock, number, mounted = table.start_min * MINUTE, 0, ""
-    for s in series:
-        setup = measurement.setups[s.setup]
-        if s.setup != mounted:
-            clock += _mounting_time(setup, table)
-            mounted = s.setup
-        step = _pose_time(setup, table)
-        protocol = setup.protocol
-        both_ways = protocol.both_directions and protocol.average
-        frame = pd.DataFrame(np.full((len(s), len(COLUMNS)), np.nan), columns=COLUMNS)
-        for run in dict.fromkeys(s.run):
-            rows = np.flatnonzero(s.run == run)
-            backward, repeat = _pass_of(str(run))
-            way = -1.0 if backward else 1.0
-            frame.loc[rows, "time"] = clock + step * np.arange(1, len(rows) + 1)
-            frame.loc[rows, "direction"] = np.nan if both_ways else way
-            frame.loc[rows, "feed"] = (
-                _value_of_run(table.feed_mm_min, number) * FEED_MM_PER_MIN
-            )
-            frame.loc[rows, "payload"] = _value_of_run(table.payload, number)
-            frame.loc[rows, "repeat"] = repeat
-            clock += step * len(rows) + table.pause_s
-            number += 1
-        frames.append(frame)
-    covariates = pd.concat(frames, ignore_index=True).dropna(axis=1, how="all")
-    for body, warming in table.temperature.items():
-        share = -np.expm1(-covariates["time"] / (warming.after_min * MINUTE))
-        covariates[f"temp_{body}"] = warming.rise * share
-    return covariates
 
 
 def _mounting_time(setup: Setup, table: ConditionsTable) -> float:

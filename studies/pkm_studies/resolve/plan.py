@@ -19,7 +19,7 @@ from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids
-from pkm_studies.resolve.gap import NO_EFFECTS, PLAN, effects_of_planned, gap_request
+from pkm_studies.resolve.gap import NO_EFFECTS, PLAN, gap_request
 from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
@@ -168,12 +168,11 @@ def _effects(
         for measured, field in tables.values()
         for name in measured.mounted
     ]
-    gap = gap_request(study, measurement.machine)
-    return effects_of_planned(
+    return gap_request(study, measurement.machine).planned_effects(
         measurement,
         series,
-        gap.named_effects(table.effects, location),
-        gap,
+        table.effects,
+        location,
         prediction,
         np.random.default_rng(STATE_SEED),
         MAX_EFFECT_UNKNOWNS,

@@ -41,6 +41,7 @@ from pkm_studies.resolve.design import (
 )
 from pkm_studies.resolve.gap import (
     ALL_EFFECTS,
+    NO_EFFECTS,
     GapDesignRequest,
     GapRequest,
     effect_with_sizes,
@@ -75,6 +76,8 @@ from pkm_studies.study import Study
 from pkm_studies.tables import PlanTable, SetupTable
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from oed.dataset import Dataset
 
 # Which readings are fitted, held out or simulated, and which set-ups they use.
@@ -621,6 +624,17 @@ class ResolvedStudy:
             plan=plan,
         )
         return changed, plan
+
+    def check_states(self, covariates: pd.DataFrame) -> None:
+        """Raises InputError for a state in use that no reading was recorded at."""
+        check_states(self.study, covariates)
+
+    def allows_effects(self, *, is_recorded: bool) -> bool:
+        """Whether [identify] has readings diagnosed: by default those of a machine."""
+        names = self.study.identify.effects
+        if names is None:
+            return is_recorded
+        return names not in (NO_EFFECTS, [])
 
     def with_dataset(self, dataset: Dataset | None) -> Self:
         """The study with these readings. Raises InputError where its prior has them."""

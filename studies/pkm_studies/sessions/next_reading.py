@@ -30,12 +30,6 @@ from oed.verdict import SURE_PROBABILITY, judge, overall
 from pkm_studies import describe, quantities
 from pkm_studies.base import InputError, Silent, Stream
 from pkm_studies.quantities import component_values
-from pkm_studies.resolve import (
-    MAX_EFFECT_UNKNOWNS,
-    NO_EFFECTS,
-    effects_of_planned,
-    pose_error_slopes,
-)
 from pkm_studies.result_folder import VISIT
 from pkm_studies.results import load_result
 from pkm_studies.stages import (
@@ -126,19 +120,16 @@ def effects_at(
     state: RunState, measurement: Measurement, taken: Sequence[Series]
 ) -> PlannedEffects | None:
     """What the effects of [identify] do to readings taken and candidates; None without."""
-    names, resolved = state.study.identify.fitted_effects, state.resolved
-    if names == NO_EFFECTS or resolved.prediction is None:
+    resolved = state.resolved
+    if resolved.prediction is None:
         return None
-    request = resolved.gap_or_default
-    location = state.study.location.key("identify").key("effects")
-    return effects_of_planned(
+    return resolved.gap_or_default.planned_effects(
         measurement,
         [*taken, *resolved.candidates],
-        request.named_effects(names, location),
-        request,
+        state.study.identify.fitted_effects,
+        state.study.location.key("identify").key("effects"),
         resolved.prediction,
         Stream.PLANNED_COURSES.rng(state.study.seed),
-        MAX_EFFECT_UNKNOWNS,
     )
 
 
@@ -178,7 +169,7 @@ def outlook_with_effects(
         pool.prior_information,
         pool.information(np.arange(count)),
     )
-    factors = pose_error_slopes(pool, raw, effects)
+    factors = pool.pose_error_slopes(raw, effects.tool)
     by_component = factors.swapaxes(0, 1) / np.sqrt(len(raw))
     before, now = (
         np.asarray(np.linalg.inv(i), dtype=float) for i in (total, information_so_far)

@@ -31,7 +31,7 @@ from oed.recording import (
     thermometer_scatter,
 )
 from oed.result import RecordedChoice, RecordingSection
-from pkm_studies.resolve import GapRequest, PredictionRequest, planned_courses
+from pkm_studies.resolve import GapRequest, PredictionRequest
 
 #: readings of a reference run that is repeated at the end, at most
 MAX_REFERENCE_READINGS = 8
@@ -62,8 +62,8 @@ class PlanToRecord:
     request: GapRequest
     prediction: PredictionRequest
     information: Array
-    seconds: float
     seed: Sequence[int]
+    seconds: float | None = None
     further: Mapping[str, tuple[Measurement, tuple[Series, ...]]]
 
 
@@ -185,8 +185,8 @@ def _courses(
     last: int,
 ) -> tuple[GapProblem, list[Course]]:
     rng = np.random.default_rng(plan.seed)
-    return planned_courses(
-        measurement, series, plan.request, rng, plan.seconds, bodies, last
+    return plan.request.planned_courses(
+        measurement, series, rng, plan.seconds, bodies, last
     )
 
 

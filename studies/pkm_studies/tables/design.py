@@ -290,6 +290,11 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     how_many: HowManyTable | None = None
 
     @property
+    def allows_effects(self) -> bool:
+        """Whether readings are chosen for a machine with effects beside the geometry."""
+        return self.effects != "none"
+
+    @property
     def size(self) -> int | None:
         """Number of readings or runs to choose; None where only the budget limits it."""
         if self.readings is None and self.budget_min is None:

@@ -14,7 +14,7 @@ from oed.effects import CourseColumns, SessionStates, course_changes, expected_c
 from oed.recording import PlannedReadings, relative, remaining_error
 from pkm_reports.blocks import Table
 from pkm_reports.sections.stages import recording_blocks
-from pkm_studies.resolve import GapRequest, planned_courses
+from pkm_studies.resolve import GapRequest
 from pkm_studies.stages import select_design
 from pkm_studies.stages.headline import recording_sentences
 from pkm_studies.tables import ConditionsTable
@@ -101,7 +101,7 @@ def test_a_side_that_is_not_recorded_is_scatter() -> None:
     series = [measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))]
     request = GapRequest((), (0.0, 0.0, -1.0), (), ConditionsTable())
     rng = np.random.default_rng(3)
-    problem, courses = planned_courses(measurement, series, request, rng, 3600.0)
+    problem, courses = request.planned_courses(measurement, series, rng, 3600.0)
     effect = Effect(
         name="play",
         source="ISO 230-2",

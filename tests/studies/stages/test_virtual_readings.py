@@ -8,12 +8,13 @@ from typing import Any
 
 import gap_fixture
 import numpy as np
+import pandas as pd
 import pytest
 import sample
 
 from oed.measurement import Series
 from pkm_studies.base import Silent
-from pkm_studies.resolve import gap_request, planned_covariates
+from pkm_studies.resolve import gap_request
 from pkm_studies.stages import start
 from pkm_studies.stages.gap.diagnosis import empty_readings
 from pkm_studies.stages.readings import planned_series
@@ -28,10 +29,17 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def _covariates(path: Path) -> pd.DataFrame:
+    """Covariates of the planned readings of a study."""
+    measurement, series = _planned(path)
+    request = gap_request(load(path), measurement.machine)
+    return request.planned_covariates(measurement, series)
+
+
 def test_conditions_of_readings(tmp_path: Path) -> None:
     """Times, ways, feeds and loads of two circles both ways, counted by hand."""
     path = gap_fixture.written(tmp_path)
-    covariates = planned_covariates(*_planned(path), load(path).gap.conditions)
+    covariates = _covariates(path)
     # 10 min warming, 5 min to mount, 2 s a reading; 24 readings a pass; a minute
     # between passes
     starts = 900.0 + np.arange(4) * (24 * 2.0 + 60.0)
@@ -52,7 +60,7 @@ def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path: Path) -
         tmp_path,
         sample.changed(gap_fixture.STUDY, ("average = false", "average = true")),
     )
-    covariates = planned_covariates(*_planned(path), load(path).gap.conditions)
+    covariates = _covariates(path)
     assert "direction" not in covariates
     np.testing.assert_allclose(covariates["time"].iloc[:2], [904.0, 908.0])
 
@@ -69,7 +77,7 @@ def test_temperatures_rise_with_their_time_constant(tmp_path: Path) -> None:
         ),
     )
     path = gap_fixture.written(tmp_path, text)
-    covariates = planned_covariates(*_planned(path), load(path).gap.conditions)
+    covariates = _covariates(path)
     np.testing.assert_allclose(
         covariates["temp_frame"],
         3.0 * (1.0 - np.exp(-covariates["time"] / 1200.0)),

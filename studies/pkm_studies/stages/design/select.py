@@ -38,16 +38,11 @@ from pkm_studies.base import Location, Stream
 from pkm_studies.describe import displayed_command, field
 from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import (
-    MAX_EFFECT_UNKNOWNS,
-    NO_EFFECTS,
-    SESSION_SECONDS,
     Circles,
     CommandRanges,
     DesignRequest,
     PredictionRequest,
     ResolvedStudy,
-    effects_of_planned,
-    pose_error_slopes,
 )
 from pkm_studies.stages.design import order
 from pkm_studies.stages.design.criteria import StudyCriteria
@@ -529,7 +524,7 @@ def check_design(resolved: ResolvedStudy) -> None:
     table, request = resolved.study.design, resolved.design
     if table is None or request is None or not resolved.candidates:
         return
-    if table.effects != NO_EFFECTS:
+    if table.allows_effects:
         check_allowed(resolved, table, request)
     location = resolved.study.location.key("design")
     study_criteria = StudyCriteria(resolved, table, request)
@@ -747,19 +742,15 @@ def allowed_effects(
     Raises InputError for names that are no effects, and where the design cannot allow for
     any.
     """
-    if table.effects == NO_EFFECTS:
+    if not table.allows_effects:
         return None
-    where = check_allowed(resolved, table, request)
-    location = resolved.study.location.key("design").key("effects")
-    gap = resolved.gap_or_default
-    return effects_of_planned(
+    return resolved.gap_or_default.planned_effects(
         resolved.measurement,
         resolved.candidates,
-        gap.named_effects(table.effects, location),
-        gap,
-        where,
+        table.effects,
+        resolved.study.location.key("design").key("effects"),
+        check_allowed(resolved, table, request),
         rng,
-        MAX_EFFECT_UNKNOWNS,
     )
 
 
@@ -864,7 +855,6 @@ def recording(
             request=gap,
             prediction=resolved.prediction,
             information=prior_information(measurement),
-            seconds=SESSION_SECONDS,
             seed=Stream.PLANNED_COURSES.key(resolved.study.seed),
             further={},
         )
@@ -884,7 +874,7 @@ def _accuracy(
         c = c.add_prior(prior_information(measurement))
     total = c.information(chosen)
     covariance = np.linalg.inv(total)
-    slopes = pose_error_slopes(c, maps.raw, effects)
+    slopes = c.pose_error_slopes(maps.raw, effects.tool)
     variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
     mean = variance / len(slopes) + effects.others
     rms = dict(zip(maps.names, np.sqrt(mean).tolist(), strict=True))

@@ -52,7 +52,7 @@ from oed.result import (
 from oed.text import format_p_value, format_probability, rounded
 from pkm_studies.base import Stream
 from pkm_studies.describe import displayed_command
-from pkm_studies.resolve import GapRequest, check_states
+from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.goodness import (
     add_delivered,
@@ -243,7 +243,7 @@ def states_in_use(state: Fitted) -> SessionStates:
     used = {} if resolved.prediction is None else resolved.prediction.states
     if not used:
         used = recorded_states(state.readings.covariates)
-    check_states(state.study, problem.covariates)
+    resolved.check_states(problem.covariates)
     return SessionStates.of(problem, used)
 
 

@@ -17,7 +17,7 @@ from oed.gap import Diagnosis, phase_along_runs
 from oed.measurement import Measurement, Series
 from oed.mechanism import AssemblyError
 from oed.result import RunCurve, Spot, Trace
-from pkm_studies.resolve import FEED_MM_PER_MIN, PASS_SUFFIX
+from pkm_studies.resolve import PASS_SUFFIX
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,6 +39,8 @@ DIGITS = 4
 PLACE_DIGITS = 3
 #: the unit of residuals given as multiples of the stated noise
 SIGMA = "sigma"
+#: m/s in a mm/min
+MM_PER_MIN = units.factor("mm") / units.factor("min")
 
 T = TypeVar("T")
 
@@ -111,9 +113,7 @@ def _trace(
         after=displayed(parts["after"]),
         direction=_constant(rows, "direction", int),
         payload=_constant(rows, "payload", float),
-        feed_mm_min=_constant(
-            rows, "feed", lambda v: round(float(v) / FEED_MM_PER_MIN, 6)
-        ),
+        feed_mm_min=_constant(rows, "feed", lambda v: round(float(v) / MM_PER_MIN, 6)),
         radius_mm=None if radius is None else round(_mm(radius), PLACE_DIGITS),
     )
 

@@ -40,15 +40,7 @@ from oed.result import (
 )
 from oed.text import capitalised, format_probability, join_words
 from pkm_studies.base import Stream
-from pkm_studies.resolve import (
-    ALL_EFFECTS,
-    NO_EFFECTS,
-    ActingEffect,
-    GapDesignRequest,
-    GapRequest,
-    comments_of,
-    planned_covariates,
-)
+from pkm_studies.resolve import ActingEffect, GapDesignRequest, GapRequest, comments_of
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.gap import sentences
 from pkm_studies.stages.gap.sentences import plain_name
@@ -73,7 +65,7 @@ def empty_readings(
     measurement: Measurement, series: Sequence[Series], request: GapRequest
 ) -> Dataset:
     """Planned readings without values, with covariates from [gap.conditions]."""
-    covariates = planned_covariates(measurement, series, request.conditions)
+    covariates = request.planned_covariates(measurement, series)
     parted = [s.separate_poses() for s in series]
     empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
     return dataset.from_series(parted, empty, measurement, covariates)
@@ -697,9 +689,7 @@ def diagnose_gap(state: Fitted) -> Fitted:
     command names the effects; of those of a virtual machine where the study asks for it.
     """
     is_recorded = state.resolved.dataset is not None
-    by_default = ALL_EFFECTS if is_recorded else NO_EFFECTS
-    effects = state.study.identify.effects
-    is_asked = (by_default if effects is None else effects) not in (NO_EFFECTS, [])
+    is_asked = state.resolved.allows_effects(is_recorded=is_recorded)
     is_asked = is_asked and not state.with_effects
     if state.resolved.gap is None and not is_asked:
         return state
