@@ -21,13 +21,23 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
+from oed.accuracy import Reference, error_maps
 from oed.base import Array, Mask
-from oed.effects import CourseColumns
+from oed.effects import (
+    Course,
+    CourseColumns,
+    ExpectedColumns,
+    SessionStates,
+    over_courses,
+)
+from oed.gap import GapProblem
 
 #: standard uncertainty of a thermometer on a machine, K: of class A, and its contact
 THERMOMETER_UNCERTAINTY = 0.2
 #: most courses over which errors with a recorded covariate are averaged
 MAX_COURSES = 4
+#: how a need names a temperature
+TEMPERATURE = "temp_"
 #: rate, in units of the prior's information, below which readings determine nothing
 MIN_RATE = 1e-9
 
@@ -50,6 +60,10 @@ class RemainingError:
         undetermined = np.asarray(self.rates < MIN_RATE, dtype=float)
         share = undetermined if np.isinf(times) else 1.0 / (1.0 + times * self.rates)
         return np.asarray(self.rest + self.shares @ share)
+
+    def gain(self, reached: Array) -> float:
+        """Share by which the mean squares `reached` (c,) are below these, 0 at least."""
+        return max(1.0 - relative(reached, self.after(1.0)), 0.0)
 
     def equal_times(self, reached: Array) -> float:
         """How often readings must be taken to leave the mean squares `reached` (c,).
@@ -158,3 +172,109 @@ def thermometer_scatter(effects: CourseColumns, kelvin: Array) -> Array:
     """
     square = (effects.changes**2).sum(axis=2).mean(axis=0)
     return np.asarray(THERMOMETER_UNCERTAINTY * np.sqrt(square / np.mean(kelvin**2)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RecordedCase:
+    """Readings with the effects in some courses."""
+
+    readings: PlannedReadings
+    courses: list[Course]
+    columns: ExpectedColumns
+    effects: CourseColumns
+
+    @classmethod
+    def of(
+        cls,
+        problem: GapProblem,
+        courses: list[Course],
+        columns: ExpectedColumns,
+        session: SessionStates,
+        command: Array,
+        reference: Reference,
+        rng: np.random.Generator,
+        information: Array,
+    ) -> RecordedCase:
+        """The readings of a problem, and their effects over a workspace.
+
+        command      (n, n_dof) of the workspace, SI
+        information  of the prior of the machine's free parameters
+        """
+        over = over_courses(problem, courses, columns, session, command, reference, rng)
+        measurement = problem.measurement
+        free, machine = measurement.free, measurement.machine
+        slopes = measurement.jacobian(problem.series, measurement.nominal)
+        noise = measurement.noise(problem.series)
+        white = noise.whiten(slopes * measurement.tolerance)
+        raw = error_maps(measurement.kinematics, command, reference).raw
+        pose = np.zeros((*raw.shape[:2], len(free)))
+        pose[:, :, : len(machine.parameters)] = raw
+        count = len(information)
+        prior = np.eye(int(free.sum()))
+        prior[:count, :count] = information
+        readings = PlannedReadings(
+            white=white[:, free],
+            sigma=problem.sigma,
+            information=prior,
+            pose_gradients=(pose * measurement.tolerance)[:, :, free],
+        )
+        return cls(readings, courses, columns, over)
+
+    @property
+    def nothing(self) -> Mask:
+        """No column (k,)."""
+        return np.zeros(len(self.effects.of_course), dtype=bool)
+
+    def needing(self, covariate: str) -> Mask:
+        """Columns (k,) of effects that need a covariate."""
+        names = {
+            form.effect.name
+            for form in self.columns.forms
+            if any(covariate in need for need in form.effect.needs)
+        }
+        groups = [name.split(": ")[0] in names for name in self._groups]
+        return np.array(groups)[self.columns.discrepancy.group]
+
+    def restrict_to_bodies(self, effect: str, bodies: Sequence[str]) -> Mask:
+        """Columns (k,) of an effect in bodies, or in all where it has no blocks."""
+        groups = []
+        for name in self._groups:
+            named, _, label = name.partition(": ")
+            groups.append(named == effect and label.replace(" ", "") in ("", *bodies))
+        return np.array(groups)[self.columns.discrepancy.group]
+
+    def names(self, mask: Mask) -> list[str]:
+        """Effects of known form of some columns (k,)."""
+        discrepancy = self.columns.discrepancy
+        groups = np.unique(discrepancy.group[mask])
+        group_names = [self._groups[g] for g in groups if not discrepancy.unknown[g]]
+        return list(dict.fromkeys(name.split(": ")[0] for name in group_names))
+
+    def predict(self, recorded: Mask) -> list[RemainingError]:
+        """Errors with the covariates of some columns (k,) recorded."""
+        return self.readings.predict(self.effects, recorded, np.zeros(1))
+
+    def reached(self, recorded: Mask) -> Array:
+        """Mean (c,) of the mean squares that these leave, SI."""
+        return mean_after_once(self.predict(recorded))
+
+    def reached_with(
+        self, warm: RecordedCase, hidden: Mask, effect: str, bodies: Sequence[str]
+    ) -> Array:
+        """The same with thermometers on bodies, of which an effect is hidden (k,) here.
+
+        warm  where they are read: it has the effect, which is as large as it is here
+        """
+        measured = warm.effects.take(warm.restrict_to_bodies(effect, bodies))
+        names = [f"{TEMPERATURE}{body}" for body in bodies]
+        kelvin = np.array([c.covariates[names] for c in warm.courses])
+        extra = thermometer_scatter(measured, kelvin)
+        size = self.effects.take(hidden).rms / measured.rms
+        others = self.effects.take(~hidden)
+        both = others.joined(measured.scaled(size))
+        recorded = np.arange(both.changes.shape[2]) >= others.changes.shape[2]
+        return mean_after_once(self.readings.predict(both, recorded, extra))
+
+    @property
+    def _groups(self) -> tuple[str, ...]:
+        return self.columns.discrepancy.names
