@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import optimize, special
@@ -35,6 +35,7 @@ from scipy import optimize, special
 from oed.base import Array
 from oed.identifiability import analyse
 from oed.linear_algebra import covariance_root
+from oed.text import format_p_value
 
 #: information about a change, in tolerances, below which it counts as undetermined: a
 #: standard deviation of ten tolerances
@@ -53,6 +54,17 @@ P_EXPLAINED = 0.01
 #: p-value below which the sessions do not lie on a line, and intervals are widened
 P_UNEVEN = 0.01
 
+#: probability of a false alarm of a session's comparison
+ALARM = 0.01
+#: combinations and causes that are printed
+MAX_COMBINATIONS = 10
+#: parameters of a combination that are printed
+TERMS = 4
+#: departure from 1 of a coefficient that is written as 1
+ONE = 5e-4
+#: p-value of no drift from which a combination is not shown: its 95 % interval has 0
+DOUBTFUL = 0.05
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CombinationChange:
@@ -68,6 +80,33 @@ class CombinationChange:
     change: float
     sd: float
     p_value: float
+
+    def in_words(self, units: Mapping[str, str]) -> tuple[str, str]:
+        """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
+        (pivot, _), *others = self.coefficients.items()
+        phrases = [pivot]
+        for name, coefficient in others[: TERMS - 1]:
+            sign = "less" if coefficient < 0.0 else "plus"
+            amount = _amount(abs(coefficient), units[pivot], units[name])
+            phrases.append(f"{sign} {amount}{name}")
+        if len(others) >= TERMS:
+            phrases.append(f"and {len(others) - TERMS + 1} smaller terms")
+        return " ".join(phrases), units[pivot]
+
+    def sentence(self, units: Mapping[str, str]) -> str:
+        """The change with its standard deviation, in the units of the parameters."""
+        phrase, unit = self.in_words(units)
+        z = self.change / self.sd
+        return (
+            f"{phrase}: {self.change:+.4g} {unit}, sd {self.sd:.2g} {unit}, {z:+.1f} sd"
+        )
+
+    def interval_sentence(self, units: Mapping[str, str]) -> str:
+        """The change with its 95 % interval, in the units of the parameters."""
+        phrase, of = self.in_words(units)
+        half = 1.96 * self.sd
+        low, high = self.change - half, self.change + half
+        return f"{phrase}: {self.change:+.3g} {of}, {low:+.3g} to {high:+.3g}"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -90,6 +129,32 @@ class Cause:
         return self.p_value >= P_EXPLAINED
 
 
+def _amount(size: float, unit: str, of_unit: str) -> str:
+    """A coefficient in words that end before the parameter's name; nothing for 1."""
+    if unit != of_unit:
+        return f"{size:.3g} {unit} per {of_unit} of "
+    return "" if abs(size - 1.0) < ONE else f"{size:.3g} times "
+
+
+def _explanations(
+    causes: Sequence[Cause], units: Mapping[str, str], per: str = ""
+) -> Iterator[str]:
+    """Parameters whose change explains all of it, or that no two do; `per`: a time."""
+    enough = [cause for cause in causes if cause.explains_all]
+    if not enough:
+        yield "No single parameter explains the change, nor do two."
+        return
+    count = "one parameter" if len(enough[0].changes) == 1 else "two parameters"
+    yield f"A change of {count} alone explains all of it:"
+    for cause in enough[:MAX_COMBINATIONS]:
+        parts = [
+            f"{name}: {size:+.4g} {units[name]}{per}, sd {cause.sds[name]:.2g} {units[name]}"
+            for name, size in cause.changes.items()
+        ]
+        rest = f"chi2 falls to {cause.chi2:.4g}, p {format_p_value(cause.p_value)}"
+        yield f"    {' and '.join(parts)}; {rest}"
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class SessionChange:
     """The change between two sessions; in the units of the parameters.
@@ -106,6 +171,31 @@ class SessionChange:
     combinations: tuple[CombinationChange, ...]
     causes: tuple[Cause, ...]
     undetermined: int
+
+    def sentences(self, units: Mapping[str, str]) -> Iterator[str]:
+        """The test, parameters that explain the change, and the combinations."""
+        if not self.dof:
+            yield "The two sessions determine no common combination of parameters."
+            return
+        verdict = "No change" if self.p_value >= ALARM else "The machine changed"
+        yield (
+            f"{verdict}: chi2 {self.chi2:.4g} for {self.dof} combinations that both"
+            f" sessions determine, p {format_p_value(self.p_value)}."
+        )
+        if self.undetermined:
+            verb = "is" if self.undetermined == 1 else "are"
+            yield (
+                f"{self.undetermined} of {len(units)} directions {verb} not determined by"
+                " both sessions: a change there stays unseen."
+            )
+        if self.p_value < ALARM:
+            yield from _explanations(self.causes, units)
+        # Sidak: the smallest of dof p-values, each uniform where nothing changed
+        threshold = 1.0 - (1.0 - ALARM) ** (1.0 / self.dof)
+        yield f"Changes (* beyond chance among {self.dof}, at {ALARM:g}):"
+        for combination in self.combinations[:MAX_COMBINATIONS]:
+            mark = "*" if combination.p_value < threshold else " "
+            yield f"  {mark} {combination.sentence(units)}"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -323,6 +413,42 @@ class SessionDrift:
     covariance: Array
     undetermined: int
 
+    @property
+    def is_proven(self) -> bool:
+        """Whether no drift is less likely than the probability of a false alarm."""
+        return self.p_value < ALARM
+
+    def sentences(self, units: Mapping[str, str], unit: str) -> Iterator[str]:
+        """Whether the machine drifts, and whether evenly; causes; combinations.
+
+        units  of the parameters by name
+        unit   of time
+        """
+        if not self.dof:
+            yield "The sessions determine the drift of no combination of parameters."
+            return
+        verdict = "The machine drifts" if self.is_proven else "No drift is proven"
+        yield (
+            f"{verdict}: chi2 {self.chi2:.4g} for {self.dof} combinations, p"
+            f" {format_p_value(self.p_value)}."
+        )
+        if self.widening > 1.0:
+            yield (
+                f"The sessions do not lie on a line (chi2 {self.rest:.4g} for"
+                f" {self.rest_dof}): all intervals are {self.widening:.2g} times as"
+                " wide. `oed compare` shows between which sessions the machine changed."
+            )
+        if self.undetermined:
+            count = self.undetermined
+            directions = "1 direction is" if count == 1 else f"{count} directions are"
+            yield f"{directions} not determined: a drift there stays unseen."
+        if self.is_proven:
+            yield from _explanations(self.causes, units, f" a {unit}")
+        yield f"Drift a {unit}, with its 95 % interval:"
+        proven = [c for c in self.combinations if c.p_value < DOUBTFUL]
+        for combination in (proven or self.combinations[:1])[:MAX_COMBINATIONS]:
+            yield f"  {combination.interval_sentence(units)}"
+
     def next_calibration(
         self,
         maps: Array,
@@ -373,6 +499,17 @@ class MachineSessions:
     nominal: Array
     tolerance: Array
     posteriors: Sequence[Session]
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        nominal: Array,
+        tolerance: Array,
+        posteriors: Sequence[tuple[Array, Array]],
+    ) -> MachineSessions:
+        """Sessions of which the posteriors are given as mean and covariance."""
+        return cls(names, nominal, tolerance, [Session(*p) for p in posteriors])
 
     def change(self) -> SessionChange:
         """Compare two sessions. Raises ValueError unless there are two."""
@@ -433,9 +570,9 @@ class MachineSessions:
         self,
         maps: Array,
         counts: Sequence[int],
-        alarm: float,
         power: float,
         rng: np.random.Generator,
+        alarm: float = ALARM,
     ) -> Array:
         """Growth (len(counts),) of an rms error, SI a session, that so many sessions prove.
 

@@ -5,22 +5,15 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from oed import trust, units
 from oed.base import Array
-from oed.history import (
-    CombinationChange,
-    MachineSessions,
-    Session,
-    SessionChange,
-    SessionDrift,
-)
+from oed.history import MachineSessions, SessionDrift
 from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
-from oed.text import format_p_value
 from pkm_studies import files
 from pkm_studies.acceptance import promised_accuracy
 from pkm_studies.base import InputError, Stream
@@ -34,14 +27,6 @@ from pkm_studies.user_code import Consent
 
 #: a section with parameters, their covariance and chi2
 Fitted = EstimateSection | CorrectedSection
-#: probability of a false alarm of a session's comparison
-FALSE_ALARM = 0.01
-#: combinations and causes that are printed
-MAX_COMBINATIONS = 10
-#: parameters of a combination that are printed
-MAX_TERMS = 4
-#: departure from 1 of a coefficient that is written as 1
-UNIT_TOLERANCE = 5e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +48,7 @@ def compare(before: Path, after: Path) -> SessionReport:
     refuse_same_sessions(results, folders)
     sessions, units = sessions_of(results, folders)
     doubts = warnings(results, folders)
-    return SessionReport([*doubts, *_sentences(sessions.change(), units)], not doubts)
+    return SessionReport([*doubts, *sessions.change().sentences(units)], not doubts)
 
 
 def sessions_of(
@@ -81,7 +66,7 @@ def sessions_of(
     for table, result, folder in zip(tables, results, folders, strict=True):
         _check_same([tables[0], table], [results[0], result], folder)
     names, shared = list(tables[0]), tables[0].values()
-    sessions = MachineSessions(
+    sessions = MachineSessions.of(
         names,
         np.array([p.nominal for p in shared]),
         np.array([p.prior_sd for p in shared]),
@@ -165,88 +150,12 @@ def _check_same(
     raise InputError(problem, remedy, file=str(after / "result.json"))
 
 
-def _session(names: list[str], estimate: Fitted) -> Session:
-    """The posterior of the machine's parameters, marginal to the set-ups."""
+def _session(names: list[str], estimate: Fitted) -> tuple[Array, Array]:
+    """Mean and covariance of the machine's parameters, marginal to the set-ups."""
     position = {name: k for k, name in enumerate(estimate.parameters)}
     rows = [position[name] for name in names]
     mean = np.array([estimate.parameters[name].value for name in names])
-    return Session(mean, np.array(estimate.covariance)[np.ix_(rows, rows)])
-
-
-def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]:
-    """The test, parameters that explain the change, and the combinations."""
-    if not change.dof:
-        yield "The two sessions determine no common combination of parameters."
-        return
-    verdict = "No change" if change.p_value >= FALSE_ALARM else "The machine changed"
-    yield (
-        f"{verdict}: chi2 {change.chi2:.4g} for {change.dof} combinations that both"
-        f" sessions determine, p {format_p_value(change.p_value)}."
-    )
-    if change.undetermined:
-        verb = "is" if change.undetermined == 1 else "are"
-        yield (
-            f"{change.undetermined} of {len(units)} directions {verb} not determined by"
-            " both sessions: a change there stays unseen."
-        )
-    if change.p_value < FALSE_ALARM:
-        yield from explanations(change, units)
-    # Sidak: the smallest of dof p-values, each uniform where nothing changed
-    threshold = 1.0 - (1.0 - FALSE_ALARM) ** (1.0 / change.dof)
-    yield f"Changes (* beyond chance among {change.dof}, at {FALSE_ALARM:g}):"
-    for combination in change.combinations[:MAX_COMBINATIONS]:
-        mark = "*" if combination.p_value < threshold else " "
-        yield f"  {mark} {_combination(combination, units)}"
-
-
-def _combination(combination: CombinationChange, units: Mapping[str, str]) -> str:
-    phrase, unit = combination_words(combination, units)
-    z = combination.change / combination.sd
-    return (
-        f"{phrase}: {combination.change:+.4g} {unit}, sd {combination.sd:.2g} {unit},"
-        f" {z:+.1f} sd"
-    )
-
-
-def combination_words(
-    combination: CombinationChange, units: Mapping[str, str]
-) -> tuple[str, str]:
-    """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
-    (pivot, _), *others = combination.coefficients.items()
-    phrases = [pivot]
-    for name, coefficient in others[: MAX_TERMS - 1]:
-        sign = "less" if coefficient < 0.0 else "plus"
-        amount = _amount(abs(coefficient), units[pivot], units[name])
-        phrases.append(f"{sign} {amount}{name}")
-    if len(others) >= MAX_TERMS:
-        phrases.append(f"and {len(others) - MAX_TERMS + 1} smaller terms")
-    return " ".join(phrases), units[pivot]
-
-
-def _amount(size: float, unit: str, of_unit: str) -> str:
-    """A coefficient in words that end before the parameter's name; nothing for 1."""
-    if unit != of_unit:
-        return f"{size:.3g} {unit} per {of_unit} of "
-    return "" if abs(size - 1.0) < UNIT_TOLERANCE else f"{size:.3g} times "
-
-
-def explanations(
-    change: SessionChange | SessionDrift, units: Mapping[str, str], per: str = ""
-) -> Iterator[str]:
-    """Parameters whose change explains all of it, or that no two do; `per`: a time."""
-    enough = [cause for cause in change.causes if cause.explains_all]
-    if not enough:
-        yield "No single parameter explains the change, nor do two."
-        return
-    count = "one parameter" if len(enough[0].changes) == 1 else "two parameters"
-    yield f"A change of {count} alone explains all of it:"
-    for cause in enough[:MAX_COMBINATIONS]:
-        parts = [
-            f"{name}: {size:+.4g} {units[name]}{per}, sd {cause.sds[name]:.2g} {units[name]}"
-            for name, size in cause.changes.items()
-        ]
-        rest = f"chi2 falls to {cause.chi2:.4g}, p {format_p_value(cause.p_value)}"
-        yield f"    {' and '.join(parts)}; {rest}"
+    return mean, np.array(estimate.covariance)[np.ix_(rows, rows)]
 
 
 def write_comparison(folders: Sequence[Path], out: Path) -> tuple[Path, ...]:
@@ -290,8 +199,6 @@ def _changes(folders: Sequence[Path], results: Sequence[StudyResult]) -> list[st
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 #: probability of proving a drift that is called provable
 MIN_POWER = 0.9
-#: p-value of no drift from which a combination is not shown: its 95 % interval has 0
-MIN_P_VALUE = 0.05
 #: limit of the rms error over that right after a calibration, where none is given
 RMS_RATIO = 2.0
 
@@ -333,14 +240,12 @@ def machine_history(
     doubts = warnings(sessions.results, sessions.folders)
     errors = _errors(sessions, shown, limits, study_file, consent)
     outlook = _provable(sessions, errors, machine_sessions)
-    if drifted.p_value < FALSE_ALARM:
+    if drifted.is_proven:
         outlook = _due(sessions, errors, drifted)
     sentences = [
         *doubts,
         _sessions_text(sessions),
-        *_verdict(drifted),
-        *_causes(drifted, shown, sessions.unit),
-        *_combinations(drifted, shown, sessions.unit),
+        *drifted.sentences(shown, sessions.unit),
         *(outlook if drifted.dof else ()),
     ]
     return SessionReport(sentences, not doubts)
@@ -405,54 +310,6 @@ def _sessions_text(sessions: Sessions) -> str:
     if sessions.unit == "day":
         return f"{count} sessions over {span:.0f} days."
     return f"{count} sessions without dates in their folders' names: drift per session."
-
-
-def _verdict(drifted: SessionDrift) -> Iterator[str]:
-    """Whether the machine drifts, and whether evenly."""
-    if not drifted.dof:
-        yield "The sessions determine the drift of no combination of parameters."
-        return
-    verdict = (
-        "The machine drifts" if drifted.p_value < FALSE_ALARM else "No drift is proven"
-    )
-    yield (
-        f"{verdict}: chi2 {drifted.chi2:.4g} for {drifted.dof} combinations, p"
-        f" {format_p_value(drifted.p_value)}."
-    )
-    if drifted.widening > 1.0:
-        yield (
-            f"The sessions do not lie on a line (chi2 {drifted.rest:.4g} for"
-            f" {drifted.rest_dof}): all intervals are {drifted.widening:.2g} times as"
-            " wide. `oed compare` shows between which sessions the machine changed."
-        )
-    if drifted.undetermined:
-        count = drifted.undetermined
-        directions = "1 direction is" if count == 1 else f"{count} directions are"
-        yield f"{directions} not determined: a drift there stays unseen."
-
-
-def _causes(drifted: SessionDrift, shown: dict[str, str], unit: str) -> Iterator[str]:
-    """Parameters whose drift explains all of a proven one."""
-    if drifted.dof and drifted.p_value < FALSE_ALARM:
-        yield from explanations(drifted, shown, f" a {unit}")
-
-
-def _combinations(
-    drifted: SessionDrift, shown: dict[str, str], unit: str
-) -> Iterator[str]:
-    if not drifted.dof:
-        return
-    yield f"Drift a {unit}, with its 95 % interval:"
-    proven = [c for c in drifted.combinations if c.p_value < MIN_P_VALUE]
-    for combination in (proven or drifted.combinations[:1])[:MAX_COMBINATIONS]:
-        yield f"  {_line(combination, shown, unit)}"
-
-
-def _line(combination: CombinationChange, shown: dict[str, str], unit: str) -> str:
-    phrase, of = combination_words(combination, shown)
-    half = 1.96 * combination.sd
-    low, high = combination.change - half, combination.change + half
-    return f"{phrase}: {combination.change:+.3g} {of}, {low:+.3g} to {high:+.3g}"
 
 
 # -- when to calibrate again -----------------------------------------------------------
@@ -537,9 +394,7 @@ def _provable(
         f" probability {MIN_POWER:g} that an rms error grows a {sessions.unit} by"
     )
     for error in errors:
-        growth = machine_sessions.provable_growth(
-            error.maps, more, FALSE_ALARM, MIN_POWER, rng
-        )
+        growth = machine_sessions.provable_growth(error.maps, more, MIN_POWER, rng)
         sizes = units.from_si(growth, error.unit) / spacing
         parts = [
             f"{size:.2g} {error.unit} ({number} sessions)"

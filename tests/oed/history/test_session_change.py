@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.history import MachineSessions, Session
+from oed.history.sessions import CombinationChange, MachineSessions, Session
 
 N, SETUP = 5, 2
 NAMES = [f"p{k}" for k in range(N)]
@@ -143,3 +143,11 @@ def test_no_change_gives_uniform_p_values() -> None:
         change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
         p_values.append(change.p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
+
+
+def test_a_combination_in_words_has_one_unit() -> None:
+    coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
+    change = CombinationChange(coefficients, 0.1, 0.1, 0.3)
+    unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}
+    words = "z2 less z1 plus 0.5 times D less 2 mm per mrad of beta1"
+    assert change.in_words(unit) == (words, "mm")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from oed.history import MachineSessions, Session
+from oed.history.sessions import MachineSessions, Session
 
 N = 4
 NAMES = [f"p{k}" for k in range(N)]
@@ -98,7 +98,7 @@ def test_a_drift_of_the_provable_size_is_proven_as_often_as_said() -> None:
     maps = rng.standard_normal((9, N)) / TOLERANCE
     _, _, sessions = drifting_sessions(rng, np.zeros(N))
     growth = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).provable_growth(
-        maps, [5], 0.01, 0.9, rng
+        maps, [5], 0.9, rng
     )
     times = np.arange(5.0)
     proven = 0

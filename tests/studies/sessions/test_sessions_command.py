@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from oed.history import CombinationChange
 from pkm_studies.commands import main
-from pkm_studies.sessions import history
 
 Run = Callable[..., tuple[int, str, str]]
 #: offset dq1 (mm) of the machine by date
@@ -43,14 +41,6 @@ def drifting(machine: Path, tmp_path: Path) -> Path:
     for date in DRIFTING:
         shutil.copytree(machine / date, tmp_path / "drifting" / date)
     return tmp_path / "drifting"
-
-
-def test_a_combination_in_words_has_one_unit() -> None:
-    coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
-    change = CombinationChange(coefficients, 0.1, 0.1, 0.3)
-    unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}
-    words = "z2 less z1 plus 0.5 times D less 2 mm per mrad of beta1"
-    assert history.combination_words(change, unit) == (words, "mm")
 
 
 def test_a_change_is_reported_with_its_cause(machine: Path, oed: Run) -> None:
