@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from oed.compensate import (
     commands_of_added,
 )
 from oed.dataset import commented
-from oed.forecast import Forecast, JointErrors, NodeDesign, fit_error_field, plan_nodes
+from oed.forecast import JointErrors
 from oed.instrument import Setup
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Component
@@ -305,8 +305,7 @@ REPEATS = (
 
 def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
     """The section with the nodes (n, n_dof), SI, to measure."""
-    design = plan_nodes(
-        task.model,
+    design = task.model.plan_nodes(
         task.candidates,
         task.table.nodes,
         task.expected,
@@ -317,29 +316,31 @@ def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
     machine = task.kinematics.machine
     mounting, reading = task.seconds
     section = ForecastSection(
-        components=_components(task, design),
+        components=_components(task, design.expected, design.predicted),
         reference=task.model.reference,
         nodes=[describe.displayed_command(machine, node) for node in nodes],
         setup=task.setup,
         minutes=(mounting + len(nodes) * reading) / 60.0,
-        sentences=[*_plan_section(task, design)],
+        sentences=[*_plan_section(task, len(nodes), design.predicted)],
     )
     return section, nodes
 
 
-def _components(task: ForecastTask, design: NodeDesign) -> dict[str, ForecastComponent]:
+def _components(
+    task: ForecastTask, expected: Array, predicted: Array
+) -> dict[str, ForecastComponent]:
     components = {}
     for k, c in enumerate(task.model.driven):
         unit = units.FINE[c.unit]
         components[c.name] = ForecastComponent(
             unit=unit,
-            expected=units.number(float(design.expected[k]), unit),
-            planned=units.number(float(design.predicted[k]), unit),
+            expected=units.number(float(expected[k]), unit),
+            planned=units.number(float(predicted[k]), unit),
         )
     return components
 
 
-def _plan_section(task: ForecastTask, design: NodeDesign) -> Iterator[str]:
+def _plan_section(task: ForecastTask, count: int, predicted: Array) -> Iterator[str]:
     """What the plan rests on, and what it does not reach."""
     if task.model.reference == "home":
         yield (
@@ -354,10 +355,10 @@ def _plan_section(task: ForecastTask, design: NodeDesign) -> Iterator[str]:
     if undriven:
         yield f"no joint drives {', '.join(undriven)}: the table leaves their errors"
     for k, c in enumerate(task.model.driven):
-        if design.predicted[k] > task.wanted[k]:
-            rest = quantity(float(design.predicted[k]), c.unit)
+        if predicted[k] > task.wanted[k]:
+            rest = quantity(float(predicted[k]), c.unit)
             yield (
-                f"{len(design.indices)} nodes are predicted to leave {c.name} {rest}"
+                f"{count} nodes are predicted to leave {c.name} {rest}"
                 f" rms, more than the wanted {quantity(float(task.wanted[k]), c.unit)}:"
                 " allow more `nodes`, or measure more accurately"
             )
@@ -380,7 +381,7 @@ def measured(
     command, errors, sigma = read_nodes(task, path)
     correctable = task.predicted_errors(command)
     try:
-        field = fit_error_field(task.model, command, errors - correctable, sigma)
+        field = task.model.fit(command, errors - correctable, sigma)
     except ValueError as error:
         raise InputError(str(error), "measure more nodes", file=str(path)) from error
     forecast = field.forecast(
@@ -419,12 +420,13 @@ def measured(
         components=components,
         readings=len(command),
         table=dict(zip(names, forecast.grid.counts, strict=True)),
-        places=table_places(task.kinematics, forecast),
-        corrections=table_corrections(task.kinematics, forecast),
+        places=table_places(task.kinematics, forecast.grid.knots),
+        corrections=table_corrections(task.kinematics, forecast.joints),
         whole=bool(correctable.any()),
         sentences=sentences,
     )
-    return filled, table_csv(task.kinematics, forecast)
+    text = table_csv(task.kinematics, forecast.grid.commands, forecast.joints)
+    return filled, text
 
 
 def _unseen_waves(task: ForecastTask, command: Array) -> Iterator[str]:
@@ -594,14 +596,14 @@ def _check_range(
             raise table.error(int(k), names[j], "out of the machine's range", remedy)
 
 
-def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
-    """Corrections of the joints and corrected commands over the grid of commands."""
-    machine, command = kinematics.machine, forecast.grid.commands
-    corrected = commands_of_added(kinematics, command, forecast.joints)
+def table_csv(kinematics: Kinematics, command: Array, joints: Array) -> str:
+    """Corrections (n, nq) of the joints and corrected commands at commands (n, n_dof)."""
+    machine = kinematics.machine
+    corrected = commands_of_added(kinematics, command, joints)
     columns: dict[str, Array] = {}
     for k, c in enumerate(machine.command):
         columns[column(c.name, c.unit)] = _shown(command[:, k], c.unit)
-    for name, values in table_corrections(kinematics, forecast).items():
+    for name, values in table_corrections(kinematics, joints).items():
         columns[name] = np.array(values)
     for k, c in enumerate(machine.command):
         columns[column(f"corrected_{c.name}", c.unit)] = _shown(corrected[:, k], c.unit)
@@ -614,19 +616,19 @@ def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
     )
 
 
-def table_places(kinematics: Kinematics, forecast: Forecast) -> dict[str, list[float]]:
+def table_places(
+    kinematics: Kinematics, knots: Sequence[Array]
+) -> dict[str, list[float]]:
     """Places of the table's nodes by column of the command."""
-    pairs = zip(kinematics.machine.command, forecast.grid.knots, strict=True)
+    pairs = zip(kinematics.machine.command, knots, strict=True)
     return {column(c.name, c.unit): _shown(k, c.unit).tolist() for c, k in pairs}
 
 
-def table_corrections(
-    kinematics: Kinematics, forecast: Forecast
-) -> dict[str, list[float]]:
+def table_corrections(kinematics: Kinematics, joints: Array) -> dict[str, list[float]]:
     """What the table adds to the joints at its nodes, by column."""
     return {
         column(f"correction_{j.name}", j.unit): _shown(values, j.unit).tolist()
-        for j, values in zip(kinematics.machine.joints, forecast.joints.T, strict=True)
+        for j, values in zip(kinematics.machine.joints, joints.T, strict=True)
     }
 
 

@@ -9,16 +9,16 @@ from scipy import special
 from scipy.stats import multivariate_normal
 from shipped_models import planar_2dof
 
-from oed.forecast import JointErrors, fit_error_field
+from oed.forecast import JointErrors
 from oed.forecast.error_field import (
     TREND_SIZE,
     ErrorField,
+    ErrorRows,
     Kernel,
     design_nodes,
     expected_kernel,
     joint_size,
 )
-from oed.forecast.joint_errors import ErrorRows
 from oed.mechanism import Kinematics
 
 PLANAR = Kinematics(planar_2dof.machine)
@@ -47,7 +47,7 @@ def read_field(rng: np.random.Generator, nodes: int = 20) -> ErrorField:
     command = rng.uniform(LOW, HIGH, (nodes, 2))
     noise = SIGMA * rng.standard_normal((nodes, 2))
     sigma = np.broadcast_to(SIGMA, (nodes, 2))
-    return fit_error_field(model(rng), command, bent(command) + noise, sigma)
+    return model(rng).fit(command, bent(command) + noise, sigma)
 
 
 @pytest.mark.parametrize(("order", "nu"), [("3/2", 1.5), ("5/2", 2.5)])
@@ -107,7 +107,7 @@ def test_noise_of_a_node_is_not_copied(rng: np.random.Generator) -> None:
     """One node in 41 that is off by five times its noise: the field follows half of it."""
     command = rng.uniform(LOW, HIGH, (41, 2))
     errors, sigma = bent(command), np.broadcast_to(SIGMA, (41, 2))
-    plain = fit_error_field(model(rng), command, errors, sigma)
+    plain = model(rng).fit(command, errors, sigma)
     errors[7] += 5.0 * SIGMA
     moved = dataclasses.replace(plain, errors=errors.ravel())
     change = (moved.mean(command) - plain.mean(command))[7]
@@ -136,11 +136,11 @@ def test_repeats_are_averaged_and_gaps_passed_over(rng: np.random.Generator) -> 
     errors = bent(command)
     sigma = np.broadcast_to(SIGMA, errors.shape)
     errors[0, 1] = np.nan
-    field = fit_error_field(model(rng), command, errors, sigma)
+    field = model(rng).fit(command, errors, sigma)
     assert len(field.errors) == 29
     twice = np.vstack([command, command])
-    more = fit_error_field(
-        field.model, twice, np.vstack([errors, errors]), np.vstack([sigma, sigma])
+    more = field.model.fit(
+        twice, np.vstack([errors, errors]), np.vstack([sigma, sigma])
     )
     at = np.sqrt(np.diag(field.covariance(command)))
     twofold = np.sqrt(np.diag(more.covariance(command)))
@@ -168,7 +168,7 @@ def test_no_kernel_of_a_grid_is_more_probable(rng: np.random.Generator) -> None:
     assert best - 1e-3 <= log_posterior(field.kernel)
     sigma = np.broadcast_to(SIGMA, (3, 2))
     with pytest.raises(ValueError, match="3 nodes are too few: read 4 or more"):
-        fit_error_field(field.model, np.eye(3, 2), np.zeros((3, 2)), sigma)
+        field.model.fit(np.eye(3, 2), np.zeros((3, 2)), sigma)
 
 
 def test_a_design_predicts_what_dense_conditioning_says(

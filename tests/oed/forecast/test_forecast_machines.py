@@ -13,8 +13,13 @@ from oracles.forecast_machines import A3, DELTA, PLANAR, PRS, Kind, Yielding
 from shipped_models import a3_head, hexapod_ups, linear_delta, planar_2dof, prs_spindle
 
 from oed.compensate import GridAxis, InterpolationTable, joint_motion
-from oed.forecast import Forecast, JointErrors, fit_error_field
-from oed.forecast.error_field import design_nodes, expected_kernel, joint_size
+from oed.forecast.error_field import (
+    Forecast,
+    JointErrors,
+    design_nodes,
+    expected_kernel,
+    joint_size,
+)
 from oed.mechanism import Kinematics
 from oed.model import Machine
 
@@ -67,7 +72,7 @@ def forecast(
     design = design_nodes(model, candidates, count, kernel, sigma, nothing)
     nodes = candidates[design.indices]
     read = simulated.errors(nodes) + sigma * rng.standard_normal((count, len(sigma)))
-    field = fit_error_field(model, nodes, read, np.broadcast_to(sigma, read.shape))
+    field = model.fit(nodes, read, np.broadcast_to(sigma, read.shape))
     axes = tuple(
         GridAxis(c.name, c.unit, low, high, c.name == "psi")
         for c, low, high in zip(machine.command, kind.low, kind.high, strict=True)
@@ -160,7 +165,7 @@ def gantry_left(
     design = design_nodes(model, lattice, 33, kernel, sigma, np.full(2, np.nan))
     nodes = lattice[design.indices]
     read = gantry.errors(nodes) + sigma * rng.standard_normal(nodes.shape)
-    field = fit_error_field(model, nodes, read, np.broadcast_to(sigma, read.shape))
+    field = model.fit(nodes, read, np.broadcast_to(sigma, read.shape))
     error = gantry.errors(places) - field.mean(places)
     assert np.abs(error).max() < 10e-6
     variance = np.diag(field.covariance(places)).reshape(-1, 2).mean(axis=0)
