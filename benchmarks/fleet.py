@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from oed import build_study
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.base import Array
 from oed.estimation import identify
 from oed.history import FleetPrior, MachineInformation, fleet_prior
@@ -92,7 +92,7 @@ class Bench:
         )
         grid = np.linspace(-0.08, 0.08, 5)
         x, y, z = np.meshgrid(grid, grid, [0.02, 0.15])
-        self.maps = error_maps(
+        self.maps = ErrorMaps.of(
             self.measurement.kinematics,
             np.column_stack([x.ravel(), y.ravel(), z.ravel()]),
         ).raw

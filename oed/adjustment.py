@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed.accuracy import Reference, driven_errors, error_maps
+from oed.accuracy import ErrorMaps, Reference, driven_errors
 from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Adjustment, Parameter
@@ -284,7 +284,7 @@ class AdjustableMachine:
 
     def _maps(self, parameters: Array) -> tuple[Array, Array]:
         """Slopes (n, k, np) raw and remaining, about parameters (np,)."""
-        maps = error_maps(
+        maps = ErrorMaps.of(
             self.kinematics, self.command, self.reference, parameters=parameters
         )
         return maps.raw, maps.remaining

@@ -21,15 +21,9 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from oed.accuracy import Reference, error_maps
+from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Mask
-from oed.effects import (
-    Course,
-    CourseColumns,
-    ExpectedColumns,
-    SessionStates,
-    over_courses,
-)
+from oed.effects import Course, CourseColumns, ExpectedColumns, SessionStates
 from oed.gap import GapProblem
 
 #: standard uncertainty of a thermometer on a machine, K: of class A, and its contact
@@ -200,13 +194,15 @@ class RecordedCase:
         command      (n, n_dof) of the workspace, SI
         information  of the prior of the machine's free parameters
         """
-        over = over_courses(problem, courses, columns, session, command, reference, rng)
+        over = CourseColumns.of(
+            problem, courses, columns, session, command, reference, rng
+        )
         measurement = problem.measurement
         free, machine = measurement.free, measurement.machine
         slopes = measurement.jacobian(problem.series, measurement.nominal)
         noise = measurement.noise(problem.series)
         white = noise.whiten(slopes * measurement.tolerance)
-        raw = error_maps(measurement.kinematics, command, reference).raw
+        raw = ErrorMaps.of(measurement.kinematics, command, reference).raw
         pose = np.zeros((*raw.shape[:2], len(free)))
         pose[:, :, : len(machine.parameters)] = raw
         count = len(information)

@@ -27,7 +27,7 @@ from oed import posterior
 from oed.accuracy import ErrorMaps
 from oed.base import Array
 from oed.corrected import AnswerFits, CorrectedEstimate, EffectReadings
-from oed.effects import ExpectedColumns, absorbing_shift, expected_columns
+from oed.effects import ExpectedColumns, absorbing_shift
 from oed.estimation import Discrepancy, Estimate, identify
 from oed.gap import Diagnosis, GapProblem, assemble, explain_residuals, prepare
 
@@ -78,7 +78,7 @@ def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
         bench.y,
         gravity=bench.gravity,
     )
-    columns = expected_columns(problem, bench.effects)
+    columns = ExpectedColumns.of(problem, bench.effects)
     estimate = identify(
         bench.measurement,
         problem.series,
@@ -234,7 +234,7 @@ def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     fits = AnswerFits(
         readings=given,
         effects=bench.effects,
-        allowed=expected_columns(problem, bench.effects),
+        allowed=ExpectedColumns.of(problem, bench.effects),
         estimate_noise=True,
         rng=rng,
         corrected=corrected,

@@ -28,10 +28,10 @@ import numpy as np
 
 from benchmarks.real_machines import world
 from benchmarks.real_machines.cases import judge
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.base import Array, Index
 from oed.design import CRITERIA, Candidates, choose
-from oed.effects import PlannedEffects, expected_columns
+from oed.effects import ExpectedColumns, PlannedEffects
 from oed.estimation import Discrepancy, identify
 from oed.gap import assemble
 from oed.identifiability import prior_information
@@ -139,7 +139,7 @@ def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
 def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
     """The session's candidates on a machine with these effects, or without any."""
     measurement = bench.measurement
-    maps = error_maps(measurement.kinematics, _workspace(bench), "best_fit")
+    maps = ErrorMaps.of(measurement.kinematics, _workspace(bench), "best_fit")
     pool = Candidates.build(
         measurement,
         bench.series,
@@ -192,7 +192,7 @@ def _realised(bench: world.Bench, indices: Index, seed: int) -> dict[str, float]
     gap_problem = assemble(
         measurement, series, rows, plain.theta, y, gravity=bench.gravity
     )
-    columns = expected_columns(gap_problem, bench.effects)
+    columns = ExpectedColumns.of(gap_problem, bench.effects)
     estimate = identify(
         measurement,
         gap_problem.series,

@@ -6,10 +6,8 @@ ErrorMaps               pose errors per parameter, at commands
 Prediction              errors over a workspace, before and after compensation
 Reference               against which pose errors are stated
 Spread                  errors of one pose component over poses and machines
-budget_model            the model of planned or taken readings
 components_against      errors of pose components against a reference, from twists
 driven_errors           exact errors of pose components at commands
-error_maps              the maps of a workspace
 least_error             the compensation of least expected error
 predict                 the errors that a posterior predicts
 relative_to_reference   twist errors of one machine, relative to a reference
@@ -22,18 +20,12 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.accuracy.budget import (
-        Budget,
-        BudgetModel,
-        budget_model,
-        variance_over_machines,
-    )
+    from oed.accuracy.budget import Budget, BudgetModel, variance_over_machines
     from oed.accuracy.maps import (
         ErrorMaps,
         Reference,
         components_against,
         driven_errors,
-        error_maps,
         relative_to_reference,
     )
     from oed.accuracy.prediction import (

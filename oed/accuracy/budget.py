@@ -353,6 +353,40 @@ class BudgetModel:
         rows = self.root[self.used]
         return rows @ covariance @ rows.T
 
+    @classmethod
+    def of(
+        cls,
+        measurement: Measurement,
+        series: Sequence[Series],
+        theta: Array,
+        *,
+        laws: Laws | None = None,
+        coefficients: int = 0,
+    ) -> BudgetModel:
+        """The model of readings linearised at theta (n,), SI.
+
+        laws          noise law, the first of which counts; as stated by default
+        coefficients  number of coefficients of effects at the end of theta
+        """
+        structure = reading_structure(measurement, series, theta)
+        laws = Laws.stated(structure) if laws is None else laws
+        setups = measurement.setup_of_readings(series)
+        instruments = [measurement.setups[s].instrument.name for s in setups]
+        standard = structure.standardise(measurement.jacobian(series, theta))
+        index, machine = np.arange(len(theta)), len(measurement.machine.parameters)
+        effect = index >= len(theta) - coefficients
+        return cls(
+            structure=structure,
+            slopes=measurement.in_prior_units(standard),
+            readings=errors_of_readings(structure, laws, instruments),
+            root=measurement.prior_root(),
+            names=tuple(measurement.names),
+            instruments=tuple(dict.fromkeys(instruments)),
+            used=np.flatnonzero((index < machine) | effect),
+            setup=(index >= machine) & ~effect & measurement.free,
+            effect=effect & measurement.free,
+        )
+
 
 def _posterior(information: Array, removed: Mask | None) -> Array:
     """(I + M)^-1 (n, n); rows and columns of known parameters are 0."""
@@ -362,39 +396,6 @@ def _posterior(information: Array, removed: Mask | None) -> Array:
     block = information[np.ix_(free, free)] + np.eye(len(free))
     covariance[np.ix_(free, free)] = np.linalg.inv(block)
     return covariance
-
-
-def budget_model(
-    measurement: Measurement,
-    series: Sequence[Series],
-    theta: Array,
-    *,
-    laws: Laws | None = None,
-    coefficients: int = 0,
-) -> BudgetModel:
-    """The model of readings linearised at theta (n,), SI.
-
-    laws          noise law, the first of which counts; as stated by default
-    coefficients  number of coefficients of effects at the end of theta
-    """
-    structure = reading_structure(measurement, series, theta)
-    laws = Laws.stated(structure) if laws is None else laws
-    setups = measurement.setup_of_readings(series)
-    instruments = [measurement.setups[s].instrument.name for s in setups]
-    standard = structure.standardise(measurement.jacobian(series, theta))
-    index, machine = np.arange(len(theta)), len(measurement.machine.parameters)
-    effect = index >= len(theta) - coefficients
-    return BudgetModel(
-        structure=structure,
-        slopes=measurement.in_prior_units(standard),
-        readings=errors_of_readings(structure, laws, instruments),
-        root=measurement.prior_root(),
-        names=tuple(measurement.names),
-        instruments=tuple(dict.fromkeys(instruments)),
-        used=np.flatnonzero((index < machine) | effect),
-        setup=(index >= machine) & ~effect & measurement.free,
-        effect=effect & measurement.free,
-    )
 
 
 # -- lines -------------------------------------------------------------------------------
@@ -536,7 +537,7 @@ def variance_over_machines(
         maps = _assembled_maps(measurement, command, references, tool, group)
         for truth, by_reference in maps:
             try:
-                covariance = budget_model(measurement, series, truth).covariance()
+                covariance = BudgetModel.of(measurement, series, truth).covariance()
             except AssemblyError:
                 continue
             assembled += 1

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from oed.base import Array, consecutive_slices
-from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model, pose_error
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, pose_error
 
 Reference = Literal["home", "absolute", "best_fit"]
 
@@ -35,6 +35,17 @@ class ErrorMaps:
     names      (k,) of the components
     raw        (n, k, np) without compensation
     remaining  (n, k, np) with the compensatable components nulled
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.accuracy import ErrorMaps
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> command = np.array([[0.0, 0.5], [1.0, 0.5]])
+    >>> maps = ErrorMaps.of(measurement.kinematics, command)
+    >>> maps.names
+    ('y', 'z')
     """
 
     command: Array
@@ -42,36 +53,27 @@ class ErrorMaps:
     raw: Array
     remaining: Array
 
+    @classmethod
+    def of(
+        cls,
+        kinematics: Kinematics,
+        command: Array,
+        reference: Reference = "home",
+        tool: Array = NO_TOOL,
+        further: tuple[Array, Array] | None = None,
+        parameters: Array | None = None,
+    ) -> ErrorMaps:
+        """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError.
 
-def error_maps(
-    kinematics: Kinematics,
-    command: Array,
-    reference: Reference = "home",
-    tool: Array = NO_TOOL,
-    further: tuple[Array, Array] | None = None,
-    parameters: Array | None = None,
-) -> ErrorMaps:
-    """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError.
-
-    tool        tool point in the platform's frame; home is home with this tool
-    further     twists (n + 1, 6, m) per unit of m coefficients, raw and remaining, the
-                home pose last; the maps are then over them in place of the parameters
-    parameters  (np,) of the machine about which the maps hold; nominal by default
-
-    >>> import numpy as np
-    >>> from oed import Measurement, mount
-    >>> from oed.accuracy import error_maps
-    >>> from pkm_models.instruments.pose_tracker import position
-    >>> from pkm_models.machines.planar_2dof import machine
-    >>> measurement = Measurement(machine, [mount(position, "tracker")])
-    >>> maps = error_maps(measurement.kinematics, np.array([[0.0, 0.5], [1.0, 0.5]]))
-    >>> maps.names
-    ('y', 'z')
-    """
-    of_one = (reference,)
-    return maps_by_reference(kinematics, command, of_one, tool, further, parameters)[
-        reference
-    ]
+        tool        tool point in the platform's frame; home is home with this tool
+        further     twists (n + 1, 6, m) per unit of m coefficients, raw and remaining, the
+                    home pose last; the maps are then over them in place of the parameters
+        parameters  (np,) of the machine about which the maps hold; nominal by default
+        """
+        of_one = (reference,)
+        return maps_by_reference(
+            kinematics, command, of_one, tool, further, parameters
+        )[reference]
 
 
 def maps_by_reference(
@@ -82,9 +84,9 @@ def maps_by_reference(
     further: tuple[Array, Array] | None = None,
     parameters: Array | None = None,
 ) -> dict[Reference, ErrorMaps]:
-    """Error maps against several references, as `error_maps`."""
+    """Error maps against several references, as `ErrorMaps.of`."""
     machine = kinematics.machine
-    model = error_model(kinematics, machine.and_home(command, tool), tool, parameters)
+    model = ErrorModel.of(kinematics, machine.and_home(command, tool), tool, parameters)
     twists = (model.raw, model.remaining) if further is None else further
     slope = kinematics.error_components_jacobian(command)
     names = tuple(c.name for c in machine.components)
@@ -217,8 +219,8 @@ def components_against(
     """
     machine = kinematics.machine
     home = machine.with_tool(machine.home_command[None], tool)
-    model = error_model(kinematics, command, tool)
-    at_home = error_model(kinematics, home, tool)
+    model = ErrorModel.of(kinematics, command, tool)
+    at_home = ErrorModel.of(kinematics, home, tool)
     frame = (model, at_home, reference, machine.alignment_lever)
     relative = [
         relative_to_reference(of_one[:-1], of_one[-1:], *frame)

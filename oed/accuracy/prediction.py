@@ -173,11 +173,11 @@ def predict(
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
-    >>> from oed.accuracy import error_maps, predict
+    >>> from oed.accuracy import ErrorMaps, predict
     >>> from pkm_models.instruments.pose_tracker import position
     >>> from pkm_models.machines.planar_2dof import machine
     >>> measurement = Measurement(machine, [mount(position, "tracker")])
-    >>> maps = error_maps(measurement.kinematics, np.array([[-1.0, 0.5], [1.0, 0.5]]))
+    >>> maps = ErrorMaps.of(measurement.kinematics, np.array([[-1.0, 0.5], [1.0, 0.5]]))
     >>> prior = np.diag(measurement.tolerance[:7] ** 2)
     >>> halved = predict(maps, prior, prior / 4.0, np.random.default_rng(1))
     >>> round(halved.after["z"].rms / halved.before["z"].rms, 2)

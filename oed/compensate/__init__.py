@@ -8,10 +8,8 @@ joint_motion          motion of the driven components per unit of each joint
 GridAxis              a command coordinate of a table
 box_axes              the axes of a box of commands
 CommandGrid           a rectilinear grid of commands
-choose_command_grid   the coarsest grid that interpolates finely enough
 InterpolationTable    values on a rectilinear grid
 FurtherAxes           motions that would correct what the joints do not
-further_axes          those of a machine
 interpolation_errors  pose errors that a table's interpolation adds
 joint_errors          pose errors that rounded or missing numbers add
 """
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
         CommandGrid,
         GridAxis,
         box_axes,
-        choose_command_grid,
         joint_motion,
     )
     from oed.compensate.exact import (
@@ -35,7 +32,7 @@ if TYPE_CHECKING:
         undriven_components,
     )
     from oed.compensate.export_errors import interpolation_errors, joint_errors
-    from oed.compensate.further import FurtherAxes, further_axes
+    from oed.compensate.further import FurtherAxes
     from oed.compensate.table import InterpolationTable
 else:
     __getattr__ = door(__name__)

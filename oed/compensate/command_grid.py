@@ -124,6 +124,54 @@ class CommandGrid:
         """Which axes are a full turn."""
         return tuple(axis.turn for axis in self.axes)
 
+    @classmethod
+    def choose(
+        cls,
+        axes: tuple[GridAxis, ...],
+        correction: Callable[[Array], Array],
+        motion: Callable[[Array], Array],
+        target: Array,
+        largest: int,
+        rng: np.random.Generator,
+    ) -> CommandGrid:
+        """The grid with about the fewest commands whose interpolation costs at most `target`.
+
+        correction  (n, s, nq) of the joints in s states, at commands; tabled at the nodes
+        motion      (n, k, nq) of the components per unit of each joint, at commands
+        target      (k,) largest rms error by interpolation in any state, SI
+        largest     number of commands
+
+        Raises AssemblyError where a place of the box is out of reach.
+        """
+        low, high = np.array([axis.evaluated for axis in axes]).T
+        positions = low + (high - low) * _latin_hypercube(N_POSITIONS, len(axes), rng)
+        exact = correction(positions)
+        motion_per_target = motion(positions) / target[:, None]
+
+        def error_along(k: int, count: int) -> Array:
+            """Errors (n, s, k) over the target of interpolation along one axis."""
+            if count == 1:
+                return np.zeros((*exact.shape[:2], len(target)))
+            lines = _between(positions, k, axes[k].knots(count), correction)
+            return np.asarray(
+                np.einsum("nkj,nsj->nsk", motion_per_target, lines - exact)
+            )
+
+        counts = [axis.fewest for axis in axes]
+        along = [error_along(k, count) for k, count in enumerate(counts)]
+        while True:
+            whole = np.sum(along, axis=0)
+            size = np.sqrt(np.mean(whole**2, axis=0))
+            is_fine = bool(size.max() <= 1.0)
+            state, worst = np.unravel_index(int(np.argmax(size)), size.shape)
+            of_worst = [np.mean((whole * e)[:, state, worst]) for e in along]
+            k = int(np.argmax(of_worst))
+            grown = _grown(counts, k, largest)
+            if is_fine or grown is None:
+                return cls(axes, tuple(counts), size * target, is_fine)
+            counts = grown
+            along[k] = error_along(k, counts[k])
+
 
 def box_axes(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
     """Axes of the box of commands (n, n_dof), SI.
@@ -179,51 +227,6 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
     twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
     motion_per_target = kinematics.error_components_jacobian(command)
     return (motion_per_target @ twist)[:, driven]
-
-
-def choose_command_grid(
-    axes: tuple[GridAxis, ...],
-    correction: Callable[[Array], Array],
-    motion: Callable[[Array], Array],
-    target: Array,
-    largest: int,
-    rng: np.random.Generator,
-) -> CommandGrid:
-    """The grid with about the fewest commands whose interpolation costs at most `target`.
-
-    correction  (n, s, nq) of the joints in s states, at commands; tabled at the nodes
-    motion      (n, k, nq) of the components per unit of each joint, at commands
-    target      (k,) largest rms error by interpolation in any state, SI
-    largest     number of commands
-
-    Raises AssemblyError where a place of the box is out of reach.
-    """
-    low, high = np.array([axis.evaluated for axis in axes]).T
-    positions = low + (high - low) * _latin_hypercube(N_POSITIONS, len(axes), rng)
-    exact = correction(positions)
-    motion_per_target = motion(positions) / target[:, None]
-
-    def error_along(k: int, count: int) -> Array:
-        """Errors (n, s, k) over the target of interpolation along one axis."""
-        if count == 1:
-            return np.zeros((*exact.shape[:2], len(target)))
-        lines = _interpolated(positions, k, axes[k].knots(count), correction)
-        return np.asarray(np.einsum("nkj,nsj->nsk", motion_per_target, lines - exact))
-
-    counts = [axis.fewest for axis in axes]
-    along = [error_along(k, count) for k, count in enumerate(counts)]
-    while True:
-        whole = np.sum(along, axis=0)
-        size = np.sqrt(np.mean(whole**2, axis=0))
-        is_fine = bool(size.max() <= 1.0)
-        state, worst = np.unravel_index(int(np.argmax(size)), size.shape)
-        of_worst = [np.mean((whole * e)[:, state, worst]) for e in along]
-        k = int(np.argmax(of_worst))
-        grown = _grown(counts, k, largest)
-        if is_fine or grown is None:
-            return CommandGrid(axes, tuple(counts), size * target, is_fine)
-        counts = grown
-        along[k] = error_along(k, counts[k])
 
 
 def _latin_hypercube(count: int, axes: int, rng: np.random.Generator) -> Array:

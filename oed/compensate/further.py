@@ -14,7 +14,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.compensate.exact import compensated_joints
-from oed.mechanism import NO_TOOL, Kinematics, error_model, pose_error
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, pose_error
 from oed.model import Component
 
 #: name of the offset about the tool axis
@@ -81,21 +81,21 @@ class FurtherAxes:
         inverse = np.linalg.pinv(self.rows(command))
         return (inverse @ offsets[:, :, None])[:, :, 0]
 
-
-def further_axes(kinematics: Kinematics) -> FurtherAxes:
-    """The motions that a machine's joints do not make; none where they make all."""
-    machine = kinematics.machine
-    undriven = [c for c in machine.components if not c.compensatable]
-    angles = [c for c in undriven if c.unit == "rad"]
-    turns = len(angles) == 1 and _turns_about_tool_axis(kinematics)
-    axes = []
-    for component in undriven:
-        if turns and component.unit == "rad":
-            about = "rotation about the tool axis, right-handed"
-            axes.append(FurtherAxis(TURN, "rad", component.name, about))
-        else:
-            axes.append(_axis(component))
-    return FurtherAxes(kinematics, tuple(axes))
+    @classmethod
+    def of(cls, kinematics: Kinematics) -> FurtherAxes:
+        """The motions that a machine's joints do not make; none where they make all."""
+        machine = kinematics.machine
+        undriven = [c for c in machine.components if not c.compensatable]
+        angles = [c for c in undriven if c.unit == "rad"]
+        turns = len(angles) == 1 and _turns_about_tool_axis(kinematics)
+        axes = []
+        for component in undriven:
+            if turns and component.unit == "rad":
+                about = "rotation about the tool axis, right-handed"
+                axes.append(FurtherAxis(TURN, "rad", component.name, about))
+            else:
+                axes.append(_axis(component))
+        return cls(kinematics, tuple(axes))
 
 
 def _axis(component: Component) -> FurtherAxis:
@@ -124,7 +124,7 @@ def _turns_about_tool_axis(kinematics: Kinematics) -> bool:
     shifts = 0.05 * span * rng.uniform(-1.0, 1.0, (N_POSES, len(span)))
     low, high = np.array([(c.lower, c.upper) for c in machine.command]).T
     command = np.clip(machine.home_command + shifts, low, high)
-    turns = error_model(kinematics, command).remaining[:, 3:]
+    turns = ErrorModel.of(kinematics, command).remaining[:, 3:]
     axis = _tool_axis_rows(kinematics, command)[:, 3:]
     along = np.einsum("ni,nip->np", axis, turns)
     across = turns - axis[:, :, None] * along[:, None]

@@ -17,13 +17,12 @@ import numpy as np
 
 from oed.accuracy import (
     Budget,
+    BudgetModel,
     ErrorMaps,
     Prediction,
     Reference,
     Spread,
-    budget_model,
     driven_errors,
-    error_maps,
     predict,
     spread_after,
 )
@@ -34,7 +33,7 @@ from oed.effects import ActingForm, ExpectedColumns, SessionStates
 from oed.estimation import Discrepancy, Estimate
 from oed.gap import GapProblem
 from oed.measurement import Series
-from oed.mechanism import ErrorModel, error_model
+from oed.mechanism import ErrorModel
 from oed.noise import LawNoise
 
 if TYPE_CHECKING:
@@ -166,7 +165,7 @@ def _predict(
     machine = corrected.readings.measurement.machine
     count, setups = len(machine.parameters), corrected.parameters
     kinematics = corrected.readings.measurement.kinematics
-    maps = error_maps(kinematics, command, reference)
+    maps = ErrorMaps.of(kinematics, command, reference)
     theta = corrected.estimate.theta
     of_effects = corrected.columns.workspace_maps(
         corrected.session, theta[:setups], command, reference, rng
@@ -221,7 +220,7 @@ def _budget(
     """Sources of what remains, over the `used` entries of theta."""
     estimate = corrected.estimate
     noise = estimate.noise
-    model = budget_model(
+    model = BudgetModel.of(
         corrected.measurement,
         corrected.series,
         estimate.theta,
@@ -309,7 +308,7 @@ class TabledEffects:
 def _tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffects:
     neutral = _neutral_state(corrected, command)
     kinematics = corrected.readings.measurement.kinematics
-    model = error_model(kinematics, command)
+    model = ErrorModel.of(kinematics, command)
     tables: list[StateTable] = []
     missing: dict[str, str] = {}
     for form in corrected.forms:

@@ -258,6 +258,32 @@ class ExpectedColumns:
         flat = gradients.reshape(poses * components, count)
         return np.asarray((flat @ self.mixing).reshape(poses, components, -1))
 
+    @classmethod
+    def of(
+        cls, problem: GapProblem, effects: Sequence[Effect], *, unknown: bool = True
+    ) -> ExpectedColumns | None:
+        """Columns of the effects that the machine can have, and by default of unknown ones.
+
+        Unknown effects are as large as known ones usually are: their unit changes the
+        readings that they change at all by the median of what known ones do to these at their
+        expected sizes. None where no effect changes a reading.
+        """
+        machine = problem.measurement.machine
+        forms: list[ActingForm] = []
+        groups: list[_EffectGroup] = []
+        for effect in effects:
+            if effect.unfit(machine) is None:
+                groups += _groups_of(problem, effect, forms, unknown=False)
+        known_groups = [group for group in groups if group.size > MIN_CHANGE]
+        if not known_groups:
+            return None
+        for effect in unknown_effects() if unknown else ():
+            for group in _groups_of(problem, effect, forms, unknown=True):
+                typical = _typical_size(known_groups, group)
+                if group.size > MIN_CHANGE and typical > MIN_CHANGE:
+                    groups.append(group.scaled(typical / group.size))
+        return _assembled(problem, forms, groups)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _EffectGroup:
@@ -298,32 +324,6 @@ class _EffectGroup:
 def _unit(values: Array) -> Array:
     norm = float(np.linalg.norm(values))
     return values / norm if norm else values
-
-
-def expected_columns(
-    problem: GapProblem, effects: Sequence[Effect], *, unknown: bool = True
-) -> ExpectedColumns | None:
-    """Columns of the effects that the machine can have, and by default of unknown ones.
-
-    Unknown effects are as large as known ones usually are: their unit changes the
-    readings that they change at all by the median of what known ones do to these at their
-    expected sizes. None where no effect changes a reading.
-    """
-    machine = problem.measurement.machine
-    forms: list[ActingForm] = []
-    groups: list[_EffectGroup] = []
-    for effect in effects:
-        if effect.unfit(machine) is None:
-            groups += _groups_of(problem, effect, forms, unknown=False)
-    known_groups = [group for group in groups if group.size > MIN_CHANGE]
-    if not known_groups:
-        return None
-    for effect in unknown_effects() if unknown else ():
-        for group in _groups_of(problem, effect, forms, unknown=True):
-            typical = _typical_size(known_groups, group)
-            if group.size > MIN_CHANGE and typical > MIN_CHANGE:
-                groups.append(group.scaled(typical / group.size))
-    return _assembled(problem, forms, groups)
 
 
 def _typical_size(known_groups: Sequence[_EffectGroup], unknown: _EffectGroup) -> float:

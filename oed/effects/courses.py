@@ -206,43 +206,44 @@ class CourseColumns:
             np.concatenate([self.of_course, other.of_course]),
         )
 
+    @classmethod
+    def of(
+        cls,
+        problem: GapProblem,
+        courses: Sequence[Course],
+        columns: ExpectedColumns,
+        session: SessionStates,
+        command: Array,
+        reference: Reference,
+        rng: np.random.Generator,
+    ) -> CourseColumns:
+        """What the columns change in the readings of a problem in each course.
+
+        session  in which the columns were stated;  command (n, n_dof) of the workspace, SI
+        """
+        of_course = _depending(columns)
+        part = columns.take(of_course) if of_course.any() else None
+        changes, tool = [], []
+        for number, course in enumerate(courses):
+            used = dataclasses.replace(session, covariates=course.covariates)
+            where = (used, problem.theta, command, reference, rng)
+            if number == 0:
+                changes.append(columns.changes(course.of(problem), session))
+                tool.append(columns.workspace_maps(*where).raw)
+                continue
+            changes.append(changes[0].copy())
+            tool.append(tool[0].copy())
+            if part is not None:
+                other = course.of(problem)
+                changes[number][:, of_course] = part.changes(other, session)
+                tool[number][:, :, of_course] = part.workspace_maps(*where).raw
+        return cls(np.array(changes), np.array(tool), of_course)
+
 
 def depends_on_course(effect: Effect) -> bool:
     """Whether an effect is a function of sense of travel, time or temperatures."""
     parts = [part.strip() for need in effect.needs for part in need.split(" or ")]
     return any(part.startswith(COURSE_NEEDS) for part in parts)
-
-
-def course_changes(
-    problem: GapProblem,
-    courses: Sequence[Course],
-    columns: ExpectedColumns,
-    session: SessionStates,
-    command: Array,
-    reference: Reference,
-    rng: np.random.Generator,
-) -> CourseColumns:
-    """What the columns change in the readings of a problem in each course.
-
-    session  in which the columns were stated;  command (n, n_dof) of the workspace, SI
-    """
-    of_course = _depending(columns)
-    part = columns.take(of_course) if of_course.any() else None
-    changes, tool = [], []
-    for number, course in enumerate(courses):
-        used = dataclasses.replace(session, covariates=course.covariates)
-        where = (used, problem.theta, command, reference, rng)
-        if number == 0:
-            changes.append(columns.changes(course.of(problem), session))
-            tool.append(columns.workspace_maps(*where).raw)
-            continue
-        changes.append(changes[0].copy())
-        tool.append(tool[0].copy())
-        if part is not None:
-            other = course.of(problem)
-            changes[number][:, of_course] = part.changes(other, session)
-            tool[number][:, :, of_course] = part.workspace_maps(*where).raw
-    return CourseColumns(np.array(changes), np.array(tool), of_course)
 
 
 def _depending(columns: ExpectedColumns) -> Mask:

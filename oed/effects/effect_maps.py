@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed import gap
-from oed.accuracy import ErrorMaps, Reference, error_maps
+from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array
 from oed.effect_model import Column, Effect, State
 from oed.measurement import Measurement, Series
-from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics
 from oed.model import Machine
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ def effect_maps(
     parameters  (np,) of the machine, SI
     """
     machine = kinematics.machine
-    model = error_model(kinematics, machine.and_home(command, tool), tool)
+    model = ErrorModel.of(kinematics, machine.and_home(command, tool), tool)
     tools = kinematics.frames(state.pose, tool)[2]
     by_joint = tools @ kinematics.slopes.over_joints(
         state.pose, state.joints, parameters
@@ -231,7 +231,7 @@ def effect_maps(
                 twist, fixed = _twists(machine, model, by_joint, columns[name])
             raw.append(twist)
             remaining.append(fixed)
-    return error_maps(
+    return ErrorMaps.of(
         kinematics,
         command,
         reference,

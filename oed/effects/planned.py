@@ -55,34 +55,35 @@ class PlannedEffects:
         """Names of the groups of effects."""
         return self.columns.discrepancy.names
 
+    @classmethod
+    def of(
+        cls,
+        courses: CourseColumns,
+        columns: ExpectedColumns,
+        session: SessionStates,
+        sigma: Array,
+        most: int,
+    ) -> PlannedEffects:
+        """The combinations that planned readings show.
 
-def planned_effects(
-    courses: CourseColumns,
-    columns: ExpectedColumns,
-    session: SessionStates,
-    sigma: Array,
-    most: int,
-) -> PlannedEffects:
-    """The combinations that planned readings show.
-
-    courses  `columns` in the courses that the session may take
-    sigma    (N,) noise of the readings, SI
-    most     combinations that are unknowns: more describe the effects better, and a
-             search with them takes longer
-    """
-    changes = courses.mean
-    _, sizes, rows = np.linalg.svd(changes / sigma[:, None], full_matrices=False)
-    combinations = rows[:most][sizes[:most] > MIN_CHANGE].T
-    change = changes @ combinations
-    others = np.maximum((changes**2).sum(axis=1) - (change**2).sum(axis=1), 0.0)
-    scatter = np.hypot(np.sqrt(others), courses.scatter(courses.of_course))
-    tool = courses.mean_tool @ combinations
-    total = (courses.mean_tool**2).sum(axis=2) - (tool**2).sum(axis=2)
-    rest = courses.tool_rest(courses.of_course)
-    return PlannedEffects(
-        readings=Nuisances(change, scatter),
-        tool=tool,
-        others=np.maximum(total, 0.0).mean(axis=0) + rest,
-        columns=columns,
-        session=session,
-    )
+        courses  `columns` in the courses that the session may take
+        sigma    (N,) noise of the readings, SI
+        most     combinations that are unknowns: more describe the effects better, and a
+                 search with them takes longer
+        """
+        changes = courses.mean
+        _, sizes, rows = np.linalg.svd(changes / sigma[:, None], full_matrices=False)
+        combinations = rows[:most][sizes[:most] > MIN_CHANGE].T
+        change = changes @ combinations
+        others = np.maximum((changes**2).sum(axis=1) - (change**2).sum(axis=1), 0.0)
+        scatter = np.hypot(np.sqrt(others), courses.scatter(courses.of_course))
+        tool = courses.mean_tool @ combinations
+        total = (courses.mean_tool**2).sum(axis=2) - (tool**2).sum(axis=2)
+        rest = courses.tool_rest(courses.of_course)
+        return cls(
+            readings=Nuisances(change, scatter),
+            tool=tool,
+            others=np.maximum(total, 0.0).mean(axis=0) + rest,
+            columns=columns,
+            session=session,
+        )

@@ -80,6 +80,70 @@ class ExpectedEffects:
     added: Array
     prediction: Prediction
 
+    @classmethod
+    def of(
+        cls,
+        problem: GapProblem,
+        session: SessionStates,
+        model: BudgetModel,
+        maps: ErrorMaps,
+        effects: Sequence[Effect],
+        reference: Reference,
+        rng: np.random.Generator,
+    ) -> ExpectedEffects | None:
+        """Expected errors at the commands of `maps`; None where no effect makes any.
+
+        model  of the problem's readings, linearised where the problem is. Effects that
+               depend on what the plan does not state (a payload), and incidents, are left out
+        """
+        machine = session.measurement.machine
+        states = [
+            session.workspace_state(problem.theta, maps.command, rng) for _ in range(2)
+        ]
+        forms = [
+            form
+            for effect in effects
+            if not effect.incident and effect.unfit(machine) is None
+            for form in _forms(problem, effect, states[0])
+        ]
+        if not forms:
+            return None
+        acting_forms = [form.acting for form in forms]
+        kinematics, command = session.measurement.kinematics, maps.command
+        parameters = problem.theta[: len(machine.parameters)]
+        judged, absorbed = (
+            effect_maps(
+                kinematics, acting_forms, state, parameters, command, reference
+            ).raw
+            for state in states
+        )
+        by_effect = _errors_by_effect(model, maps, forms, judged, absorbed)
+        if not by_effect:
+            return None
+        # An effect has one set of constants: its coefficients at several share its variance.
+        added = sum(np.mean([f.variance for f in some], axis=0) for some in by_effect)
+        shared = [(f, len(some) ** -0.5) for some in by_effect for f in some]
+        changes = np.hstack([share * f.form.changes for f, share in shared])
+        tool = np.concatenate([share * f.tool for f, share in shared], axis=2)
+        absorbed = np.concatenate([share * f.absorbed for f, share in shared], axis=2)
+        tolerance = session.measurement.tolerance[: len(machine.parameters)]
+        shift = absorbing_shift(maps, absorbed, tolerance)
+        joint = _joint_maps(model, maps, tool, shift)
+        information = _joint_information(model, changes)
+        widths = [[f.tool.shape[2] for f in some] for some in by_effect]
+        owner = np.repeat(
+            np.arange(-1, len(by_effect)), [len(model.names), *map(sum, widths)]
+        )
+        expected = [
+            _expected(problem, some, _variance_of(joint, information, owner != number))
+            for number, some in enumerate(by_effect)
+        ]
+        return cls(
+            effects=expected,
+            added=np.asarray(added),
+            prediction=_prediction(joint, information, widths, rng, reference),
+        )
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Form:
@@ -106,67 +170,6 @@ class _FormErrors(NamedTuple):
     tool: Array
     absorbed: Array
     variance: Array
-
-
-def expected_effects(
-    problem: GapProblem,
-    session: SessionStates,
-    model: BudgetModel,
-    maps: ErrorMaps,
-    effects: Sequence[Effect],
-    reference: Reference,
-    rng: np.random.Generator,
-) -> ExpectedEffects | None:
-    """Expected errors at the commands of `maps`; None where no effect makes any.
-
-    model  of the problem's readings, linearised where the problem is. Effects that
-           depend on what the plan does not state (a payload), and incidents, are left out
-    """
-    machine = session.measurement.machine
-    states = [
-        session.workspace_state(problem.theta, maps.command, rng) for _ in range(2)
-    ]
-    forms = [
-        form
-        for effect in effects
-        if not effect.incident and effect.unfit(machine) is None
-        for form in _forms(problem, effect, states[0])
-    ]
-    if not forms:
-        return None
-    acting_forms = [form.acting for form in forms]
-    kinematics, command = session.measurement.kinematics, maps.command
-    parameters = problem.theta[: len(machine.parameters)]
-    judged, absorbed = (
-        effect_maps(kinematics, acting_forms, state, parameters, command, reference).raw
-        for state in states
-    )
-    by_effect = _errors_by_effect(model, maps, forms, judged, absorbed)
-    if not by_effect:
-        return None
-    # An effect has one set of constants: its coefficients at several share its variance.
-    added = sum(np.mean([f.variance for f in some], axis=0) for some in by_effect)
-    shared = [(f, len(some) ** -0.5) for some in by_effect for f in some]
-    changes = np.hstack([share * f.form.changes for f, share in shared])
-    tool = np.concatenate([share * f.tool for f, share in shared], axis=2)
-    absorbed = np.concatenate([share * f.absorbed for f, share in shared], axis=2)
-    tolerance = session.measurement.tolerance[: len(machine.parameters)]
-    shift = absorbing_shift(maps, absorbed, tolerance)
-    joint = _joint_maps(model, maps, tool, shift)
-    information = _joint_information(model, changes)
-    widths = [[f.tool.shape[2] for f in some] for some in by_effect]
-    owner = np.repeat(
-        np.arange(-1, len(by_effect)), [len(model.names), *map(sum, widths)]
-    )
-    expected = [
-        _expected(problem, some, _variance_of(joint, information, owner != number))
-        for number, some in enumerate(by_effect)
-    ]
-    return ExpectedEffects(
-        effects=expected,
-        added=np.asarray(added),
-        prediction=_prediction(joint, information, widths, rng, reference),
-    )
 
 
 def _errors_by_effect(

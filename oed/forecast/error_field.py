@@ -26,15 +26,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg, optimize, special
 
-from oed.accuracy import Reference, error_maps
+from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index
-from oed.compensate import (
-    CommandGrid,
-    GridAxis,
-    InterpolationTable,
-    choose_command_grid,
-    joint_motion,
-)
+from oed.compensate import CommandGrid, GridAxis, InterpolationTable, joint_motion
 from oed.mechanism import NO_TOOL, Kinematics
 from oed.model import Component
 from oed.poses import Belief
@@ -151,12 +145,12 @@ class JointErrors:
         apart = np.zeros((len(both), 6, 2 * count))
         apart[:-1, :, :count] = motion[:-1]
         apart[-1, :, count:] = motion[-1]
-        maps = error_maps(
+        maps = ErrorMaps.of(
             kinematics, command, self.reference, further=(apart, apart)
         ).raw[:, driven]
         of_parameters = np.zeros((len(command), len(driven), 0))
         if self.spread.shape[1]:
-            raw = error_maps(kinematics, command, self.reference).raw[:, driven]
+            raw = ErrorMaps.of(kinematics, command, self.reference).raw[:, driven]
             of_parameters = raw @ self.spread
         return ErrorRows(
             positions=self.positions(command),
@@ -403,7 +397,7 @@ class ErrorField:
                 -np.einsum("nqk,nk->nq", inverse, errors(command))[:, None]
             )
 
-        grid = choose_command_grid(
+        grid = CommandGrid.choose(
             axes,
             correction,
             lambda command: joint_motion(kinematics, command),

@@ -9,7 +9,6 @@ MachineFrame         what an instrument sees of a machine, in symbols
 NO_TOOL              the reference tool
 closest_closure      where a machine that does not assemble meets its equations best
 component_errors     exact errors of the pose components that a machine states
-error_model          an ErrorModel, with the joint corrections that null what they can
 generated_functions  the kinematics of a machine as C functions
 pose_error           the exact twist error of a machine at joints
 symbols              a symbolic vector of coordinates or parameters
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
         NO_TOOL,
         ErrorModel,
         component_errors,
-        error_model,
         pose_error,
         twist_between,
     )

@@ -94,30 +94,31 @@ class ErrorModel:
     raw: Array
     remaining: Array
 
+    @classmethod
+    def of(
+        cls,
+        kinematics: Kinematics,
+        command: Array,
+        tool: Array = NO_TOOL,
+        parameters: Array | None = None,
+    ) -> ErrorModel:
+        """Error model at commands (n, n_dof), SI.
 
-def error_model(
-    kinematics: Kinematics,
-    command: Array,
-    tool: Array = NO_TOOL,
-    parameters: Array | None = None,
-) -> ErrorModel:
-    """Error model at commands (n, n_dof), SI.
+        parameters  (np,) of the machine about which it holds; nominal by default
 
-    parameters  (np,) of the machine about which it holds; nominal by default
-
-    Raises AssemblyError for commands out of reach.
-    """
-    p = kinematics.machine.nominal if parameters is None else parameters
-    x, q = kinematics.inverse(command, p, tool)
-    by_joint = kinematics.slopes.over_joints(x, q, p)
-    by_parameter = kinematics.slopes.over_parameters(x, q, p)
-    joints = kinematics.joint_slopes(x, q, p, command, tool)
-    rotation, point, twist = kinematics.frames(x, tool)
-    return ErrorModel(
-        command=command,
-        rotation=rotation,
-        point=point,
-        joints=joints,
-        raw=twist @ by_parameter,
-        remaining=twist @ (by_parameter + by_joint @ joints),
-    )
+        Raises AssemblyError for commands out of reach.
+        """
+        p = kinematics.machine.nominal if parameters is None else parameters
+        x, q = kinematics.inverse(command, p, tool)
+        by_joint = kinematics.slopes.over_joints(x, q, p)
+        by_parameter = kinematics.slopes.over_parameters(x, q, p)
+        joints = kinematics.joint_slopes(x, q, p, command, tool)
+        rotation, point, twist = kinematics.frames(x, tool)
+        return cls(
+            command=command,
+            rotation=rotation,
+            point=point,
+            joints=joints,
+            raw=twist @ by_parameter,
+            remaining=twist @ (by_parameter + by_joint @ joints),
+        )

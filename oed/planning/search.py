@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from oed import units
-from oed.accuracy import ErrorMaps, Reference, error_maps
+from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array, Index
 from oed.linear_algebra import symmetric_inverse
 from oed.measurement import Measurement
@@ -596,7 +596,7 @@ class PlanningTask:
 
     @cached_property
     def _maps(self) -> ErrorMaps:
-        return error_maps(self.measurement.kinematics, self.command, self.reference)
+        return ErrorMaps.of(self.measurement.kinematics, self.command, self.reference)
 
     def _goal(self, targets: Mapping[str, float]) -> Goal:
         tool = None

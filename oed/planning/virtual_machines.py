@@ -32,14 +32,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.accuracy import ErrorMaps, Reference, error_maps, relative_to_reference
+from oed.accuracy import ErrorMaps, Reference, relative_to_reference
 from oed.base import Array, Index, Mask
 from oed.estimation import IdentificationError, identify, minimise
 from oed.identifiability import posterior_covariance
 from oed.instrument import Setup
 from oed.linear_algebra import symmetric_root
 from oed.measurement import Measurement, Series, draw_parameters
-from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, error_model, twist_between
+from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, twist_between
 from oed.noise import Noise
 from oed.planning.prediction import PlanStage
 
@@ -394,9 +394,9 @@ class WorkspaceErrors:
         return cls(
             kinematics=kinematics,
             tolerance=measurement.tolerance[: len(machine.parameters)],
-            maps=error_maps(kinematics, command, reference),
-            model=error_model(kinematics, command),
-            home=error_model(kinematics, machine.home_command[None]),
+            maps=ErrorMaps.of(kinematics, command, reference),
+            model=ErrorModel.of(kinematics, command),
+            home=ErrorModel.of(kinematics, machine.home_command[None]),
             reference=reference,
         )
 

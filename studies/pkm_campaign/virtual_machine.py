@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from oed import trust, units
-from oed.accuracy import driven_errors, error_maps
+from oed.accuracy import ErrorMaps, driven_errors
 from oed.base import Array
 from oed.identifiability import assess
 from pkm_campaign.case import HALF_WIDTH
@@ -114,7 +114,7 @@ def _accuracy_figures(
     estimate, measurement = state.estimate, state.measurement
     table, command = request.table, request.command
     count = len(measurement.machine.parameters)
-    maps = error_maps(measurement.kinematics, command, table.reference)
+    maps = ErrorMaps.of(measurement.kinematics, command, table.reference)
     covariance = estimate.covariance[:count, :count]
     identified, true = estimate.theta[:count], truth[:count]
     correctable = maps.remaining @ (identified - measurement.machine.nominal)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed.accuracy import driven_errors, error_maps, predict
+from oed.accuracy import ErrorMaps, driven_errors, predict
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
 from pkm_studies.commands import main
@@ -154,7 +154,7 @@ def test_what_compensation_leaves_is_predicted_exactly() -> None:
     known = driven_errors(
         m.kinematics, bench.command, identified, "home", believed=identified
     )
-    maps = error_maps(m.kinematics, bench.command, "home")
+    maps = ErrorMaps.of(m.kinematics, bench.command, "home")
     nothing = np.zeros((24, 24))
     figures = {
         "exact": predict(maps, nothing, nothing, rng, mean=identified, known=known),

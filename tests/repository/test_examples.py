@@ -11,7 +11,7 @@ import oed
 
 #: what a room offers to users of arrays
 ROOMS = {
-    "oed.accuracy": ("error_maps", "predict"),
+    "oed.accuracy": ("ErrorMaps", "predict"),
     "oed.design": ("Choice", "choose"),
     "oed.estimation": ("Estimate", "identify"),
     "oed.gap": ("diagnose", "prepare"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import units
 from oed.acceptance import Promise, smooth_functions
-from oed.accuracy import ErrorMaps, Reference, driven_errors, error_maps
+from oed.accuracy import ErrorMaps, Reference, driven_errors
 from oed.base import Array
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Component, Machine
@@ -87,7 +87,7 @@ def promised_accuracy(
     table = study.prediction
     reference: Reference = "home" if table is None else table.reference
     command = _add_poses_between(kinematics, workspace, reference)
-    maps = error_maps(kinematics, command, reference)
+    maps = ErrorMaps.of(kinematics, command, reference)
     covariance, tolerance = covariances(machine, section)
     varying = _varying(maps, covariance)
     driven = [k for k in varying if machine.components[k].compensatable]

@@ -97,9 +97,9 @@ class Compensation:
     def further(self) -> FurtherAxes:
         """The motions that no joint of the machine makes; none for most machines."""
         # imported here: light commands list formats without compensation
-        from oed.compensate import further_axes
+        from oed.compensate import FurtherAxes
 
-        return further_axes(self.kinematics)
+        return FurtherAxes.of(self.kinematics)
 
     @property
     def comments(self) -> list[str]:

@@ -20,7 +20,7 @@ from typing import Final, cast
 import numpy as np
 
 from oed import trust, units
-from oed.accuracy import Reference, error_maps
+from oed.accuracy import ErrorMaps, Reference
 from oed.base import Array
 from oed.linear_algebra import covariance_root
 from oed.result import PredictionSection, StudyResult
@@ -146,7 +146,7 @@ def _possible_errors(
     assert resolved.prediction is not None  # the section comes of it
     measurement, machine = resolved.measurement, resolved.machine
     reference = cast(Reference, section.reference)
-    maps = error_maps(measurement.kinematics, resolved.prediction.command, reference)
+    maps = ErrorMaps.of(measurement.kinematics, resolved.prediction.command, reference)
     tolerance = measurement.tolerance[: len(machine.parameters)]
     free = np.flatnonzero(tolerance > 0.0)
     names = [machine.parameters[k].name for k in free]

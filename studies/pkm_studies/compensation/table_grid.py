@@ -16,7 +16,6 @@ from oed.compensate import (
     GridAxis,
     InterpolationTable,
     box_axes,
-    choose_command_grid,
     joint_corrections,
     joint_motion,
 )
@@ -98,7 +97,7 @@ class TableAccuracy:
         for step in range(SHRINKS):
             box = tuple(axis.shrunk(SHRINK**step) for axis in axes)
             try:
-                grid = choose_command_grid(
+                grid = CommandGrid.choose(
                     box,
                     correction,
                     self.motion,

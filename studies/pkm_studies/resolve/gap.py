@@ -216,22 +216,24 @@ class GapRequest:
         sense of travel, time or temperatures counts as if it were not recorded.
         """
         from oed.effects import (
+            CourseColumns,
+            ExpectedColumns,
+            PlannedEffects,
             SessionStates,
-            expected_columns,
-            over_courses,
-            planned_effects,
         )
 
         if names == NO_EFFECTS:
             return None
         problem, courses = self.planned_courses(measurement, series, rng, seconds)
-        columns = expected_columns(problem, self.named_effects(names, location))
+        columns = ExpectedColumns.of(problem, self.named_effects(names, location))
         if columns is None:
             return None
         session = SessionStates.of(problem)
         where, reference = prediction.command, prediction.table.reference
-        over = over_courses(problem, courses, columns, session, where, reference, rng)
-        return planned_effects(over, columns, session, problem.sigma, most)
+        over = CourseColumns.of(
+            problem, courses, columns, session, where, reference, rng
+        )
+        return PlannedEffects.of(over, columns, session, problem.sigma, most)
 
     def planned_courses(
         self,

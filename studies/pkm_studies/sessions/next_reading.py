@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from oed import trust, units
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.base import Array, Mask
 from oed.dataset import ReadingsColumn, SplitText, decode, is_remark
 from oed.design import Candidates
@@ -219,7 +219,7 @@ class Adviser:
                 "add [prediction] with a workspace, see `oed schema study`",
             )
         resolved = self.base.resolved
-        self.maps = error_maps(
+        self.maps = ErrorMaps.of(
             resolved.measurement.kinematics, where.command, where.table.reference
         )
         self.plan: Sequence[int] = ()

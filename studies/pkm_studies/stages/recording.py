@@ -11,14 +11,7 @@ import numpy as np
 from oed import units
 from oed.base import Array
 from oed.effect_model import Effect
-from oed.effects import (
-    Course,
-    ExpectedColumns,
-    PlannedEffects,
-    SessionStates,
-    course_changes,
-    expected_columns,
-)
+from oed.effects import Course, ExpectedColumns, PlannedEffects, SessionStates
 from oed.gap import GapProblem
 from oed.measurement import Measurement, Series
 from oed.recording import RecordedCase
@@ -115,7 +108,7 @@ def _measured(
 ) -> RecordedCase | None:
     """An effect with thermometers on bodies; None where it changes nothing."""
     problem, courses = _courses(plan, plan.measurement, plan.series, bodies, 0)
-    columns = expected_columns(problem, [effect], unknown=False)
+    columns = ExpectedColumns.of(problem, [effect], unknown=False)
     if columns is None:
         return None
     return _recorded(plan, problem, courses, columns, SessionStates.of(problem))

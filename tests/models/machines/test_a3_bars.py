@@ -11,7 +11,7 @@ from scipy import stats
 
 from kernel import a3_plans
 from kernel.a3_machines import Realised, against_home, measured, realise
-from oed.accuracy import Prediction, error_maps, predict
+from oed.accuracy import ErrorMaps, Prediction, predict
 from oed.design import Choice, choose
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement, Series
@@ -202,7 +202,7 @@ def planned(m: Measurement, series: Series) -> Prediction:
     covariance[np.ix_(m.free, m.free)] = np.linalg.inv(
         np.eye(len(scale)) + h.T @ h
     ) * np.outer(scale, scale)
-    maps = error_maps(m.kinematics, a3_plans.workspace(), "home")
+    maps = ErrorMaps.of(m.kinematics, a3_plans.workspace(), "home")
     return predict(
         maps,
         np.diag(m.tolerance[:24] ** 2),
@@ -213,7 +213,7 @@ def planned(m: Measurement, series: Series) -> Prediction:
 
 def from_estimate(m: Measurement, estimate: Estimate) -> Prediction:
     """Prediction once a machine is identified."""
-    maps = error_maps(m.kinematics, a3_plans.workspace(), "home")
+    maps = ErrorMaps.of(m.kinematics, a3_plans.workspace(), "home")
     prior = np.diag(m.tolerance[:24] ** 2)
     return predict(
         maps,

@@ -10,7 +10,7 @@ import pytest
 from oracles import machine_shapes, wrist_shapes
 from sample import refused, resolved
 
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Family
 
@@ -111,7 +111,7 @@ def test_a_best_alignment_moves_no_place_that_compensation_has_put_right() -> No
     """Turns of a Tricept's platform, which no leg corrects, stay out of the places."""
     machine = resolved(STUDY).machine
     command = np.array(list(itertools.product([-0.2, 0.2], [-0.2, 0.2], [-1.7, -1.3])))
-    maps = error_maps(Kinematics(machine), command, "best_fit")
+    maps = ErrorMaps.of(Kinematics(machine), command, "best_fit")
     places, turns = maps.remaining[:, :3], maps.remaining[:, 3:]
     assert np.abs(turns).max() > 0.1
     assert np.abs(places).max() < 1e-9

@@ -7,7 +7,7 @@ import pytest
 from oracles import micro_cmm_geometry as oracle
 from shipped_models import ball_plate, camera
 
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.base import Array
 from oed.identifiability import assess
 from oed.instrument import Setup, mount
@@ -218,9 +218,9 @@ def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit() -> None:
     """It never turns its platform, so that its points alone are aligned: frame and
     platform turned together.
     """
-    maps = error_maps(KINEMATICS, grid(3, 2), "best_fit")
+    maps = ErrorMaps.of(KINEMATICS, grid(3, 2), "best_fit")
     turned = np.zeros(15)
     turned[6:12] = 1e-3
-    home = error_maps(KINEMATICS, grid(3, 2), "home")
+    home = ErrorMaps.of(KINEMATICS, grid(3, 2), "home")
     assert np.abs(home.raw @ turned).max() > 30e-6
     assert np.abs(maps.raw @ turned).max() < 1e-15

@@ -11,13 +11,7 @@ from shipped_models import planar_2dof, relative
 
 from kernel import a3_plans, budget_machines
 from oed import identifiability
-from oed.accuracy import (
-    BudgetModel,
-    ErrorMaps,
-    budget_model,
-    error_maps,
-    variance_over_machines,
-)
+from oed.accuracy import BudgetModel, ErrorMaps, variance_over_machines
 from oed.accuracy.budget import mean_products, mean_variance
 from oed.accuracy.maps import maps_by_reference
 from oed.compensate import compensated_joints
@@ -35,12 +29,12 @@ def plan() -> tuple[Measurement, Series]:
 @pytest.fixture(scope="module")
 def model(plan: tuple[Measurement, Series]) -> BudgetModel:
     m, series = plan
-    return budget_model(m, [series], m.nominal)
+    return BudgetModel.of(m, [series], m.nominal)
 
 
 @pytest.fixture(scope="module")
 def maps(plan: tuple[Measurement, Series]) -> ErrorMaps:
-    return error_maps(plan[0].kinematics, a3_plans.workspace()[::5])
+    return ErrorMaps.of(plan[0].kinematics, a3_plans.workspace()[::5])
 
 
 def all_errors(plan: tuple[Measurement, Series]) -> Laws:
@@ -83,7 +77,7 @@ def test_every_error_of_an_estimated_law_has_its_line(
 ) -> None:
     m, series = plan
     laws = all_errors(plan)
-    model = budget_model(m, [series], m.nominal, laws=laws)
+    model = BudgetModel.of(m, [series], m.nominal, laws=laws)
     estimated = 1.1 * model.covariance()
     predicted = 1.2 * mean_variance(mean_products(maps.raw), model.covariance())
     budget = model.budget(maps, estimated=estimated, predicted=predicted)
@@ -165,9 +159,9 @@ def test_variance_over_machines_is_that_about_each_of_them(
         for p, value in zip(m.machine.parameters, truth, strict=False)
     ]
     other = Measurement(m.machine.with_parameters(shifted), list(m.setups.values()))
-    covariance = budget_model(m, [series], truth).covariance()
+    covariance = BudgetModel.of(m, [series], truth).covariance()
     for reference, variance in got.items():
-        maps = error_maps(other.kinematics, command, reference)
+        maps = ErrorMaps.of(other.kinematics, command, reference)
         wanted = np.einsum("nkp,pq,nkq->nk", maps.raw, covariance, maps.raw)
         assert variance == pytest.approx(wanted, rel=1e-6)
 
@@ -188,8 +182,8 @@ def test_without_a_source_machines_of_the_oracle_are_as_good_as_stated() -> None
     """Realised over predicted change of the rms height error, to 15 %."""
     command, machines = a3_plans.workspace()[::3], 60
     m, series = budget_machines.measured(budget_machines.Sources())
-    model = budget_model(m, [series], m.nominal)
-    maps = error_maps(m.kinematics, command)
+    model = BudgetModel.of(m, [series], m.nominal)
+    maps = ErrorMaps.of(m.kinematics, command)
     z = maps.names.index("z")
     budget = model.budget(maps)
     lines = {line.source: line for line in budget.lines}
@@ -282,8 +276,8 @@ def test_without_errors_of_runs_planar_machines_are_as_good_as_stated() -> None:
     grid = [(y, z) for y in (-1.2, -0.4, 0.4, 1.2) for z in (0.1, 0.7, 1.3)]
     command, shared = np.array(grid), 3.0
     m, series = planar_plan(shared)
-    maps = error_maps(m.kinematics, command)
-    budget = budget_model(m, series, m.nominal).budget(maps)
+    maps = ErrorMaps.of(m.kinematics, command)
+    budget = BudgetModel.of(m, series, m.nominal).budget(maps)
     line = next(li for li in budget.lines if li.source == "error shared by a run")
     assert line.without is not None
     predicted = line.without / np.sqrt(budget.variance)

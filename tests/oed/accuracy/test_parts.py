@@ -8,7 +8,7 @@ from scipy import stats
 from shipped_models import planar_2dof, relative
 
 from oed.acceptance import Promise
-from oed.accuracy import budget_model, error_maps, variance_over_machines
+from oed.accuracy import BudgetModel, ErrorMaps, variance_over_machines
 from oed.instrument import mount
 from oed.measurement import Measurement, draw_parameters
 from oed.mechanism import AssemblyError
@@ -50,8 +50,8 @@ def test_machines_near_nominal_have_its_variance(rng: np.random.Generator) -> No
     command = np.array([[-0.5, 0.2], [0.0, 0.2], [0.5, 0.2], [1.0, 0.6]])
     series = [m.series("ruler", command, run=["a"] * 4)]
     drawn = variance_over_machines(m, series, command, ["home"], rng)["home"]
-    covariance = budget_model(m, series, m.nominal).covariance()
-    raw = error_maps(m.kinematics, command, "home").raw
+    covariance = BudgetModel.of(m, series, m.nominal).covariance()
+    raw = ErrorMaps.of(m.kinematics, command, "home").raw
     count = len(machine.parameters)
     nominal = np.einsum("nkp,pq,nkq->nk", raw, covariance[:count, :count], raw)
     assert drawn == pytest.approx(nominal, rel=1e-2, abs=1e-3 * nominal.max())
@@ -76,8 +76,8 @@ def test_machines_that_do_not_assemble_are_left_out(rng: np.random.Generator) ->
     for truth in draw_parameters(m, np.random.default_rng(seed), 48):
         p = truth[: len(machine.parameters)]
         try:
-            raw = error_maps(m.kinematics, command, "home", parameters=p).raw
-            covariance = budget_model(m, series, truth).covariance()
+            raw = ErrorMaps.of(m.kinematics, command, "home", parameters=p).raw
+            covariance = BudgetModel.of(m, series, truth).covariance()
         except AssemblyError:
             continue
         variances.append(np.einsum("nkp,pq,nkq->nk", raw, covariance, raw))

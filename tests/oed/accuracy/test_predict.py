@@ -11,17 +11,8 @@ from shipped_models import a3_head, linear_delta
 
 from kernel import a3_plans
 from oed import identifiability
-from oed.accuracy import (
-    ErrorMaps,
-    Prediction,
-    Spread,
-    error_maps,
-    least_error,
-    predict,
-    relative_to_reference,
-)
-from oed.mechanism import Kinematics, error_model
-from oed.result import CompensationName
+from oed.accuracy import ErrorMaps, Prediction, Spread, predict, relative_to_reference
+from oed.mechanism import ErrorModel, Kinematics
 
 ARCSEC = 180 * 3600 / np.pi
 A3 = Kinematics(a3_head.machine)
@@ -58,11 +49,11 @@ def test_the_published_passage(passage: tuple) -> None:
     axis and 33.4 arcsec of spin.
     """
     command = a3_plans.workspace()
-    told = predicted(error_maps(A3, command, "home"), passage).fully_corrected
+    told = predicted(ErrorMaps.of(A3, command, "home"), passage).fully_corrected
     for name, um in paper.HOME_REFERENCED_UM.items():
         assert 1e6 * told[name].rms == pytest.approx(um, rel=0.01)
-    home = error_model(A3, A3.machine.home_command[None])
-    model = error_model(A3, command)
+    home = ErrorModel.of(A3, A3.machine.home_command[None])
+    model = ErrorModel.of(A3, command)
     turns = np.stack(
         [
             1e6
@@ -96,9 +87,11 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
     exact Euler angles.
     """
     command = a3_plans.workspace()[::7]
-    maps = error_maps(A3, command, "home")
-    q = a3.inverse_nominal(*command.T)
-    home_q = a3.inverse_nominal(*A3.machine.home_command)
+    maps = ErrorMaps.of(A3, command, "home")
+    q, home_q = (
+        a3.inverse_nominal(*command.T),
+        a3.inverse_nominal(*A3.machine.home_command),
+    )
     tip, _ = a3.nominal_pose(*command.T)
     home_tip, home_rotation = a3.nominal_pose(*A3.machine.home_command)
     h = 1e-6
@@ -119,7 +112,7 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
 
 @pytest.mark.parametrize("reference", ["home", "absolute"])
 def test_compensated_components_are_nulled(reference: str) -> None:
-    maps = error_maps(A3, a3_plans.workspace(), reference)
+    maps = ErrorMaps.of(A3, a3_plans.workspace(), reference)
     assert maps.names == ("x", "y", "z", "psi", "theta", "phi")
     assert np.abs(maps.remaining[:, 2:5]).max() < 1e-12 * np.abs(maps.raw).max()
     assert np.abs(maps.remaining[:, [0, 1, 5]]).max() > 0.1
@@ -130,8 +123,8 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
 ):
     """Beside home, as z-x-z angles have no slopes at theta = 0."""
     near_home = A3.machine.home_command[None] + [0.0, 0.4, 1e-3]
-    home = error_maps(A3, near_home, "home")
-    absolute = error_maps(A3, near_home, "absolute")
+    home = ErrorMaps.of(A3, near_home, "home")
+    absolute = ErrorMaps.of(A3, near_home, "absolute")
     assert np.abs(home.raw[:, :3]).max() < 3e-3 * np.abs(absolute.raw[:, :3]).max()
     assert absolute.raw == pytest.approx(
         A3.error_components_jacobian(near_home) @ a3.linear_model(*near_home.T),
@@ -141,8 +134,8 @@ def test_the_absolute_error_is_the_papers_and_the_home_referenced_one_vanishes_a
 
 def test_best_fit_removes_any_rigid_motion() -> None:
     command = a3_plans.workspace()
-    model = error_model(A3, command)
-    home = error_model(A3, A3.machine.home_command[None])
+    model = ErrorModel.of(A3, command)
+    home = ErrorModel.of(A3, A3.machine.home_command[None])
     rng = np.random.default_rng(3)
     shift, turn = rng.standard_normal(3), rng.standard_normal(3)
     rigid = np.hstack(
@@ -172,7 +165,7 @@ def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
     """A shift of the base frame and a turn of the platform's joints about the TCP
     cannot be distinguished from a wrong zero.
     """
-    maps = error_maps(A3, a3_plans.workspace(), "home")
+    maps = ErrorMaps.of(A3, a3_plans.workspace(), "home")
     names = [p.name for p in A3.machine.parameters]
     centres = np.array([a3_head._platform(i) for i in a3_head.LIMBS])
     for axis in np.eye(3):
@@ -190,7 +183,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
     own 400 draws to 12 %.
     """
     _, tolerance, covariance = passage
-    maps = error_maps(A3, a3_plans.workspace()[::5])
+    maps = ErrorMaps.of(A3, a3_plans.workspace()[::5])
     told = predicted(maps, passage)
     rng, posterior = np.random.default_rng(4), covariance[:24, :24]
     prior = np.diag(tolerance[:24] ** 2)
@@ -224,7 +217,7 @@ def test_spreads_are_those_of_many_machines(passage: tuple) -> None:
 
 
 def test_a_known_variance_replaces_that_of_the_maps(passage: tuple) -> None:
-    maps = error_maps(A3, a3_plans.workspace()[::5])
+    maps = ErrorMaps.of(A3, a3_plans.workspace()[::5])
     plain = predicted(maps, passage)
     linear = plain.sd_after**2
     doubled = predicted(maps, passage, variance=4.0 * linear)
@@ -238,7 +231,7 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
     """With an estimate: before = its error and the posterior's, after = what cannot be
     compensated of it.
     """
-    maps = error_maps(A3, a3_plans.workspace())
+    maps = ErrorMaps.of(A3, a3_plans.workspace())
     mean = 1e-3 * np.random.default_rng(2).standard_normal(24)
     sure = predict(
         maps, np.eye(24), np.zeros((24, 24)), np.random.default_rng(1), mean=mean
@@ -263,7 +256,7 @@ def test_after_identification_known_errors_stay_where_they_are(passage: tuple) -
 
 
 def test_same_seed_same_prediction(passage: tuple) -> None:
-    maps = error_maps(A3, a3_plans.workspace()[::20])
+    maps = ErrorMaps.of(A3, a3_plans.workspace()[::20])
     assert predicted(maps, passage).after == predicted(maps, passage).after
 
 
@@ -284,7 +277,7 @@ def test_the_delta_is_compensated_completely() -> None:
             for z in (0.02, 0.2)
         ]
     )
-    maps = error_maps(kinematics, command, "absolute")
+    maps = ErrorMaps.of(kinematics, command, "absolute")
     assert maps.names == ("x", "y", "z")
     assert np.abs(maps.remaining).max() < 1e-12
     assert np.abs(maps.raw).max() > 0.5
@@ -292,7 +285,7 @@ def test_the_delta_is_compensated_completely() -> None:
 
 def test_an_unknown_reference_is_refused() -> None:
     with pytest.raises(ValueError, match=r"reference 'bed' is none of .*home"):
-        error_maps(A3, a3_plans.workspace()[:1], "bed")
+        ErrorMaps.of(A3, a3_plans.workspace()[:1], "bed")
 
 
 def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> None:
@@ -300,8 +293,8 @@ def test_home_is_zeroed_in_the_platforms_own_axes(rng: np.random.Generator) -> N
     fixed in the base does not.
     """
     command = a3_plans.workspace()
-    model = error_model(A3, command)
-    home = error_model(A3, A3.machine.home_command[None])
+    model = ErrorModel.of(A3, command)
+    home = ErrorModel.of(A3, A3.machine.home_command[None])
     turn = rng.standard_normal(3)
     carried = np.hstack(
         [np.zeros((len(command), 3)), Rotation.from_matrix(model.rotation).apply(turn)]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, ball_bar
 
 from oed import Measurement, mount
-from oed.accuracy import components_against, driven_errors, error_maps
+from oed.accuracy import ErrorMaps, components_against, driven_errors
 from oed.mechanism import pose_error
 
 instrument = ball_bar.instrument
@@ -77,7 +77,7 @@ def test_exact_errors_are_relative_rotations(kinematics, drawn) -> None:
 
 
 def test_the_prediction_is_the_first_order_of_the_same(kinematics, drawn) -> None:
-    maps = error_maps(kinematics, COMMAND, "home")
+    maps = ErrorMaps.of(kinematics, COMMAND, "home")
     small = 1e-3 * (drawn - machine.nominal)
     exact = [composed(kinematics, machine.nominal + step) for step in small]
     linear = np.einsum("nkp,mp->mnk", maps.raw, small)

@@ -13,7 +13,7 @@ import pytest
 from kernel import a3_plans
 from kernel.a3_machines import NOISE, against_home, exact, measured
 from oed import checks
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.estimation import identify
 from oed.measurement import Measurement, Series
 
@@ -117,7 +117,7 @@ def test_realised_accuracy_is_the_predicted_one(
     """Mean squares over 100 machines and the workspace."""
     m, _ = plan()
     command = a3_plans.workspace()
-    maps = error_maps(m.kinematics, command, "home")
+    maps = ErrorMaps.of(m.kinematics, command, "home")
     members = [maps.names.index(name) for name in COMPENSATED]
     realised, predicted, named = [], [], 0
     for seed in range(100):

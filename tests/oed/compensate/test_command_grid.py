@@ -7,13 +7,7 @@ import pytest
 from shipped_models import a3_head, hexapod
 
 from oed.compensate import InterpolationTable
-from oed.compensate.command_grid import (
-    CommandGrid,
-    GridAxis,
-    box_axes,
-    choose_command_grid,
-    joint_motion,
-)
+from oed.compensate.command_grid import CommandGrid, GridAxis, box_axes, joint_motion
 from oed.mechanism import Kinematics
 
 #: rms of u (1 - u) / 2 over an interval: what a parabola of curvature 1 loses
@@ -33,9 +27,7 @@ def chosen(
     largest: int = 10_000,
 ) -> CommandGrid:
     rng = np.random.default_rng(5)
-    return choose_command_grid(
-        axes, correction, as_is, np.full(2, target), largest, rng
-    )
+    return CommandGrid.choose(axes, correction, as_is, np.full(2, target), largest, rng)
 
 
 def parabolas(command: np.ndarray) -> np.ndarray:

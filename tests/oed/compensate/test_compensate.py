@@ -11,7 +11,7 @@ from shipped_models import a3_head, linear_delta
 
 from kernel.cases import CASES
 from oed import compensate
-from oed.mechanism import Kinematics, error_model, pose_error, twist_between
+from oed.mechanism import ErrorModel, Kinematics, pose_error, twist_between
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 SPREAD = np.r_[np.full(21, 1e-3), np.full(3, 10e-3)]
@@ -26,7 +26,7 @@ def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(
     rng: np.random.Generator,
 ) -> None:
     command = commands(rng, 200)
-    model = error_model(A3, command)
+    model = ErrorModel.of(A3, command)
     oracle = a3.compensator(*command.T)
     assert np.abs(model.joints - oracle.dq).max() < 1e-11 * np.abs(oracle.dq).max()
     left = A3.error_components_jacobian(command) @ model.remaining
@@ -42,7 +42,7 @@ def test_joint_corrections_are_eq_24_and_what_remains_is_eq_25(
 
 def test_home_errors_leave_nothing(rng: np.random.Generator) -> None:
     """Eq. (24) for home errors is their negative, everywhere."""
-    model = error_model(A3, commands(rng, 50))
+    model = ErrorModel.of(A3, commands(rng, 50))
     assert np.abs(model.joints[..., :3] + np.eye(3)).max() < 1e-12
     assert np.abs(model.remaining[..., :3]).max() < 1e-12
 
@@ -50,7 +50,7 @@ def test_home_errors_leave_nothing(rng: np.random.Generator) -> None:
 def test_a_longer_tool_holds_its_own_point(rng: np.random.Generator) -> None:
     """z of the longer tool's point is held: the joints of Eq. (24) put no error there."""
     command, tool = commands(rng, 50) + np.array([0.1, 0, 0]), np.array([0, 0, 0.1])
-    model = error_model(A3, command, tool)
+    model = ErrorModel.of(A3, command, tool)
     assert np.abs(model.raw - a3.linear_model(*command.T, 0.1)).max() < 1e-12
     left = A3.error_components_jacobian(command) @ model.remaining
     assert np.abs(left[:, 2:5]).max() < 1e-11
@@ -100,7 +100,7 @@ def test_small_errors_are_linear(rng: np.random.Generator) -> None:
     command, p = commands(rng, 30), 1e-4 * SPREAD * rng.standard_normal(24)
     error = pose_error(A3, command, a3.inverse_nominal(*command.T), p)
     assert (
-        np.abs(error - error_model(A3, command).raw @ p).max()
+        np.abs(error - ErrorModel.of(A3, command).raw @ p).max()
         < 1e-3 * np.abs(error).max()
     )
 

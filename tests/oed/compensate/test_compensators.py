@@ -5,7 +5,7 @@ import pytest
 from oracles import a3_geometry as a3
 from shipped_models import a3_head, hexapod, planar_2dof
 
-from oed.mechanism import Kinematics, component_errors, error_model
+from oed.mechanism import ErrorModel, Kinematics, component_errors
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
 TABLE3 = a3.errors(**{k: a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")})
@@ -34,7 +34,7 @@ def reached(joints: np.ndarray, truth: np.ndarray, command: np.ndarray) -> np.nd
 
 def linear_joints(p: np.ndarray, command: np.ndarray) -> np.ndarray:
     """Joints of the nominal machine with the corrections of Eq. (24), Tian et al. (2016)."""
-    return A3.inverse(command)[1] + error_model(A3, command).joints @ p
+    return A3.inverse(command)[1] + ErrorModel.of(A3, command).joints @ p
 
 
 def cut_off(p: np.ndarray, command: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ def test_table_3_at_35_degrees_and_100_mm_before_and_after() -> None:
 
     `docs/errata.md` compares with the printed Table 4.
     """
-    model = error_model(A3, CIRCLE)
+    model = ErrorModel.of(A3, CIRCLE)
     predicted = (A3.error_components_jacobian(CIRCLE) @ model.raw @ TABLE3)[:, 2:5]
     before = reached(a3.inverse_nominal(*CIRCLE.T), TABLE3, CIRCLE)
     printed = np.array([1e-3, *np.deg2rad([1.0, 1.0])])

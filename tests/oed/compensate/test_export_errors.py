@@ -9,8 +9,11 @@ from shipped_models import a3_head, planar_2dof
 
 from oed.accuracy import driven_errors
 from oed.compensate.command_grid import CommandGrid, GridAxis
-from oed.compensate.export_errors import interpolation_errors, joint_errors
-from oed.compensate.further import further_axes
+from oed.compensate.export_errors import (
+    interpolation_errors,
+    joint_errors,
+)
+from oed.compensate.further import FurtherAxes
 from oed.mechanism import Kinematics
 
 PLANAR = Kinematics(planar_2dof.machine)
@@ -53,7 +56,12 @@ def test_a_coarse_table_leaves_the_errors_of_its_interpolation() -> None:
     axes = (GridAxis("y", "m", -1.2, 1.2), GridAxis("z", "m", 0.0, 1.2))
     grid = CommandGrid(axes, (3, 2), np.zeros((1, 2)), False)
     found = interpolation_errors(
-        PLANAR, grid, TRUTH, "absolute", np.random.default_rng(8), further_axes(PLANAR)
+        PLANAR,
+        grid,
+        TRUTH,
+        "absolute",
+        np.random.default_rng(8),
+        FurtherAxes.of(PLANAR),
     )
     y, z = np.linspace(-1.2, 1.2, 3), np.linspace(0.0, 1.2, 2)
     nodes = np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1)

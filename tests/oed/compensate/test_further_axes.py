@@ -8,7 +8,7 @@ from shipped_models import a3_head, planar_2dof
 
 from kernel.cases import CASES
 from oed.compensate.exact import compensated_joints
-from oed.compensate.further import TURN, further_axes
+from oed.compensate.further import TURN, FurtherAxes
 from oed.mechanism import Kinematics
 
 A3 = Kinematics(a3_head.machine)
@@ -23,7 +23,7 @@ def command() -> np.ndarray:
 
 def test_offsets_are_what_the_oracles_head_is_off(command: np.ndarray) -> None:
     """Along x and y at the tool, and by the rotation about the tool axis."""
-    further = further_axes(A3)
+    further = FurtherAxes.of(A3)
     assert [axis.name for axis in further.axes][-1] == TURN
     assert len(further) == 3
     joints = compensated_joints(A3, command, TRUTH)
@@ -39,7 +39,7 @@ def test_offsets_are_what_the_oracles_head_is_off(command: np.ndarray) -> None:
 
 
 def test_twists_of_offsets_have_these_offsets(command: np.ndarray) -> None:
-    further = further_axes(A3)
+    further = FurtherAxes.of(A3)
     offsets = np.random.default_rng(4).standard_normal((len(command), 3))
     twists = further.twists(command, offsets)
     again = np.einsum("nmi,ni->nm", further.rows(command), twists)
@@ -47,7 +47,7 @@ def test_twists_of_offsets_have_these_offsets(command: np.ndarray) -> None:
 
 
 def test_a_machine_that_drives_all_has_none() -> None:
-    further = further_axes(Kinematics(planar_2dof.machine))
+    further = FurtherAxes.of(Kinematics(planar_2dof.machine))
     assert len(further) == 0
     nominal = planar_2dof.machine.nominal
     assert further.offsets(np.array([[0.0, 0.5]]), nominal).shape == (1, 0)

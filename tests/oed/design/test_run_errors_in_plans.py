@@ -14,7 +14,7 @@ from reference import tian_2016 as paper
 
 from kernel import a3_plans
 from oed import checks, identifiability
-from oed.accuracy import ErrorMaps, error_maps
+from oed.accuracy import ErrorMaps
 from oed.checks import copies
 from oed.measurement import Measurement, Series
 from oed.units import from_si
@@ -46,7 +46,7 @@ def theta_sd(maps: ErrorMaps, covariance: np.ndarray) -> float:
 @pytest.mark.parametrize("name", list(PLANS))
 def test_theta_of_both_plans(name: str) -> None:
     m = a3_plans.measurement()
-    maps = error_maps(m.kinematics, a3_plans.workspace(), "home")
+    maps = ErrorMaps.of(m.kinematics, a3_plans.workspace(), "home")
     series = plan(m, name)
     z, psi, theta = series.reading_commands().T
     cup = np.array([0.0, 0.0, paper.TEACH_Z])

@@ -5,7 +5,7 @@ import pytest
 from shipped_models import backlash, bar_length, encoder_scale, screw_cyclic
 
 from kernel.planar_session import ruler_session
-from oed.effects import ExpectedColumns, SessionStates, expected_columns
+from oed.effects import ExpectedColumns, SessionStates
 from oed.effects.columns import VARIANCE_SHARE
 from oed.gap import DOWN, GapProblem
 from oed.measurement import Measurement
@@ -20,7 +20,7 @@ def problem() -> GapProblem:
 
 @pytest.fixture(scope="module")
 def columns(problem: GapProblem) -> ExpectedColumns:
-    found = expected_columns(problem, EFFECTS)
+    found = ExpectedColumns.of(problem, EFFECTS)
     assert found is not None
     return found
 
@@ -95,7 +95,7 @@ def test_what_a_machine_cannot_have_is_left_out(columns: ExpectedColumns) -> Non
 
 
 def test_no_effects_give_no_columns(problem: GapProblem) -> None:
-    assert expected_columns(problem, [bar_length.effect]) is None
+    assert ExpectedColumns.of(problem, [bar_length.effect]) is None
 
 
 def test_workspace_maps_are_the_forward_kinematics(

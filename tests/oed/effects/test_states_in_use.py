@@ -11,7 +11,7 @@ from shipped_models import encoder_scale, hexapod, pose_tracker
 
 from oed import Measurement, mount
 from oed.accuracy import driven_errors
-from oed.effects import SessionStates, expected_columns
+from oed.effects import ExpectedColumns, SessionStates
 from oed.gap import DOWN, GapProblem, assemble
 from oed.mechanism import NO_TOOL
 
@@ -70,7 +70,8 @@ def test_a_command_has_the_reference_tool_whatever_the_setups_have(
     problem = session(names)
     state = in_use(problem)
     np.testing.assert_allclose(state.tool[:-1], COMMAND[:, :3], atol=1e-9)
-    columns = expected_columns(problem, [encoder_scale.effect], unknown=False)
+    columns = ExpectedColumns.of(problem, [encoder_scale.effect], unknown=False)
+    assert columns is not None
     maps = columns.workspace_maps(
         SessionStates(problem.measurement, problem.covariates, problem.states, DOWN),
         problem.theta,

@@ -10,9 +10,9 @@ from shipped_models import gravity, leg_thermal, servo_lag, step
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import Prediction, Reference, budget_model, error_maps
+from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference
 from oed.effect_model import Column, Effect, State
-from oed.effects import ExpectedEffects, SessionStates, expected_effects
+from oed.effects import ExpectedEffects, SessionStates
 from oed.estimation import identify
 from oed.gap import DOWN, assemble
 
@@ -24,11 +24,11 @@ def expected_of(
     m = a3_plans.measurement()
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
-    return expected_effects(
+    return ExpectedEffects.of(
         problem,
         SessionStates(m, rows, problem.states, DOWN),
-        budget_model(m, problem.series, m.nominal),
-        error_maps(m.kinematics, command, reference),
+        BudgetModel.of(m, problem.series, m.nominal),
+        ErrorMaps.of(m.kinematics, command, reference),
         effects,
         reference,
         np.random.default_rng(3),
@@ -41,7 +41,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
     command = a3_plans.workspace()[::9]
-    maps = error_maps(m.kinematics, command, "absolute")
+    maps = ErrorMaps.of(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
     # no feed is stated
     first = expected_of([leg_thermal.effect, servo_lag.effect], command, "absolute")
@@ -76,7 +76,7 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
     command = a3_plans.workspace()[::17]
-    maps = error_maps(m.kinematics, command, "absolute")
+    maps = ErrorMaps.of(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
     all_of_it = expected_of([leg_thermal.effect], command, "absolute")
     q = series.q[series.index[:, 0]].copy()

@@ -8,7 +8,7 @@ import pytest
 
 from kernel import a3_plans
 from oed import checks, identifiability
-from oed.accuracy import budget_model
+from oed.accuracy import BudgetModel
 from oed.checks import fit as check_fit
 from oed.estimation import identification, identify, predict_runs
 from oed.gap import assemble
@@ -124,7 +124,7 @@ def test_designs_and_budgets_add_the_prior_precision(
     scale = m.tolerance[m.free]
     design[np.ix_(m.free, m.free)] = np.linalg.inv(total) * np.outer(scale, scale)
     assert off(design) < 1e-4
-    budget = budget_model(m, [series], m.nominal)
+    budget = BudgetModel.of(m, [series], m.nominal)
     assert off(budget.covariance()) < 1e-4
     assert off(np.sum([part.covariance for part in budget.parts()], axis=0)) < 1e-4
 

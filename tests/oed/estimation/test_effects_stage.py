@@ -10,7 +10,7 @@ import pytest
 from shipped_models import backlash, encoder_scale
 
 from kernel.planar_session import ruler_session
-from oed.effects import expected_columns
+from oed.effects import ExpectedColumns
 from oed.estimation import Discrepancy, Estimate, identify
 from oed.estimation.discrepancy import SampledEffects
 
@@ -43,7 +43,8 @@ class Fit:
 def fitted(sag: float, seed: int, sizes: np.ndarray) -> Fit:
     problem = ruler_session(("rm2", "rm5"), sag, seed, interleaved=False)
     measurement, series, y = problem.measurement, problem.series, problem.y
-    columns = expected_columns(problem, EFFECTS)
+    columns = ExpectedColumns.of(problem, EFFECTS)
+    assert columns is not None
     # the session draws its machine first
     root = measurement.prior_root()
     drawn = np.random.default_rng(seed).standard_normal(len(root))

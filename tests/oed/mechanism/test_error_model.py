@@ -11,9 +11,9 @@ from shipped_models import a3_head, cables_planar, linear_delta
 
 from oed.mechanism import (
     AssemblyError,
+    ErrorModel,
     Kinematics,
     closest_closure,
-    error_model,
     pose_errors,
 )
 from oed.mechanism.batch import BatchedFunction
@@ -42,7 +42,7 @@ def test_joints_of_a_redundant_machine_follow_all_its_equations(
     """A cable that starts elsewhere is paid out by as much: no other cable pulls at it."""
     machine = cables_planar.machine
     command = rng.uniform(-0.3, 0.3, (4, 2))
-    model = error_model(Kinematics(machine), command)
+    model = ErrorModel.of(Kinematics(machine), command)
     zero = [p.name for p in machine.parameters].index("l2")
     assert np.abs(model.joints[:, :, zero] - [0.0, -1.0, 0.0, 0.0]).max() < 1e-12
     assert np.abs(model.remaining).max() < 1e-12
@@ -50,7 +50,7 @@ def test_joints_of_a_redundant_machine_follow_all_its_equations(
 
 def test_an_error_model_is_the_slope_of_exact_errors(direction: np.ndarray) -> None:
     """By differences, with a tool that is beside the axis; what is held stays in place."""
-    model = error_model(A3, COMMAND, TOOL)
+    model = ErrorModel.of(A3, COMMAND, TOOL)
     _, q = A3.inverse(COMMAND, tool=TOOL)
     corrected = SMALL * model.joints @ direction
 

@@ -14,7 +14,7 @@ from scipy import linalg, stats
 
 from kernel import a3_plans
 from kernel.dense_noise import dense_covariance, law_covariance
-from oed.accuracy import budget_model
+from oed.accuracy import BudgetModel
 from oed.design import Candidates
 from oed.estimation import identify
 from oed.gap import assemble
@@ -115,7 +115,7 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     y = np.random.default_rng(0).standard_normal((24, 2))
     gram = law.whitening(structure).gram(structure.standardise(y))[0]
     assert gram == pytest.approx(y.T @ np.linalg.solve(exact, y), rel=1e-9)
-    of_budget = budget_model(m, [series], m.nominal).readings
+    of_budget = BudgetModel.of(m, [series], m.nominal).readings
     whole = of_budget.weigh(exact / SIGMA**2, {})
     assert whole == pytest.approx(np.eye(24), abs=1e-8)
 

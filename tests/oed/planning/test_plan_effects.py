@@ -7,7 +7,7 @@ import pytest
 from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.design import Nuisances
 from oed.measurement import Series
 from oed.planning import (
@@ -95,7 +95,7 @@ def test_the_bound_holds_over_all_plans() -> None:
     """Every plan of one option, with all errors that no reading reduces."""
     option, measurement, _ = tracker("only", 3)
     command = np.array([[-1.0, 0.4], [0.0, 0.9], [1.0, 0.6]])
-    maps = error_maps(measurement.kinematics, command)
+    maps = ErrorMaps.of(measurement.kinematics, command)
     rng = np.random.default_rng(4)
     tool = 15e-6 * rng.standard_normal((3, len(maps.names), EFFECTS))
     rest = np.full(len(maps.names), 1e-12)

@@ -10,7 +10,7 @@ from oracles import planar_geometry as oracle
 from shipped_models import a3_head, ball_bar, planar_2dof, pose_tracker, relative
 
 from kernel.plan_catalogues import searched, stage_after
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.instrument import mount
 from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.model import Machine
@@ -124,7 +124,7 @@ def tracker(machine: Machine, name: str, sigma: float, mounting: float) -> Optio
 def relative_accuracy(machine: Machine, command: np.ndarray) -> Goal:
     """All components, relative to their accuracy before."""
     measurement = Measurement(machine, [])
-    maps = error_maps(measurement.kinematics, command, "home")
+    maps = ErrorMaps.of(measurement.kinematics, command, "home")
     return workspace_goal(measurement, maps, {})
 
 

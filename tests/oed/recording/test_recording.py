@@ -10,7 +10,7 @@ from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.effect_model import Column, Effect
-from oed.effects import CourseColumns, SessionStates, course_changes, expected_columns
+from oed.effects import CourseColumns, ExpectedColumns, SessionStates
 from oed.recording import PlannedReadings, relative, remaining_error
 from pkm_reports.blocks import Table
 from pkm_reports.sections.stages import recording_blocks
@@ -109,10 +109,10 @@ def test_a_side_that_is_not_recorded_is_scatter() -> None:
         columns=play,
         needs=("direction: both",),
     )
-    columns = expected_columns(problem, [effect], unknown=False)
+    columns = ExpectedColumns.of(problem, [effect], unknown=False)
     assert columns is not None
     session, where = SessionStates.of(problem), np.array([[0.0, 0.8], [0.5, 0.6]])
-    over = course_changes(
+    over = CourseColumns.of(
         problem, courses, columns, session, where, "absolute", np.random.default_rng(0)
     )
     assert over.of_course.all()

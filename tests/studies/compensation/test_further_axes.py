@@ -21,7 +21,7 @@ from shipped_models import (
     tripod_rps,
 )
 
-from oed.compensate import compensated_joints, further_axes
+from oed.compensate import FurtherAxes, compensated_joints
 from oed.mechanism import Kinematics
 from oed.result import StudyResult
 from pkm_studies.commands import main
@@ -262,7 +262,7 @@ def test_a_machine_has_the_axes_that_its_joints_lack(
 ) -> None:
     """Joints and axes together leave nothing."""
     kinematics = Kinematics(machine)
-    further = further_axes(kinematics)
+    further = FurtherAxes.of(kinematics)
     assert [a.name for a in further.axes] == names
     tolerance = np.array([p.tolerance for p in machine.parameters])
     parameters = machine.nominal + tolerance * rng.standard_normal(len(tolerance))

@@ -14,7 +14,7 @@ import xarray
 from plan_sample import HERE, STUDY, plan_of, planned
 from sample import changed, table_lines
 
-from oed.accuracy import error_maps
+from oed.accuracy import ErrorMaps
 from oed.identifiability import scaled
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
@@ -70,7 +70,7 @@ def every_choice(budget: float) -> list[tuple[float, dict[str, float]]]:
     """
     resolved = resolve(study.parse(STUDY, HERE))
     m = resolved.measurement_with(["rm4", "rm5"])
-    maps = error_maps(m.kinematics, resolved.prediction.command, "home")
+    maps = ErrorMaps.of(m.kinematics, resolved.prediction.command, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]
     before = np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
     options = resolved.plan.options
@@ -271,7 +271,7 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
     ]
     identified = machine_only.machine.with_parameters(parameters)
     command = resolved.prediction.command
-    maps = error_maps(Kinematics(identified), command, "home")
+    maps = ErrorMaps.of(Kinematics(identified), command, "home")
     slopes = np.moveaxis(maps.raw, 2, 1)[:, :, :2].reshape(len(command), 7, 2)
     spread = (draws - mean) @ slopes
     # a covariance of draws has one degree of freedom less than draws

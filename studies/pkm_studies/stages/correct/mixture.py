@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.accuracy import Reference, budget_model, least_error
+from oed.accuracy import BudgetModel, Reference, least_error
 from oed.base import Array, Index
 from oed.corrected import AnswerFits, AnswerMixture, CorrectedEstimate
-from oed.effects import ExpectedColumns, SessionStates, expected_columns
+from oed.effects import ExpectedColumns, SessionStates
 from oed.gap import untestable
 from oed.measurement import Measurement, Series
 from oed.result import (
@@ -161,7 +161,7 @@ def _knowledge(
     return ParameterKnowledge(
         measurement,
         tuple(series),
-        budget_model(measurement, series, mixture.mean),
+        BudgetModel.of(measurement, series, mixture.mean),
         errors.T @ errors / len(errors),
         mean=(mixture.mean - measurement.drawn)[:count],
         draws=errors,
@@ -385,7 +385,7 @@ def mix_answers(state: Fitted) -> Fitted:
     fits = AnswerFits(
         readings=effect_readings,
         effects=request.effects,
-        allowed=expected_columns(problem, testable),
+        allowed=ExpectedColumns.of(problem, testable),
         estimate_noise=state.estimates_noise,
         rng=rng,
         max_iterations=state.study.identify.max_iterations,

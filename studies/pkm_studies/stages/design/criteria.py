@@ -52,7 +52,9 @@ class StudyCriteria:
         if request is None:
             return None
         kinematics = self.resolved.measurement.kinematics
-        return accuracy.error_maps(kinematics, request.command, request.table.reference)
+        return accuracy.ErrorMaps.of(
+            kinematics, request.command, request.table.reference
+        )
 
     @property
     def needed_maps(self) -> accuracy.ErrorMaps:

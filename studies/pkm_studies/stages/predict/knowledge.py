@@ -13,9 +13,7 @@ from oed.accuracy import (
     ErrorMaps,
     Prediction,
     Reference,
-    budget_model,
     driven_errors,
-    error_maps,
     predict,
     variance_over_machines,
 )
@@ -125,7 +123,7 @@ def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnow
     return ParameterKnowledge(
         measurement,
         tuple(series),
-        budget_model(measurement, series, nominal),
+        BudgetModel.of(measurement, series, nominal),
         covariance[:count, :count],
     )
 
@@ -145,7 +143,7 @@ def identified(
     return ParameterKnowledge(
         measurement,
         tuple(series),
-        budget_model(measurement, series, estimate.theta, laws=laws),
+        BudgetModel.of(measurement, series, estimate.theta, laws=laws),
         draws.T @ draws / len(draws),
         mean=(estimate.theta - measurement.drawn)[:count],
         draws=draws,
@@ -174,7 +172,7 @@ def accuracy(
     count = len(measurement.machine.parameters)
     result = {}
     for reference in references:
-        maps = error_maps(measurement.kinematics, command, reference, tool)
+        maps = ErrorMaps.of(measurement.kinematics, command, reference, tool)
         remaining = _remaining(knowledge, command, reference, tool)
         before = knowledge.before(command, reference, tool)
         if (
@@ -300,7 +298,7 @@ def absorb_effects(
     if effects is None or mean is None:
         return knowledge
     machine = knowledge.measurement.machine
-    maps = error_maps(knowledge.measurement.kinematics, command, reference)
+    maps = ErrorMaps.of(knowledge.measurement.kinematics, command, reference)
     acting = effects.maps(command, reference, rng)
     error = acting.raw @ effects.draws.mean(axis=0)
     tolerance = knowledge.measurement.tolerance[: len(machine.parameters)]

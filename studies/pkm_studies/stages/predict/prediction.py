@@ -12,16 +12,16 @@ import numpy as np
 from oed import posterior, trust, units
 from oed.accuracy import (
     Budget,
+    BudgetModel,
     ErrorMaps,
     Prediction,
     Reference,
     Spread,
-    budget_model,
     driven_errors,
 )
 from oed.base import Array, Mask
 from oed.effect_model import EFFECT_SIZES
-from oed.effects import ExpectedEffect, ExpectedEffects, SessionStates, expected_effects
+from oed.effects import ExpectedEffect, ExpectedEffects, SessionStates
 from oed.estimation import Estimate, fit_machines
 from oed.gap import assemble
 from oed.instrument import Channel
@@ -853,7 +853,7 @@ def expected_unmodelled(
     problem = assemble(
         measurement, planned.series, planned.covariates, gravity=request.gravity
     )
-    model = budget_model(measurement, problem.series, measurement.nominal)
-    return expected_effects(
+    model = BudgetModel.of(measurement, problem.series, measurement.nominal)
+    return ExpectedEffects.of(
         problem, SessionStates.of(problem), model, maps, request.effects, reference, rng
     )
