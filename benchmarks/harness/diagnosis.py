@@ -20,7 +20,7 @@ from oed.measurement import Measurement
 from oed.noise import NoiseLaw
 from oed.result import AnswerRecord, ClosureRecord
 from pkm_studies import study as studies
-from pkm_studies.resolve import gap_request, resolve
+from pkm_studies.resolve import GapRequest, resolve
 from pkm_studies.user_code import Consent
 
 #: how a diagnosis failed, if it did
@@ -45,7 +45,7 @@ def _bench(study: Path, text: str) -> Bench:
     """Compiled once in a process: many cases have the same study."""
     stated = studies.load(study, Consent.GIVEN)
     resolved = resolve(stated, readings=[])
-    request = gap_request(stated, resolved.machine)
+    request = GapRequest.of_study(stated, resolved.machine)
     assert request is not None  # `always` makes one
     measurement = resolved.measurement_with(resolved.setups)
     return measurement, request.effects, request.gravity

@@ -30,7 +30,7 @@ from oed import build_study, diagnose, identify, read_readings
 from oed.mechanism import AssemblyError
 from oed.model import Machine
 from pkm_studies.base import Silent
-from pkm_studies.stages import start
+from pkm_studies.stages import RunState
 
 Record = Mapping[str, Any]
 #: verdict where the check of the readings takes a clean machine's for mistaken
@@ -94,7 +94,7 @@ def machine_of(table: Mapping[str, Any]) -> Machine:
     """The toolkit's machine of a `[machine]` table."""
     setup = {"name": "s", "instrument": "pose_tracker_position"}
     tables = {"schema": 1, "name": "random", "machine": table, "setup": [setup]}
-    return start(build_study(tables), None, Silent(), []).resolved.machine
+    return RunState.start(build_study(tables), None, Silent(), []).resolved.machine
 
 
 def draw(number: int, seed: int) -> Case:

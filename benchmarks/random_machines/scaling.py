@@ -19,7 +19,7 @@ from benchmarks.random_machines.cases import Case
 from oed import build_study, identify, read_readings
 from oed.effect_model import Effect
 from oed.gap import GapProblem, assemble
-from pkm_studies.resolve import gap_request
+from pkm_studies.resolve import GapRequest
 
 FACTOR = 1000.0
 #: units of length at the end of a field's name
@@ -71,7 +71,7 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
             _with_sizes(case.study, Path(folder), factor), folder, allow_code=True
         )
         state = identify(read_readings(study, path)).state
-        request = gap_request(study, state.resolved.machine)
+        request = GapRequest.of_study(study, state.resolved.machine)
     readings, estimate = state.readings, state.estimate
     assert readings.covariates is not None
     residuals = assemble(

@@ -21,12 +21,12 @@ from oed import dataset
 from oed.gap import Diagnosis, diagnose, prepare
 from pkm_reports import style
 from pkm_studies import stages, study
-from pkm_studies.resolve import gap_request, resolve
+from pkm_studies.resolve import GapRequest, resolve
 
 study_file = study.load(Path(__file__).with_suffix(".study.toml"))
 resolved = resolve(study_file, readings=[])
 measurement = resolved.measurement_with(resolved.setups)
-request = gap_request(study_file, resolved.machine)
+request = GapRequest.of_study(study_file, resolved.machine)
 with tempfile.TemporaryDirectory() as folder:
     readings, _ = stages.simulate_study(study_file, Path(folder) / "circles.csv")
     data = dataset.load(readings, measurement)

@@ -6,7 +6,6 @@ commands_of_added     commands that a nominal controller needs for such addition
 undriven_components   pose components that no joint drives, in words
 joint_motion          motion of the driven components per unit of each joint
 GridAxis              a command coordinate of a table
-box_axes              the axes of a box of commands
 CommandGrid           a rectilinear grid of commands
 InterpolationTable    values on a rectilinear grid
 FurtherAxes           motions that would correct what the joints do not
@@ -19,12 +18,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.compensate.command_grid import (
-        CommandGrid,
-        GridAxis,
-        box_axes,
-        joint_motion,
-    )
+    from oed.compensate.command_grid import CommandGrid, GridAxis, joint_motion
     from oed.compensate.exact import (
         commands_of_added,
         compensated_joints,

@@ -92,6 +92,32 @@ class GridAxis:
             self, lower=lower, upper=upper, counted=self.evaluated
         )
 
+    @staticmethod
+    def of_box(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
+        """Axes of the box of commands (n, n_dof), SI.
+
+        An angle after which the pose repeats is a full turn, if the commands lie round it:
+        no further apart over its end than elsewhere.
+        """
+        periodic = _repeats_after_a_turn(machine)
+        axes = []
+        for k, c in enumerate(machine.command):
+            positions = np.unique(command[:, k])
+            low, high, turn = float(positions[0]), float(positions[-1]), False
+            if periodic[k] and len(positions) > 1:
+                over_end = low + FULL_TURN - high
+                turn = bool(
+                    over_end <= np.diff(positions).max() * (1.0 + POSITION_TOLERANCE)
+                )
+            if turn:
+                holds_first_turn = low <= 0.0 and high >= FULL_TURN * (
+                    1.0 - POSITION_TOLERANCE
+                )
+                low = 0.0 if holds_first_turn else low
+                high = low + FULL_TURN
+            axes.append(GridAxis(c.name, c.unit, low, high, turn))
+        return tuple(axes)
+
 
 @dataclasses.dataclass(frozen=True)
 class CommandGrid:
@@ -171,32 +197,6 @@ class CommandGrid:
                 return cls(axes, tuple(counts), size * target, is_fine)
             counts = grown
             along[k] = error_along(k, counts[k])
-
-
-def box_axes(machine: Machine, command: Array) -> tuple[GridAxis, ...]:
-    """Axes of the box of commands (n, n_dof), SI.
-
-    An angle after which the pose repeats is a full turn, if the commands lie round it:
-    no further apart over its end than elsewhere.
-    """
-    periodic = _repeats_after_a_turn(machine)
-    axes = []
-    for k, c in enumerate(machine.command):
-        positions = np.unique(command[:, k])
-        low, high, turn = float(positions[0]), float(positions[-1]), False
-        if periodic[k] and len(positions) > 1:
-            over_end = low + FULL_TURN - high
-            turn = bool(
-                over_end <= np.diff(positions).max() * (1.0 + POSITION_TOLERANCE)
-            )
-        if turn:
-            holds_first_turn = low <= 0.0 and high >= FULL_TURN * (
-                1.0 - POSITION_TOLERANCE
-            )
-            low = 0.0 if holds_first_turn else low
-            high = low + FULL_TURN
-        axes.append(GridAxis(c.name, c.unit, low, high, turn))
-    return tuple(axes)
 
 
 def _repeats_after_a_turn(machine: Machine) -> Mask:

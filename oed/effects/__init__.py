@@ -7,7 +7,6 @@ ExpectedEffect    errors by one effect that a model lacks
 ExpectedEffects   errors by all of them
 absorbing_shift   how far the parameters move that absorb effects
 Course            a course that a planned session may take
-draw_courses      courses in pairs of opposite sides
 CourseColumns     changes of planned readings over courses
 PlannedEffects    combinations of effects that planned readings show
 """
@@ -18,7 +17,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.effects.columns import ExpectedColumns
-    from oed.effects.courses import Course, CourseColumns, draw_courses
+    from oed.effects.courses import Course, CourseColumns
     from oed.effects.effect_maps import ActingForm, SessionStates, absorbing_shift
     from oed.effects.planned import PlannedEffects
     from oed.effects.unmodelled import ExpectedEffect, ExpectedEffects

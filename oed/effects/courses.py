@@ -81,37 +81,37 @@ class Course:
             state, motion_sign=sign, travel_since_reversal=travel
         )
 
+    @staticmethod
+    def draw(
+        rows: pd.DataFrame,
+        seconds: float,
+        count: int,
+        rng: np.random.Generator,
+        bodies: Sequence[str] = (),
+        last: int = 0,
+    ) -> list[Course]:
+        """`count` courses of a session, an even number.
 
-def draw_courses(
-    rows: pd.DataFrame,
-    seconds: float,
-    count: int,
-    rng: np.random.Generator,
-    bodies: Sequence[str] = (),
-    last: int = 0,
-) -> list[Course]:
-    """`count` courses of a session, an even number.
-
-    rows     set-up, run and order of each planned reading
-    seconds  that the session lasts
-    bodies   whose temperatures are recorded: they warm by one kelvin
-    last     readings at the end of `rows` that repeat the first ones: these open the
-             session, and they close it
-    """
-    blocks = _places(rows, rng, last)
-    sides = rng.choice([-1.0, 1.0], (count // 2, len(rows)))
-    seeds = rng.integers(2**32, size=count // 2)
-    shifts = rng.permutation(count)
-    courses = []
-    for number, shift in enumerate(shifts):
-        pair, side = number // 2, 1.0 - 2.0 * (number % 2)
-        rank = _ranks(blocks, shift / count)
-        time = seconds * rank / max(len(rows) - 1, 1)
-        course = rows.assign(time=time, direction=side * sides[pair])
-        for body in bodies:
-            course[f"temp_{body}"] = _warm_up(time, seconds, rng)
-        courses.append(Course(course, int(seeds[pair]), side))
-    return courses
+        rows     set-up, run and order of each planned reading
+        seconds  that the session lasts
+        bodies   whose temperatures are recorded: they warm by one kelvin
+        last     readings at the end of `rows` that repeat the first ones: these open the
+                 session, and they close it
+        """
+        blocks = _places(rows, rng, last)
+        sides = rng.choice([-1.0, 1.0], (count // 2, len(rows)))
+        seeds = rng.integers(2**32, size=count // 2)
+        shifts = rng.permutation(count)
+        courses = []
+        for number, shift in enumerate(shifts):
+            pair, side = number // 2, 1.0 - 2.0 * (number % 2)
+            rank = _ranks(blocks, shift / count)
+            time = seconds * rank / max(len(rows) - 1, 1)
+            course = rows.assign(time=time, direction=side * sides[pair])
+            for body in bodies:
+                course[f"temp_{body}"] = _warm_up(time, seconds, rng)
+            courses.append(Course(course, int(seeds[pair]), side))
+        return courses
 
 
 def _places(rows: pd.DataFrame, rng: np.random.Generator, last: int) -> list[Index]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from oed.result import StudyResult
-from pkm_reports.page import Content, Document, build_document
+from pkm_reports.page import Content, Document
 from pkm_reports.sections import comparison_parts
 
 
@@ -23,7 +23,9 @@ def write_report(
     The PDF is a print of at most some four pages; `full`, it has all that the HTML has.
     Returns the paths. As `Document.write`; raises OSError where that does.
     """
-    return build_document(result).write(out, "report", html=html, pdf=pdf, full=full)
+    return Document.of_result(result).write(
+        out, "report", html=html, pdf=pdf, full=full
+    )
 
 
 def write_comparison(

@@ -1,7 +1,6 @@
 """What the page's views show: machine, readings, error map and gap as points.
 
-build_view             the view of a result; None where it has nothing to show
-PageView               its lines, readings, fields and circles
+PageView               of a result: its lines, readings, fields and circles
 ViewLine               a polyline, mm
 ViewLabel              names of parameters at a point, mm
 ViewReading            a reading with its place, values and run
@@ -206,19 +205,19 @@ class PageView:
             .replace(">", "\\u003e")
         )
 
-
-def build_view(result: StudyResult) -> PageView | None:
-    """The views of a result; None where nothing is drawn, or far too much."""
-    drawing = result.drawing
-    if drawing is None or not (drawing.lines or drawing.tool_points):
-        return None
-    if len(drawing.tool_points) > MAX_READINGS:
-        return None
-    lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
-    labels = [ViewLabel(_mm([label.at])[0], label.text) for label in drawing.labels]
-    readings = _readings(result, drawing)
-    shown = circles(result.gap, readings)
-    return PageView(lines, labels, readings, _fields(result), shown)
+    @staticmethod
+    def of_result(result: StudyResult) -> PageView | None:
+        """The views of a result; None where nothing is drawn, or far too much."""
+        drawing = result.drawing
+        if drawing is None or not (drawing.lines or drawing.tool_points):
+            return None
+        if len(drawing.tool_points) > MAX_READINGS:
+            return None
+        lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
+        labels = [ViewLabel(_mm([label.at])[0], label.text) for label in drawing.labels]
+        readings = _readings(result, drawing)
+        shown = circles(result.gap, readings)
+        return PageView(lines, labels, readings, _fields(result), shown)
 
 
 # -- readings --------------------------------------------------------------------------

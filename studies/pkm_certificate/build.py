@@ -26,7 +26,7 @@ from pkm_certificate.statement import (
     Conformity,
 )
 from pkm_studies import quantities
-from pkm_studies.acceptance import PromisedAccuracy, covariances, promised_accuracy
+from pkm_studies.acceptance import PromisedAccuracy, covariances
 from pkm_studies.base import InputError, Location
 from pkm_studies.compensation import result_study
 from pkm_studies.earlier_result import corrects_effects, mixture_of
@@ -72,7 +72,7 @@ def certificate(
     Raises InputError for a result that certifies no machine, and for unknown names.
     """
     section = _estimate(result, file)
-    promised = promised_accuracy(result, study, file, {}, {})
+    promised = PromisedAccuracy.of_result(result, study, file, {}, {})
     machine = promised.machine
     names = [name for name, p in section.parameters.items() if _counts(name, p.sd)]
     indices = [machine.index(name) for name in names]

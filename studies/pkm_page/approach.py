@@ -15,7 +15,7 @@ from oed.model import Machine
 from pkm_page import rows
 from pkm_page.readings_log import FileContent
 from pkm_studies.base import InputError
-from pkm_studies.resolve import gap_request
+from pkm_studies.resolve import GapRequest
 from pkm_studies.study import Study
 
 DIRECTION: Final = "direction"
@@ -48,7 +48,7 @@ class Approach:
 
 def effects_of_direction(study: Study, machine: Machine) -> tuple[str, ...]:
     """Effects that a diagnosis of the study tries and that need both directions."""
-    tried = gap_request(study, machine).effects
+    tried = GapRequest.of_study(study, machine).effects
     needing = [e for e in tried if BOTH in e.needs]
     return tuple(e.name for e in needing if e.unfit(machine) is None)
 

@@ -20,7 +20,7 @@ from pkm_page import approach, doubts, rows
 from pkm_page.readings_log import REMARK, FileContent
 from pkm_page.session import MachineSession, Pose, SessionState
 from pkm_reports import text
-from pkm_reports.view import PageView, ViewReading, build_view, residuals_of_readings
+from pkm_reports.view import PageView, ViewReading, residuals_of_readings
 from pkm_studies import describe
 from pkm_studies.sessions import Advice, Adviser, FittedReadings, reading_of
 from pkm_studies.stages import estimate_section
@@ -483,7 +483,7 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
     result = msgspec.structs.replace(
         session.adviser.base.result, drawing=drawing, setups=setups
     )
-    shown = build_view(result)
+    shown = PageView.of_result(result)
     if shown is None or state.fitted is None or state.pose is None:
         return shown
     return dataclasses.replace(shown, readings=_add_residuals(result, sections, shown))

@@ -2,7 +2,6 @@
 
 Content                 title, first page, chapters and appendix of a document
 Document                such a document with its blocks numbered
-build_document          the document of a result
 script_digest           digest of the page's script, for its content policy
 write_sheet             the sheet that the operator fills in
 write_adjustment_page   what to adjust at the machine, as PDF
@@ -13,12 +12,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_reports.page.document import (
-        Content,
-        Document,
-        build_document,
-        script_digest,
-    )
+    from pkm_reports.page.document import Content, Document, script_digest
     from pkm_reports.page.sheet import write_adjustment_page, write_sheet
 else:
     __getattr__ = door(__name__)

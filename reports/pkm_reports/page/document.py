@@ -38,7 +38,7 @@ from pkm_reports.blocks import (
     TableColumn,
 )
 from pkm_reports.style import Image
-from pkm_reports.view import PageView, build_view
+from pkm_reports.view import PageView
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -208,20 +208,20 @@ class Document:
         out.mkdir(parents=True, exist_ok=True)
         return tuple(write_own(out / file, page) for file, page in pages.items())
 
-
-def build_document(result: StudyResult) -> Document:
-    """All text, tables and pictures of a result."""
-    content = Content(
-        title=result.title or result.study,
-        question=result.question,
-        study=result.study,
-        machine=result.machine.name,
-        foot=footer(result),
-        answer=sections.answer_parts(result),
-        chapters=sections.chapters(result),
-        appendix=sections.appendix(result),
-    )
-    return Document(content, build_view(result))
+    @staticmethod
+    def of_result(result: StudyResult) -> Document:
+        """All text, tables and pictures of a result."""
+        content = Content(
+            title=result.title or result.study,
+            question=result.question,
+            study=result.study,
+            machine=result.machine.name,
+            foot=footer(result),
+            answer=sections.answer_parts(result),
+            chapters=sections.chapters(result),
+            appendix=sections.appendix(result),
+        )
+        return Document(content, PageView.of_result(result))
 
 
 def _page(content: Content, numbering: Numbering) -> Page:

@@ -1,7 +1,6 @@
 """The acceptance test of a compensated machine: promise, plan, judgement of its readings.
 
 PromisedAccuracy   errors that a result promises over the workspace, with covariances
-promised_accuracy  the promise of a stored result
 covariances        covariance of its parameters and of their tolerances, SI
 plan_folder        plans the test of a result's folder, and writes the file to fill in
 plan_sentences     what the plan demands, and how sure it is
@@ -17,11 +16,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from pkm_studies.acceptance.promise import (
-        PromisedAccuracy,
-        covariances,
-        promised_accuracy,
-    )
+    from pkm_studies.acceptance.promise import PromisedAccuracy, covariances
     from pkm_studies.acceptance.verification import (
         ACCEPTANCE_FILE,
         check_folder,

@@ -65,73 +65,78 @@ class PromisedAccuracy:
     conditions: tuple[str, ...]
     further: FurtherPromise | None = None
 
+    @classmethod
+    def of_result(
+        cls,
+        result: StudyResult,
+        study: Study,
+        file: str,
+        promised: Mapping[str, float],
+        uncertainty: Mapping[str, float],
+    ) -> PromisedAccuracy:
+        """The promise of a result for the components that the controller corrects.
 
-def promised_accuracy(
-    result: StudyResult,
-    study: Study,
-    file: str,
-    promised: Mapping[str, float],
-    uncertainty: Mapping[str, float],
-) -> PromisedAccuracy:
-    """The promise of a result for the components that the controller corrects.
+        promised     rms errors by component, SI, in place of the predicted ones
+        uncertainty  of one measured error by component, SI
 
-    promised     rms errors by component, SI, in place of the predicted ones
-    uncertainty  of one measured error by component, SI
+        Raises InputError where the result has no estimate with its covariance.
+        """
+        section = _estimate(result, file)
+        kinematics = study_kinematics(study)
+        machine = kinematics.machine
+        workspace = regular_commands(study, kinematics)
+        table = study.prediction
+        reference: Reference = "home" if table is None else table.reference
+        command = _add_poses_between(kinematics, workspace, reference)
+        maps = ErrorMaps.of(kinematics, command, reference)
+        covariance, tolerance = covariances(machine, section)
+        varying = _varying(maps, covariance)
+        driven = [k for k in varying if machine.components[k].compensatable]
+        uncertainty_by_name = {
+            **_instrument_uncertainty(result, machine, reference),
+            **uncertainty,
+        }
+        zeroed = reference == "home"
+        smooth = smooth_functions(command, machine.home_command if zeroed else None)
 
-    Raises InputError where the result has no estimate with its covariance.
-    """
-    section = _estimate(result, file)
-    kinematics = study_kinematics(study)
-    machine = kinematics.machine
-    workspace = regular_commands(study, kinematics)
-    table = study.prediction
-    reference: Reference = "home" if table is None else table.reference
-    command = _add_poses_between(kinematics, workspace, reference)
-    maps = ErrorMaps.of(kinematics, command, reference)
-    covariance, tolerance = covariances(machine, section)
-    varying = _varying(maps, covariance)
-    driven = [k for k in varying if machine.components[k].compensatable]
-    uncertainty_by_name = {
-        **_instrument_uncertainty(result, machine, reference),
-        **uncertainty,
-    }
-    zeroed = reference == "home"
-    smooth = smooth_functions(command, machine.home_command if zeroed else None)
+        def promise(chosen: list[int]) -> Promise:
+            """The promise for some components."""
+            names = tuple(machine.components[k].name for k in chosen)
+            slope = maps.raw[:, chosen]
+            rms = promised_rms(
+                result, machine, slope[: len(workspace)], chosen, covariance
+            )
+            rms = np.array(
+                [promised.get(n, r) for n, r in zip(names, rms, strict=True)]
+            )
+            shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
+            uncertainty_shares = [
+                uncertainty_by_name.get(name, share) for name, share in shares
+            ]
+            return Promise(
+                names,
+                slope,
+                [covariance, tolerance],
+                rms,
+                np.array(uncertainty_shares),
+                zeroed=zeroed,
+                smooth=smooth,
+                workspace=len(workspace),
+            )
 
-    def promise(chosen: list[int]) -> Promise:
-        """The promise for some components."""
-        names = tuple(machine.components[k].name for k in chosen)
-        slope = maps.raw[:, chosen]
-        rms = promised_rms(result, machine, slope[: len(workspace)], chosen, covariance)
-        rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
-        shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
-        uncertainty_shares = [
-            uncertainty_by_name.get(name, share) for name, share in shares
-        ]
-        return Promise(
-            names,
-            slope,
-            [covariance, tolerance],
-            rms,
-            np.array(uncertainty_shares),
-            zeroed=zeroed,
-            smooth=smooth,
-            workspace=len(workspace),
+        others = [k for k in varying if k not in driven]
+        components = tuple(machine.components[k] for k in driven)
+        every = [machine.components[k].name for k in varying]
+        assumed = [name for name in every if name not in uncertainty_by_name]
+        return cls(
+            machine=machine,
+            command=command,
+            promise=promise(driven),
+            components=components,
+            reference=reference,
+            conditions=(*_conditions(result), *_assumed_uncertainty(assumed)),
+            further=_further(result, kinematics, maps, reference, others, promise),
         )
-
-    others = [k for k in varying if k not in driven]
-    components = tuple(machine.components[k] for k in driven)
-    every = [machine.components[k].name for k in varying]
-    assumed = [name for name in every if name not in uncertainty_by_name]
-    return PromisedAccuracy(
-        machine=machine,
-        command=command,
-        promise=promise(driven),
-        components=components,
-        reference=reference,
-        conditions=(*_conditions(result), *_assumed_uncertainty(assumed)),
-        further=_further(result, kinematics, maps, reference, others, promise),
-    )
 
 
 def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSection:

@@ -33,18 +33,14 @@ from oed.result import (
 )
 from oed.text import format_p_value, rounded
 from pkm_studies import csv_table, describe, files, result_folder
-from pkm_studies.acceptance.promise import (
-    FurtherPromise,
-    PromisedAccuracy,
-    promised_accuracy,
-)
+from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.base import InputError, Location, Silent, Stream
 from pkm_studies.compensation import result_study
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.quantities import component_values
 from pkm_studies.resolve import readings_comments, study_machine
 from pkm_studies.results import load_result, refuse_bad_fit
-from pkm_studies.stages import compensated_series, measured_curves, start
+from pkm_studies.stages import RunState, compensated_series, measured_curves
 from pkm_studies.user_code import Consent
 
 # Compares readings along runs of the compensated machine with their prediction.
@@ -94,7 +90,7 @@ def check_folder(
         )
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
-    state = start(study, None, Silent(), [readings])
+    state = RunState.start(study, None, Silent(), [readings])
     data = state.resolved.dataset
     if data is None:
         raise location.error(
@@ -535,7 +531,7 @@ def plan_folder(
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = study_machine(study)
-    accuracy = promised_accuracy(
+    accuracy = PromisedAccuracy.of_result(
         result,
         study,
         str(folder / "result.json"),

@@ -15,7 +15,6 @@ from oed.compensate import (
     FurtherAxes,
     GridAxis,
     InterpolationTable,
-    box_axes,
     joint_corrections,
     joint_motion,
 )
@@ -192,7 +191,9 @@ def forecast_corrections(
         for name, places in section.places.items()
     ]
     command = grid_nodes(tuple(knots))
-    turns = {axis.name: axis.turn for axis in box_axes(kinematics.machine, command)}
+    turns = {
+        axis.name: axis.turn for axis in GridAxis.of_box(kinematics.machine, command)
+    }
     counts = [len(places) for places in knots]
     table = InterpolationTable(
         tuple(turns),

@@ -14,7 +14,6 @@ CommandRanges                lower and upper ends of each command, by set-up
 PlanRequest                  what [plan] means to the kernel
 PredictionRequest            what [prediction] means to the kernel
 GapRequest                   what [gap] means to the kernel
-gap_request                  what [gap] means, or its defaults
 ActingEffect                 an effect of the virtual machine
 GapDesignRequest             what [gap.design] means to the kernel
 PASS_SUFFIX                  how a run's name ends in that of its pass
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
         ActingEffect,
         GapDesignRequest,
         GapRequest,
-        gap_request,
     )
     from pkm_studies.resolve.grids import Circles, reference_command
     from pkm_studies.resolve.machine import (

@@ -248,13 +248,13 @@ class GapRequest:
 
         Temperatures of `bodies` are recorded; `last` readings repeat the first ones.
         """
-        from oed.effects import draw_courses
+        from oed.effects import Course
 
         parted = [s.separate_poses() for s in series]
         empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
         rows = dataset.from_series(parted, empty, measurement, None).covariates
         lasting = SESSION_SECONDS if seconds is None else seconds
-        courses = draw_courses(rows, lasting, DRAWN_COURSES, rng, bodies, last)
+        courses = Course.draw(rows, lasting, DRAWN_COURSES, rng, bodies, last)
         problem = gap.assemble(
             measurement, parted, courses[0].covariates, gravity=self.gravity
         )
@@ -304,36 +304,36 @@ class GapRequest:
             covariates[f"temp_{body}"] = warming.rise * share
         return covariates
 
+    @classmethod
+    def of_study(cls, study: Study, machine: Machine) -> GapRequest:
+        """What [gap] requests, or its defaults without the table.
+
+        Raises InputError for unknown effects and constants, and for gravity of length 0.
+        """
+        table = GapTable() if study.gap is None else study.gap
+        location = study.location.key("gap")
+        if not np.linalg.norm(table.gravity) > 0.0:
+            raise location.key("gravity").error(
+                "gravity has no direction", "give where it pulls: [0, 0, -1]"
+            )
+        acting = [
+            _acting_effect(study, entry, machine, location.key("acting").item(i))
+            for i, entry in enumerate(table.acting)
+        ]
+        return cls(
+            effects=_tried_effects(study, table, location),
+            gravity=table.gravity,
+            acting=tuple(acting),
+            conditions=table.conditions,
+        )
+
 
 def stated_request(study: Study, machine: Machine) -> GapRequest | None:
-    """What [gap] requests; None without the table. Raises InputError as `gap_request`."""
+    """What [gap] requests; None without the table. Raises InputError as `GapRequest.of_study`."""
     if study.gap is None:
         check_sizes(study, ())
         return None
-    return gap_request(study, machine)
-
-
-def gap_request(study: Study, machine: Machine) -> GapRequest:
-    """What [gap] requests, or its defaults without the table.
-
-    Raises InputError for unknown effects and constants, and for gravity of length 0.
-    """
-    table = GapTable() if study.gap is None else study.gap
-    location = study.location.key("gap")
-    if not np.linalg.norm(table.gravity) > 0.0:
-        raise location.key("gravity").error(
-            "gravity has no direction", "give where it pulls: [0, 0, -1]"
-        )
-    acting = [
-        _acting_effect(study, entry, machine, location.key("acting").item(i))
-        for i, entry in enumerate(table.acting)
-    ]
-    return GapRequest(
-        effects=_tried_effects(study, table, location),
-        gravity=table.gravity,
-        acting=tuple(acting),
-        conditions=table.conditions,
-    )
+    return GapRequest.of_study(study, machine)
 
 
 def _tried_effects(

@@ -19,7 +19,7 @@ from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids
-from pkm_studies.resolve.gap import NO_EFFECTS, PLAN, gap_request
+from pkm_studies.resolve.gap import NO_EFFECTS, PLAN, GapRequest
 from pkm_studies.resolve.machine import known_name
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
@@ -168,7 +168,7 @@ def _effects(
         for measured, field in tables.values()
         for name in measured.mounted
     ]
-    return gap_request(study, measurement.machine).planned_effects(
+    return GapRequest.of_study(study, measurement.machine).planned_effects(
         measurement,
         series,
         table.effects,

@@ -12,7 +12,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, grid_nodes
-from oed.compensate import GridAxis, box_axes
+from oed.compensate import GridAxis
 from oed.dataset import MAX_NUMBER, ReadingsColumn
 from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Machine
@@ -176,8 +176,8 @@ def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
     """
     prediction = prediction_request(study, machine)
     if prediction is None:
-        return box_axes(machine, _lattice(machine))
-    axes = box_axes(machine, prediction.command)
+        return GridAxis.of_box(machine, _lattice(machine))
+    axes = GridAxis.of_box(machine, prediction.command)
     if prediction.table.reference != "home":
         return axes
     pairs = zip(axes, machine.home_command, strict=True)

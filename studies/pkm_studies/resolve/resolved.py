@@ -46,7 +46,6 @@ from pkm_studies.resolve.gap import (
     GapRequest,
     effect_with_sizes,
     gap_design_request,
-    gap_request,
     stated_request,
 )
 from pkm_studies.resolve.grids import Circles, ReferencePlan
@@ -590,7 +589,7 @@ class ResolvedStudy:
     @property
     def gap_or_default(self) -> GapRequest:
         """What [gap] requests, or its defaults without the table. Raises InputError."""
-        return self.gap or gap_request(self.study, self.machine)
+        return self.gap or GapRequest.of_study(self.study, self.machine)
 
     @property
     def diagnosed(self) -> GapRequest:

@@ -15,7 +15,7 @@ from oed.base import Array
 from oed.history import MachineSessions, SessionDrift
 from oed.result import CorrectedSection, EstimateSection, ParameterEstimate, StudyResult
 from pkm_studies import files
-from pkm_studies.acceptance import promised_accuracy
+from pkm_studies.acceptance import PromisedAccuracy
 from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
 from pkm_studies.quantities import component_values
@@ -345,7 +345,9 @@ def _errors(
     """
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder, study_file, consent)
-    accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
+    accuracy = PromisedAccuracy.of_result(
+        latest, study, str(folder / "result.json"), {}, {}
+    )
     component_limits = component_values(limits, "--limit", accuracy.machine)
     columns = [accuracy.machine.index(name) for name in shown]
     factors = np.array([units.factor(unit) for unit in shown.values()])

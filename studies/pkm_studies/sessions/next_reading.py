@@ -39,7 +39,6 @@ from pkm_studies.stages import (
     estimate_section,
     explain_error,
     select_design,
-    start,
 )
 from pkm_studies.study import Study
 
@@ -206,7 +205,7 @@ class Adviser:
     """
 
     def __init__(self, study: Study, wanted: str = "") -> None:
-        self.base = start(study, None, Silent(), [])
+        self.base = RunState.start(study, None, Silent(), [])
         if not self.base.resolved.candidates:
             raise study.location.key("design").error(
                 "the study has no candidates to choose the next reading from",

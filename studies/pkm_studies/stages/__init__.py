@@ -9,7 +9,6 @@ RunState            what was asked for, and the result so far
 Scheduled           a run whose readings are known, planned or taken
 Measured            a run whose readings have values
 Fitted              a run whose readings are fitted
-start               the state before the first step
 written             a section of the result, or an error that says why there is none
 designed            the state with the chosen design
 planned             the state with the plan of stages
@@ -77,7 +76,6 @@ if TYPE_CHECKING:
         Measured,
         RunState,
         Scheduled,
-        start,
         written,
     )
 else:

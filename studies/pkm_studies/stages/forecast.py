@@ -12,11 +12,7 @@ from msgspec.structs import replace
 from oed import csv_text, units
 from oed.accuracy import driven_errors
 from oed.base import Array, grid_nodes
-from oed.compensate import (
-    GridAxis,
-    box_axes,
-    commands_of_added,
-)
+from oed.compensate import GridAxis, commands_of_added
 from oed.dataset import commented
 from oed.forecast import JointErrors
 from oed.instrument import Setup
@@ -181,7 +177,7 @@ def forecast_task(
             )
         )
     kinematics = resolved.measurement.kinematics
-    axes = box_axes(kinematics.machine, where.command)
+    axes = GridAxis.of_box(kinematics.machine, where.command)
     spread = np.zeros((len(kinematics.machine.parameters), 0))
     if knowledge is not None:
         values, vectors = np.linalg.eigh(knowledge.covariance)

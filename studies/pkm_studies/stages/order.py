@@ -54,7 +54,6 @@ from pkm_studies.stages.run_state import (
     RunState,
     Scheduled,
     promote,
-    start,
 )
 from pkm_studies.study import Study
 
@@ -109,7 +108,7 @@ def designed(study: Study, seed: int | None) -> Scheduled:
 
     Raises InputError where the study has no candidates.
     """
-    state = select_design(start(study, seed, Silent(), []))
+    state = select_design(RunState.start(study, seed, Silent(), []))
     if state.design is None:
         raise study.location.key("design").error(
             "the study has no candidates to choose from", "add [[design.candidates]]"
@@ -122,7 +121,7 @@ def recorded(study: Study, files: Sequence[Path] | None) -> Measured:
 
     Raises InputError where the study names none.
     """
-    state = start(study, None, Silent(), files)
+    state = RunState.start(study, None, Silent(), files)
     data = state.resolved.dataset
     if data is None:
         raise study.location.key("readings").error(
@@ -145,7 +144,7 @@ def simulated(source: Study | RunState) -> Measured:
 
 def planned_state(study: Study, seed: int | None) -> RunState:
     """The state with what the study plans, design or stages, and no readings."""
-    return plan_stages(select_design(start(study, seed, Silent(), [])))
+    return plan_stages(select_design(RunState.start(study, seed, Silent(), [])))
 
 
 class VirtualFit(NamedTuple):
@@ -188,7 +187,7 @@ def planned(
     study: Study, after: Path | None, seed: int | None, progress: Progress
 ) -> Scheduled:
     """The state of a run with the plan of stages. Raises InputError as a run of it."""
-    state = start(study, seed, progress, [])
+    state = RunState.start(study, seed, progress, [])
     request = state.resolved.plan
     if request is None:
         raise (

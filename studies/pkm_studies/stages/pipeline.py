@@ -30,7 +30,7 @@ from pkm_studies.stages.forecast import forecast_errors
 from pkm_studies.stages.plan.plan import PlanOutcome
 from pkm_studies.stages.plan.task import stored_knowledge
 from pkm_studies.stages.readings import planned_series, simulate_readings
-from pkm_studies.stages.run_state import Fitted, RunState, Scheduled, start
+from pkm_studies.stages.run_state import Fitted, RunState, Scheduled
 from pkm_studies.study import Study
 
 # Files of a plan: stages as CSV, commanded poses with their joints as JSON.
@@ -324,7 +324,7 @@ def run_study(
     """
     if _asks_for_forecast_alone(study) and not readings:
         return forecast_study(study, out, seed=seed, progress=progress)
-    state = start(study, seed, progress or Silent(), readings)
+    state = RunState.start(study, seed, progress or Silent(), readings)
     state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
     checkpoint = posterior_checkpoint(out, study, state.seed)
@@ -350,7 +350,7 @@ def diagnose_study(
     `after` is the folder of an earlier diagnosis: its readings count as well. Raises
     InputError where there are no readings.
     """
-    state = start(study, seed, progress or Silent(), readings)
+    state = RunState.start(study, seed, progress or Silent(), readings)
     state = add_sessions(state, readings, after)
     recorded = state.resolved.dataset is not None
     if not recorded and study.readings is None:
@@ -394,7 +394,7 @@ def forecast_study(
     misstates, or the file of nodes.
     """
     result_folder.prepare(out)
-    state = start(study, seed, progress or Silent(), [])
+    state = RunState.start(study, seed, progress or Silent(), [])
     if not (out / result_folder.RESULT).is_file():
         state = forecast_errors(state, None, readings)
         return _finish(state, out, report=True, sections=FORECAST_SECTIONS)

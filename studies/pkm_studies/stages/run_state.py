@@ -133,6 +133,23 @@ class RunState:
         """The state after a step that leaves out a section of the result, for a reason."""
         return self.replace(withheld={**self.withheld, name: reason})
 
+    @staticmethod
+    def start(
+        study: Study,
+        seed: int | None,
+        progress: Progress,
+        readings: Sequence[Path] | None,
+    ) -> RunState:
+        """The state before the first step. Raises InputError for what the study misstates.
+
+        `readings` replace those that the study names; with an empty list, none are read.
+        """
+        started = time.perf_counter()
+        progress.stage("set-up")
+        resolved = resolve(study, readings=readings)
+        state = state_of(resolved, study.seed if seed is None else seed, progress)
+        return state.replace(started=started, readings_given=bool(readings))
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Scheduled(RunState):
@@ -247,20 +264,6 @@ def promote(stage: type[StateT], state: RunState, **values: Any) -> StateT:
     """The state at a later stage: with the values that this stage adds or replaces."""
     fields = {f.name: getattr(state, f.name) for f in dataclasses.fields(state)}
     return stage(**{**fields, **values})
-
-
-def start(
-    study: Study, seed: int | None, progress: Progress, readings: Sequence[Path] | None
-) -> RunState:
-    """The state before the first step. Raises InputError for what the study misstates.
-
-    `readings` replace those that the study names; with an empty list, none are read.
-    """
-    started = time.perf_counter()
-    progress.stage("set-up")
-    resolved = resolve(study, readings=readings)
-    state = state_of(resolved, study.seed if seed is None else seed, progress)
-    return state.replace(started=started, readings_given=bool(readings))
 
 
 def state_of(resolved: ResolvedStudy, seed: int, progress: Progress) -> RunState:

@@ -7,7 +7,7 @@ import pytest
 from shipped_models import a3_head, hexapod
 
 from oed.compensate import InterpolationTable
-from oed.compensate.command_grid import CommandGrid, GridAxis, box_axes, joint_motion
+from oed.compensate.command_grid import CommandGrid, GridAxis, joint_motion
 from oed.mechanism import Kinematics
 
 #: rms of u (1 - u) / 2 over an interval: what a parabola of curvature 1 loses
@@ -86,7 +86,7 @@ def test_the_box_of_commands_closes_a_turn_that_they_go_round() -> None:
 
     def psi(places: np.ndarray) -> tuple[float, float, bool]:
         command = np.array([(1.1, p, t) for p in places for t in (0.1, 0.4)])
-        axis = box_axes(machine, command)[1]
+        axis = GridAxis.of_box(machine, command)[1]
         return axis.lower, axis.upper, axis.turn
 
     twelve = np.arange(12) * TURN / 12.0
@@ -97,7 +97,7 @@ def test_the_box_of_commands_closes_a_turn_that_they_go_round() -> None:
     # turns about fixed axes do not come back to the same controlled quantities
     corners = np.array([c.upper for c in hexapod.machine.command])
     lattice = np.stack([-corners, 0.0 * corners, corners])
-    assert not any(axis.turn for axis in box_axes(hexapod.machine, lattice))
+    assert not any(axis.turn for axis in GridAxis.of_box(hexapod.machine, lattice))
 
 
 def test_a_table_may_reach_further_than_its_errors_count() -> None:

@@ -24,7 +24,7 @@ from kernel.warm_head import (
     travel_sense,
 )
 from oed import compensate
-from oed.compensate import box_axes
+from oed.compensate import GridAxis
 from oed.corrected import CorrectedEstimate, EffectReadings
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement
@@ -229,7 +229,7 @@ def test_tables_are_as_fine_as_the_growth_of_the_leg_needs(
     """The leg grows with its joint's length; play is almost the same everywhere."""
     _, s = measured
     command = a3_plans.workspace()
-    axes = box_axes(s.corrected.readings.measurement.machine, command)
+    axes = GridAxis.of_box(s.corrected.readings.measurement.machine, command)
     tables, missing = effect_tables(s.corrected, command, axes, None)
     assert missing == {}
     warm, play = sorted(tables, key=lambda t: t.state, reverse=True)

@@ -31,7 +31,7 @@ from oed.instrument import Instrument, Setup
 from oed.measurement import draw_parameters, draw_readings
 from pkm_studies import catalogue
 from pkm_studies import study as studies
-from pkm_studies.resolve import gap_request, machine
+from pkm_studies.resolve import GapRequest, machine
 
 
 def _problem(
@@ -134,7 +134,7 @@ def test_only_what_the_set_ups_can_have_is_tried(
         encoding="utf-8",
     )
     study = studies.load(path)
-    request = gap_request(study, machine.study_machine(study))
+    request = GapRequest.of_study(study, machine.study_machine(study))
     offered = {e.name for e in request.effects} & set(REFERENCES)
     assert (
         offered

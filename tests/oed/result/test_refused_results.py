@@ -15,7 +15,7 @@ from oed.result import StudyResult
 from oed.result.agreement import breaches, value_breaches
 from pkm_reports import sections
 from pkm_reports.sections import answer_parts
-from pkm_reports.view import build_view
+from pkm_reports.view import PageView
 from pkm_studies import catalogue
 from pkm_studies.commands import main
 
@@ -135,4 +135,4 @@ def test_what_is_not_refused_can_be_shown(draw: st.DataObject) -> None:
         answer_parts(result)
         sections.chapters(result)
         sections.appendix(result)
-        build_view(result)
+        PageView.of_result(result)

@@ -20,7 +20,7 @@ from oed import safe_files
 from oed.result import StudyResult
 from pkm_reports import sections, style, write_report
 from pkm_reports.blocks import Paragraph, Picture
-from pkm_reports.page import build_document, document
+from pkm_reports.page import Document, document
 from pkm_studies import result_folder
 from pkm_studies.results import load_result
 
@@ -183,10 +183,10 @@ def test_the_same_result_gives_the_same_page(
 def test_users_settings_change_nothing(tmp_path: Path) -> None:
     drawing = report_fixture.sample()["drawing"]
     drawn = result_of(report_fixture.bare() | {"drawing": drawing})
-    expected = build_document(drawn).html()
+    expected = Document.of_result(drawn).html()
     settings = {"font.size": 30.0, "axes.grid": False, "text.usetex": False}
     with matplotlib.style.context(settings):
-        assert build_document(drawn).html() == expected
+        assert Document.of_result(drawn).html() == expected
 
 
 def test_a_failed_write_leaves_the_old_report(
@@ -220,7 +220,7 @@ def test_a_report_needs_no_optional_section(tmp_path: Path) -> None:
 def test_a_result_of_an_older_version_lacks_a_key(missing: str) -> None:
     raw = report_fixture.bare()
     raw.pop(missing, None)
-    report = build_document(result_of(raw))
+    report = Document.of_result(result_of(raw))
     assert report.pdf().startswith(b"%PDF")
 
 
@@ -320,7 +320,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(
         return report_fixture.sketched(picture)
 
     monkeypatch.setattr(document, "drawn_image", sketch)
-    report = build_document(result_of(report_fixture.sample()))
+    report = Document.of_result(result_of(report_fixture.sample()))
     report.pdf()
     printed = [
         block.name
@@ -337,7 +337,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(
 def test_the_print_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """At most 4 pages for all that a study can ask, in order; in full more."""
     monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
-    report = build_document(result_of(report_fixture.sample()))
+    report = Document.of_result(result_of(report_fixture.sample()))
     pages = [
         max(int(n) for n in re.findall(rb"/Count (\d+)", report.pdf(full=full)))
         for full in (False, True)

@@ -15,11 +15,11 @@ from sketches import Sketches
 
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
-from pkm_reports.page import build_document, document
+from pkm_reports.page import Document, document
 from pkm_reports.sections import gap as chapter
 from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
-from pkm_studies.stages import start
+from pkm_studies.stages import RunState
 from pkm_studies.stages.gap.diagnosis import gap_section
 from pkm_studies.study import load
 
@@ -30,9 +30,17 @@ pytestmark = pytest.mark.pictures
 def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
     """The gap of the diagnosis by hand, as it comes back from result.json."""
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
-    diagnosis = gap_fixture.diagnosis(gap_fixture.problem(path))
-    effects = start(load(path), 3, Silent(), None).resolved.gap.effects
-    section = gap_section(diagnosis, effects)
+    state = RunState.start(load(path), 3, Silent(), None)
+    readings = simulate_readings(state, planned_series(state)).readings
+    residuals = assemble(
+        state.measurement,
+        readings.series,
+        readings.covariates,
+        readings.truth,
+        readings.y,
+    )
+    diagnosis = gap_fixture.diagnosis(residuals)
+    section = gap_section(diagnosis, state.resolved.gap.effects)
     return msgspec.json.decode(msgspec.json.encode(section), type=GapSection)
 
 
@@ -80,7 +88,7 @@ def test_every_verdict_has_a_page(
     section = replace(gap, verdict=verdict)
     if verdict in ("none", "unknown"):
         section = _without_effects(section)
-    report = build_document(_result(section))
+    report = Document.of_result(_result(section))
     page = report.html()
     assert page.rstrip().endswith(b"</html>")
     assert report.pdf().startswith(b"%PDF")
@@ -125,7 +133,7 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap: GapSection) -> None:
         "confusable",
     )
     old = {key: stored[key] for key in contract}
-    assert build_document(_result(old)).pdf().startswith(b"%PDF")
+    assert Document.of_result(_result(old)).pdf().startswith(b"%PDF")
 
 
 # -- tables ----------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from report_fixture import check_box, result_of, shown_text
 from oed.result import PlannedReading, PlanSection, StudyResult
 from pkm_reports import sections, style, write_sheet
 from pkm_reports.blocks import Paragraph, Picture
-from pkm_reports.page import build_document, sheet
+from pkm_reports.page import Document, sheet
 from pkm_reports.sections import stages
 
 pytestmark = pytest.mark.pictures
@@ -189,7 +189,7 @@ def _check(result: StudyResult, *, draw: bool) -> None:
     ]
     assert not {"nan", "None"} & set(re.findall(r"\w+", " ".join(texts)))
     if draw:
-        assert build_document(result).pdf().startswith(b"%PDF")
+        assert Document.of_result(result).pdf().startswith(b"%PDF")
 
 
 def test_names_are_never_markup(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
     plan["alternatives"][0] |= {"names": [NASTY], "why": NASTY}
     plan["compared"][0] |= {"name": NASTY, "words": NASTY}
     result = replace(_small(plan), title=NASTY)
-    report = build_document(result)
+    report = Document.of_result(result)
     page = report.html().decode()
     assert "<b>&" not in page
     assert page.count("</script>") == 1

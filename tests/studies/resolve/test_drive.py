@@ -7,7 +7,7 @@ import pytest
 
 from pkm_studies import stages
 from pkm_studies.base import InputError
-from pkm_studies.resolve import gap_request, resolve, study_machine
+from pkm_studies.resolve import GapRequest, resolve, study_machine
 from pkm_studies.study import Study, load
 
 STUDY = """\
@@ -56,21 +56,23 @@ def test_wheels_turn_as_the_drive_states(
 ) -> None:
     """The wheel at the joint, then each further stage."""
     arm = study(tmp_path, drive)
-    effects = {e.name: e for e in gap_request(arm, study_machine(arm)).effects}
+    effects = {e.name: e for e in GapRequest.of_study(arm, study_machine(arm)).effects}
     assert effects["gear_eccentricity"].constants == {"ratio": ratios}
     assert resolve(arm, readings=()).machine.drive in drive
 
 
 def test_a_drive_without_numbers_tries_usual_ones(tmp_path: Path) -> None:
     arm = study(tmp_path, 'drive = { kind = "gear" }')
-    effects = {e.name: e for e in gap_request(arm, study_machine(arm)).effects}
+    effects = {e.name: e for e in GapRequest.of_study(arm, study_machine(arm)).effects}
     assert len(effects["gear_eccentricity"].constants["ratio"]) > 5
 
 
 def test_the_lead_of_a_screw(tmp_path: Path) -> None:
     text = 'drive = { kind = "screw", lead_mm = 7 }'
     head = study(tmp_path, text, "planar_2dof", "rm5")
-    effects = {e.name: e for e in gap_request(head, study_machine(head)).effects}
+    effects = {
+        e.name: e for e in GapRequest.of_study(head, study_machine(head)).effects
+    }
     assert effects["screw_cyclic"].constants["pitch"] == pytest.approx((7e-3,))
 
 

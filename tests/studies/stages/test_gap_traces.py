@@ -7,12 +7,24 @@ import gap_fixture
 import numpy as np
 import pytest
 
-from oed.gap import Diagnosis
+from oed.gap import Diagnosis, assemble
+from pkm_studies.base import Silent
+from pkm_studies.stages import RunState
 from pkm_studies.stages.fit import run_curves
 
 
 def _diagnosed(tmp_path: Path) -> Diagnosis:
-    return gap_fixture.diagnosis(gap_fixture.problem(gap_fixture.written(tmp_path)))
+    path = gap_fixture.written(tmp_path)
+    state = RunState.start(load(path), 3, Silent(), None)
+    readings = simulate_readings(state, planned_series(state)).readings
+    residuals = assemble(
+        state.measurement,
+        readings.series,
+        readings.covariates,
+        readings.truth,
+        readings.y,
+    )
+    return gap_fixture.diagnosis(residuals)
 
 
 def test_traces_are_circles_both_ways(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from oed.measurement import Measurement, Series
 from oed.result import RunCurve, breaches
 from oed.units import to_si
 from pkm_reports import style
-from pkm_reports.page import build_document
+from pkm_reports.page import Document
 from pkm_reports.sections import identification
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
@@ -115,7 +115,7 @@ def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
     raw["estimate"]["runs"] = msgspec.to_builtins([unknown])
     with pytest.raises(msgspec.ValidationError, match="kind"):
         result_of(raw)
-    report = build_document(result)
+    report = Document.of_result(result)
     assert report.page.sections  # draws
     assert "run_curves" in report.images
     with style.applied():

@@ -14,7 +14,7 @@ from oed.base import Array
 from oed.design import CRITERIA, Criterion
 from oed.result import CriterionComparison, PlannedReading, RobustSummary, StudyResult
 from pkm_reports import style
-from pkm_reports.page import build_document
+from pkm_reports.page import Document
 from pkm_reports.sections import design, plan
 
 pytestmark = pytest.mark.pictures
@@ -129,7 +129,7 @@ def test_numbers_that_were_not_finite_leave_gaps() -> None:
     design["robust"]["values"][0] = None
     design["how_many"]["accuracy"]["z_um"][0] = None
     design["how_many"] |= {"fewest": None, "wanted": {}, "words": ""}
-    report = build_document(_with_design(design))
+    report = Document.of_result(_with_design(design))
     assert report.pdf().startswith(b"%PDF")
 
 

@@ -13,7 +13,7 @@ from report_fixture import check_inside, result_of
 
 from oed.result import Drawing
 from pkm_reports import style
-from pkm_reports.page import build_document
+from pkm_reports.page import Document
 from pkm_reports.sections import (
     acceptance,
     accuracy,
@@ -146,7 +146,7 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
         "residuals_before": values,
         "channels": ["length"] * 6000,
     }
-    report = build_document(result_of(raw))
+    report = Document.of_result(result_of(raw))
     assert b"data:image/png" in report.html()
     assert report.images["residuals"].kind == "png"
     assert report.pdf().startswith(b"%PDF")
