@@ -226,6 +226,15 @@ class Candidates:
         spread[..., self._columns_of(gradients)] = gradients
         return spread
 
+    def reading(self, index: int) -> tuple[Series, int]:
+        """The series of a candidate, and the row of its first reading there."""
+        first = int(self.members[index, 0])
+        for series in self.series:
+            if first < len(series):
+                return series, first
+            first -= len(series)
+        raise IndexError(f"candidate {index} of {len(self)}")
+
     def pose_error_slopes(self, raw: Array, tool: Array) -> Array:
         """Pose errors (n, k, columns) per unit of each column, effects among them.
 

@@ -12,7 +12,7 @@ points_mm              points that are given in m, in mm
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
@@ -204,6 +204,15 @@ class PageView:
             .replace("<", "\\u003c")
             .replace(">", "\\u003e")
         )
+
+    @classmethod
+    def of_machine(
+        cls, lines: Iterable[Array], labels: Iterable[tuple[Sequence[float], str]]
+    ) -> PageView:
+        """A machine without readings: polylines (n, 3), texts at points (3,), m."""
+        drawn = [ViewLine("machine", points_mm(line).tolist()) for line in lines]
+        named = [ViewLabel(points_mm([at])[0].tolist(), words) for at, words in labels]
+        return cls(drawn, named, [], [], [])
 
     @staticmethod
     def of_result(result: StudyResult) -> PageView | None:

@@ -14,12 +14,11 @@ import msgspec
 import numpy as np
 
 from oed import units
-from oed.base import Array
 from oed.mechanism import Kinematics
 from oed.model import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.text import unit_symbol
-from pkm_reports.view import PageView, ViewLabel, ViewLine, points_mm
+from pkm_reports.view import PageView
 from pkm_studies import catalogue, describe, shipped
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import (
@@ -131,8 +130,8 @@ class StudyForm:
         kinematics = Kinematics(machine)
         x, q = kinematics.inverse(machine.home_command)
         skeleton = kinematics.skeleton(x[0], q[0], machine.nominal)
-        lines = [ViewLine("machine", points_mm(line).tolist()) for line in skeleton]
-        return PageView(lines, _labels(kinematics, x[0], q[0]), [], [], [])
+        labels = describe.parameter_labels(kinematics, x[0], q[0])
+        return PageView.of_machine(skeleton, [(one.at, one.text) for one in labels])
 
     def write(self, form: NewStudy) -> Path:
         """Write the study of a form; its path. Raises FieldError, InputError."""
@@ -248,14 +247,6 @@ def _same(key: str, value: str, usual: str) -> bool:
         )
     except ValueError:
         return False
-
-
-def _labels(kinematics: Kinematics, x: Array, q: Array) -> list[ViewLabel]:
-    """Names of the parameters where they act, at a pose (nx,), (nq,)."""
-    return [
-        ViewLabel(points_mm([label.at])[0].tolist(), label.text)
-        for label in describe.parameter_labels(kinematics, x, q)
-    ]
 
 
 def _key(dimension: Dimension) -> str:

@@ -20,8 +20,10 @@ from oed.model import Coordinate
 from pkm_page.readings_log import REMARK, UNDONE, FileContent
 from pkm_studies.base import InputError
 from pkm_studies.resolve import PASS_SUFFIX
-from pkm_studies.sessions import SKIPPED, is_skipped
+from pkm_studies.sessions import SkippedPose
 
+#: run of a skipped pose that is relative to a reference
+SKIPPED_RUN = "skipped"
 #: decimals of a command, mm or deg: those that a controller takes
 COMMAND_DECIMALS: Final = 4
 #: characters of a remark
@@ -173,17 +175,17 @@ def skipped_rows(
     names = {ReadingsColumn.of(c.name, c.unit).name for c in columns}
     new[-1] |= dict.fromkeys(names, "")
     cleaned = clean_remark(reason)
-    new[-1][REMARK] = f"{SKIPPED}: {cleaned}" if cleaned else SKIPPED
+    new[-1][REMARK] = SkippedPose.remark(cleaned)
     if len(new) == 1:
         return [new[0] | {"order": str(_next_order(content, new[0]))}]
-    run = _free_run(content, new[0] | {"run": SKIPPED})
+    run = _free_run(content, new[0] | {"run": SKIPPED_RUN})
     return [one | {"run": run} for one in new]
 
 
 def skipped(content: FileContent, measurement: Measurement) -> list[int]:
     """Rows of the table whose pose is skipped."""
     rows = range(1, len(content.rows))
-    return [k for k in rows if is_skipped(content.cells(k), measurement)]
+    return [k for k in rows if SkippedPose.is_in(content.cells(k), measurement)]
 
 
 def remove_skip(content: FileContent, row: int) -> FileContent:
@@ -261,7 +263,7 @@ def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
         label = _labels(content, k)
         if label[0] != reference["setup"] or label in begun:
             continue
-        if label[1].startswith(SKIPPED):  # nobody has zeroed the instrument there
+        if label[1].startswith(SKIPPED_RUN):  # nobody has zeroed the instrument there
             continue
         begun.add(label)
         if _is_at(content.cells(k), pose):

@@ -25,7 +25,7 @@ from oed.mechanism import AssemblyError
 from pkm_page import approach, doubts, rows, typed
 from pkm_page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
 from pkm_studies.base import InputError
-from pkm_studies.sessions import Advice, Adviser, FittedReadings, skipped_in_rows
+from pkm_studies.sessions import Advice, Adviser, FittedReadings, SkippedPose
 
 #: what a fit of readings raises that make no sense
 FIT_ERRORS: Final = (
@@ -251,7 +251,7 @@ class MachineSession:
         try:
             fitted = self._fit(content)
             cells = map(content.cells, range(1, len(content.rows)))
-            skipped = list(skipped_in_rows(cells, self.measurement))
+            skipped = list(SkippedPose.of_rows(cells, self.measurement))
             advice = self.adviser.advise_fitted(fitted, skipped)
             pose = Pose(advice.series, advice.row)
             if repeated and fitted is not None:

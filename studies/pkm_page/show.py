@@ -22,7 +22,7 @@ from pkm_page.session import MachineSession, Pose, SessionState
 from pkm_reports import text
 from pkm_reports.view import PageView, ViewReading, residuals_of_readings
 from pkm_studies import describe
-from pkm_studies.sessions import Advice, Adviser, FittedReadings, reading_of
+from pkm_studies.sessions import Advice, Adviser, FittedReadings
 from pkm_studies.stages import estimate_section
 
 # What the readings so far say, as tables: accuracy, parameters, combinations, next ones.
@@ -219,7 +219,7 @@ def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
     rest = [int(k) for k in np.argsort(-gains, kind="stable") if k not in listed]
     rows = []
     for k in [advice.candidate, *rest][:MAX_SHOWN]:
-        series, row = reading_of(outlook.pool, outlook.taken + k)
+        series, row = outlook.pool.reading(outlook.taken + k)
         command = describe.displayed_command(machine, series.reading_commands()[row])
         falls = _largest_falls(advice.names, ratios[k])
         rows.append(

@@ -3,10 +3,7 @@
 Adviser               advises the next reading of a study, and says when to stop
 Advice                what it says: accuracy known so far, the next reading, its effect
 FittedReadings        the readings of a file with their fit, as the adviser takes them
-reading_of            the series and row of a candidate's number
-SKIPPED               how the remark of a skipped pose begins
-is_skipped            whether a row of a readings file skips its pose
-skipped_in_rows       the skipped poses of such rows
+SkippedPose           a pose of a readings file that its remark skips
 visit_lines           the second visit that a diagnosis advises, in lines
 compare               what changed between two results of one machine
 write_comparison      a report of several results side by side
@@ -23,13 +20,10 @@ if TYPE_CHECKING:
     from pkm_studies.sessions.adjustment import adjust_folder, adjustment_sentences
     from pkm_studies.sessions.history import compare, machine_history, write_comparison
     from pkm_studies.sessions.next_reading import (
-        SKIPPED,
         Advice,
         Adviser,
         FittedReadings,
-        is_skipped,
-        reading_of,
-        skipped_in_rows,
+        SkippedPose,
         visit_lines,
     )
 else:

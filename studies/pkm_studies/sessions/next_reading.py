@@ -229,7 +229,7 @@ class Adviser:
 
     def advise(self, readings: Path) -> Advice:
         """The advice after the readings of a file. Raises InputError as they are read."""
-        skipped = skipped_in_file(readings, self.everything)
+        skipped = SkippedPose.of_file(readings, self.everything)
         return self.advise_fitted(self.fit(readings), skipped)
 
     def watch(self, readings: Path) -> Iterator[list[str]]:
@@ -404,7 +404,7 @@ class Adviser:
         plan, more = _plan(outlook.now, blocks[places], remaining, limits)
         chosen = int(places[plan[0]])
         after = outlook.now.after(blocks[chosen])
-        series, row = reading_of(pool, outlook.taken + chosen)
+        series, row = pool.reading(outlook.taken + chosen)
         return Advice(
             names=self.maps.names,
             readings=count,
@@ -545,16 +545,6 @@ def _objections(
     """The verdict on the fit of the readings so far."""
     section = estimate_section(state.measurement, series, estimate, None)
     return tuple(trust.section_objections(state.result.goodness, section))
-
-
-def reading_of(pool: Candidates, index: int) -> tuple[Series, int]:
-    """The series of a candidate, and its row there."""
-    first = int(pool.members[index, 0])
-    for series in pool.series:
-        if first < len(series):
-            return series, first
-        first -= len(series)
-    raise IndexError(f"candidate {index} of {len(pool)}")
 
 
 # The advice at the machine, and its sentences: what is known, what to read, when to stop.
@@ -768,50 +758,61 @@ def _words(condition: Mapping[str, float]) -> Iterator[str]:
 # Poses that an operator has skipped, from the remarks of a readings file.
 
 
-#: how the remark of a skipped pose begins
-SKIPPED: Final = "skipped"
 #: largest difference of a written command, mm or deg: twice its last digit
 WRITTEN_STEP: Final = 2e-4
 
-#: a set-up, and a command (n_dof,), SI
-SkippedPose = tuple[str, Array]
+
+#: how the remark of a skipped pose begins
+SKIPPED: Final = "skipped"
 
 
-def skipped_in_file(path: Path, measurement: Measurement) -> list[SkippedPose]:
-    """Skipped poses of a file; none of one that is no table, as its readings say."""
-    try:
-        split = SplitText.of(decode(path.read_bytes()))
-        lines = [cells for _, cells in split.rows()]
-    except (UnicodeDecodeError, csv.Error):
-        return []
-    header = [name.strip() for name in lines[0]] if lines else []
-    rows = (dict(zip(header, cells, strict=False)) for cells in lines[1:])
-    return list(skipped_in_rows(rows, measurement))
+class SkippedPose(NamedTuple):
+    """A pose that is not advised: a set-up, and a command (n_dof,), SI."""
 
+    setup: str
+    command: Array
 
-def skipped_in_rows(
-    rows: Iterable[Mapping[str, str]], measurement: Measurement
-) -> Iterator[SkippedPose]:
-    """Skipped poses of rows, cells by column."""
-    for cells in rows:
-        pose = _pose(cells, measurement) if is_skipped(cells, measurement) else None
-        if pose is not None:
-            yield cells["setup"].strip(), pose
+    @staticmethod
+    def remark(reason: str) -> str:
+        """The remark of a row whose pose is skipped for a reason, or for none."""
+        return f"{SKIPPED}: {reason}" if reason else SKIPPED
 
+    @classmethod
+    def of_file(cls, path: Path, measurement: Measurement) -> list[SkippedPose]:
+        """Skipped poses of a file; none of one that is no table, as its readings say."""
+        try:
+            split = SplitText.of(decode(path.read_bytes()))
+            lines = [cells for _, cells in split.rows()]
+        except (UnicodeDecodeError, csv.Error):
+            return []
+        header = [name.strip() for name in lines[0]] if lines else []
+        rows = (dict(zip(header, cells, strict=False)) for cells in lines[1:])
+        return list(cls.of_rows(rows, measurement))
 
-def is_skipped(cells: Mapping[str, str], measurement: Measurement) -> bool:
-    """Whether a row of a known set-up has no reading, and a remark that says skipped."""
-    setup = measurement.setups.get(cells.get("setup", "").strip())
-    remarks = [cell for name, cell in cells.items() if is_remark(name)]
-    if setup is None or not any(_says_skipped(remark) for remark in remarks):
-        return False
-    read = {c.name for c in setup.instrument.channels}
-    if setup.instrument.implied is not None:
-        read |= {joint.name for joint in measurement.machine.joints}
-    return not any(
-        cell.strip() and ReadingsColumn.stem_of(name) in read
-        for name, cell in cells.items()
-    )
+    @classmethod
+    def of_rows(
+        cls, rows: Iterable[Mapping[str, str]], measurement: Measurement
+    ) -> Iterator[SkippedPose]:
+        """Skipped poses of rows, cells by column."""
+        for cells in rows:
+            pose = _pose(cells, measurement) if cls.is_in(cells, measurement) else None
+            if pose is not None:
+                yield cls(cells["setup"].strip(), pose)
+
+    @staticmethod
+    def is_in(cells: Mapping[str, str], measurement: Measurement) -> bool:
+        """Whether a row of a known set-up has no reading, and a remark that says skipped."""
+        setup = measurement.setups.get(cells.get("setup", "").strip())
+        remarks = [cell for name, cell in cells.items() if is_remark(name)]
+        if setup is None or not any(_says_skipped(remark) for remark in remarks):
+            return False
+        read = {c.name for c in setup.instrument.channels}
+        if setup.instrument.implied is not None:
+            read |= {joint.name for joint in measurement.machine.joints}
+        return not any(
+            cell.strip() and ReadingsColumn.stem_of(name) in read
+            for name, cell in cells.items()
+        )
 
 
 def allowed(
