@@ -18,7 +18,7 @@ from oed.result import CorrectedSection, EstimateSection, PredictionSection, Stu
 from pkm_studies.base import InputError
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.earlier_result import mixture_of
-from pkm_studies.resolve import commands_between, regular_commands, study_kinematics
+from pkm_studies.resolve import StudyWorkspace, study_kinematics
 from pkm_studies.study import Study
 
 #: standard uncertainty of the acceptance measurement, as a share of the promise, where
@@ -84,10 +84,11 @@ class PromisedAccuracy:
         section = _estimate(result, file)
         kinematics = study_kinematics(study)
         machine = kinematics.machine
-        workspace = regular_commands(study, kinematics)
-        table = study.prediction
-        reference: Reference = "home" if table is None else table.reference
-        command = _add_poses_between(kinematics, workspace, reference)
+        used = StudyWorkspace(study, kinematics)
+        workspace, reference = used.regular, used.reference
+        command = workspace
+        if reference != "best_fit":  # whose errors are those of the workspace alone
+            command = np.vstack([workspace, used.between(MAX_POSES_BETWEEN)])
         maps = ErrorMaps.of(kinematics, command, reference)
         covariance, tolerance = covariances(machine, section)
         varying = _varying(maps, covariance)
@@ -149,20 +150,6 @@ def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSect
             file=file,
         )
     return section
-
-
-def _add_poses_between(
-    kinematics: Kinematics, workspace: Array, reference: Reference
-) -> Array:
-    """The workspace's commands (n, n_dof), and some between them, which no readings took.
-
-    Errors of a best fit are those of the workspace alone.
-    """
-    if reference == "best_fit":
-        return workspace
-    return np.vstack(
-        [workspace, commands_between(kinematics, workspace, MAX_POSES_BETWEEN)]
-    )
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:

@@ -33,12 +33,7 @@ from pkm_studies.compensation import identified, table_grid
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result, result_study
 from pkm_studies.quantities import column
-from pkm_studies.resolve import (
-    regular_at,
-    study_kinematics,
-    workspace_axes,
-    workspace_commands,
-)
+from pkm_studies.resolve import StudyWorkspace, study_kinematics
 from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
 from pkm_studies.tables import ControllerTable
@@ -79,13 +74,14 @@ def build_compensation(
         notes.append(replaces_values(joint_values))
     if identified.is_virtual(result):
         notes.append("the readings are simulated: these values fit no real machine")
+    workspace = StudyWorkspace(study, kinematics)
     content = Compensation(
         study=result.study,
         version=result.version,
         machine=machine,
         kinematics=kinematics,
         identified=parameters,
-        command=workspace_commands(study, kinematics),
+        command=workspace.command,
         poses=_poses(result, machine),
         notes=(*notes, *parameters.conditions),
         tables=tuple(result.corrected.tables) if result.corrected and tables else (),
@@ -99,7 +95,7 @@ def build_compensation(
         content = dataclasses.replace(content, draws=draws)
     if not controller.table:
         return content
-    return _add_grid(content, result, workspace_axes(study, machine), largest)
+    return _add_grid(content, result, workspace.axes, largest)
 
 
 def _add_forecast(
@@ -351,7 +347,7 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
     Both hold at the commands of the workspace, as if the file had these.
     """
     kinematics, values = content.kinematics, content.identified.values
-    command = regular_at(kinematics, content.command)
+    command = StudyWorkspace.regular_at(kinematics, content.command)
     if not len(command):
         return ()
     exact = compensated_joints(kinematics, command, values)

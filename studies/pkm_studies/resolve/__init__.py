@@ -12,6 +12,7 @@ replace_mean_and_covariance  a machine with other nominal numbers and their cova
 DesignRequest                what [design] means to the kernel
 CommandRanges                lower and upper ends of each command, by set-up
 PlanRequest                  what [plan] means to the kernel
+StudyWorkspace               where a study's machine is used: commands, axes, reference
 PredictionRequest            what [prediction] means to the kernel
 GapRequest                   what [gap] means to the kernel
 ActingEffect                 an effect of the virtual machine
@@ -20,11 +21,6 @@ PASS_SUFFIX                  how a run's name ends in that of its pass
 Circles                      circles of readings, for a map of the condition number
 reference_command            the pose that a plan repeats to see heat
 ToolPoints                   tool points of commands, and commands of tool points
-workspace_commands           commands over the workspace
-regular_commands             those at which every pose component has an error
-regular_at                   of some commands, those at which every component has one
-commands_between             further commands between some
-workspace_axes               axes of the box that holds the workspace
 conventions_listing          the catalogue of a kind, with frames and columns
 readings_comments            lines that open a file of readings: frames and columns
 comments_of                  such lines of a machine with its set-ups
@@ -56,15 +52,7 @@ if TYPE_CHECKING:
         study_machine,
     )
     from pkm_studies.resolve.plan import PlanRequest
-    from pkm_studies.resolve.prediction import (
-        PredictionRequest,
-        commands_between,
-        regular_at,
-        regular_commands,
-        unreachable,
-        workspace_axes,
-        workspace_commands,
-    )
+    from pkm_studies.resolve.prediction import PredictionRequest, unreachable
     from pkm_studies.resolve.resolved import ResolvedStudy, resolve
     from pkm_studies.resolve.tolerances import (
         replace_mean_and_covariance,

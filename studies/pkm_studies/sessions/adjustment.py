@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 
 from oed import csv_text, safe_files, units
-from oed.accuracy import Reference
 from oed.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.base import Array
 from oed.mechanism import Kinematics
@@ -28,7 +27,7 @@ from pkm_studies.acceptance import covariances
 from pkm_studies.base import InputError
 from pkm_studies.compensation import adjusted_result, result_study
 from pkm_studies.quantities import component_values
-from pkm_studies.resolve import regular_commands, study_kinematics
+from pkm_studies.resolve import StudyWorkspace, study_kinematics
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
@@ -103,13 +102,11 @@ def adjustable_machine(
         if parameter.name in section.parameters:
             estimate = section.parameters[parameter.name]
             identified[k] = units.to_si(estimate.value, estimate.unit)
-    reference: Reference = "home"
-    if study.prediction is not None:
-        reference = study.prediction.reference
+    workspace = StudyWorkspace(study, kinematics)
     return AdjustableMachine(
         kinematics=Kinematics(machine),
-        command=regular_commands(study, kinematics),
-        reference=reference,
+        command=workspace.regular,
+        reference=workspace.reference,
         identified=identified,
         covariance=_covariance(result, machine, identified, section, folder),
         weights=_weights(machine, wanted),

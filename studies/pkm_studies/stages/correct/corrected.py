@@ -46,7 +46,7 @@ from pkm_studies import describe
 from pkm_studies.base import Stream
 from pkm_studies.compensation import TableAccuracy
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.resolve import GapRequest, regular_commands, workspace_axes
+from pkm_studies.resolve import GapRequest, StudyWorkspace
 from pkm_studies.stages.fit.estimate import (
     add_controller,
     estimate_section,
@@ -581,10 +581,9 @@ def _add_section(
     if study.posterior.enabled and (state.posterior or state.with_effects):
         draws = _sample(state, corrected, rng)
         state = state.add_warnings(*sampling_warnings(draws, study.posterior.ess))
-    table = study.prediction
     kinematics = state.measurement.kinematics
-    command = regular_commands(study, kinematics)
-    reference = "home" if table is None else table.reference
+    used = StudyWorkspace(study, kinematics)
+    command, reference = used.regular, used.reference
     accuracy = None
     if len(command):
         theta = _approximate(corrected, rng) if draws is None else draws.pooled
@@ -593,7 +592,7 @@ def _add_section(
         accuracy = corrected.predict(command, reference, rng, theta, worth, plain)
     workspace = Workspace(
         command=command,
-        axes=workspace_axes(study, kinematics.machine),
+        axes=used.axes,
         wanted=state.resolved.wanted_accuracy,
     )
     goodness = goodness_of_delivered(

@@ -29,7 +29,7 @@ from oed.result import (
 )
 from oed.text import format_number, format_probability, join_words
 from pkm_studies.base import Stream
-from pkm_studies.resolve import regular_commands
+from pkm_studies.resolve import StudyWorkspace
 from pkm_studies.stages.correct.corrected import NO_HELP, drop_tables
 from pkm_studies.stages.fit.estimate import (
     add_controller,
@@ -395,16 +395,18 @@ def mix_answers(state: Fitted) -> Fitted:
     if mixture is None:
         return state
     state = state.replace(mixture=mixture)
-    corrected, table = state.corrected, state.study.prediction
+    corrected = state.corrected
+    workspace = StudyWorkspace(state.study, state.measurement.kinematics)
+    used = state.study.prediction
     theta = state.estimate.theta
     if corrected is not None:
         theta = corrected.estimate.theta[: corrected.parameters]
     use = UseOfMachine(
-        command=regular_commands(state.study, state.measurement.kinematics),
-        reference="home" if table is None else table.reference,
+        command=workspace.regular,
+        reference=workspace.reference,
         session=states_in_use(state),
         wanted=state.resolved.wanted_accuracy,
-        source="study" if table is not None and table.states else "readings",
+        source="study" if used is not None and used.states else "readings",
     )
     section = mixture_section(
         state.measurement,
