@@ -3,7 +3,6 @@
 CheckFinding           what is wrong, in a sentence, and how harmful it is
 CheckedSession         a session with its findings, its outliers and what explains them
 Goodness               residuals against the stated noise
-PHYSICAL_KINDS         kinds of mistakes that an effect of the machine can mimic
 SessionReadings        readings as checks use them
 Severity               how harmful a finding is
 check_session          all checks on one session
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from oed.checks.findings import CheckFinding, Severity
     from oed.checks.fit import Goodness
     from oed.checks.judgement import goodness_of_delivered
-    from oed.checks.mistakes import PHYSICAL_KINDS
     from oed.checks.session import SessionReadings, session_readings
 else:
     # imported when first used: a plan checks no readings

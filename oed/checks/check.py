@@ -11,10 +11,9 @@ from msgspec.structs import replace
 from oed.base import Array, Index, Mask
 from oed.checks import copies, sentences
 from oed.checks.explain import Explanation, explain
-from oed.checks.findings import CheckFinding, Severity, listing
+from oed.checks.findings import PHYSICAL_KINDS, CheckFinding, Severity, listing
 from oed.checks.fit import Goodness, fit, goodness
 from oed.checks.judgement import Judgement, judge
-from oed.checks.mistakes import PHYSICAL_KINDS
 from oed.checks.outlier_odds import FarReading
 from oed.checks.outliers import OutlierSearch
 from oed.checks.sentences import contradictions

@@ -29,6 +29,10 @@ class Severity(enum.IntEnum):
     REMARK = 5
 
 
+#: kinds that an effect of the machine can mimic: a diagnosis tells them apart
+PHYSICAL_KINDS = ("offset", "run", "factor", "tool", "size", "change", "contradiction")
+
+
 @dataclasses.dataclass(frozen=True)
 class CheckFinding:
     """What is wrong with readings.
@@ -43,6 +47,22 @@ class CheckFinding:
     kind: str
     sentence: str
     rows: tuple[Row, ...] = ()
+
+    @property
+    def is_remark(self) -> bool:
+        """Whether it is only what a user should know."""
+        return self.severity >= Severity.REMARK
+
+    @property
+    def is_about_the_fit(self) -> bool:
+        """Whether it spoils the fit, and an effect of the machine may be behind it."""
+        kinds = ("fit", *PHYSICAL_KINDS)
+        return self.severity <= Severity.BAD_FIT and self.kind in kinds
+
+    @property
+    def may_be_an_effect(self) -> bool:
+        """Whether it spoils no fit, or an effect of the machine may be behind it."""
+        return self.severity > Severity.BAD_FIT or self.is_about_the_fit
 
 
 #: digits of a number that a person reads

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed import checks
 from oed.base import Array
-from oed.checks import CheckFinding, Severity
+from oed.checks import CheckFinding
 from oed.dataset import written
 from oed.fit_limits import GUESS_RATIO
 from oed.measurement import Measurement, Series
@@ -96,7 +96,7 @@ def session_doubts(
     doubted_before = {(f.kind, f.rows) for f in _findings(before)}
     kinds = {f.kind for f in _findings(before)}
     for finding in _findings(after):
-        if finding.severity >= Severity.REMARK:
+        if finding.is_remark:
             continue
         if row in finding.rows or (
             finding.kind not in kinds

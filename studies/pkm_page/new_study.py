@@ -21,13 +21,7 @@ from pkm_reports.text import unit_symbol
 from pkm_reports.view import PageView
 from pkm_studies import catalogue, describe, shipped
 from pkm_studies.base import InputError, Location
-from pkm_studies.drafts import (
-    StartingModel,
-    default_instrument,
-    format_numbers,
-    read_time,
-    write_draft,
-)
+from pkm_studies.drafts import StartingModel, format_numbers, read_time, write_draft
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import described_machine
 from pkm_studies.tables import MachineTable
@@ -107,7 +101,8 @@ class StudyForm:
 
     def instruments(self, machine: str) -> list[str]:
         """Instruments that can read a machine as it stands, the usual one first."""
-        first, others = default_instrument(self._model(machine), self.origin)
+        start = StartingModel(machine, self._model(machine))
+        first, others = start.default_instrument(self.origin)
         return [first, *others]
 
     def sizes(self, machine: str) -> list[SizeField]:

@@ -27,7 +27,7 @@ from oed.checks.mistakes import (
 from oed.checks.mistakes.suspect import Suspect
 from oed.checks.mistakes.trial import MistakeTrial
 
-__all__ = ["PHYSICAL_KINDS", "MistakeTrial", "Suspect", "trials"]
+__all__ = ["MistakeTrial", "Suspect", "trials"]
 
 _MISTAKES = (
     values,
@@ -47,9 +47,6 @@ _MISTAKES = (
 
 #: mistakes that have an amount, concern a part, or show in the noise
 _NEVER_WHOLE = (sorting, amounts, tools, contradiction)
-
-#: kinds that an effect of the machine can mimic: a diagnosis tells them apart
-PHYSICAL_KINDS = ("offset", "run", "factor", "tool", "size", "change", "contradiction")
 
 
 def trials(data: Suspect, *, of_noise: bool = False) -> Iterator[MistakeTrial]:

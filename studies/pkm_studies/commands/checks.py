@@ -148,9 +148,8 @@ def _check_study(
 def _add_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
     """What a check of readings says."""
     checked = stages.check_dataset(study, data, _rng(study))
-    remark = checks.Severity.REMARK
-    findings = [f.sentence for f in checked.findings if f.severity < remark]
-    remarks = [f.sentence for f in checked.findings if f.severity == remark]
+    findings = [f.sentence for f in checked.findings if not f.is_remark]
+    remarks = [f.sentence for f in checked.findings if f.is_remark]
     return Verdict(content, findings, remarks)
 
 

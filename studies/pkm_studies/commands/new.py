@@ -89,13 +89,13 @@ def _drafted(
             "it is not said what to start from",
             "give --machine, a name or a file of your own, or --from STUDY",
         )
-    from pkm_studies.drafts import default_instrument, model_of, read_time, write_draft
+    from pkm_studies.drafts import StartingModel, read_time, write_draft
 
     seconds = None if time is None else read_time(time)
-    model = model_of(machine, origin, loops)
+    model = StartingModel.named(machine, origin, loops)
     for sentence in model.sentences:
         print(f"{sentence[0].upper()}{sentence[1:]}.")
     if instrument is None:
-        instrument, others = default_instrument(model.machine, origin)
+        instrument, others = model.default_instrument(origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
     return write_draft(name, model, instrument, origin, seconds)

@@ -2,8 +2,6 @@
 
 write_draft         writes the draft of a study, as `oed new` does
 StartingModel       a machine to start from, with its numbers in the study
-model_of            the machine that it starts from: of the catalogue, or a file of bodies
-default_instrument  an instrument that can read a machine as it stands, and others
 prediction_table    the workspace of a draft, where accuracy counts
 read_time           seconds of a time as one says it: `two days`
 format_numbers      numbers in SI as a draft writes them
@@ -15,12 +13,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.drafts.axis_lines import format_numbers, prediction_table
-    from pkm_studies.drafts.drafts import (
-        StartingModel,
-        default_instrument,
-        model_of,
-        write_draft,
-    )
+    from pkm_studies.drafts.drafts import StartingModel, write_draft
     from pkm_studies.drafts.time_budget import read_time
 else:
     __getattr__ = door(__name__)

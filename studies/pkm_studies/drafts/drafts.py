@@ -35,47 +35,50 @@ class StartingModel:
     table: str = ""
     sentences: tuple[str, ...] = ()
 
+    @classmethod
+    def named(
+        cls, machine: str, origin: Origin, loops: Path | None = None
+    ) -> StartingModel:
+        """The machine of a name or file of Python, of MJCF, or of URDF with its loops.
 
-def model_of(machine: str, origin: Origin, loops: Path | None = None) -> StartingModel:
-    """The machine of a name or file of Python, of MJCF, or of URDF with its loops.
+        Raises InputError for a machine that is none.
+        """
+        if families.is_model_file(machine):
+            described = families.described(origin.folder / machine, loops)
+            name = described.machine.name
+            table = families.study_tables(described)
+            return cls(name, described.machine, table, described.sentences)
+        location = Location("oed new").key("--machine")
+        if loops is not None:
+            raise location.error(
+                "only URDF needs a table of loops", "leave out --loops", machine
+            )
+        return cls(machine, catalogue.machine(machine, origin, location))
 
-    Raises InputError for a machine that is none.
-    """
-    if families.is_model_file(machine):
-        described = families.described(origin.folder / machine, loops)
-        name = described.machine.name
-        table = families.study_tables(described)
-        return StartingModel(name, described.machine, table, described.sentences)
-    location = Location("oed new").key("--machine")
-    if loops is not None:
-        raise location.error(
-            "only URDF needs a table of loops", "leave out --loops", machine
-        )
-    return StartingModel(machine, catalogue.machine(machine, origin, location))
+    def default_instrument(self, origin: Origin) -> tuple[str, list[str]]:
+        """An instrument that can read the machine as it stands, and the others that can.
 
-
-def default_instrument(model: Machine, origin: Origin) -> tuple[str, list[str]]:
-    """An instrument that can read a machine as it stands, and the others that can.
-
-    It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
-    Raises InputError where none can read it.
-    """
-    location = Location("oed new")
-    names = [entry.name for entry in catalogue.listing("instruments")]
-    tools = {
-        name: catalogue.instrument(name, origin, location).for_machine(model)
-        for name in names
-    }
-    able = [name for name in names if tools[name].unfit(model) is None]
-    ready = [n for n in able if all(s.default is not None for s in tools[n].settings)]
-    chosen = next((name for name in DEFAULTS if name in ready), None)
-    if chosen is None and not able:
-        raise location.key("--instrument").error(
-            f"no instrument of the catalogue can read {model.name}",
-            "write one, see the reference, and name its file with --instrument",
-        )
-    chosen = chosen or [*ready, *able][0]
-    return chosen, [name for name in able if name != chosen]
+        It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
+        Raises InputError where none can read it.
+        """
+        model, location = self.machine, Location("oed new")
+        names = [entry.name for entry in catalogue.listing("instruments")]
+        tools = {
+            name: catalogue.instrument(name, origin, location).for_machine(model)
+            for name in names
+        }
+        able = [name for name in names if tools[name].unfit(model) is None]
+        ready = [
+            n for n in able if all(s.default is not None for s in tools[n].settings)
+        ]
+        chosen = next((name for name in DEFAULTS if name in ready), None)
+        if chosen is None and not able:
+            raise location.key("--instrument").error(
+                f"no instrument of the catalogue can read {model.name}",
+                "write one, see the reference, and name its file with --instrument",
+            )
+        chosen = chosen or [*ready, *able][0]
+        return chosen, [name for name in able if name != chosen]
 
 
 def write_draft(
@@ -96,7 +99,9 @@ def write_draft(
     the machine, and too short a time.
     """
     location = Location("oed new")
-    start = model_of(machine, origin) if isinstance(machine, str) else machine
+    start = (
+        StartingModel.named(machine, origin) if isinstance(machine, str) else machine
+    )
     model = start.machine
     path = shipped.new_path(model.name if name is None else name, origin.folder)
     listed = catalogue.instrument(instrument, origin, location.key("--instrument"))

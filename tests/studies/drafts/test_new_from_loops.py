@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from oed.mechanism import Kinematics
 from pkm_studies.base import InputError
-from pkm_studies.drafts import model_of
+from pkm_studies.drafts import StartingModel
 from pkm_studies.user_code import Consent, Origin
 
 FIVE_BAR = """\
@@ -82,7 +82,7 @@ def stewart(form: str) -> str:
 
 def read(folder: Path, content: str):
     (folder / "robot.xml").write_text(content)
-    return model_of("robot.xml", Origin(folder, Consent.RECORDED)).machine
+    return StartingModel.named("robot.xml", Origin(folder, Consent.RECORDED)).machine
 
 
 def test_two_chains_that_meet_are_a_five_bar(tmp_path: Path) -> None:

@@ -11,13 +11,7 @@ import numpy as np
 from oed import posterior, units
 from oed.accuracy import least_error
 from oed.base import Array
-from oed.checks import (
-    PHYSICAL_KINDS,
-    CheckFinding,
-    Goodness,
-    Severity,
-    goodness_of_delivered,
-)
+from oed.checks import CheckFinding, Goodness, goodness_of_delivered
 from oed.compensate import GridAxis
 from oed.corrected import CorrectedAccuracy, CorrectedEstimate
 from oed.effect_model import Effect
@@ -448,7 +442,7 @@ def resolves_alarm(
 
 def may_be_resolved(findings: Sequence[CheckFinding]) -> bool:
     """Whether effects may be behind every finding that spoils the fit."""
-    return all(f.severity > Severity.BAD_FIT or is_about_the_fit(f) for f in findings)
+    return all(f.may_be_an_effect for f in findings)
 
 
 def resolved_section(
@@ -485,14 +479,8 @@ def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, 
     return {
         f.sentence: f"{opening} Without them the check says: {f.sentence}"
         for f in findings
-        if is_about_the_fit(f)
+        if f.is_about_the_fit
     }
-
-
-def is_about_the_fit(finding: CheckFinding) -> bool:
-    """Whether an effect of the machine may be behind a finding."""
-    kinds = ("fit", *PHYSICAL_KINDS)
-    return finding.severity <= Severity.BAD_FIT and finding.kind in kinds
 
 
 # The step that estimates parameters and effects together.
