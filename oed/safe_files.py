@@ -19,7 +19,7 @@ import re
 import socket
 import stat
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -104,7 +104,24 @@ def flush(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _named_error(path: Path, error: OSError) -> OSError:
+def write_together(contents: Mapping[Path, bytes]) -> tuple[Path, ...]:
+    """Write files with all their bytes, all of them or none, in this order; their paths.
+
+    Raises OSError where the disk refuses.
+    """
+    parts = {}
+    with contextlib.ExitStack() as opened:
+        for path, content in contents.items():
+            part = opened.enter_context(temporary_file(path))
+            part.write_bytes(content)
+            flush(part)
+            parts[part] = path
+        for part, path in parts.items():
+            part.replace(path)
+    return tuple(contents)
+
+
+def _about(path: Path, error: OSError) -> OSError:
     """The error with the name of the file that was to be written.
 
     A full disk is reported without a name, and HDF5 reports it without a number.

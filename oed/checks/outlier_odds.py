@@ -50,7 +50,7 @@ from oed.checks.session import SessionReadings
 from oed.dataset import ReadingsColumn
 from oed.measurement import Series
 from oed.noise import Noise
-from oed.noise_law import NORMAL, ErrorDensity, StudentT, scale_over_stated
+from oed.noise_law import densities_over_scales
 
 # What all other readings predict of each, and how far readings are from it.
 #
@@ -419,10 +419,9 @@ GROSS_SCALE = 10.0
 EXPECTED_GROSS = 8.0
 #: share of a session's readings that are gross errors, at most
 MAX_GROSS_SHARE = 0.12
-#: noise with heavy tails
-HEAVY_TAILS = (StudentT(4.0), StudentT(6.0), StudentT(10.0))
-#: normal coordinates of the noise's scale over which it is integrated
-_SCALE_COORDINATES = np.linspace(-3.0, 8.0, 23)
+#: degrees of freedom of noise with heavy tails, and of normal noise
+HEAVY_TAILS = (4.0, 6.0, 10.0)
+NORMAL = (np.inf,)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -524,7 +523,7 @@ class OutlierOdds:
         if rest_fits and self.student is None:
             odds = _odds_beside_normal_noise(errors, self.share)
         else:
-            tails = HEAVY_TAILS if self.student is None else (StudentT(self.student),)
+            tails = HEAVY_TAILS if self.student is None else (self.student,)
             odds = _odds_beside_heavy_tails(errors, self.share, tails)
         return dict(zip(members, map(float, odds), strict=True))
 
@@ -584,12 +583,12 @@ class _PredictionErrors:
 
 def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
     """Log odds (m,) of normal noise with gross errors over noise of heavy tails."""
-    density, prior = _noise_densities(errors.core, (NORMAL,))
+    density, prior = densities_over_scales(errors.core, NORMAL)
     mixed = np.logaddexp(
         np.log1p(-share) + density, np.log(share * errors.core_density)
     )
     weights = prior + errors.freedom * mixed.sum(axis=2)
-    far, _ = _noise_densities(errors.far, (NORMAL,))
+    far, _ = densities_over_scales(errors.far, NORMAL)
     gross = np.log(share * errors.far_density)
     mixed = np.logaddexp(np.log1p(-share) + far, gross)
     weights += mixed.sum(axis=2)
@@ -597,33 +596,22 @@ def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
     without = _log_sum(
         (weights[..., None] + np.log1p(-share) + far - mixed).reshape(-1, len(gross))
     )
-    density, prior = _noise_densities(errors.core, HEAVY_TAILS)
+    density, prior = densities_over_scales(errors.core, HEAVY_TAILS)
     weights = prior + errors.freedom * density.sum(axis=2)
-    weights += _noise_densities(errors.far, HEAVY_TAILS)[0].sum(axis=2)
+    weights += densities_over_scales(errors.far, HEAVY_TAILS)[0].sum(axis=2)
     return with_gross - np.logaddexp(without, _log_sum(weights.ravel()))
 
 
 def _odds_beside_heavy_tails(
-    errors: _PredictionErrors, share: float, tails: Sequence[ErrorDensity]
+    errors: _PredictionErrors, share: float, tails: Sequence[float]
 ) -> Array:
     """Log odds (m,) of a gross error over noise whose tails and scale the rest shows."""
-    density, prior = _noise_densities(errors.core, tails)
+    density, prior = densities_over_scales(errors.core, tails)
     weights = prior + errors.freedom * density.sum(axis=2)
     weights -= _log_sum(weights.ravel())
-    far = weights[..., None] + _noise_densities(errors.far, tails)[0]
+    far = weights[..., None] + densities_over_scales(errors.far, tails)[0]
     noise = np.log1p(-share) + _log_sum(far.reshape(-1, len(errors.far)))
     return np.asarray(np.log(share * errors.far_density) - noise)
-
-
-def _noise_densities(x: Array, tails: Sequence[ErrorDensity]) -> tuple[Array, Array]:
-    """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K)."""
-    scale = scale_over_stated(_SCALE_COORDINATES)
-    prior = -0.5 * _SCALE_COORDINATES**2
-    prior -= _log_sum(prior) + np.log(len(tails))
-    scaled = x / scale[:, None]
-    densities = [tail.log_density(scaled) for tail in tails]
-    by_tail = np.array(densities) - np.log(scale)[:, None]
-    return by_tail, np.tile(prior, (len(tails), 1))
 
 
 def _density_of_gross(x: Array, sd: Array, sigma: Array) -> Array:

@@ -2,19 +2,16 @@
 
 KNOWN_TO            factor to which a stated noise is good
 MIN_FREEDOM       degrees of freedom from which readings determine their noise law
-NORMAL              the density of normal errors
-ErrorDensity        density of single errors: Student t, or normal with outliers
 KernelMixture       Student t kernels at laws
 NoisePosterior      the posterior of a law, as weighted draws
 NoisePrior          the prior of laws, given what is stated of the noise
 Outliers            readings far off, and residuals that replace theirs
 ResidualModel       residuals as a linear model: evidence of laws, most probable law
-StudentT            Student t of some degrees of freedom
+densities_over_scales  of errors, with tails and scales of their noise
 detect_outliers     readings that all others contradict
 draw_laws           draws laws by a cost
 log_prior_of_scale  log prior density of the noise over the stated one
 robust_residuals    residuals with those far off replaced
-scale_over_stated   noise over the stated one, at normal coordinates
 """
 
 from typing import TYPE_CHECKING
@@ -29,10 +26,8 @@ if TYPE_CHECKING:
         draw_laws,
     )
     from oed.noise_law.outliers import (
-        NORMAL,
-        ErrorDensity,
         Outliers,
-        StudentT,
+        densities_over_scales,
         detect_outliers,
         robust_residuals,
     )
@@ -41,7 +36,6 @@ if TYPE_CHECKING:
         MIN_FREEDOM,
         NoisePrior,
         log_prior_of_scale,
-        scale_over_stated,
     )
 else:
     __getattr__ = door(__name__)

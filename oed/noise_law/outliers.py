@@ -26,6 +26,7 @@ import scipy
 
 from oed.base import Array
 from oed.noise import NOTHING_STATED, Laws, NoiseLaw, NoiseStatement, ReadingStructure
+from oed.noise_law.prior import scale_over_stated
 
 #: degrees of freedom of the Student t that are tried
 STUDENT_DOF = (3.0, 4.0, 6.0, 10.0)
@@ -250,3 +251,22 @@ def robust_residuals(
         residual, covariance, ROBUST_DENSITIES, structure.statement
     )
     return residual.copy() if result is None else result.pseudo_residual
+
+
+#: normal coordinates of the noise's scale over which it is integrated
+_SCALE_COORDINATES = np.linspace(-3.0, 8.0, 23)
+
+
+def densities_over_scales(x: Array, freedoms: Sequence[float]) -> tuple[Array, Array]:
+    """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K).
+
+    freedoms  (T,) degrees of freedom of Student t; infinite of normal errors
+    """
+    tails = [NORMAL if np.isinf(dof) else StudentT(dof) for dof in freedoms]
+    scale = scale_over_stated(_SCALE_COORDINATES)
+    prior = -0.5 * _SCALE_COORDINATES**2
+    prior -= scipy.special.logsumexp(prior) + np.log(len(tails))
+    scaled = x / scale[:, None]
+    densities = [tail.log_density(scaled) for tail in tails]
+    by_tail = np.array(densities) - np.log(scale)[:, None]
+    return by_tail, np.tile(prior, (len(tails), 1))

@@ -13,7 +13,7 @@ import msgspec
 
 from oed.result.corrected import CorrectedSection
 from oed.result.fit import EstimateSection, GoodnessSection, PosteriorSection, RunCurve
-from oed.result.gap import GapBeforeSection, GapSection
+from oed.result.gap import GapBeforeSection, GapSection, MixtureSection
 from oed.result.plan import DesignSection, IdentifiabilitySection, KappaMap, PlanSection
 from oed.result.prediction import (
     AcceptanceSection,
@@ -162,6 +162,19 @@ class StudyResult(Record, frozen=True, kw_only=True):
     warnings: list[str] = []
     written: dict[str, str] = {}  # SHA-256 of the files to fill in or to copy from
     claims: list[Claim] = []
+
+    @property
+    def controller_mixture(self) -> MixtureSection | None:
+        """Parameters over all hypotheses of a diagnosis that a controller can be given."""
+        mixture = None if self.gap is None else self.gap.mixture
+        return mixture if mixture is not None and mixture.controller else None
+
+    @property
+    def corrects_effects(self) -> bool:
+        """Whether the best answer's effects are corrected as well: not if that is worse."""
+        mixture = self.controller_mixture
+        is_better = mixture is None or mixture.with_effects is not None
+        return self.corrected is not None and is_better
 
     @property
     def final_estimate(self) -> EstimateSection | CorrectedSection | None:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
+    from pkm_reports.comparison import write_comparison
     from pkm_reports.page import write_adjustment_page, write_sheet
-    from pkm_reports.report import write_comparison, write_report
+    from pkm_reports.report import write_report
     from pkm_reports.sections import first_lines
 else:
     # imported when first used: a terminal's lines need no page and no figures

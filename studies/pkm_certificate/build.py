@@ -29,7 +29,6 @@ from pkm_studies import quantities
 from pkm_studies.acceptance import PromisedAccuracy, covariances
 from pkm_studies.base import InputError, Location
 from pkm_studies.compensation import result_study
-from pkm_studies.earlier_result import corrects_effects, mixture_of
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
@@ -133,7 +132,7 @@ def _parameter(
 
 
 def conditions(result: StudyResult) -> list[str]:
-    over_answers = not corrects_effects(result) and mixture_of(result) is not None
+    over_answers = not result.corrects_effects and result.controller_mixture is not None
     sentences = [NORMAL, OVER_ANSWERS if over_answers else ACCURACY]
     if result.verification is not None:
         sentences.append(CHECKED)

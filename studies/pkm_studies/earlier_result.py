@@ -71,7 +71,7 @@ def controller_values(
     estimated together with them.
     """
     values, sd = identified_values(result, machine)
-    section = mixture_of(result) or result.final_estimate
+    section = result.controller_mixture or result.final_estimate
     if section is None or with_effects:
         return values, sd
     for name, value in section.controller.items():
@@ -79,19 +79,6 @@ def controller_values(
         values[machine.index(name)] = units.to_si(value, parameter.unit)
         sd[machine.index(name)] = units.to_si(parameter.sd, parameter.unit)
     return values, sd
-
-
-def mixture_of(result: StudyResult) -> MixtureSection | None:
-    """Parameters over all hypotheses of a diagnosis that a controller can be given."""
-    mixture = None if result.gap is None else result.gap.mixture
-    return mixture if mixture is not None and mixture.controller else None
-
-
-def corrects_effects(result: StudyResult) -> bool:
-    """Whether the best answer's effects are corrected as well: not if that is worse."""
-    mixture = mixture_of(result)
-    is_better = mixture is None or mixture.with_effects is not None
-    return result.corrected is not None and is_better
 
 
 def known_parameters(
@@ -106,7 +93,7 @@ def known_parameters(
     Raises InputError where not all of them were identified there.
     """
     section = _section(stored, machine, free, folder)
-    mixture = mixture_of(stored)
+    mixture = stored.controller_mixture
     if mixture is not None and set(free) <= set(mixture.parameters):
         return _mixture_knowledge(mixture, free)
     draws = folder / FILE

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import codecs
-import contextlib
 import errno
 import hashlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from oed.safe_files import flush, temporary_file
+from oed.safe_files import write_together
 from pkm_studies.base import InputError
 
 #: what helps where the system refuses, by error number
@@ -36,21 +35,17 @@ def write_whole(path: Path, content: bytes | str) -> Path:
 
 def write_all(contents: Mapping[Path, bytes | str]) -> tuple[Path, ...]:
     """Write files as `write_whole`, all of them or none, in this order; their paths."""
-    parts = {}
-    with contextlib.ExitStack() as opened:
-        for path, content in contents.items():
-            if path.is_dir():
-                raise InputError(
-                    "a folder of this name is in the way", "name a file", file=str(path)
-                )
-            make_folder(path.parent)
-            part = opened.enter_context(temporary_file(path))
-            part.write_bytes(content.encode() if isinstance(content, str) else content)
-            flush(part)
-            parts[part] = path
-        for part, path in parts.items():
-            part.replace(path)
-    return tuple(contents)
+    for path in contents:
+        if path.is_dir():
+            raise InputError(
+                "a folder of this name is in the way", "name a file", file=str(path)
+            )
+        out_folder(path.parent)
+    encoded = {
+        path: content.encode() if isinstance(content, str) else content
+        for path, content in contents.items()
+    }
+    return write_together(encoded)
 
 
 def refusal(error: OSError, further: str = "") -> InputError:

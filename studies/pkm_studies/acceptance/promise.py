@@ -17,7 +17,6 @@ from oed.model import Component, Machine
 from oed.result import CorrectedSection, EstimateSection, PredictionSection, StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.compensation import identified_parameters
-from pkm_studies.earlier_result import mixture_of
 from pkm_studies.resolve import StudyWorkspace, study_kinematics
 from pkm_studies.study import Study
 
@@ -204,7 +203,7 @@ def _states_of_use(prediction: PredictionSection | None) -> tuple[str, ...]:
 
 def without_effects(result: StudyResult) -> tuple[str, ...]:
     """What to promise of a controller that corrects no effect."""
-    mixture = mixture_of(result)
+    mixture = result.controller_mixture
     if mixture is None or mixture.prediction is None:
         return ()
     driven = {

@@ -30,7 +30,6 @@ from oed.result import (
 )
 from oed.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies.catalogue import Compensation, ControllerFormat
-from pkm_studies.earlier_result import mixture_of
 from pkm_studies.results import advice_on, error_quantities
 
 #: end of the name of the file with the budget
@@ -86,7 +85,9 @@ def complete_budget(
     added = _mean_square_sum(lines)
     if corrected is not None and not controller.tables:
         lines.append(_left_out(prediction, _geometry_alone(result, corrected), shown))
-        if mixture_of(result) is None:  # else the effects are in its predicted errors
+        if (
+            result.controller_mixture is None
+        ):  # else the effects are in its predicted errors
             added = _mean_square_sum(lines)
     section = add_lines(budget, lines)
     driven = driven_units(content)
@@ -137,7 +138,7 @@ def _accuracy_sentence(
 
 def _geometry_alone(result: StudyResult, corrected: CorrectedSection) -> Values:
     """Rms errors with the parameters that are sent, and no effect corrected."""
-    mixture = mixture_of(result)
+    mixture = result.controller_mixture
     if mixture is not None and mixture.prediction is not None:
         components = mixture.prediction.components
         return {name: c.after.rms for name, c in components.items()}

@@ -26,7 +26,6 @@ from pkm_studies.earlier_result import (
     controller_values,
     known_parameters,
     machine_difference,
-    mixture_of,
 )
 from pkm_studies.resolve import study_machine
 from pkm_studies.study import SUFFIX, Study, load, parse
@@ -109,7 +108,7 @@ def identified_parameters(
     values, sd = controller_values(result, machine, with_effects=with_effects)
     origin = "estimate" if corrected is None else "corrected"
     conditions: tuple[str, ...] = ()
-    mixture = mixture_of(result)
+    mixture = result.controller_mixture
     if mixture is not None and not with_effects:
         origin, conditions = (
             "gap.mixture",
@@ -173,7 +172,7 @@ def _adjusted_mixture(
     result: StudyResult, adjustment: AdjustmentSection
 ) -> StudyResult:
     """The result whose controller parameters over all hypotheses have the adjustments."""
-    mixture = mixture_of(result)
+    mixture = result.controller_mixture
     if mixture is None or result.gap is None:
         return result
     changed = _adjusted_controller(mixture, adjustment)

@@ -52,7 +52,11 @@ if TYPE_CHECKING:
         study_machine,
     )
     from pkm_studies.resolve.plan import PlanRequest
-    from pkm_studies.resolve.prediction import PredictionRequest, unreachable
+    from pkm_studies.resolve.prediction import (
+        PredictionRequest,
+        StudyWorkspace,
+        unreachable,
+    )
     from pkm_studies.resolve.resolved import ResolvedStudy, resolve
     from pkm_studies.resolve.tolerances import (
         replace_mean_and_covariance,
