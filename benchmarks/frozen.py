@@ -175,7 +175,7 @@ def compute(source: Source) -> tuple[Source, dict[str, float]]:
 
 
 def _study(name: str) -> Any:
-    study = studies.load(shipped.find(name, "study"))
+    study = studies.Study.load(shipped.find(name, "study"))
     with tempfile.TemporaryDirectory() as folder:
         try:
             result = stages.run_study(study, Path(folder), report=False)

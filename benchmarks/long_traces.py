@@ -103,7 +103,9 @@ def write_readings(folder: Path, readings: int, gap: bool) -> Path:
     """Readings of the virtual head with correlated noise, as a CSV in a folder."""
     single = NOISE * np.sqrt(1.0 - CARRIED)
     path = folder / "long_traces.csv"
-    stages.simulate_study(study.load(write_study(folder, readings, gap, single)), path)
+    stages.simulate_study(
+        study.Study.load(write_study(folder, readings, gap, single)), path
+    )
     table, rng = pd.read_csv(path), np.random.default_rng(5)
     for members in table.groupby("run", sort=False).indices.values():
         error = NOISE * np.sqrt(CARRIED) * carried_along(len(members), rng)

@@ -30,7 +30,7 @@ from oed.design import Candidates
 from oed.measurement import Series, draw_readings
 from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 #: readings at which a machine counts as not reached
 MOST = 60
@@ -112,7 +112,7 @@ def session(setting: Mapping[str, Any], seed: int) -> dict[str, float]:
 
 @functools.cache
 def _adviser(study: str) -> Adviser:
-    return Adviser(load(shipped.study_path(Path(study))), "plan")
+    return Adviser(Study.load(shipped.study_path(Path(study))), "plan")
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -267,9 +267,9 @@ def _study(entry: Entry, data: Path, work: Path) -> studies.Study:
     if entry.file:
         files = [data / entry.folder / entry.file]
         path, _ = import_files("klipper", files, work, name="printer")
-        study = studies.load(path)
+        study = studies.Study.load(path)
     else:
-        study = studies.load(STUDIES / f"{entry.study}.study.toml")
+        study = studies.Study.load(STUDIES / f"{entry.study}.study.toml")
         folder = str((data / entry.folder).resolve())
         readings = msgspec.structs.replace(study.readings, path=folder)
         study = msgspec.structs.replace(study, readings=readings)

@@ -43,7 +43,7 @@ def bench(study: Path) -> Bench:
 @functools.lru_cache(BENCHES)
 def _bench(study: Path, text: str) -> Bench:
     """Compiled once in a process: many cases have the same study."""
-    stated = studies.load(study, Consent.GIVEN)
+    stated = studies.Study.load(study, Consent.GIVEN)
     resolved = resolve(stated, readings=[])
     request = GapRequest.of_study(stated, resolved.machine)
     assert request is not None  # `always` makes one

@@ -20,7 +20,7 @@ from oed.planning import StagePlan
 from pkm_studies import shipped
 from pkm_studies.resolve import resolve
 from pkm_studies.stages.plan.task import build_task
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 HEAD = (
     "| study | plan for a rigid machine | promises | leaves with effects |"
@@ -38,7 +38,7 @@ def main() -> None:
 
 def row(name: str) -> str:
     """The line of one shipped study."""
-    study = load(shipped.study_path(Path(name)))
+    study = Study.load(shipped.study_path(Path(name)))
     assert study.plan is not None
     table = msgspec.structs.replace(
         study.plan, effects="catalogue", virtual_machines=0, compare=[]

@@ -23,7 +23,7 @@ from pkm_reports import style
 from pkm_studies import stages, study
 from pkm_studies.resolve import GapRequest, resolve
 
-study_file = study.load(Path(__file__).with_suffix(".study.toml"))
+study_file = study.Study.load(Path(__file__).with_suffix(".study.toml"))
 resolved = resolve(study_file, readings=[])
 measurement = resolved.measurement_with(resolved.setups)
 request = GapRequest.of_study(study_file, resolved.machine)

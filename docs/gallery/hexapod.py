@@ -14,7 +14,7 @@ import itertools
 import _draw
 import numpy as np
 
-from oed.identifiability import assess, explain
+from oed.identifiability import Assessment, explain
 from oed.instrument import mount
 from oed.measurement import Measurement, commands_at_fixed_reading
 from pkm_models.instruments import ball_bar, pose_tracker
@@ -75,7 +75,7 @@ plans = {
     "positions": [hexapod.series("positions", oriented)],
     "full poses": [hexapod.series("poses", oriented)],
 }
-views = {name: assess(hexapod, series) for name, series in plans.items()}
+views = {name: Assessment.of(hexapod, series) for name, series in plans.items()}
 ranks = {name: (v.identifiability.rank, len(v.names)) for name, v in views.items()}
 assert ranks["bar, level"][0] < 20
 assert ranks["bar, turned"] == (36, 45)

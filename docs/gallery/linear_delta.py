@@ -11,7 +11,7 @@ scale is known. A printed object shrinks, a metal plate does not.
 import _draw
 import numpy as np
 
-from oed.identifiability import assess, explain
+from oed.identifiability import Assessment, explain
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import calliper, height_probe
@@ -50,13 +50,13 @@ plans = {
 
 def common_share(series: list[Series], kind: str) -> float:
     """Share of the prior standard deviation that three parameters' mean keeps."""
-    view = assess(printer, series, "tolerance")
+    view = Assessment.of(printer, series, "tolerance")
     members = np.array([n.rstrip("123") == kind for n in view.names])
     mean = members / np.sqrt(3.0)
     return float(np.sqrt(mean @ view.covariance @ mean))
 
 
-view = assess(printer, [heights])
+view = Assessment.of(printer, [heights])
 words = " ".join(finding.text for finding in explain(view))
 assert "the common arm (arm1, arm2, arm3) keeps" in words
 shares = {

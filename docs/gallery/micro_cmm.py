@@ -12,7 +12,7 @@ with Newton's method on the closure.
 import _draw
 import numpy as np
 
-from oed.identifiability import assess
+from oed.identifiability import Assessment
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import ball_plate, camera
@@ -38,7 +38,7 @@ series = {
     "ball plate": cmm.series("ball plate", balls),
     "distances": cmm.series("distances", pairs, pair_names),
 }
-views = {name: assess(cmm, [s]) for name, s in series.items()}
+views = {name: Assessment.of(cmm, [s]) for name, s in series.items()}
 
 _, lengths = cmm.kinematics.inverse(balls)
 start = np.tile(machine.home_command, (len(balls), 1))

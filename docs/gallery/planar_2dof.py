@@ -11,7 +11,7 @@ combinations, both of which RM 5 sees too, but makes the weakest one 19 times as
 import _draw
 import numpy as np
 
-from oed.identifiability import Assessment, assess
+from oed.identifiability import Assessment
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from pkm_models.instruments import relative
@@ -52,9 +52,9 @@ def read(name: str) -> Series:
 
 series = {name: read(name) for name in DIRECTIONS}
 views: dict[str, Assessment] = {
-    name: assess(measurement, [s]) for name, s in series.items()
+    name: Assessment.of(measurement, [s]) for name, s in series.items()
 }
-views["rm4 and rm5"] = assess(measurement, [series["rm4"], series["rm5"]])
+views["rm4 and rm5"] = Assessment.of(measurement, [series["rm4"], series["rm5"]])
 picture = _draw.Picture("Reading lines of RM 4 and RM 5", "What is seen, and how well")
 for y in (-1.5, 0.0, 1.5):
     picture.machine(

@@ -11,7 +11,7 @@ closure adds the planes in which the revolute joints hold the struts.
 import _draw
 import numpy as np
 
-from oed.identifiability import Assessment, assess, explain
+from oed.identifiability import Assessment, explain
 from oed.instrument import mount
 from oed.measurement import Measurement
 from pkm_models.instruments import laser_ball_bar
@@ -41,7 +41,7 @@ for name, machine in MODELS.items():
         at_z=0.1,
     )
     measurement = Measurement(machine, [bar])
-    views[name] = assess(measurement, [measurement.series("ball_bar", COMMANDS)])
+    views[name] = Assessment.of(measurement, [measurement.series("ball_bar", COMMANDS)])
 
 picture = _draw.Picture(
     "Upright and tilted; the 22 tool tips", "What is left of each tolerance"

@@ -4,7 +4,6 @@ Assessment            what a set of readings determines
 Identifiability       rank, combinations and what is lost
 Scaling               columns in SI, as lengths, or in units of tolerances
 analyse               the identifiability that a Jacobian of readings has
-assess                the same for series of a measurement
 column_scale          the factor by which each column of H is multiplied
 combination_text      a linear combination of parameters, as text
 explain               an assessment in sentences, with remedies
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.identifiability.assessment import Assessment, assess, recoveries
+    from oed.identifiability.assessment import Assessment, recoveries
     from oed.identifiability.identifiability import (
         Identifiability,
         analyse,

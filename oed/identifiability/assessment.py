@@ -56,33 +56,34 @@ class Assessment:
         """Names (n,) of the free parameters."""
         return self.identifiability.names
 
+    @classmethod
+    def of(
+        cls,
+        measurement: Measurement,
+        series: Sequence[Series],
+        scaling: information.Scaling = "length",
+    ) -> Assessment:
+        """Assess readings of the nominal machine.
 
-def assess(
-    measurement: Measurement,
-    series: Sequence[Series],
-    scaling: information.Scaling = "length",
-) -> Assessment:
-    """Assess readings of the nominal machine.
-
-    Parameters of set-ups that `series` does not use are left out. `scaling` holds for
-    the rank; shrinkage and covariance always use the tolerances. Raises AssemblyError
-    where a pose cannot be assembled or is singular.
-    """
-    theta = measurement.nominal
-    free = free_parameters(measurement, series)
-    h = information.scaled(measurement, series, theta, scaling)[:, free]
-    whitened = information.scaled(measurement, series, theta, "tolerance")[:, free]
-    scale = information.column_scale(measurement, scaling)[free]
-    covariance = information.posterior_covariance(whitened)
-    names = [measurement.names[k] for k in free]
-    return Assessment(
-        measurement=measurement,
-        series=tuple(series),
-        identifiability=identifiability.analyse(h, names, scale),
-        scale=scale,
-        shrinkage=np.sqrt(np.diag(covariance)),
-        covariance=covariance,
-    )
+        Parameters of set-ups that `series` does not use are left out. `scaling` holds for
+        the rank; shrinkage and covariance always use the tolerances. Raises AssemblyError
+        where a pose cannot be assembled or is singular.
+        """
+        theta = measurement.nominal
+        free = free_parameters(measurement, series)
+        h = information.scaled(measurement, series, theta, scaling)[:, free]
+        whitened = information.scaled(measurement, series, theta, "tolerance")[:, free]
+        scale = information.column_scale(measurement, scaling)[free]
+        covariance = information.posterior_covariance(whitened)
+        names = [measurement.names[k] for k in free]
+        return cls(
+            measurement=measurement,
+            series=tuple(series),
+            identifiability=identifiability.analyse(h, names, scale),
+            scale=scale,
+            shrinkage=np.sqrt(np.diag(covariance)),
+            covariance=covariance,
+        )
 
 
 def free_parameters(measurement: Measurement, series: Sequence[Series]) -> Index:

@@ -36,6 +36,14 @@ class Claim(Record, frozen=True):
     met: bool
     unit: str = ""
 
+    def failure(self, where: str) -> str:
+        """What it says where it is not met: measured against claimed, and where it stands."""
+        measured = self.measured
+        if isinstance(measured, float):
+            measured = f"{measured:.6g}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.claim}: measured {measured}{unit}, claimed {self.wanted}{unit} ({where})"
+
 
 class Polyline(Record, frozen=True):
     """A polyline of the drawing, m."""

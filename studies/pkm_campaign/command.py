@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pkm_studies.commands import AllowCode
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 
 def campaign(
@@ -39,7 +39,7 @@ def campaign(
     from pkm_campaign import load_campaign, report, results, run_cases
     from pkm_studies import commands
 
-    loaded = load_campaign(file, consent(allow_code=allow_code))
+    loaded = load_campaign(file, Consent.of_call(allow_code=allow_code))
     loaded = loaded if seeds is None else loaded.first(seeds)
     folder = Path("out") / loaded.name if out is None else out
     with commands.progress(quiet=quiet) as progress:

@@ -15,7 +15,7 @@ from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies import files, shipped
 from pkm_studies.base import InputError, Location, Name
 from pkm_studies.resolve import resolve
-from pkm_studies.study import Study, combinations, decode_table, load, tables_of
+from pkm_studies.study import Study, combinations, decode_table, tables_of
 from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
@@ -187,7 +187,7 @@ def _study(
     neighbour = path.parent / tables.study
     is_neighbour = neighbour.is_file()
     file = neighbour if is_neighbour else shipped.study_path(Path(tables.study))
-    study = load(file, consent)
+    study = Study.load(file, consent)
     if study.prediction is None:
         raise location.key("study").error(
             "the study does not say where accuracy counts",

@@ -13,7 +13,7 @@ import numpy as np
 from oed import trust, units
 from oed.accuracy import ErrorMaps, driven_errors
 from oed.base import Array
-from oed.identifiability import assess
+from oed.identifiability import Assessment
 from pkm_campaign.case import HALF_WIDTH
 from pkm_studies.resolve import PredictionRequest
 from pkm_studies.stages import (
@@ -24,7 +24,7 @@ from pkm_studies.stages import (
     virtual_fit,
     written,
 )
-from pkm_studies.study import Study, parse
+from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
@@ -63,10 +63,10 @@ class VirtualMachine:
 @functools.lru_cache(maxsize=CACHE_SIZE)
 def _prepared(text: str, path: str, consent: Consent) -> Scheduled:
     """The state with its plan, made once for all machines of a combination."""
-    study: Study = parse(text, Path(path), consent)
+    study: Study = Study.parse(text, Path(path), consent)
     state = scheduled(study)
     scaling = study.design.scaling if study.design else "length"
-    verdict = assess(state.measurement, state.readings.series, scaling)
+    verdict = Assessment.of(state.measurement, state.readings.series, scaling)
     return state.replace(identifiability=verdict)
 
 

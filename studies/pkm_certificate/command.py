@@ -9,7 +9,7 @@ import typer
 
 from pkm_studies.commands import AllowCode, MachineStudy, ResultFolder
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 
 def certificate(
@@ -28,7 +28,7 @@ def certificate(
     from oed.verdict import all_pass
     from pkm_certificate import certify_folder, sentences
 
-    permission = consent(allow_code=allow_code)
+    permission = Consent.of_call(allow_code=allow_code)
     written, paths = certify_folder(
         folder, head_file=head, study_file=study, consent=permission
     )

@@ -9,7 +9,7 @@ import typer
 
 from pkm_studies.commands import AllowCode, Wanted
 from pkm_studies.console import DONE
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 
 def serve(
@@ -55,7 +55,7 @@ def serve(
     from pkm_page import serve as serve_page
 
     options = PageOptions(
-        readings, wanted, source, pattern, take, consent(allow_code=allow_code)
+        readings, wanted, source, pattern, take, Consent.of_call(allow_code=allow_code)
     )
 
     def say(address: str) -> None:

@@ -37,7 +37,7 @@ from pkm_studies.acceptance import ACCEPTANCE_FILE, judge_folder, verdict_senten
 from pkm_studies.base import InputError
 from pkm_studies.results import BadFitError
 from pkm_studies.sessions import Adviser
-from pkm_studies.study import SUFFIX, Study, load
+from pkm_studies.study import SUFFIX, Study
 from pkm_studies.user_code import Consent
 
 # The acceptance test of a result on the page: the file to fill in, and its judgement.
@@ -485,7 +485,7 @@ def starter(options: PageOptions) -> Callable[[Path], MachinePage]:
     """What opens a study of a served folder, with its results in a folder beside it."""
 
     def start(path: Path) -> MachinePage:
-        study = load(path, Consent.RECORDED)
+        study = Study.load(path, Consent.RECORDED)
         adviser = Adviser(study, options.wanted)
         folder = path.parent / study.name
         page = MachinePage(MachineSession(adviser, folder / "poses.csv"), path, folder)
@@ -498,7 +498,7 @@ def starter(options: PageOptions) -> Callable[[Path], MachinePage]:
 def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
     """The study, its file, and the folder of its results."""
     if not target.is_dir():
-        study = load(shipped.study_path(target), consent)
+        study = Study.load(shipped.study_path(target), consent)
         return study, target, Path("out") / study.name
     from oed.safe_files import write_own
     from pkm_studies.compensation import result_study

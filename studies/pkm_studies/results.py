@@ -6,7 +6,6 @@ BadFitError          a fit that promises nothing: an exit of its own
 refuse_bad_fit       raises it where nothing may rest on a result's fit
 check_claims         the claims of a study, held against its result
 check_claim          one of them
-claim_failure        why a claim fails, in a sentence
 value_at             the value of a result at a claim's path
 Values               an accuracy by component, in its unit
 advice_on            what brings most: the lines of a budget in sentences
@@ -55,15 +54,6 @@ def check_claims(
         if only is None or section in only:
             claims.append(check_claim(name, table, result))
     return claims
-
-
-def claim_failure(claim: Claim, where: str) -> str:
-    """What a claim that is not met says: measured against claimed, and where it stands."""
-    measured = claim.measured
-    if isinstance(measured, float):
-        measured = f"{measured:.6g}"
-    unit = f" {claim.unit}" if claim.unit else ""
-    return f"{claim.claim}: measured {measured}{unit}, claimed {claim.wanted}{unit} ({where})"
 
 
 def check_claim(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Claim:

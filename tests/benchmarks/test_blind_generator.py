@@ -56,7 +56,7 @@ def stage_of(machine: str, plan: str, seed: int = 3) -> SimpleNamespace:
 
 
 def measurement_of(name: str):
-    resolved = resolve.resolve(study.load(BLIND / name), readings=[])
+    resolved = resolve.resolve(study.Study.load(BLIND / name), readings=[])
     return resolved.measurement_with(resolved.setups)
 
 

@@ -180,7 +180,7 @@ def of_a3(rows: np.ndarray) -> dict[str, float]:
 def test_a3_designs_are_best_in_their_own_criterion() -> None:
     """30 of 1512 readings of the taught cup, and the paper's two circles of 15."""
     resolved = resolve(
-        study.load(ROOT / "studies" / "a3_ball_bar.study.toml"), readings=()
+        study.Study.load(ROOT / "studies" / "a3_ball_bar.study.toml"), readings=()
     )
     m = resolved.measurement
     rows = identifiability.scaled(m, resolved.candidates, m.nominal, "length")[

@@ -32,7 +32,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, dict]:
     folder = tmp_path_factory.mktemp("a3_head")
     path = folder / "case.study.toml"
     path.write_text(A3, encoding="utf-8")
-    study = studies.load(path)
+    study = studies.Study.load(path)
     _, truth_file = stages.simulate_study(study, folder / "case.csv")
     truth = json.loads(Path(truth_file).read_text(encoding="utf-8"))["effects"][0]
     readings = [folder / "case.csv"]

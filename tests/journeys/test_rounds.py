@@ -13,7 +13,7 @@ from oracles import a3_geometry as a3
 
 from pkm_studies import stages
 from pkm_studies.commands import main
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 Array = NDArray[np.float64]
 TOOLS = {"bare": 0.0, "long": 0.2}
@@ -123,7 +123,9 @@ class Machine:
         readings = self.folder / f"round{k}.readings.csv"
         session().write(readings, self.truth, joints, 100 * self.seed + k)
         out = self.folder / f"round{k}"
-        stages.run_study(load(self.study(k, **sessions)), out, readings=[readings])
+        stages.run_study(
+            Study.load(self.study(k, **sessions)), out, readings=[readings]
+        )
         assert main(["compensate", str(out), "--to", "json", "--commands", "64"]) == 0
         return dict(json.loads((out / "result.json").read_text()))
 
@@ -290,7 +292,7 @@ class PaperHead:
         study = self.folder / f"{self.rounds}.study.toml"
         study.write_text(PAPER_STUDY.format(machine=f"{machine}\n{held}"))
         out = self.folder / f"out{self.rounds}"
-        stages.run_study(load(study), out, readings=[readings])
+        stages.run_study(Study.load(study), out, readings=[readings])
         options = ["--to", "json", "--commands", "64", "--force"]
         assert main(["compensate", str(out), *options]) == 0
         self.joints = rounds.of_json(out / "compensation.json")

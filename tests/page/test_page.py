@@ -15,7 +15,7 @@ from pkm_page import readings_log, typed
 from pkm_page.machine_page import BackgroundCommand
 from pkm_page.readings_log import ReadingsLog, StaleError
 from pkm_studies.sessions import Adviser
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 # -- measuring -------------------------------------------------------------------------
 
@@ -23,7 +23,7 @@ from pkm_studies.study import load
 def test_page_and_command_decide_alike(machine: Any, page_study: Path) -> None:
     """After each reading, `oed next` on the page's file says the same pose and figures."""
     opened, client, operator = machine
-    adviser = Adviser(load(page_study))
+    adviser = Adviser(Study.load(page_study))
     path = opened.session.log.path
     for number in range(1, 5):
         status, state = take(client, operator.display())
@@ -240,7 +240,7 @@ def test_a_slip_is_named(text: str, words: str | None) -> None:
 def test_a_skipped_pose_is_advised_no_more(machine: Any, page_study: Path) -> None:
     """Neither by the page nor by the command, before and after readings; it can be undone."""
     opened, client, operator = machine
-    adviser, path = Adviser(load(page_study)), opened.session.log.path
+    adviser, path = Adviser(Study.load(page_study)), opened.session.log.path
     first = opened.session.state.advice.candidate
     status, state = client.post(
         "/skip", version=client.state()["version"], text="leg 2 collides"

@@ -26,7 +26,7 @@ from page.page_server import Client, Operator, rows, served
 from pkm_page import server
 from pkm_studies import shipped
 from pkm_studies.sessions import Adviser
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 playwright = pytest.importorskip("playwright.sync_api")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -104,7 +104,7 @@ def decides_alike(machine: Any, adviser: Adviser) -> bool:
 def test_a_session_of_30_readings(opened: Any, tmp_path: Path) -> None:
     """A3 head: every decision is the command's, the state follows within 0.8 s."""
     study = Path("a3_ball_bar")
-    adviser = Adviser(load(shipped.study_path(study)))
+    adviser = Adviser(Study.load(shipped.study_path(study)))
     path = tmp_path / "poses.csv"
     with served(study, server.PageOptions(path)) as (machine, port):
         operator, page = Operator(machine), opened(port)
@@ -126,7 +126,7 @@ def test_a_session_of_30_readings(opened: Any, tmp_path: Path) -> None:
 def test_a_session_with_everything_that_goes_wrong(opened: Any, tmp_path: Path) -> None:
     """Hexapod, 40 readings: a typing error, a wrong reading, an undo, a reload."""
     study = Path("hexapod_ball_bar")
-    adviser = Adviser(load(shipped.study_path(study)))
+    adviser = Adviser(Study.load(shipped.study_path(study)))
     path = tmp_path / "poses.csv"
     with served(study, server.PageOptions(path)) as (machine, port):
         operator, page = Operator(machine), opened(port, 820)
@@ -250,7 +250,7 @@ def test_from_sizes_to_the_first_reading(opened: Any, tmp_path: Path) -> None:
         page.fill("[name='wanted.z_um']", "30")
         page.get_by_role("button", name="Write the study").click()
         page.locator("#entry").wait_for(timeout=60_000)
-        written = load(tmp_path / "hexapod_ups.study.toml")
+        written = Study.load(tmp_path / "hexapod_ups.study.toml")
         assert written.machine.geometry["reach_mm"] == 80.0
         angles = np.radians([-10, 10, 110, 130, 230, 250])
         expected = 350.0 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])

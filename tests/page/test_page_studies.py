@@ -12,7 +12,7 @@ from page.page_server import Client, served
 from pkm_page import server
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.base import InputError
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 
 def form(**values: Any) -> NewStudy:
@@ -27,7 +27,7 @@ def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
         form(name="mine", sizes=sizes, time="60", wanted={"z_um": "40", "x_um": ""})
     )
     assert path == tmp_path / "mine.study.toml"
-    study = load(path)
+    study = Study.load(path)
     assert study.machine.geometry["arm_mm"] == 350.0
     assert study.prediction.wanted == {"z_um": 40}
     assert study.design.size is not None
@@ -47,7 +47,7 @@ def test_a_derived_list_has_a_cell_for_each_cable(tmp_path: Path) -> None:
 def test_one_number_for_all_is_the_same_list(tmp_path: Path) -> None:
     """The form shows three arms of 345; left as they are, the study states none."""
     path = StudyForm(tmp_path).write(form(sizes={"arm_mm": "[345, 345, 345]"}))
-    assert load(path).machine.geometry == {}
+    assert Study.load(path).machine.geometry == {}
 
 
 def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
         NewStudy(machine="a3_head", instrument="laser_ball_bar")
     )
     with pytest.raises(InputError, match=r"at_x_mm .*measure it at your machine"):
-        load(path)
+        Study.load(path)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import pytest
 
 from pkm_studies.commands import main
-from pkm_studies.study import SCHEMAS, from_tables
+from pkm_studies.study import SCHEMAS, Study
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"
@@ -330,6 +330,6 @@ def test_examples_are_tables_of_a_study() -> None:
             example = tomllib.loads(block.text)
             if example.keys() <= tables.keys():
                 machine = {"model": "a3_head"} | example.pop("machine", {})
-                from_tables(REST | example | {"machine": machine}, page.parent)
+                Study.from_tables(REST | example | {"machine": machine}, page.parent)
                 read += 1
     assert read > 20

@@ -36,9 +36,8 @@ class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the cl
 
     def __init__(self, claim: Claim, where: str) -> None:
         """State what was measured and what is claimed."""
-        from pkm_studies.results import claim_failure
 
-        super().__init__(claim_failure(claim, where))
+        super().__init__(claim.failure(where))
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -87,10 +86,10 @@ class StudyCollector(pytest.File):
     def collect(self) -> Iterator[pytest.Item]:
         """One item a claim. A study that cannot be read is an error of collection."""
         from pkm_studies.base import InputError
-        from pkm_studies.study import load
+        from pkm_studies.study import Study
 
         try:
-            study = load(self.path)
+            study = Study.load(self.path)
         except InputError as error:
             raise self.CollectError(str(error)) from None
         for name in study.expect:

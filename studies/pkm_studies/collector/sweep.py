@@ -25,8 +25,8 @@ import pytest
 from oed.result import StudyResult
 from pkm_studies import shipped, stages
 from pkm_studies.base import InputError, Location, SourceAbsentError
-from pkm_studies.results import check_claim, claim_failure, load_result, value_at
-from pkm_studies.study import Study, combinations, load
+from pkm_studies.results import check_claim, load_result, value_at
+from pkm_studies.study import Study, combinations
 from pkm_studies.tables import ClaimTable
 
 MARK = "study_sweep"
@@ -90,7 +90,7 @@ class VariedStudy:
         table = ClaimTable(of=of, min=min, max=max, equals=equals, contains=contains)
         claim = check_claim(of.rpartition(".")[2], table, self._plain)
         if not claim.met:
-            _fail(claim_failure(claim, self._where))
+            _fail(claim.failure(self._where))
 
     def check_claims(self, *names: str) -> None:
         """Fail the test unless the study's own claims hold: all, or those named."""
@@ -100,7 +100,7 @@ class VariedStudy:
             claims = ", ".join(by_name) or "no claims"
             _fail(f"{self._where}: no claim {unknown[0]}; it has {claims}")
         chosen = [by_name[name] for name in names or by_name]
-        failures = [claim_failure(c, self._where) for c in chosen if not c.met]
+        failures = [c.failure(self._where) for c in chosen if not c.met]
         if failures:
             _fail("\n".join(failures))
 
@@ -174,7 +174,7 @@ def _parameters(
 def _base(base: str | Path, folder: Path) -> Study:
     """A study's file, relative to that of the test, or a shipped study's name."""
     file = folder / base
-    return load(file if file.is_file() else shipped.study_path(Path(base)))
+    return Study.load(file if file.is_file() else shipped.study_path(Path(base)))
 
 
 def _short(value: Any) -> str:

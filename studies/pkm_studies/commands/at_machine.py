@@ -10,7 +10,7 @@ import typer
 from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode, StudyPath, Wanted
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 
 def next_reading(
@@ -32,9 +32,11 @@ def next_reading(
 ) -> int:
     """Advise at the machine: the best next reading, when to stop; the next visit of a diagnosis."""
     from pkm_studies import shipped
-    from pkm_studies.study import load
+    from pkm_studies.study import Study
 
-    loaded = load(shipped.study_path(study), consent(allow_code=allow_code))
+    loaded = Study.load(
+        shipped.study_path(study), Consent.of_call(allow_code=allow_code)
+    )
     if after is not None:
         _check_alone(after, readings, wanted, follow=follow)
         from pkm_studies.sessions import visit_lines

@@ -34,9 +34,9 @@ def check(
 ) -> int:
     """Check studies, and readings against what they predict; run nothing."""
     from pkm_studies.commands import checks
-    from pkm_studies.user_code import consent
+    from pkm_studies.user_code import Consent
 
-    permission = consent(allow_code=allow_code)
+    permission = Consent.of_call(allow_code=allow_code)
     code = DONE
     if picture is not None:
         print(f"Picture: {checks.draw_machine(paths[0], picture, permission)}")

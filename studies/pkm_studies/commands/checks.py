@@ -23,7 +23,7 @@ from pkm_studies.resolve import (
     study_machine,
     unreachable,
 )
-from pkm_studies.study import Study, load
+from pkm_studies.study import Study
 from pkm_studies.user_code import Consent, Origin
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def _check_study(
 
     Where it stands `alone`, the mistakes that its readings cannot reveal are stated.
     """
-    study = load(shipped.study_path(path), consent)
+    study = Study.load(shipped.study_path(path), consent)
     try:
         # without readings first: others can be checked even where these are absent
         without_readings = resolve(study, readings=())
@@ -262,7 +262,7 @@ def _machine(path: Path, consent: Consent) -> Machine:
             str(path), Origin.command(consent), location, assembled=False
         )
         return machine
-    return study_machine(load(shipped.study_path(path), consent), assembled=False)
+    return study_machine(Study.load(shipped.study_path(path), consent), assembled=False)
 
 
 def _save(

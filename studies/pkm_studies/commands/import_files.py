@@ -10,7 +10,7 @@ import typer
 
 from pkm_studies.commands.options import AllowCode
 from pkm_studies.plugins import project_plugins
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 
 def import_files(
@@ -58,7 +58,7 @@ def import_files(
         machine=machine,
         column_map=column_map,
         mesh=mesh,
-        consent=consent(allow_code=allow_code),
+        consent=Consent.of_call(allow_code=allow_code),
     )
     for statement in imported.statements:
         print(statement)

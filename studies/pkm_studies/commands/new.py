@@ -10,7 +10,7 @@ import typer
 
 from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode
-from pkm_studies.user_code import Origin, consent
+from pkm_studies.user_code import Consent, Origin
 
 
 def new(
@@ -48,7 +48,7 @@ def new(
 ) -> int:
     """Write a study to start from: a commented one, or a copy of a shipped one."""
     # The study will name the files: they lie where a study's files may lie.
-    origin = Origin(Path(), consent(allow_code=allow_code))
+    origin = Origin(Path(), Consent.of_call(allow_code=allow_code))
     if source is not None:
         path = _copied(name, source, machine, instrument, time)
     else:

@@ -14,7 +14,7 @@ from pkm_studies.commands.options import (
     StoredResult,
 )
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 
 def report(
@@ -78,7 +78,7 @@ def history(
     """Show how a machine drifts over its sessions, and when to calibrate again."""
     from pkm_studies.sessions import machine_history
 
-    permission = consent(allow_code=allow_code)
+    permission = Consent.of_call(allow_code=allow_code)
     report = machine_history(folders, limit, study, permission)
     for sentence in report.sentences:
         print(sentence)
@@ -100,7 +100,7 @@ def adjust(
     """Choose what to adjust at the machine, by how much, and what it brings."""
     from pkm_studies.sessions import adjust_folder, adjustment_sentences
 
-    permission = consent(allow_code=allow_code)
+    permission = Consent.of_call(allow_code=allow_code)
     section, paths = adjust_folder(
         folder, wanted=wanted, study_file=study, consent=permission
     )
@@ -158,7 +158,7 @@ def compensate(
         commands=commands,
         firmware=firmware,
         adjusted=adjusted,
-        consent=consent(allow_code=allow_code),
+        consent=Consent.of_call(allow_code=allow_code),
     )
     for path in written.paths:
         print(f"Compensation: {path}")

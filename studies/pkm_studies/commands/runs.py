@@ -22,7 +22,7 @@ from pkm_studies.commands.options import (
     Verbose,
 )
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.user_code import consent
+from pkm_studies.user_code import Consent
 
 if TYPE_CHECKING:
     from pkm_studies.study import Study
@@ -103,7 +103,7 @@ def identify(
     if study is None:
         from pkm_studies.commands.own_numbers import import_numbers
 
-        permission = consent(allow_code=allow_code)
+        permission = Consent.of_call(allow_code=allow_code)
         numbers = numbers or []
         study, taken = import_numbers(machine or "", numbers, readings, out, permission)
         if not quiet:
@@ -221,7 +221,6 @@ def forecast(
     """Plan the nodes of forecast compensation, or make the table of measured ones."""
     loaded, folder = load_for(study, allow_code, out, "-forecast")
     from pkm_studies import stages
-    from pkm_studies.results import claim_failure
     from pkm_studies.stages import forecast_sentences
 
     result = stages.forecast_study(loaded, folder, readings=readings, seed=seed)
@@ -232,9 +231,7 @@ def forecast(
         name, phrase = ("forecast_table.csv", "Table")
     print(f"{phrase}: {safe_files.latest(folder / name)}")
     failing = [
-        claim_failure(claim, loaded.path.name)
-        for claim in result.claims
-        if not claim.met
+        claim.failure(loaded.path.name) for claim in result.claims if not claim.met
     ]
     for sentence in failing:
         console.print_error(sentence)
@@ -245,7 +242,9 @@ def load(path: Path, allow_code: bool) -> Study:
     """The study of a file or of a shipped study's name."""
     from pkm_studies import shipped, study
 
-    return study.load(shipped.study_path(path), consent(allow_code=allow_code))
+    return study.Study.load(
+        shipped.study_path(path), Consent.of_call(allow_code=allow_code)
+    )
 
 
 def load_for(

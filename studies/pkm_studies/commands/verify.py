@@ -10,7 +10,7 @@ import typer
 from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.user_code import Consent, consent
+from pkm_studies.user_code import Consent
 
 
 def verify(
@@ -53,7 +53,7 @@ def verify(
     """Plan the acceptance test of a compensated machine, or judge its readings."""
     from pkm_studies import csv_table
 
-    permission = consent(allow_code=allow_code)
+    permission = Consent.of_call(allow_code=allow_code)
     if readings is not None:
         _check_judged(promise, uncertainty, planned)
         if "setup" in csv_table.read(readings).header:

@@ -28,7 +28,7 @@ from pkm_studies.earlier_result import (
     machine_difference,
 )
 from pkm_studies.resolve import study_machine
-from pkm_studies.study import SUFFIX, Study, load, parse
+from pkm_studies.study import SUFFIX, Study
 from pkm_studies.user_code import Consent
 
 # The study of a stored result: its own text, without code, or the file that is given.
@@ -54,7 +54,7 @@ def result_study(
     if not result.study_text:
         raise location.error("this result holds no study", "give it: --study STUDY")
     path = folder / f"{result.study}{SUFFIX}"
-    study = parse(result.study_text, path, Consent.NEVER)
+    study = Study.parse(result.study_text, path, Consent.NEVER)
     model = study.machine.model
     if user_code.is_file(model):
         raise location.error(
@@ -69,7 +69,7 @@ def _given_study(
     result: StudyResult, study_file: Path, consent: Consent, location: Location
 ) -> Study:
     """The study of a file, if it is that of the result's machine."""
-    study = load(study_file, consent)
+    study = Study.load(study_file, consent)
     difference = machine_difference(result.machine, study_machine(study))
     if difference is None:
         return study

@@ -14,7 +14,7 @@ from pkm_studies.drafts import template, time_budget
 from pkm_studies.drafts.axis_lines import SHARES
 from pkm_studies.drafts.bodies import families
 from pkm_studies.resolve import resolve
-from pkm_studies.study import SUFFIX, parse
+from pkm_studies.study import SUFFIX, Study
 from pkm_studies.user_code import Origin
 
 #: instruments to draft a study with, the most informative first
@@ -137,7 +137,7 @@ def first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
         try:
             # any number will do to check the others
             whole = draft.replace(template.OPEN, "0.0")
-            resolve(parse(whole, path, origin.consent), readings=())
+            resolve(Study.parse(whole, path, origin.consent), readings=())
         except (InputError, AssemblyError) as error:
             if not isinstance(error, InputError):
                 error = InputError(str(error), "")

@@ -65,7 +65,7 @@ def model(request: ImportRequest, column_map: ColumnMap, location: Location) -> 
     --machine is a model, a file of the user's, or a study whose machine is meant.
     """
     if isinstance(request.machine, str) and request.machine.endswith(".toml"):
-        study = studies.load(request.machine, request.consent)
+        study = studies.Study.load(request.machine, request.consent)
         machine = study_machine(study)
         return _model(machine, study.machine, study.folder, request)
     described: str | MachineTable | None = request.machine

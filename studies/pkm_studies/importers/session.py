@@ -13,7 +13,7 @@ from pkm_studies.base import InputError
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import readings_comments, resolve, study_machine
-from pkm_studies.study import SUFFIX, Study, load, parse
+from pkm_studies.study import SUFFIX, Study
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, is_file
 
@@ -71,7 +71,7 @@ def import_files(
     # the study last: whoever finds it finds what it names
     files.write_all(dict(reversed([*zip(targets, contents, strict=True)])))
     try:
-        resolve(load(targets[0], consent), readings=()).with_stated_readings()
+        resolve(Study.load(targets[0], consent), readings=()).with_stated_readings()
     except (InputError, AssemblyError) as error:
         for path in targets:
             path.unlink()
@@ -101,7 +101,7 @@ def _no_study(
 def _readings(session: ImportedSession, path: Path, consent: Consent) -> str:
     """The readings file, with what its columns mean where the study resolves."""
     try:
-        study = parse(session.study, path, consent)
+        study = Study.parse(session.study, path, consent)
         comments = comments_of_study(study)
     except InputError:
         return base.readings_text(session.rows)

@@ -43,8 +43,8 @@ from pkm_studies.stages import (
     sample_posterior,
     simulated,
 )
-from pkm_studies.study import Study, from_tables, load
-from pkm_studies.user_code import Origin, consent
+from pkm_studies.study import Study
+from pkm_studies.user_code import Consent, Origin
 
 
 def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
@@ -57,8 +57,8 @@ def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
     >>> study.name
     'planar_step_calibration'
     """
-    permission = consent(allow_code=allow_code)
-    return load(shipped.study_path(Path(study)), permission)
+    permission = Consent.of_call(allow_code=allow_code)
+    return Study.load(shipped.study_path(Path(study)), permission)
 
 
 def build_study(
@@ -80,7 +80,9 @@ def build_study(
     >>> study.setup[0].instrument
     'rm4'
     """
-    return from_tables(tables, Path(folder), consent(allow_code=allow_code))
+    return Study.from_tables(
+        tables, Path(folder), Consent.of_call(allow_code=allow_code)
+    )
 
 
 def choose_design(study: Study, *, seed: int | None = None) -> DesignView:

@@ -1,8 +1,5 @@
 """A study file as written: its text becomes a `Study`, or a refusal with field and remedy.
 
-load          the study of a file
-parse         the study of a text
-from_tables   the study of tables that were read before
 Study         a study as written, with the place of its file
 SUFFIX        end of a study file's name
 decode_table  a struct from a table of TOML
@@ -20,14 +17,7 @@ from oed.base import door
 if TYPE_CHECKING:
     from pkm_studies.study.data_sources import PublishedFile, Row
     from pkm_studies.study.decode import decode_table, tables_of
-    from pkm_studies.study.loader import (
-        SUFFIX,
-        Study,
-        combinations,
-        from_tables,
-        load,
-        parse,
-    )
+    from pkm_studies.study.loader import SUFFIX, Study, combinations
     from pkm_studies.study.schemas import SCHEMAS
 else:
     __getattr__ = door(__name__)

@@ -62,49 +62,55 @@ class Study(StudyFile, frozen=True, kw_only=True):
         for field, value in setting.items():
             _assign(tables, field, value, location.key(field))
         text = msgspec.toml.encode(tables).decode()
-        return parse(text, self.path, self.consent)
+        return Study.parse(text, self.path, self.consent)
 
+    @classmethod
+    def load(cls, path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
+        """Read and check a study file.
 
-def load(path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
-    """Read and check a study file.
+        consent  to run Python files that it names, once they are needed
 
-    consent  to run Python files that it names, once they are needed
+        Raises InputError that names file, field, value and remedy.
+        """
+        path = Path(path)
+        text = files.read_text(path, limit=MAX_BYTES, what="study file")
+        return Study.parse(text, path, consent)
 
-    Raises InputError that names file, field, value and remedy.
-    """
-    path = Path(path)
-    text = files.read_text(path, limit=MAX_BYTES, what="study file")
-    return parse(text, path, consent)
+    @classmethod
+    def parse(cls, text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
+        """As `load`, from text; errors name `path`, and the study's paths start there."""
+        location = Location(str(path))
+        table = decode.tables_of(
+            text, location, "mend it there, or start from `oed new`"
+        )
+        _check_schema(table, location)
+        tables = decode.decode_table(StudyFile, table, location)
+        _check_tables(tables, location)
+        fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
+        return cls(**fields, path=path, text=text, consent=consent)
 
+    @classmethod
+    def from_tables(
+        cls,
+        tables: Mapping[str, Any],
+        folder: Path,
+        consent: Consent = Consent.RECORDED,
+    ) -> Study:
+        """A study from nested tables as in a study file. Raises InputError.
 
-def parse(text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
-    """As `load`, from text; errors name `path`, and the study's paths start there."""
-    location = Location(str(path))
-    table = decode.tables_of(text, location, "mend it there, or start from `oed new`")
-    _check_schema(table, location)
-    tables = decode.decode_table(StudyFile, table, location)
-    _check_tables(tables, location)
-    fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
-    return Study(**fields, path=path, text=text, consent=consent)
-
-
-def from_tables(
-    tables: Mapping[str, Any], folder: Path, consent: Consent = Consent.RECORDED
-) -> Study:
-    """A study from nested tables as in a study file. Raises InputError.
-
-    `schema` may be left out. Paths in the study are relative to `folder`.
-    """
-    name = str(tables.get("name", "study"))
-    path = folder / f"{name}{SUFFIX}"
-    complete = {"schema": SCHEMA, **tables}
-    try:
-        text = msgspec.toml.encode(complete).decode()
-    except TypeError as error:
-        raise Location(str(path)).error(
-            f"a value has no TOML form: {error}", "use numbers, texts, lists and tables"
-        ) from error
-    return parse(text, path, consent)
+        `schema` may be left out. Paths in the study are relative to `folder`.
+        """
+        name = str(tables.get("name", "study"))
+        path = folder / f"{name}{SUFFIX}"
+        complete = {"schema": SCHEMA, **tables}
+        try:
+            text = msgspec.toml.encode(complete).decode()
+        except TypeError as error:
+            raise Location(str(path)).error(
+                f"a value has no TOML form: {error}",
+                "use numbers, texts, lists and tables",
+            ) from error
+        return Study.parse(text, path, consent)
 
 
 def _check_schema(table: dict[str, Any], location: Location) -> None:

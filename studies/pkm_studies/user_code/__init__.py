@@ -44,10 +44,10 @@ class Consent(enum.Enum):
     RECORDED = enum.auto()
     GIVEN = enum.auto()
 
-
-def consent(*, allow_code: bool) -> Consent:
-    """The consent of a call with `--allow-code`, or without."""
-    return Consent.GIVEN if allow_code else Consent.RECORDED
+    @staticmethod
+    def of_call(*, allow_code: bool) -> Consent:
+        """The consent of a call with `--allow-code`, or without."""
+        return Consent.GIVEN if allow_code else Consent.RECORDED
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -122,10 +122,10 @@ def test_the_drive_of_a_study_is_the_machine_s(tmp_path: Path) -> None:
         'drive = "belt"\n[[setup]]\nname = "probe"\ninstrument = "height_probe"\n'
     )
     path.write_text(text, encoding="utf-8")
-    assert machine.study_machine(studies.load(path)).drive == "belt"
+    assert machine.study_machine(studies.Study.load(path)).drive == "belt"
     path.write_text(text.replace("belt", "steam"), encoding="utf-8")
     with pytest.raises(InputError) as error:
-        studies.load(path)
+        studies.Study.load(path)
     assert "drive" in str(error.value)
     assert "linear_motor" in str(error.value)
 

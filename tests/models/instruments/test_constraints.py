@@ -22,7 +22,7 @@ from constraint_machines import (
 )
 from shipped_models import hexapod
 
-from oed.identifiability import assess, recoveries
+from oed.identifiability import Assessment, recoveries
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from pkm_models.instruments import camera, passive_joint, seat, touch_plane
@@ -75,7 +75,7 @@ def test_slopes_and_ranks_of_each_class_of_calibration(
     scale = np.r_[CMM_SCALE, SETUP_SCALE[name]]
     assert own.shape[1] == count
     assert rank_of(own, scale) == rank
-    verdict = assess(measurement, series)
+    verdict = Assessment.of(measurement, series)
     assert (verdict.identifiability.rank, len(verdict.names)) == (rank, count)
 
 
@@ -90,7 +90,7 @@ def test_together_external_readings_and_sensors_lose_what_only_moves_both_ends()
     setups = [mount(camera.known_frame, "external"), sensors()]
     measurement = Measurement(CMM, setups)
     series = [measurement.series(s.name, GRID) for s in setups]
-    assert assess(measurement, series).identifiability.rank == 24
+    assert Assessment.of(measurement, series).identifiability.rank == 24
 
 
 def test_a_locked_joint_leads_one_coordinate() -> None:
@@ -120,7 +120,7 @@ def test_slopes_and_rank_of_a_ball_in_a_seat(rng: np.random.Generator) -> None:
     rows = measurement.jacobian([series], measurement.nominal)
     assert rows == pytest.approx(own, abs=1e-6)
     values = np.linalg.svd(own, compute_uv=False)
-    verdict = assess(measurement, [series])
+    verdict = Assessment.of(measurement, [series])
     rank = verdict.identifiability.rank
     assert len(verdict.names) == 45
     assert rank == int((values > 1e-6 * values[0]).sum()) == 36
@@ -136,10 +136,10 @@ def test_what_a_machine_cannot_do_is_refused() -> None:
 
 def test_sensors_are_suggested_where_they_help_alone() -> None:
     external, series = of_class("external")
-    advice = recoveries(assess(external, series), {})
+    advice = recoveries(Assessment.of(external, series), {})
     phrase = f"sensors on the passive joints, {', '.join(JOINTS)}, recovers"
     assert f"{phrase} 3 of 6 lost directions" in advice
     both = Measurement(CMM, [mount(camera.known_frame, "external"), sensors()])
     together = [both.series(name, GRID) for name in both.setups]
-    advice = recoveries(assess(both, together), {})
+    advice = recoveries(Assessment.of(both, together), {})
     assert not any(phrase in text for text in advice)

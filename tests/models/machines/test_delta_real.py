@@ -199,7 +199,9 @@ def test_the_study_reads_the_same_readings(
     """Its data against the tables as read here: joints, pairs and values, reading by
     reading.
     """
-    resolved = resolve.resolve(study.load(ROOT / "studies" / f"{name}.study.toml"))
+    resolved = resolve.resolve(
+        study.Study.load(ROOT / "studies" / f"{name}.study.toml")
+    )
     data = resolved.dataset
     assert set(data.setups) == {
         f"{s}_{kind}" for s in ("S03", "S04") for kind in ("probe", "calliper")

@@ -7,7 +7,7 @@ from oracles import hexapod_geometry as oracle
 from shipped_models import pose_tracker
 
 from oed.base import Array
-from oed.identifiability import Assessment, assess, lost_motions
+from oed.identifiability import Assessment, lost_motions
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
@@ -78,7 +78,7 @@ def test_no_pose_of_the_workspace_is_near_a_singular_one(
 
 def look(setup: Setup, plan: Array) -> Assessment:
     m = Measurement(MACHINE, [setup])
-    return assess(m, [m.series(setup.name, plan)])
+    return Assessment.of(m, [m.series(setup.name, plan)])
 
 
 def test_a_free_frame_hides_what_leaves_the_guides_along_x(

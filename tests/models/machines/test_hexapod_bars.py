@@ -10,7 +10,7 @@ from oracles import hexapod_geometry as oracle
 from shipped_models import ball_bar, pose_tracker
 
 from oed.base import Array
-from oed.identifiability import Assessment, assess, explain, lost_motions
+from oed.identifiability import Assessment, explain, lost_motions
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.mechanism import Kinematics
@@ -79,7 +79,9 @@ def test_the_legs_at_home_are_told_by_the_generic_geometry() -> None:
 
 def look(setups: list[Setup], plans: list[Array]) -> Assessment:
     m = Measurement(MACHINE, setups)
-    return assess(m, [m.series(s.name, c) for s, c in zip(setups, plans, strict=True)])
+    return Assessment.of(
+        m, [m.series(s.name, c) for s, c in zip(setups, plans, strict=True)]
+    )
 
 
 def free_cup(tool: float = 0.0, **settings: float) -> Setup:

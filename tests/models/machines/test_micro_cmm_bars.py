@@ -9,7 +9,7 @@ from shipped_models import ball_plate, camera
 
 from oed.accuracy import ErrorMaps
 from oed.base import Array
-from oed.identifiability import assess
+from oed.identifiability import Assessment
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
@@ -154,7 +154,7 @@ def measurement(*setups: Setup) -> Measurement:
 
 def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations() -> None:
     m = measurement(mount(camera.known_frame, "position"))
-    seen = assess(m, [m.series("position", grid(4, 3))])
+    seen = Assessment.of(m, [m.series("position", grid(4, 3))])
     assert len(seen.names) == 15
     assert seen.identifiability.rank == 9
     found = seen.identifiability.coefficients_by_name(seen.identifiability.combinations)
@@ -184,7 +184,7 @@ def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well() -> None:
     turn about z.
     """
     m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
-    seen = assess(m, [m.series("plate", grid(4, 2))])
+    seen = Assessment.of(m, [m.series("plate", grid(4, 2))])
     assert (len(seen.names), seen.identifiability.rank) == (21, 12)
 
 
@@ -194,7 +194,7 @@ def test_distances_see_as_much_of_the_machine_as_the_plate(
     """Machine 9 less the three motions in the plane; the scale is a seventh."""
     m = measurement(mount(ball_plate.distance, "gauge"))
     pairs = np.vstack([rng.permutation(grid(3, 2)) for _ in range(4)])
-    seen = assess(
+    seen = Assessment.of(
         m, [m.series("gauge", pairs, [str(i // 2) for i in range(len(pairs))])]
     )
     assert (len(seen.names), seen.identifiability.rank) == (16, 7)

@@ -23,7 +23,7 @@ from prs_sample import (
 from shipped_models import laser_ball_bar, pose_tracker
 
 from oed.estimation import identify
-from oed.identifiability import Assessment, assess, explain
+from oed.identifiability import Assessment, explain
 from oed.instrument import Instrument, mount
 from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
@@ -41,7 +41,7 @@ def analyse(
     machine: Machine, instrument: Instrument, tolerances: Mapping[str, float] = KNOWN
 ) -> Assessment:
     m, series = measured(machine, instrument, tolerances)
-    return assess(m, [series])
+    return Assessment.of(m, [series])
 
 
 def lost_text(analysis: Assessment) -> str:
@@ -240,7 +240,7 @@ def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
         (pose_tracker.position, 15),
     ):
         m, series = measured(FULL, instrument, z=z)
-        assert assess(m, [series]).identifiability.rank == rank
+        assert Assessment.of(m, [series]).identifiability.rank == rank
 
 
 def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
@@ -313,7 +313,7 @@ def test_table_4_comes_back_in_every_identifiable_combination(
     scores, ratios = [], []
     for seed in range(8):
         m, series, y = planted(seed, tolerances)
-        combinations = assess(m, [series]).identifiability.combinations
+        combinations = Assessment.of(m, [series]).identifiability.combinations
         free = np.flatnonzero(m.free)
         estimate = identify(m, [series], y)
         truth = np.r_[PAPER.ravel(), np.zeros(6)]

@@ -24,7 +24,7 @@ FEW = '["encoder_scale", "pitch_accumulation", "joint_runout", "gravity"]'
 
 def _session(folder: Path, scale: float) -> tuple[Measurement, Dataset]:
     study = leg_scale.write(folder, leg_scale.readings(scale))
-    machine = resolved.resolve(studies.load(study), readings=None)
+    machine = resolved.resolve(studies.Study.load(study), readings=None)
     measurement = machine.measurement_with(machine.setups)
     assert machine.dataset is not None
     return measurement, machine.dataset
@@ -56,7 +56,7 @@ def test_the_joint_estimate_is_that_of_least_squares(
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     folder = tmp_path_factory.mktemp("leg_scale")
-    study = studies.load(leg_scale.write(folder, leg_scale.readings(-0.06), FEW))
+    study = studies.Study.load(leg_scale.write(folder, leg_scale.readings(-0.06), FEW))
     return stages.diagnose_study(study, None, folder / "out", seed=1)
 
 

@@ -133,7 +133,7 @@ def test_only_what_the_set_ups_can_have_is_tried(
         f'[[setup]]\nname = "a"\ninstrument = "{instrument}"\n',
         encoding="utf-8",
     )
-    study = studies.load(path)
+    study = studies.Study.load(path)
     request = GapRequest.of_study(study, machine.study_machine(study))
     offered = {e.name for e in request.effects} & set(REFERENCES)
     assert (

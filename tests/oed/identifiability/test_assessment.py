@@ -9,7 +9,6 @@ from shipped_models import a3_head, ball_bar, calliper, height_probe, linear_del
 from oed import identifiability
 from oed.identifiability import (
     Assessment,
-    assess,
     column_scale,
     combination_text,
     explain,
@@ -43,7 +42,7 @@ def heights(delta: Measurement) -> list[Series]:
 
 @pytest.fixture(scope="module")
 def assessment(delta: Measurement, heights: list[Series]) -> Assessment:
-    return assess(delta, heights)
+    return Assessment.of(delta, heights)
 
 
 def test_covariances_are_inverses_of_prior_and_information(
@@ -94,7 +93,7 @@ def test_heights_leave_the_common_size_to_the_calliper(
     assert lost > 0
     wide = np.array([[0.06, 0.0, 0.0], [-0.06, 0.0, 0.0], [0.0, 0.06, 0.0]])
     both = [*assessment.series, delta.series("calliper", wide)]
-    together = assess(delta, both)
+    together = Assessment.of(delta, both)
     recovered = lost - (len(together.names) - together.identifiability.rank)
     alternatives = {"distances": (delta, both[1:])}
     phrases = recoveries(assessment, alternatives)
@@ -109,7 +108,7 @@ def test_a_longer_tool_recovers_what_one_circle_loses() -> None:
     m = Measurement(a3_head.machine, [bar])
     psi = np.linspace(-3.0, 3.0, 15)
     command = np.column_stack([np.full(15, 1.15), psi, np.full(15, 0.4)])
-    one = assess(m, [m.series("cup", command)])
+    one = Assessment.of(m, [m.series("cup", command)])
     (phrase,) = [p for p in recoveries(one, {}) if p.startswith("a second tool")]
     assert phrase.startswith("a second tool, 100 mm longer, in a set-up of its own")
     lost = len(one.names) - one.identifiability.rank

@@ -22,7 +22,7 @@ from oed.planning.prediction import predict_stage
 from pkm_studies.base import InputError, Silent
 from pkm_studies.resolve import resolve
 from pkm_studies.stages.plan.plan import compute_plan
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 machine = planar_2dof.machine
 
@@ -134,14 +134,16 @@ def with_effects(folder: Path, effects: str, machines: int) -> Path:
 def test_what_a_plan_cannot_allow_for_is_refused(
     tmp_path: Path, effects: str, machines: int, words: str
 ) -> None:
-    study = load(with_effects(tmp_path, effects, machines))
+    study = Study.load(with_effects(tmp_path, effects, machines))
     with pytest.raises(InputError, match=words):
         resolve(study, readings=[])
 
 
 @pytest.mark.slow
 def test_the_plan_without_effects_promises_too_much(tmp_path: Path) -> None:
-    resolved = resolve(load(with_effects(tmp_path, '"catalogue"', 0)), readings=[])
+    resolved = resolve(
+        Study.load(with_effects(tmp_path, '"catalogue"', 0)), readings=[]
+    )
     assert resolved.plan is not None
     rng = np.random.default_rng(1)
     outcome = compute_plan(resolved, resolved.plan, [1, 2], rng, Silent(), None)

@@ -21,7 +21,8 @@ from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
 from pkm_studies.stages import RunState
 from pkm_studies.stages.gap.diagnosis import gap_section
-from pkm_studies.study import load
+from pkm_studies.stages.readings import planned_series, simulate_readings
+from pkm_studies.study import Study
 
 pytestmark = pytest.mark.pictures
 
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.pictures
 def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
     """The gap of the diagnosis by hand, as it comes back from result.json."""
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
-    state = RunState.start(load(path), 3, Silent(), None)
+    state = RunState.start(Study.load(path), 3, Silent(), None)
     readings = simulate_readings(state, planned_series(state)).readings
     residuals = assemble(
         state.measurement,

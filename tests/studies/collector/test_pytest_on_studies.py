@@ -8,7 +8,7 @@ import pytest
 import sample
 from few_poses import PLAN, write
 
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 
 def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -63,5 +63,5 @@ def test_each_claim_is_a_test(tmp_path: Path) -> None:
 def test_a_study_of_one_claim_names_its_line(tmp_path: Path) -> None:
     from pkm_studies import collector
 
-    text = load(write(tmp_path / "p.study.toml", PLAN)).text
+    text = Study.load(write(tmp_path / "p.study.toml", PLAN)).text
     assert text.splitlines()[collector._line(text, "rank")].startswith("rank =")

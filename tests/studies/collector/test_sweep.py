@@ -11,7 +11,7 @@ import sample
 from pkm_studies import stages
 from pkm_studies.base import Location
 from pkm_studies.collector import sweep
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 #: nothing to choose and nothing to fit: a plan is looked at
 PLAN = sample.changed(
@@ -108,7 +108,7 @@ def test_tests_of_one_combination_share_its_run(
         return run(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(stages, "run_study", counted)
-    base = load(study)
+    base = Study.load(study)
     (tmp_path / "results").mkdir()
     for value in (0.5, 1.0, 0.5):
         setting = {"noise.length_um": value}
@@ -124,7 +124,9 @@ def test_a_failing_figure_says_measured_against_claimed(
     study: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "results").mkdir()
-    combination = sweep.Combination(load(study), {"setup": [{"instrument": "camera"}]})
+    combination = sweep.Combination(
+        Study.load(study), {"setup": [{"instrument": "camera"}]}
+    )
     case = sweep.VariedStudy(combination, tmp_path / "results")
     case.check("identifiability.rank", max=21)
     with pytest.raises(pytest.fail.Exception) as failed:

@@ -18,7 +18,7 @@ from oed.mechanism import AssemblyError
 from pkm_studies import sources
 from pkm_studies.base import InputError
 from pkm_studies.resolve import resolve
-from pkm_studies.study import parse
+from pkm_studies.study import Study
 
 #: mutations of studies, and of each of two readings files
 DEFAULT, NIGHTLY = (50, 75), (600, 700)
@@ -81,7 +81,7 @@ def assert_helpful(error: InputError, file: str) -> None:
 
 def check_study(text: str) -> None:
     try:
-        resolve(parse(text, Path("s.study.toml")))
+        resolve(Study.parse(text, Path("s.study.toml")))
     except InputError as error:
         assert_helpful(error, "s.study.toml")
     except AssemblyError:
@@ -90,7 +90,7 @@ def check_study(text: str) -> None:
 
 @functools.cache
 def measurement(study: str) -> Measurement:
-    resolved = resolve(parse(study, Path("s.study.toml")), readings=())
+    resolved = resolve(Study.parse(study, Path("s.study.toml")), readings=())
     return resolved.measurement_with(resolved.setups)
 
 

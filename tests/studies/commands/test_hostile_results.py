@@ -15,7 +15,7 @@ from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.quantities import column
-from pkm_studies.study import parse
+from pkm_studies.study import Study
 
 PATHS = (
     "../evil",
@@ -71,7 +71,7 @@ def test_the_name_of_a_study_ends_with_its_line(tmp_path: Path) -> None:
     """Python lets a line feed follow the end of a pattern."""
     text = compensation_sample.study_text("linear_delta")
     with pytest.raises(InputError, match="letters, digits"):
-        parse(text.replace('"sample"', '"sample\\n"'), tmp_path / "s.study.toml")
+        Study.parse(text.replace('"sample"', '"sample\\n"'), tmp_path / "s.study.toml")
 
 
 def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from pkm_studies import stages
 from pkm_studies.base import InputError
 from pkm_studies.commands.own_numbers import calibration_answer, import_numbers
-from pkm_studies.study import load
+from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
 
 Run = Callable[..., tuple[int, str, str]]
@@ -62,7 +62,7 @@ def answered(
     study, _ = import_numbers(machine, numbers, [file], folder, Consent.RECORDED)
     text = study.read_text().replace("[machine]\n", f"[machine]\n{fixed}")
     study.write_text(text + QUICK)
-    loaded = load(study)
+    loaded = Study.load(study)
     result = stages.run_study(loaded, folder / "fit", report=False)
     sentence = calibration_answer(loaded, result, folder / "fit")
     judgement = sentence.removeprefix("Is the calibration good? ").partition(":")[0]

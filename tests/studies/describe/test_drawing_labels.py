@@ -17,7 +17,7 @@ from pkm_studies.base import Silent
 from pkm_studies.stages import RunState
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.readings import planned_series
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 
 def _labels(machine: object) -> dict[str, tuple[str, np.ndarray]]:
@@ -63,7 +63,7 @@ def test_planned_readings_state_the_joints_of_the_nominal_machine(
     tmp_path: Path,
 ) -> None:
     """Against the lengths of the oracle, which shares no code with the kinematics."""
-    state = RunState.start(load(gap_fixture.written(tmp_path)), 3, Silent(), None)
+    state = RunState.start(Study.load(gap_fixture.written(tmp_path)), 3, Silent(), None)
     (series,) = planned_series(state)[:1]
     readings = planned_readings(state.measurement, [series])
     z, psi, theta = (
@@ -120,7 +120,7 @@ def test_each_tool_point_has_its_own_far_end_or_none(tmp_path: Path) -> None:
     """Set-ups with a cup and without one: no reading gets the bar of another."""
     path = tmp_path / "mixed.study.toml"
     path.write_text(MIXED, "utf-8")
-    state = RunState.start(load(path), None, Silent(), None)
+    state = RunState.start(Study.load(path), None, Silent(), None)
     plan = state.resolved.reference_plans[0]
     measurement = state.resolved.measurement_with(plan.setups)
     drawn = describe.drawing(measurement, plan.series)

@@ -135,7 +135,7 @@ def test_a_hand_written_delta_stands_where_mujoco_puts_it(
     assert "actuator" in out
     file = tmp_path / "mine.study.toml"
     assert oed("check", file)[0] == 0
-    machine = study_machine(study.load(file))
+    machine = study_machine(study.Study.load(file))
     assert machine.nominal[machine.index("r1")] == pytest.approx(0.2, abs=1e-12)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "delta.xml"))
     tool = np.array([0.0, 0.0, -0.05])
@@ -173,7 +173,7 @@ def test_what_was_written_comes_back_as_the_same_machine(
         loops = ["--loops", folder / "compensation_loops.csv"]
     code, _, err = oed("new", "back", "--machine", file, *loops)
     assert code == 0, err
-    machine = study_machine(study.load(tmp_path / "back.study.toml"))
+    machine = study_machine(study.Study.load(tmp_path / "back.study.toml"))
     low, high = np.array([(c.lower, c.upper) for c in machine.command]).T
     command = rng.uniform(low, high, (10, len(low)))
     _, expected = Kinematics(original).inverse(command, values)

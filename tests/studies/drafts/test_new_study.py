@@ -159,9 +159,9 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     filled = drafted.replace('"to be measured"', "0.0")
     if filled != drafted:
         with pytest.raises(InputError, match=r"setup\[1\]\.at\w+ .*measure it"):
-            study.load(path)
+            study.Study.load(path)
         path.write_text(filled, encoding="utf-8")
-    resolved = resolve(study.load(path))
+    resolved = resolve(study.Study.load(path))
     assert 20 <= len(resolved.candidates[0]) <= 1000
     assert len(resolved.prediction.command) <= 1000
     text = path.read_text(encoding="utf-8")

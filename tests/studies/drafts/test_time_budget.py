@@ -7,7 +7,7 @@ import pytest
 from pkm_studies import catalogue
 from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import read_time, write_draft
-from pkm_studies.study import load
+from pkm_studies.study import Study
 from pkm_studies.user_code import Origin
 
 
@@ -41,7 +41,8 @@ def test_a_draft_has_the_readings_of_its_time(tmp_path: Path) -> None:
     tool = catalogue.instrument("pose_tracker_position", origin, Location("test"))
     seconds = tool.cost.setup + 40.5 * tool.cost.reading
     path = write_draft("timed", "delta", "pose_tracker_position", origin, seconds)
-    design = load(path).design
+    design = Study.load(path).design
+    assert design is not None
     assert design.size == 40
 
 

@@ -21,7 +21,7 @@ from oed.result import StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import ResolvedStudy, resolve
-from pkm_studies.study import parse
+from pkm_studies.study import Study
 
 Array = NDArray[np.float64]
 Run = Callable[..., tuple[int, str, str]]
@@ -93,7 +93,7 @@ def folder(tmp_path: Path, first_round: Path) -> Path:
 
 def resolved(folder: Path, controller: str) -> ResolvedStudy:
     path = folder / "round2.study.toml"
-    return resolve(parse(STUDY.format(controller=controller), path), readings=())
+    return resolve(Study.parse(STUDY.format(controller=controller), path), readings=())
 
 
 def measured(folder: Path, controller: str) -> Measurement:
@@ -228,7 +228,7 @@ def test_a_bar_is_held_where_the_compensated_machine_is(folder: Path) -> None:
     """Commands of a circle of the bar, on the head that the controller believes in."""
     cup = a3.forward(KNOWN, rounds.of_parameters(KNOWN)(TEACH, 0.0)).tip[0]
     text = STUDY.format(controller="first") + BAR.format(*(1e3 * cup))
-    study = resolve(parse(text, folder / "round2.study.toml"), readings=())
+    study = resolve(Study.parse(text, folder / "round2.study.toml"), readings=())
     command = study.reference_plans[0].series[0].reading_commands()
     tip = a3.forward(KNOWN, rounds.of_parameters(KNOWN)(command, 0.0)).tip
     assert np.linalg.norm(tip - cup, axis=1) == pytest.approx(0.3, abs=1e-9)
@@ -256,7 +256,7 @@ def test_a_changed_grid_or_a_missing_session_is_noticed(
         return
     text = STUDY.format(controller="first") + '[prior]\nearlier = "absent"\n'
     with pytest.raises(InputError, match=r"prior\.earlier.*there is no folder"):
-        resolve(parse(text, folder / "round2.study.toml"), readings=())
+        resolve(Study.parse(text, folder / "round2.study.toml"), readings=())
 
 
 # -- the export of a later round -------------------------------------------------------
@@ -321,7 +321,7 @@ def test_the_posterior_of_an_earlier_session_is_the_prior(folder: Path) -> None:
     covariance = root @ root.T
     sample.save(folder / "session", session(covariance))
     text = STUDY.format(controller="first") + '[prior]\nearlier = "session"\n'
-    study = resolve(parse(text, folder / "round2.study.toml"), readings=())
+    study = resolve(Study.parse(text, folder / "round2.study.toml"), readings=())
     m = study.measurement_with(study.setups)
     free = np.flatnonzero(m.free)
     assert len(free) == 18
@@ -358,4 +358,4 @@ def test_what_the_posterior_of_a_session_does_not_go_with(
     text = STUDY.replace('controller = "{controller}"\n', "")
     text += f'[prior]\nearlier = "session"\n{table}\n'
     with pytest.raises(InputError, match=words):
-        resolve(parse(text, folder / "round2.study.toml"), readings=())
+        resolve(Study.parse(text, folder / "round2.study.toml"), readings=())

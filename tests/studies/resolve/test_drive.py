@@ -8,7 +8,7 @@ import pytest
 from pkm_studies import stages
 from pkm_studies.base import InputError
 from pkm_studies.resolve import GapRequest, resolve, study_machine
-from pkm_studies.study import Study, load
+from pkm_studies.study import Study
 
 STUDY = """\
 schema = 1
@@ -40,7 +40,7 @@ def study(
 ) -> Study:
     path = folder / "arm.study.toml"
     path.write_text(STUDY.format(drive=drive, model=model, instrument=instrument))
-    return load(path)
+    return Study.load(path)
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_a_joint_has_its_zero_where_the_file_has_it(
     (tmp_path / "legs.xml").write_text(drawn(ref))
     code, _, err = oed("new", "mine", "--machine", "legs.xml")
     assert code == 0, err
-    machine = study_machine(study.load(tmp_path / "mine.study.toml"))
+    machine = study_machine(study.Study.load(tmp_path / "mine.study.toml"))
     kinematics = Kinematics(machine)
     at_home = kinematics.inverse(machine.home_command[None])[1][0]
     assert at_home == pytest.approx(np.full(6, ref), abs=1e-9)

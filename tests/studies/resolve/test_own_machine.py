@@ -6,7 +6,7 @@ import pytest
 
 from pkm_studies.base import InputError
 from pkm_studies.resolve import resolve
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorial"
 GUESS = "return target(c), [INWARD[i] + 1.0 for i in LIMBS]"
@@ -22,7 +22,7 @@ def refusal(folder: Path, old: str, new: str) -> str:
         (TUTORIAL / study.name).read_text(encoding="utf-8"), encoding="utf-8"
     )
     with pytest.raises(InputError) as caught:
-        resolve(load(study))
+        resolve(Study.load(study))
     return str(caught.value)
 
 
@@ -100,9 +100,9 @@ def test_poses_where_the_bar_cannot_hold_its_length_give_a_warning(
         (tmp_path / name).write_text(
             text.replace('r = "hold"', "r_mm = [40.0, 100.0]"), encoding="utf-8"
         )
-    (warning,) = resolve(load(tmp_path / "circles.study.toml")).warnings
+    (warning,) = resolve(Study.load(tmp_path / "circles.study.toml")).warnings
     assert (
         "at 120 of 240 poses centre would read 40 mm to 100 mm, but it holds 100 mm"
         in warning
     )
-    assert not resolve(load(TUTORIAL / "circles.study.toml")).warnings
+    assert not resolve(Study.load(TUTORIAL / "circles.study.toml")).warnings

@@ -158,7 +158,7 @@ coordinate = "theta"
 
 def test_circles_are_read_with_a_reference_plan() -> None:
     """Two circles of 15 points and the six home rows: 17259, home orientation in rad."""
-    of_paper = study.load(shipped.studies()["a3_home_orientation"].path)
+    of_paper = study.Study.load(shipped.studies()["a3_home_orientation"].path)
     (circles,) = resolve(of_paper).kappa_circles
     assert [s.setup for s in circles.further] == ["home_point", "home_orientation"]
     m, series = circles.measurement, circles.every_series()[0][4]
@@ -184,7 +184,10 @@ def test_readings_of_a_study_are_relative_to_it(tmp_path: Path) -> None:
     resolved = sample.resolved(text, tmp_path)
     assert resolved.dataset is not None
     assert len(resolved.dataset) == 3
-    assert resolve(study.parse(text, tmp_path / "x.toml"), readings=()).dataset is None
+    assert (
+        resolve(study.Study.parse(text, tmp_path / "x.toml"), readings=()).dataset
+        is None
+    )
     error = sample.refused(text + 'fit = ["cup"]\npredict = ["cup"]\n', folder=tmp_path)
     assert error.field == "readings.predict"
 

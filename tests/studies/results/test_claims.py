@@ -6,7 +6,7 @@ import pytest
 import sample
 
 from pkm_studies import study
-from pkm_studies.results import check_claims, claim_failure, value_at
+from pkm_studies.results import check_claims, value_at
 
 RESULT = {
     "identifiability": {
@@ -61,7 +61,7 @@ def test_paths_lead_to_results(path: str, value: object) -> None:
     ],
 )
 def test_claims_are_measured(claim: str, met: bool) -> None:
-    parsed = study.parse(
+    parsed = study.Study.parse(
         sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x")
     )
     (checked,) = check_claims(parsed, RESULT)
@@ -84,9 +84,9 @@ def test_a_claim_has_the_unit_of_its_figure_alone() -> None:
         'share = { of = "held_out.S1.coverage", min = 0.95 }\n'
     )
     text = sample.STUDY[: sample.STUDY.index("[expect]")] + expect
-    rms, share = check_claims(study.parse(text, Path("a.study.toml")), result)
+    rms, share = check_claims(study.Study.parse(text, Path("a.study.toml")), result)
     where = "a.study.toml:3 [expect]"
     expected = f"rms: measured 58.2 um, claimed held_out.S1.rms <= 50 um ({where})"
-    assert claim_failure(rms, where) == expected
+    assert rms.failure(where) == expected
     expected = f"share: measured 0.93, claimed held_out.S1.coverage >= 0.95 ({where})"
-    assert claim_failure(share, where) == expected
+    assert share.failure(where) == expected

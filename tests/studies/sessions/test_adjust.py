@@ -18,7 +18,7 @@ import xarray as xr
 from oed.adjustment import StepProblem, choose_steps, sizes_without
 from pkm_studies.commands import main
 from pkm_studies.resolve import study_machine
-from pkm_studies.study import parse
+from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
 STUDIES = Path(__file__).resolve().parents[3] / "studies"
@@ -157,7 +157,7 @@ def test_the_next_study_takes_the_adjusted_machine(adjusted: Path) -> None:
     text = (STUDIES / "prs_adjust.study.toml").read_text("utf-8")
     block = (adjusted / "adjusted.toml").read_text("utf-8")
     text = text.replace("[[setup]]", f"{block}\n[[setup]]")
-    machine = study_machine(parse(text, adjusted / "next.study.toml"))
+    machine = study_machine(Study.parse(text, adjusted / "next.study.toml"))
     assert machine.nominal[machine.index("db1z")] == pytest.approx(
         1e-3 * nominal["db1z_mm"]
     )
@@ -348,8 +348,8 @@ def test_the_study_replaces_the_models_adjustments() -> None:
         TABLE.format("db2x", "step_um = 5.0\nsd_um = 2.0") + "\n[[setup]]",
         1,
     )
-    model = study_machine(parse(sample.STUDY, Path("a.study.toml")))
-    machine = study_machine(parse(text, Path("a.study.toml")))
+    model = study_machine(Study.parse(sample.STUDY, Path("a.study.toml")))
+    machine = study_machine(Study.parse(text, Path("a.study.toml")))
     stated = {p.name: p.adjust for p in machine.parameters if p.adjust is not None}
     assert list(stated) == ["db2x"]
     assert (stated["db2x"].by, stated["db2x"].step) == ("shim 2", pytest.approx(5e-6))
@@ -357,5 +357,5 @@ def test_the_study_replaces_the_models_adjustments() -> None:
     by_model = {p.name for p in model.parameters if p.adjust is not None}
     assert {"beta1", "db3x"} <= by_model
     none = sample.STUDY.replace('"a3_head"', '"a3_head"\nadjust = []')
-    machine = study_machine(parse(none, Path("a.study.toml")))
+    machine = study_machine(Study.parse(none, Path("a.study.toml")))
     assert not any(p.adjust for p in machine.parameters)

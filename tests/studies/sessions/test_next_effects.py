@@ -7,7 +7,7 @@ import pytest
 
 from pkm_studies.sessions import next_reading
 from pkm_studies.sessions.next_reading import effects_at
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 STUDY = """
 schema = 1
@@ -40,7 +40,7 @@ z_mm = [400.0, 1100.0]
 def adviser(folder: Path, effects: str, wanted: str = "") -> next_reading.Adviser:
     file = folder / "small.study.toml"
     file.write_text(STUDY.format(effects=effects), encoding="utf-8")
-    return next_reading.Adviser(load(file), wanted)
+    return next_reading.Adviser(Study.load(file), wanted)
 
 
 def test_accuracy_is_that_of_a_dense_update(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.sessions import next_reading
 from pkm_studies.stages import select_design
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 STUDY = sample.changed(
     sample.STUDY, ("[design]", "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n\n[design]")
@@ -65,7 +65,7 @@ def readings(study: Path, tmp_path: Path) -> Callable[[int], Path]:
 def test_each_reading_makes_the_machine_better_known(
     study: Path, readings: Callable[[int], Path]
 ) -> None:
-    adviser = next_reading.Adviser(load(study))
+    adviser = next_reading.Adviser(Study.load(study))
     few, more = (adviser.advise(readings(count)) for count in (4, 9))
     assert (few.readings, more.readings) == (4, 9)
     assert (more.known <= few.known).all()
@@ -118,7 +118,7 @@ def test_readings_that_do_not_fit_end_no_session(
 
 def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
     path = readings(5)
-    following = next_reading.Adviser(load(study)).watch(path)
+    following = next_reading.Adviser(Study.load(study)).watch(path)
     assert next(following)[0].startswith("5 readings taken")
     path.write_text(readings(7).read_text(encoding="utf-8"), encoding="utf-8")
     assert next(following)[0].startswith("7 readings taken")
@@ -142,7 +142,7 @@ def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -
 def _advised(
     study: Path, readings: Path
 ) -> tuple[next_reading.Adviser, next_reading.Advice]:
-    adviser = next_reading.Adviser(load(study))
+    adviser = next_reading.Adviser(Study.load(study))
     return adviser, adviser.advise(readings)
 
 
@@ -150,7 +150,7 @@ def test_the_plan_s_accuracy_can_be_wanted(
     study: Path, readings: Callable[[int], Path]
 ) -> None:
     """Reached by the plan's own readings, and promised by no more than those."""
-    adviser = next_reading.Adviser(load(study), next_reading.AS_PLANNED)
+    adviser = next_reading.Adviser(Study.load(study), next_reading.AS_PLANNED)
     measurement = adviser.base.measurement
     before = adviser.advise_after(measurement, (), np.zeros(0))
     assert len(adviser.plan) == 21
@@ -170,7 +170,7 @@ def test_the_plan_s_accuracy_can_be_wanted(
 
 def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
     """One reading fewer, planned for the same goal, misses it."""
-    adviser = next_reading.Adviser(load(study))
+    adviser = next_reading.Adviser(Study.load(study))
     measurement = adviser.base.measurement
     chosen = adviser.base.resolved.candidates
     pool = Candidates.build(measurement, chosen, measurement.nominal, "tolerance")
@@ -195,9 +195,11 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     path = tmp_path / "bare.study.toml"
     path.write_text(sample.STUDY, encoding="utf-8")
     with pytest.raises(InputError, match="where accuracy counts"):
-        next_reading.Adviser(load(path))
+        next_reading.Adviser(Study.load(path))
     with pytest.raises(InputError, match="no candidates"):
-        next_reading.Adviser(load(shipped.study_path(Path("planar_step_calibration"))))
+        next_reading.Adviser(
+            Study.load(shipped.study_path(Path("planar_step_calibration")))
+        )
 
 
 def test_sessions_are_compared_with_the_fixed_plan(
@@ -221,7 +223,7 @@ def test_sessions_are_compared_with_the_fixed_plan(
 @pytest.mark.slow
 def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s() -> None:
     """27 readings reach, on the nominal head, what 30 D-optimal ones do, throughout."""
-    adviser = next_reading.Adviser(load(shipped.study_path(Path("a3_ball_bar"))))
+    adviser = next_reading.Adviser(Study.load(shipped.study_path(Path("a3_ball_bar"))))
     resolved = adviser.base.resolved
     measurement = resolved.measurement
     chosen = select_design(resolved, np.random.default_rng(resolved.study.seed))

@@ -9,7 +9,7 @@ import pytest
 
 from pkm_studies import shipped, stages
 from pkm_studies.base import InputError
-from pkm_studies.study import SUFFIX, Study, load
+from pkm_studies.study import SUFFIX, Study
 
 Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")
@@ -36,7 +36,7 @@ def test_every_study_is_listed_with_title_and_question(oed: Run) -> None:
     entries = json.loads(oed("list", "studies", "--json")[1])
     assert [entry["name"] for entry in entries] == NAMES
     for entry in entries:
-        study = load(STUDIES / f"{entry['name']}{SUFFIX}")
+        study = Study.load(STUDIES / f"{entry['name']}{SUFFIX}")
         assert (entry["title"], entry["question"]) == (study.title, study.question)
         assert study.title in out
         assert study.question in oed("list", "studies", study.name)[1]
@@ -71,8 +71,10 @@ def test_a_copy_has_its_own_name(oed: Run, tmp_path: Path) -> None:
     code, out, _ = oed("new", "mine", "--from", "a3_ball_bar")
     assert code == 0
     assert "oed run mine.study.toml" in out
-    copy = load(tmp_path / "mine.study.toml")
-    original = load(STUDIES / f"a3_ball_bar{SUFFIX}")
+    copy, original = (
+        Study.load(tmp_path / "mine.study.toml"),
+        Study.load(STUDIES / f"a3_ball_bar{SUFFIX}"),
+    )
     assert copy.name == "mine"
     lines = zip(copy.text.splitlines(), original.text.splitlines(), strict=True)
     assert [pair for pair in lines if pair[0] != pair[1]] == [

@@ -16,7 +16,7 @@ from pkm_studies.resolve import resolve
 from pkm_studies.results import load_result
 from pkm_studies.stages.forecast import forecast_task
 from pkm_studies.stages.plan.task import stored_knowledge
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 STUDIES = Path(__file__).parents[3] / "studies"
 
@@ -316,7 +316,7 @@ name = "rm5" """
     for name, line in (("nominal", ""), ("held", 'controller = "out"\n')):
         held = tmp_path / f"{name}.study.toml"
         held.write_text(text.replace("[machine]\n", f"[machine]\n{line}", 1))
-        resolved = resolve(load(held), readings=[])
+        resolved = resolve(Study.load(held), readings=[])
         knowledge = stored_knowledge(resolved, load_result(out), out)
         task = forecast_task(resolved, knowledge, np.random.default_rng(0))
         predicted[name] = np.abs(task.predicted_errors(lines * 1e-3)).max()

@@ -14,7 +14,7 @@ from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
 from pkm_studies import stages
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 Array = np.ndarray
 Run = Callable[..., tuple[int, str, str]]
@@ -61,7 +61,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Array:
     """The nodes (28, 2) that the study plans, m."""
     folder = tmp_path_factory.mktemp("plan")
     (folder / "gantry.study.toml").write_text(QUIET)
-    study = load(folder / "gantry.study.toml")
+    study = Study.load(folder / "gantry.study.toml")
     stages.forecast_study(study, folder / "out")
     sheet = rows(folder / "out" / "forecast_nodes.csv")
     return 1e-3 * np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in sheet])

@@ -11,11 +11,13 @@ from oed.gap import Diagnosis, assemble
 from pkm_studies.base import Silent
 from pkm_studies.stages import RunState
 from pkm_studies.stages.fit import run_curves
+from pkm_studies.stages.readings import planned_series, simulate_readings
+from pkm_studies.study import Study
 
 
 def _diagnosed(tmp_path: Path) -> Diagnosis:
     path = gap_fixture.written(tmp_path)
-    state = RunState.start(load(path), 3, Silent(), None)
+    state = RunState.start(Study.load(path), 3, Silent(), None)
     readings = simulate_readings(state, planned_series(state)).readings
     residuals = assemble(
         state.measurement,

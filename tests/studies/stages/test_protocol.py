@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed.identifiability import assess
+from oed.identifiability import Assessment
 from pkm_studies import study
 from pkm_studies.base import InputError
 from pkm_studies.resolve import ResolvedStudy, resolve
@@ -33,7 +33,9 @@ runs_by = "z"
 
 def resolved(protocol: str) -> ResolvedStudy:
     return resolve(
-        study.parse(STUDY.replace("PROTOCOL", protocol), Path("passes.study.toml"))
+        study.Study.parse(
+            STUDY.replace("PROTOCOL", protocol), Path("passes.study.toml")
+        )
     )
 
 
@@ -46,7 +48,7 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     assert len(series[0]) == 30
     seconds = [
         single_stage_plan(
-            r, assess(r.measurement, r.reference_plans[0].series), {}
+            r, Assessment.of(r.measurement, r.reference_plans[0].series), {}
         ).cost
         * 60
         for r in (once, six)
@@ -60,7 +62,7 @@ def test_separate_passes_hold_what_their_mean_holds() -> None:
     separate = resolved("repeats = 3\nboth_directions = true\naverage = false")
     mean = resolved("repeats = 3\nboth_directions = true")
     verdicts = [
-        assess(r.measurement, r.reference_plans[0].series, "tolerance")
+        Assessment.of(r.measurement, r.reference_plans[0].series, "tolerance")
         for r in (separate, mean)
     ]
     assert len(verdicts[0].series[0]) == 180
@@ -83,4 +85,4 @@ def test_runs_that_carry_their_reference_are_not_repeated() -> None:
         .replace("PROTOCOL", "repeats = 2")
     )
     with pytest.raises(InputError, match="repeats"):
-        resolve(study.parse(text, Path("passes.study.toml")))
+        resolve(study.Study.parse(text, Path("passes.study.toml")))

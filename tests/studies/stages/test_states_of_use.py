@@ -17,7 +17,7 @@ from pkm_studies.stages.fit.estimate import (
     extrapolated_states,
     recorded_states,
 )
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 WORKSPACE = """
 [prediction]
@@ -38,7 +38,8 @@ def written(folder: Path, states: str, allowed: str = ALLOWED) -> Path:
 
 def test_states_are_read_with_their_units(tmp_path: Path) -> None:
     states = "{ payload_N = [0, 500], temp_leg1_C = 30, direction = [-1, 1] }"
-    resolved = resolve(load(written(tmp_path, states)), readings=[])
+    resolved = resolve(Study.load(written(tmp_path, states)), readings=[])
+    assert resolved.prediction is not None
     values = resolved.prediction.states
     assert set(values) == {"payload", "temp_leg1", "direction"}
     np.testing.assert_allclose(values["payload"], [0.0, 500.0])
@@ -59,7 +60,7 @@ def test_states_are_read_with_their_units(tmp_path: Path) -> None:
 )
 def test_what_is_no_state_is_refused(tmp_path: Path, states: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        resolve(load(written(tmp_path, states)), readings=[])
+        resolve(Study.load(written(tmp_path, states)), readings=[])
 
 
 def test_states_beyond_the_readings_are_said_to_be() -> None:
@@ -79,7 +80,7 @@ def test_states_need_effects(tmp_path: Path) -> None:
     """Where the study keeps the geometry alone."""
     bare = '[identify]\neffects = "none"\n'
     with pytest.raises(InputError, match="only effects differ"):
-        resolve(load(written(tmp_path, "{ payload_N = 1 }", bare)), readings=[])
+        resolve(Study.load(written(tmp_path, "{ payload_N = 1 }", bare)), readings=[])
 
 
 def test_a_state_that_no_reading_recorded_is_refused(

@@ -110,7 +110,7 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
         .replace("candidates", "reference")
         .replace('"cup"', '"cup"\nname = "given"')
     )
-    parsed = study.parse(
+    parsed = study.Study.parse(
         text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + reference),
         Path("x.study.toml"),
     )

@@ -18,7 +18,7 @@ from oed import result
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import GapRequest
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -103,7 +103,7 @@ def test_a_user_s_effect_replaces_one_of_the_library(tmp_path: Path) -> None:
     path = gap_fixture.written(
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
-    request = GapRequest.of_study(load(path), sample.resolved().machine)
+    request = GapRequest.of_study(Study.load(path), sample.resolved().machine)
     assert request is not None
     (backlash,) = [e for e in request.effects if e.name == "backlash"]
     assert backlash.source == "by hand"

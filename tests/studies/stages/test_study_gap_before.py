@@ -68,7 +68,7 @@ pdf = false
 def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     """The study's result as stored, and its folder."""
     out = tmp_path_factory.mktemp("before")
-    stages.run_study(study.parse(STUDY, HERE), out, report=False)
+    stages.run_study(study.Study.parse(STUDY, HERE), out, report=False)
     return json.loads((out / "result.json").read_text()), out
 
 
@@ -90,7 +90,7 @@ def test_chosen_runs_separate_what_the_published_ones_cannot(
 
 def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     table = ran[0]["gap_before"]["table"]
-    resolved = resolve(study.parse(STUDY, HERE))
+    resolved = resolve(study.Study.parse(STUDY, HERE))
     published = resolved.reference_plans[0].series[0]
     candidates = [
         choose.Run(
@@ -131,7 +131,7 @@ def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
     filled = [line + "300.0" for line in lines[1:]]
     path = tmp_path / "filled.readings.csv"
     path.write_text("\n".join([",".join(header), *filled]) + "\n")
-    measurement = resolve(study.parse(STUDY, HERE)).measurement
+    measurement = resolve(study.Study.parse(STUDY, HERE)).measurement
     data = dataset.load([path], measurement)
     assert len(data) == 48
     assert set(data.covariates["payload"]) == {0.0, 200.0}
@@ -146,7 +146,8 @@ def test_a_retained_plan_is_part_of_the_choice() -> None:
         ('candidates = ["circles"]', 'candidates = ["circles"]\nkeep = "published"'),
         ("runs = 4", "runs = 2"),
     )
-    request = resolve(study.parse(changed(STUDY, *changes), HERE)).gap_design
+    request = resolve(study.Study.parse(changed(STUDY, *changes), HERE)).gap_design
+    assert request is not None
     assert request.retained == (0, 1)
     assert len(request.runs) == 10
     assert request.rules.setups.mounted == (0,)
@@ -158,7 +159,9 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
         " 0.5 }, { start_min = 9 }]"
     )
     text = re.sub(r"conditions = .*", times, STUDY).replace("runs = 4", "runs = 2")
-    result = stages.run_study(study.parse(text, HERE), tmp_path, report=False)
+    result = stages.run_study(study.Study.parse(text, HERE), tmp_path, report=False)
+    assert result.gap_before is not None
+    assert result.gap_before.chosen is not None
     begin = sorted(r.condition["time"] for r in result.gap_before.chosen.runs)
     assert begin[1] - begin[0] >= 72.0  # a circle of 12 readings takes 6 s each
 
@@ -199,7 +202,7 @@ def test_what_cannot_be_done_is_refused_before_anything_runs(
     old: str, new: str, words: str
 ) -> None:
     with pytest.raises(InputError, match=re.escape(words)):
-        resolve(study.parse(changed(STUDY, (old, new)), HERE))
+        resolve(study.Study.parse(changed(STUDY, (old, new)), HERE))
 
 
 def test_effects_that_no_candidate_can_test_are_refused(tmp_path: Path) -> None:
@@ -211,7 +214,7 @@ def test_effects_that_no_candidate_can_test_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="servo_lag cannot be tested by these candidates"
     ):
-        stages.run_study(study.load(path), tmp_path / "out", report=False)
+        stages.run_study(study.Study.load(path), tmp_path / "out", report=False)
 
 
 def test_the_chapter_states_runs_pairs_and_sizes(

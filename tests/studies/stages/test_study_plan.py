@@ -68,7 +68,9 @@ def every_choice(budget: float) -> list[tuple[float, dict[str, float]]]:
 
     They follow from the normal equations alone.
     """
-    resolved = resolve(study.parse(STUDY, HERE))
+    resolved = resolve(study.Study.parse(STUDY, HERE))
+    assert resolved.plan is not None
+    assert resolved.prediction is not None
     m = resolved.measurement_with(["rm4", "rm5"])
     maps = ErrorMaps.of(m.kinematics, resolved.prediction.command, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]
@@ -219,7 +221,7 @@ def run_session(text: str, posterior: str, out: Path) -> StudyResult:
         text, ("budget_min = 110.0", "budget_min = 25.0"), ("stages = 2", "stages = 1")
     )
     session = one_stage + SESSION + posterior
-    return stages.run_study(study.parse(session, HERE), out, report=False)
+    return stages.run_study(study.Study.parse(session, HERE), out, report=False)
 
 
 def test_further_stages_are_planned_after_a_session(tmp_path: Path) -> None:
@@ -261,7 +263,7 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
     run_session(without_machines, "ess = 300\n", first)
     plan = plan_of(planned(text, tmp_path / "next", after=first))
     assert "draws of the posterior" in plan.after
-    resolved = resolve(study.parse(STUDY, HERE))
+    resolved = resolve(study.Study.parse(STUDY, HERE))
     machine_only = resolved.measurement_with(())
     draws = posterior_draws(first, machine_only.names)
     mean = draws.mean(axis=0)
@@ -303,7 +305,7 @@ def test_in_the_time_of_the_papers_circles_a_gauge_and_bars_are_three_times_as_a
         path.read_text(encoding="utf-8"), ("budget_min = 109.0", "budget_min = 22.0")
     )
     text = text[: text.index("[expect]")]
-    plan = plan_of(stages.plan_study(study.parse(text, path), tmp_path))
+    plan = plan_of(stages.plan_study(study.Study.parse(text, path), tmp_path))
     (paper,) = plan.compared
     assert plan.cost <= paper.sequence.minutes * (1 + 1e-9)
     gain = {k: v / plan.accuracy[k] for k, v in paper.sequence.accuracy.items()}

@@ -53,7 +53,7 @@ budget_min = 30.0
 
 
 def planned(text: str, out: Path) -> StudyResult:
-    return stages.plan_study(study.parse(text, out / "both.study.toml"), out)
+    return stages.plan_study(study.Study.parse(text, out / "both.study.toml"), out)
 
 
 def new_runs(chosen: ChosenRuns) -> list[ChosenRun]:
@@ -109,6 +109,6 @@ def test_too_little_time_is_refused(
 def test_a_plan_that_the_study_does_not_request_is_not_retained(tmp_path: Path) -> None:
     text = STUDY[: STUDY.index("[plan]")] + STUDY[STUDY.index("[[design.reference]]") :]
     with pytest.raises(InputError) as error:
-        resolve(study.parse(text, tmp_path / "both.study.toml"))
+        resolve(study.Study.parse(text, tmp_path / "both.study.toml"))
     assert 'gap.design.keep = "plan"' in str(error.value)
     assert "no such plan" in str(error.value)

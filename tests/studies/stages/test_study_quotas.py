@@ -116,7 +116,8 @@ def test_a_study_with_quotas_runs_end_to_end(tmp_path: Path) -> None:
     file = tmp_path / "quota.study.toml"
     tables = GRID.format(name="cup") + HIGH + "max = 1\n"
     file.write_text(text(KNOWN, tables=tables), encoding="utf-8")
-    design = stages.run_study(study.load(file), out=tmp_path / "out").design
+    design = stages.run_study(study.Study.load(file), out=tmp_path / "out").design
+    assert design is not None
     above = [pose for pose in design.poses if pose.command["z_mm"] > 1200.0]
     assert len(design.poses) == 3
     assert len(above) <= 1

@@ -16,7 +16,7 @@ def test_a_study_with_weights_runs(solver: str, tmp_path: Path) -> None:
     path = tmp_path / "weights.study.toml"
     fields = f'criterion = "D"\nmethod = "relaxed"\nsolver = "{solver}"\n'
     path.write_text(text(fields + KNOWN))
-    result = stages.run_study(study.load(path), tmp_path / "out")
+    result = stages.run_study(study.Study.load(path), tmp_path / "out")
     design = result.design
     assert design.relaxed.weights
     assert design.n == 3

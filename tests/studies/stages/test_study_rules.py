@@ -242,7 +242,7 @@ def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -
         fields, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126)
     )
     result = stages.run_study(
-        study.parse(fields, Path("x.study.toml")), tmp_path, report=False
+        study.Study.parse(fields, Path("x.study.toml")), tmp_path, report=False
     )
     design = result.design
     assert design.polished.after > design.polished.before
@@ -271,7 +271,7 @@ speed_mm_s = 2.0
 reference_every_min = 6.0
 reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
 """
-    parsed = study.parse(
+    parsed = study.Study.parse(
         text(KNOWN.replace("3", "8"), tables=GRID.format(name="cup") + order),
         Path("x.study.toml"),
     )

@@ -18,7 +18,7 @@ from pkm_studies.resolve import GapRequest
 from pkm_studies.stages import RunState
 from pkm_studies.stages.gap.diagnosis import empty_readings
 from pkm_studies.stages.readings import planned_series
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")
@@ -32,7 +32,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 def _covariates(path: Path) -> pd.DataFrame:
     """Covariates of the planned readings of a study."""
     measurement, series = _planned(path)
-    request = GapRequest.of_study(load(path), measurement.machine)
+    request = GapRequest.of_study(Study.load(path), measurement.machine)
     return request.planned_covariates(measurement, series)
 
 
@@ -86,7 +86,7 @@ def test_temperatures_rise_with_their_time_constant(tmp_path: Path) -> None:
 
 
 def _planned(path: Path) -> tuple[Any, tuple[Series, ...]]:
-    state = RunState.start(load(path), 3, Silent(), None)
+    state = RunState.start(Study.load(path), 3, Silent(), None)
     return state.measurement, planned_series(state)
 
 
@@ -107,7 +107,9 @@ def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
         ]
     )
 
-    state = RunState.start(load(plain), 3, Silent(), [tmp_path / "b.readings.csv"])
+    state = RunState.start(
+        Study.load(plain), 3, Silent(), [tmp_path / "b.readings.csv"]
+    )
     truth_table = json.loads((tmp_path / "b.truth.json").read_text())
     truth = np.array([truth_table[n]["value"] for n in state.measurement.names])
     (series,) = state.resolved.dataset.series
@@ -151,7 +153,7 @@ def test_each_pass_has_a_state_of_its_own(tmp_path: Path) -> None:
     """Passes of a circle share their poses in the plan, but not their direction."""
     path = gap_fixture.written(tmp_path)
     measurement, series = _planned(path)
-    request = GapRequest.of_study(load(path), measurement.machine)
+    request = GapRequest.of_study(Study.load(path), measurement.machine)
     planned = empty_readings(measurement, series, request)
     assert [len(s.q) for s in planned.series] == [4 * 24 + 1]
     truth = measurement.nominal

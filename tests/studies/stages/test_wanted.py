@@ -16,7 +16,7 @@ from pkm_reports.sections import answer
 from pkm_studies import result_folder
 from pkm_studies import sessions as advice
 from pkm_studies.commands import main
-from pkm_studies.study import load
+from pkm_studies.study import Study
 
 WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"
 
@@ -90,7 +90,7 @@ def test_stored_verdicts_follow_an_acceptance_test(
 
 def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
     study = _study(tmp_path, "z_mm = 0.02")
-    adviser = advice.Adviser(load(study))
+    adviser = advice.Adviser(Study.load(study))
     limits = dict(zip(adviser.maps.names, adviser.limits, strict=True))
     assert limits.pop("z") == pytest.approx(2e-5)
     assert np.isnan(list(limits.values())).all()
@@ -102,7 +102,7 @@ def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
     lines = adviser.advice_sentences(adviser.advise(sheet))
     (line,) = [line for line in lines if "wanted 20: " in line]
     assert line.endswith("fail (within it with under 1 %)")
-    option = advice.Adviser(load(study), "z_um=5")
+    option = advice.Adviser(Study.load(study), "z_um=5")
     assert np.nanmin(option.limits) == pytest.approx(5e-6)
 
 

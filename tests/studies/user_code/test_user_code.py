@@ -320,9 +320,9 @@ def test_without_a_list_consent_ends_with_the_process(
     (tmp_path / "file").write_text("", "utf-8")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     path = folder / "s.study.toml"
-    resolve(study.load(path, Consent.GIVEN))
+    resolve(study.Study.load(path, Consent.GIVEN))
     with pytest.raises(InputError, match="SHA-256"):
-        resolve(study.load(path))
+        resolve(study.Study.load(path))
 
 
 def test_a_module_that_has_moved_has_a_remedy(folder: Path, call: Run) -> None:

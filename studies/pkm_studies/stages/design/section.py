@@ -11,7 +11,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.design import CRITERIA, Criterion
-from oed.identifiability import Assessment, Scaling, assess, explain, prior_information
+from oed.identifiability import Assessment, Scaling, explain, prior_information
 from oed.measurement import Measurement, Series
 from oed.result import (
     AllowedEffects,
@@ -77,7 +77,7 @@ def _comparable(
     plans = [_Plan("chosen", chosen.measurement, identifiability)]
     for reference in resolved.reference_plans:
         measurement = resolved.measurement_with(reference.setups)
-        other = assess(measurement, reference.series, table.scaling)
+        other = Assessment.of(measurement, reference.series, table.scaling)
         same_setups = set(reference.setups) <= set(resolved.measurement.setups)
         same_rank = other.identifiability.rank == identifiability.identifiability.rank
         if table.prior or (same_setups and same_rank):
@@ -409,7 +409,9 @@ def identifiable_variants(
     """Sections for each reference plan, and for each set-up of the plan alone."""
     sections = {}
     for name, (reference_measurement, reference_series) in references.items():
-        identifiability = assess(reference_measurement, reference_series, scaling)
+        identifiability = Assessment.of(
+            reference_measurement, reference_series, scaling
+        )
         sections[name] = identifiability_section(identifiability, scaling, {}, indices)
     by_setup: dict[str, list[Series]] = {}
     for s in series:
@@ -418,7 +420,7 @@ def identifiable_variants(
         return sections
     for name, alone in by_setup.items():
         others = {n: (measurement, s) for n, s in by_setup.items() if n != name}
-        identifiability = assess(measurement, alone, scaling)
+        identifiability = Assessment.of(measurement, alone, scaling)
         sections[f"{name} alone"] = identifiability_section(
             identifiability, scaling, others, indices
         )
@@ -507,7 +509,7 @@ def analyse_identifiability(state: ScheduledT) -> ScheduledT:
         for plan in resolved.reference_plans
         if not set(plan.setups) <= used
     }
-    verdict = assess(state.measurement, series, scaling)
+    verdict = Assessment.of(state.measurement, series, scaling)
     return state.replace(identifiability=verdict).add_sections(
         identifiability=identifiability_section(verdict, scaling, others, indices),
         identifiability_of=identifiable_variants(

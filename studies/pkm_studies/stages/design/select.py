@@ -14,7 +14,7 @@ from oed.base import Array, Index
 from oed.design import CRITERIA, Candidates, Choice, DesignProblem, SizeCurve
 from oed.effects import PlannedEffects
 from oed.estimation import Discrepancy
-from oed.identifiability import Assessment, Scaling, assess, prior_information
+from oed.identifiability import Assessment, Scaling, prior_information
 from oed.measurement import Measurement, Series, draw_parameters
 from oed.mechanism import AssemblyError
 from oed.poses import polish_readings
@@ -718,7 +718,7 @@ def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
     table = []
     for of_circles in circles.every_series():
         assessed = [
-            assess(
+            Assessment.of(
                 circles.measurement, [series, *circles.further], scaling
             ).identifiability
             for series in of_circles

@@ -12,7 +12,7 @@ from oed import result, units
 from oed.base import Array, Index
 from oed.design import CRITERIA
 from oed.effects import PlannedEffects
-from oed.identifiability import Assessment, assess, combination_text
+from oed.identifiability import Assessment, combination_text
 from oed.measurement import Measurement, Series
 from oed.planning import Option, PlanSearchResult, PlanStage, StagePlan
 from pkm_studies.base import InputError, Progress
@@ -131,7 +131,7 @@ def compare_sequence(
     best, bound = _best_plan(task, sequence, search, seconds)
     readings = [s for stage in sequence.stages for s in stage.series]
     measurement = task.resolved.measurement_with({s.setup for s in readings})
-    explained = assess(measurement, readings)
+    explained = Assessment.of(measurement, readings)
     singular_values = explained.identifiability.identifiable_singular_values
     return result.SequenceRecord(
         name=", then ".join(names),
@@ -706,7 +706,7 @@ def _stage_records(
     for stage, ordered in zip(plan.stages, arranged, strict=True):
         readings.extend(ordered.series)
         measurement = task.resolved.measurement_with({s.setup for s in readings})
-        cumulative = assess(measurement, readings)
+        cumulative = Assessment.of(measurement, readings)
         records.append(_stage_record(task, stage, ordered, clock, cumulative))
         clock += units.number(stage.seconds, "min")
     return records
@@ -720,7 +720,7 @@ def _stage_record(
     cumulative: Assessment,
 ) -> result.StageRecord:
     """One stage; `cumulative` is the verdict on all readings up to it."""
-    verdict = assess(stage.option.measurement, stage.series).identifiability
+    verdict = Assessment.of(stage.option.measurement, stage.series).identifiability
     accuracy = task.accuracy(stage.covariance)
     duration_min = units.number(stage.seconds, "min")
     return result.StageRecord(
