@@ -3,7 +3,6 @@
 compensated_joints    joints that hold commands on a machine with other parameters
 joint_corrections     what a controller with the nominal model adds to its joints
 commands_of_added     commands that a nominal controller needs for such additions
-undriven_components   pose components that no joint drives, in words
 joint_motion          motion of the driven components per unit of each joint
 GridAxis              a command coordinate of a table
 CommandGrid           a rectilinear grid of commands
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
         commands_of_added,
         compensated_joints,
         joint_corrections,
-        undriven_components,
     )
     from oed.compensate.export_errors import interpolation_errors, joint_errors
     from oed.compensate.further import FurtherAxes

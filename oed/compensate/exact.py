@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from oed.base import Array
 from oed.mechanism import NO_TOOL, Kinematics
-from oed.model import Machine
-from oed.units import quantity
 
 
 def compensated_joints(
@@ -43,19 +39,3 @@ def commands_of_added(kinematics: Kinematics, command: Array, added: Array) -> A
     start, joints = kinematics.inverse(command)
     pose = kinematics.forward(joints + added, nominal, start)
     return kinematics.command_of_pose(pose, command, NO_TOOL)
-
-
-def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
-    """A sentence on components without a drive, from their errors (n, k), SI.
-
-    None for a machine that drives all its components.
-    """
-    largest = np.abs(remaining).max(axis=0)
-    parts = [
-        f"{component.name} {quantity(size, component.unit)}"
-        for component, size in zip(machine.components, largest, strict=True)
-        if not component.compensatable
-    ]
-    if not parts:
-        return ()
-    return (f"no joint drives these components, at most: {', '.join(parts)}",)

@@ -32,11 +32,6 @@ IMPOSSIBLE_SI = {"K": 100.0, "m": 1.0}
 DIRECTION_CUTOFF = 0.05
 
 
-def size_limit(scale: float, unit: str) -> float:
-    """Coefficient in expected sizes, `scale` in the SI `unit`, that no machine exceeds."""
-    return min(IMPOSSIBLE_SIZES, IMPOSSIBLE_SI.get(unit, math.inf) / scale)
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class State:
     """State of the machine at m poses of a set-up, reference poses included; nq joints.
@@ -301,6 +296,10 @@ class Effect:
     def is_offered(self, instruments: Collection[str]) -> bool:
         """Whether readings by these instruments can have it."""
         return not self.instruments or any(n in self.instruments for n in instruments)
+
+    def size_limit(self, name: str, scale: float) -> float:
+        """A coefficient in expected sizes, `scale` in SI, that no machine exceeds."""
+        return min(IMPOSSIBLE_SIZES, IMPOSSIBLE_SI.get(self.unit(name), math.inf) / scale)
 
     def unit(self, coefficient: str) -> str:
         """SI unit of a coefficient by its name."""

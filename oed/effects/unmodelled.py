@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oed import units
 from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference, predict
 from oed.base import Array, Mask
 from oed.effect_model import Effect, State
@@ -60,6 +61,20 @@ class ExpectedEffect:
     variance: Array
     without: Array
     not_testable: str | None
+
+    @property
+    def size_text(self) -> str:
+        """Prior standard deviations of the coefficients: `3 C`, or the range of several."""
+        sizes: dict[str, list[float]] = {}
+        for name, scales in self.sizes.items():
+            unit, factor = units.coefficient_unit(self.effect.unit(name))
+            sizes.setdefault(unit, []).extend(scale / factor for scale in scales)
+        parts = []
+        for unit, values in sizes.items():
+            low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+            span = low if low == high else f"{low} to {high}"
+            parts.append(f"{span} {unit}")
+        return ", ".join(parts)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

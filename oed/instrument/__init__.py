@@ -12,7 +12,6 @@ Setting          a known number of a set-up
 Setup            an instrument as mounted
 TakenReadings    some readings of a series
 mount            an instrument as a set-up
-take_values      the readings that some values belong to
 """
 
 from typing import TYPE_CHECKING
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
         mount,
     )
     from oed.instrument.parameter_vector import ParameterVector
-    from oed.instrument.series import Series, TakenReadings, take_values
+    from oed.instrument.series import Series, TakenReadings
 else:
     # imported when first used: a module of the room may need little of it
     __getattr__ = door(__name__)

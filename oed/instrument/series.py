@@ -139,25 +139,27 @@ class TakenReadings:
     part: Series
     rows: Index
 
+    @staticmethod
+    def of_values(
+        series: Sequence[Series], channels: Sequence[int], values: Index
+    ) -> tuple[list[TakenReadings], Index]:
+        """The readings that some values belong to, and where these are among theirs (k,).
 
-def take_values(
-    series: Sequence[Series], channels: Sequence[int], values: Index
-) -> tuple[list[TakenReadings], Index]:
-    """The readings that some values belong to, and where these are among theirs (k,).
-
-    channels  values of a reading of each series
-    values    (k,) numbers of values, in rising order; a reading's follow each other
-    """
-    taken: list[TakenReadings] = []
-    entries = []
-    first = before = 0
-    for s, count in zip(series, channels, strict=True):
-        inside = (values >= first) & (values < first + len(s) * count)
-        reading, channel = np.divmod(values[inside] - first, count)
-        first += len(s) * count
-        rows = np.unique(reading)
-        if rows.size:
-            taken.append(TakenReadings(s, s.take(rows), rows))
-            entries.append(before + np.searchsorted(rows, reading) * count + channel)
-            before += len(rows) * count
-    return taken, np.concatenate(entries).astype(np.intp)
+        channels  values of a reading of each series
+        values    (k,) numbers of values, in rising order; a reading's follow each other
+        """
+        taken: list[TakenReadings] = []
+        entries = []
+        first = before = 0
+        for s, count in zip(series, channels, strict=True):
+            inside = (values >= first) & (values < first + len(s) * count)
+            reading, channel = np.divmod(values[inside] - first, count)
+            first += len(s) * count
+            rows = np.unique(reading)
+            if rows.size:
+                taken.append(TakenReadings(s, s.take(rows), rows))
+                entries.append(
+                    before + np.searchsorted(rows, reading) * count + channel
+                )
+                before += len(rows) * count
+        return taken, np.concatenate(entries).astype(np.intp)

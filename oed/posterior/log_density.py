@@ -24,7 +24,7 @@ from scipy import linalg
 
 from oed.base import Array, Index
 from oed.estimation import Estimate
-from oed.instrument import take_values
+from oed.instrument import TakenReadings
 from oed.linear_algebra import covariance_root
 from oed.measurement import Measurement, Series
 from oed.noise_law import NoisePosterior, ResidualModel
@@ -244,7 +244,7 @@ class LogDensity:
         """Readings (m, k) of some rows (k,)."""
         setups = self.measurement.setups
         channels = [len(setups[s.setup].sigma) for s in self._series]
-        taken, columns = take_values(self._series, channels, rows)
+        taken, columns = TakenReadings.of_values(self._series, channels, rows)
         measurement = self.measurement.taken_measurement(taken)
         parts = [some.part for some in taken]
         return lambda theta: measurement.try_readings(parts, theta)[:, columns]

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from oed.base import Array, Index
-from oed.effect_model import EFFECT_SIZES, Effect, size_limit
+from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.data import evidence
 from oed.gap.data.problem import (
     GapProblem,
@@ -192,7 +192,7 @@ def build(
             start = len(names)
             blocks.append(problem.in_noise_units(form.columns))
             names += form.names
-            limits += map(size_limit, form.scales, map(effect.unit, form.names))
+            limits += map(effect.size_limit, form.names, form.scales)
             labels += form.labels
             scales.append(form.scales)
             of_form = _atoms(form, start, log_weight, halved, effect.about)

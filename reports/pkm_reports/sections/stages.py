@@ -19,7 +19,6 @@ from oed.result import (
     RecordedChoice,
     RecordingSection,
     Sd,
-    SequenceRecord,
     StageRecord,
     StudyResult,
 )
@@ -579,14 +578,15 @@ def sequences(plan: PlanSection) -> list[Block]:
     compared = plan.compared
     if not compared:
         return []
-    content: list[Block] = [_ranks(compared), _comparison(compared)]
+    content: list[Block] = [_ranks(plan), _comparison(plan)]
     sentences = [f"{s.name}: {text.sentence(s.words)}" for s in compared if s.words]
     if sentences:
         content.append(Items(sentences))
     return content
 
 
-def _ranks(compared: Sequence[SequenceRecord]) -> Table:
+def _ranks(plan: PlanSection) -> Table:
+    compared = plan.compared
     indices = list(dict.fromkeys(key for s in compared for key in s.observability))
     columns = [
         TableColumn("Sequence", wide=True),
@@ -619,12 +619,12 @@ def _total(plan: AlternativePlan) -> str:
     return text.trimmed(sum(plan.readings)) if plan.readings else text.MISSING
 
 
-def _comparison(compared: Sequence[SequenceRecord]) -> Table:
+def _comparison(plan: PlanSection) -> Table:
     """Three rows for each sequence: itself, the best plan of its time, the gain."""
-    plans = [plan for s in compared for plan in (s.sequence, s.plan)]
-    keys = list(dict.fromkeys(key for plan in plans for key in plan.accuracy))
+    plans = [one for s in plan.compared for one in (s.sequence, s.plan)]
+    keys = list(dict.fromkeys(key for one in plans for key in one.accuracy))
     rows, marks = [], []
-    for record in compared:
+    for record in plan.compared:
         best = measurements(record.plan)
         rows.append(_row(record.name, record.sequence, "", keys))
         rows.append(_row(best, record.plan, text.number(record.bound), keys))
@@ -807,9 +807,8 @@ def draw_front(plan: PlanSection) -> Figure:
     """Minutes against the value that plans are judged by, the smaller the better."""
     front = points(plan.front)
     chosen = _points([(plan.cost, or_nan(plan.value))])
-    compared = [s for s in plan.compared if len(points([s.sequence]))]
     rejected = points(alternatives(plan))
-    sequences = points([s.sequence for s in compared])
+    sequences = points([s.sequence for s in plan.compared])
     plans = np.vstack([front, chosen, rejected, sequences])
     if not len(plans):
         return style.empty("No plans of other times are stored in this result.")
@@ -822,7 +821,7 @@ def draw_front(plan: PlanSection) -> Figure:
     if len(front):
         line: Any = {"color": style.BLUE, "drawstyle": "steps-post"}
         axes.plot(*front.T, "o-", label="best plan found for the time", **line)
-    _draw_sequences(axes, compared[:MAX_PARETO_PLANS])
+    _draw_sequences(axes, plan)
     if len(chosen):
         star: Any = {
             "color": style.ORANGE,
@@ -889,8 +888,10 @@ def _draw_limits(axes: Axes, plan: PlanSection) -> None:
         axes.axhline(1.0, color=style.GREEN, ls=":", lw=1.3, label=label)
 
 
-def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
+def _draw_sequences(axes: Axes, plan: PlanSection) -> None:
     """Sequences that the study asked for, each with the bound of its time below it."""
+    placed = [s for s in plan.compared if len(points([s.sequence]))]
+    compared = placed[:MAX_PARETO_PLANS]
     for k, record in enumerate(compared):
         point = points([record.sequence])
         look: Any = {

@@ -12,7 +12,7 @@ import numpy as np
 
 from oed import trust, units, verdict
 from oed.base import Array
-from oed.compensate import GridAxis, compensated_joints, undriven_components
+from oed.compensate import GridAxis, compensated_joints
 from oed.mechanism import component_errors
 from oed.model import Machine
 from oed.result import ForecastSection, StudyResult
@@ -339,6 +339,22 @@ def verdict_sentences(
     return [
         f"wanted, where the controller corrects {sent}: {'; '.join(parts)}; {scopes}"
     ]
+
+
+def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
+    """A sentence on components without a drive, from their errors (n, k), SI.
+
+    None for a machine that drives all its components.
+    """
+    largest = np.abs(remaining).max(axis=0)
+    parts = [
+        f"{component.name} {quantity(size, component.unit)}"
+        for component, size in zip(machine.components, largest, strict=True)
+        if not component.compensatable
+    ]
+    if not parts:
+        return ()
+    return (f"no joint drives these components, at most: {', '.join(parts)}",)
 
 
 def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from oed.mechanism import AssemblyError, Kinematics
 from oed.model import Coordinate, Machine
 from pkm_studies import csv_table, quantities
 from pkm_studies.base import Location
-from pkm_studies.quantities import format_as, format_value
+from pkm_studies.quantities import format_value
 from pkm_studies.resolve.machine import (
     REACH_REMEDY,
     check_joint_range,
@@ -54,7 +54,9 @@ def check_workspace(
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
         unit, key = command_units(machine)[name], keys.get(name, name)
-        stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
+        stated, low, high = (
+            quantities.format_as(v, unit, key) for v in (value, lower, upper)
+        )
         raise location.key(key).error(
             f"{stated} is outside the workspace of {machine.name}",
             f"{name} goes from {low} to {high}",

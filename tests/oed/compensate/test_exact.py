@@ -7,7 +7,7 @@ import pytest
 from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
-from oed.compensate.exact import joint_corrections, undriven_components
+from oed.compensate.exact import joint_corrections
 from oed.mechanism import AssemblyError, Kinematics, component_errors
 
 PLANAR = Kinematics(planar_2dof.machine)
@@ -25,19 +25,6 @@ def test_corrections_join_those_of_a_nominal_controller(truth: np.ndarray) -> No
     nominal = planar_geometry.inverse(COMMAND)
     joints = nominal + joint_corrections(PLANAR, COMMAND, truth)
     assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
-
-
-def test_the_largest_errors_without_a_drive_are_named() -> None:
-    machine = a3_head.machine
-    names = [c.name for c in machine.components]
-    undriven = [c.name for c in machine.components if not c.compensatable]
-    remaining = np.zeros((2, len(names)))
-    remaining[0, names.index(undriven[0])] = -3e-6
-    remaining[1, names.index(undriven[0])] = 1e-6
-    (sentence,) = undriven_components(machine, remaining)
-    assert f"{undriven[0]} 3" in sentence
-    assert all(name in sentence for name in undriven)
-    assert undriven_components(planar_2dof.machine, np.ones((2, 2))) == ()
 
 
 def test_a_redundant_machine_holds_the_command_by_the_corrected_one(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from oed.effect_model import size_limit
+from oed.effect_model import Effect
 from oed.effect_model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
 
 
@@ -47,4 +47,7 @@ def test_sizes_that_nothing_shows_are_no_hypotheses() -> None:
 def test_no_machine_has_a_hundred_kelvin_a_metre_or_ten_thousand_expected_sizes(
     scale: float, unit: str, limit: float
 ) -> None:
-    assert size_limit(scale, unit) == pytest.approx(limit)
+    effect = Effect(
+        name="any", source="", about="", columns=lambda state: (), units={"*": unit}
+    )
+    assert effect.size_limit("size", scale) == pytest.approx(limit)

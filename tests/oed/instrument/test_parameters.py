@@ -12,8 +12,8 @@ from oed.instrument import (
     ParameterVector,
     Protocol,
     Series,
+    TakenReadings,
     mount,
-    take_values,
 )
 from oed.model import CommonTolerance
 
@@ -135,7 +135,9 @@ def test_passes_go_forward_and_backward() -> None:
 def test_values_belong_to_readings_of_their_series() -> None:
     """Values 1 of two channels in the first series, 4 and 5 of the second's one."""
     first, second = (series(ball_bar.instrument, ["a"] * n) for n in (2, 3))
-    taken, places = take_values([first, second], [2, 1], np.array([1, 4, 6]))
+    taken, places = TakenReadings.of_values(
+        [first, second], [2, 1], np.array([1, 4, 6])
+    )
     assert [t.rows.tolist() for t in taken] == [[0], [0, 2]]
     assert places.tolist() == [1, 2, 3]
 

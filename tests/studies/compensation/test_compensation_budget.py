@@ -13,7 +13,7 @@ import report_fixture
 from oracles import a3_geometry as a3
 from result_sample import whole
 from scipy.interpolate import RegularGridInterpolator
-from shipped_models import a3_head
+from shipped_models import a3_head, planar_2dof
 
 from oed.base import Array
 from oed.compensate import compensated_joints
@@ -31,6 +31,7 @@ from pkm_reports import first_lines
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import ControllerFormat
 from pkm_studies.commands import main
+from pkm_studies.compensation.export import undriven_components
 from pkm_studies.results import load_result
 
 GRID = """
@@ -347,3 +348,16 @@ def test_joints_of_a_format_are_a_row_a_command(joints: Array) -> None:
     content = SimpleNamespace(command=np.zeros((2, 3)), machine=a3_head.machine)
     with pytest.raises(InputError, match=r"are not \(2, 3\) finite numbers"):
         controller.driven_joints({}, content)
+
+
+def test_the_largest_errors_without_a_drive_are_named() -> None:
+    machine = a3_head.machine
+    names = [c.name for c in machine.components]
+    undriven = [c.name for c in machine.components if not c.compensatable]
+    remaining = np.zeros((2, len(names)))
+    remaining[0, names.index(undriven[0])] = -3e-6
+    remaining[1, names.index(undriven[0])] = 1e-6
+    (sentence,) = undriven_components(machine, remaining)
+    assert f"{undriven[0]} 3" in sentence
+    assert all(name in sentence for name in undriven)
+    assert undriven_components(planar_2dof.machine, np.ones((2, 2))) == ()

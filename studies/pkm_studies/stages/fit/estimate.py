@@ -28,7 +28,7 @@ from oed.estimation import (
 )
 from oed.fit_limits import ALARM_PROBABILITY, noise_ratio
 from oed.gap import GapProblem
-from oed.identifiability import Identifiability
+from oed.identifiability import Assessment
 from oed.instrument import Setup
 from oed.linear_algebra import size_order
 from oed.measurement import Measurement, Series
@@ -377,9 +377,10 @@ def _how_well(shrinkage: float) -> str:
 
 
 def combination_estimates(
-    measurement: Measurement, estimate: Estimate, verdict: Identifiability
+    measurement: Measurement, estimate: Estimate, assessment: Assessment
 ) -> list[CombinationEstimate]:
     """Each combination's departure from nominal, in the unit of its pivot."""
+    verdict = assessment.identifiability
     places = [measurement.names.index(name) for name in verdict.names]
     departure = (estimate.theta - measurement.nominal)[places]
     covariance = estimate.covariance[np.ix_(places, places)]
@@ -600,7 +601,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
     section = add_held(section, fixed)
     if state.identifiability is not None:
-        verdict = state.identifiability.identifiability
+        verdict = state.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
         section = msgspec.structs.replace(section, combinations=combinations)
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)

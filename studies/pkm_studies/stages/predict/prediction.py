@@ -21,7 +21,7 @@ from oed.accuracy import (
 )
 from oed.base import Array, Mask
 from oed.effect_model import EFFECT_SIZES
-from oed.effects import ExpectedEffect, ExpectedEffects, SessionStates
+from oed.effects import ExpectedEffects, SessionStates
 from oed.estimation import Estimate, fit_machines
 from oed.gap import assemble
 from oed.instrument import Channel
@@ -211,7 +211,27 @@ def budget_section(
     predicted = _displayed_shares(budget.names, np.sqrt(budget.variance), fine)
     after = np.array([prediction.after[name].rms for name in budget.names])
     effects = [] if expected is None else expected.effects
-    unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in effects]
+    unmodelled = []
+    for one in effects:
+        variance = one.variance.mean(axis=0)
+        sizes = {
+            "size": np.sqrt(variance),
+            "with_it": np.sqrt(after**2 + variance),
+            "far": np.sqrt(after**2 + FAR**2 * variance),
+            "without": np.sqrt(one.without.mean(axis=0)),
+        }
+        line = UnmodelledLine(
+            effect=one.effect.name,
+            about=one.effect.about,
+            expected=one.size_text,
+            remedy=one.effect.remedy,
+            not_testable=one.not_testable,
+            **{
+                n: dict(_displayed_shares(budget.names, v, fine))
+                for n, v in sizes.items()
+            },
+        )
+        unmodelled.append(line)
     geometry = _displayed_shares(budget.names, after, fine)
     unmodelled.sort(key=lambda line: error_ratio(line.without, geometry, driven))
     return BudgetSection(
@@ -250,28 +270,6 @@ def _line(budget: Budget, number: int, fine: Mapping[str, str]) -> BudgetLine:
     )
 
 
-def _unmodelled(
-    expected: ExpectedEffect,
-    names: Sequence[str],
-    after: Array,
-    fine: Mapping[str, str],
-) -> UnmodelledLine:
-    variance = expected.variance.mean(axis=0)
-    without = expected.without.mean(axis=0)
-    effect = expected.effect
-    return UnmodelledLine(
-        effect=effect.name,
-        about=effect.about,
-        expected=_expected_size(expected),
-        size=dict(_displayed_shares(names, np.sqrt(variance), fine)),
-        with_it=dict(_displayed_shares(names, np.sqrt(after**2 + variance), fine)),
-        remedy=effect.remedy,
-        not_testable=expected.not_testable,
-        far=dict(_displayed_shares(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
-        without=dict(_displayed_shares(names, np.sqrt(without), fine)),
-    )
-
-
 def _usual(
     machine: Machine,
     expected: ExpectedEffects | None,
@@ -295,20 +293,6 @@ def _usual(
         fitted={name: records[name].known.rms for name in shown},
         components=records,
     )
-
-
-def _expected_size(expected: ExpectedEffect) -> str:
-    """Prior standard deviations of the coefficients: `3 C`, or the range of several."""
-    sizes: dict[str, list[float]] = {}
-    for name, scales in expected.sizes.items():
-        unit, factor = units.coefficient_unit(expected.effect.unit(name))
-        sizes.setdefault(unit, []).extend(scale / factor for scale in scales)
-    parts = []
-    for unit, values in sizes.items():
-        low, high = f"{min(values):.3g}", f"{max(values):.3g}"
-        span = low if low == high else f"{low} to {high}"
-        parts.append(f"{span} {unit}")
-    return ", ".join(parts)
 
 
 # Compares held-out readings with their predictive intervals: the section `held_out`.
