@@ -26,6 +26,7 @@ columns out, segment by segment.
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import scipy
@@ -107,6 +108,29 @@ class ChainFactor:
             white[:, k] -= slope[:, k] * white[:, k - 1]
         white /= self._root.reshape(chains, length, 1)
         return white
+
+    def whiten_in_turn(self, parts: Iterable[Array]) -> Iterator[Array]:
+        """W Y by parts (n, m) of Y (N, m), each of which is overwritten.
+
+        Row after row is fast where rows are long, and Y is never whole.
+        """
+        decay, slope = np.append(0.0, self._decay), np.append(0.0, self._slope)
+        before, last = np.zeros((2, 1))
+        start, is_correlated = 0, bool(self._decay.any())
+        for values in parts:
+            rows = slice(start, start + len(values))
+            start = rows.stop
+            if is_correlated:
+                end = values[-1].copy()
+                values[1:] -= decay[rows, None][1:] * values[:-1]
+                values[0] -= decay[rows.start] * before
+                before = end
+                for value, factor in zip(values, slope[rows], strict=True):
+                    value -= factor * last
+                    last = value
+                last = last.copy()
+            values /= self._root[rows]
+            yield values
 
     @functools.cached_property
     def _blocks(self) -> Array:

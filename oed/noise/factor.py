@@ -103,10 +103,11 @@ class LinearFactor:
 
     def __init__(self, errors: Errors) -> None:
         self.errors, self.order = errors, errors.order
-        self._banded = ChainFactor(errors.decay, errors.single, errors.fresh)
-        self._columns = self._banded.whiten(errors.shared)
+        #: root of the errors that are white and correlated, for standardised values
+        self.banded = ChainFactor(errors.decay, errors.single, errors.fresh)
+        self._columns = self.banded.whiten(errors.shared)
         self._shared = SharedProducts(self._columns, errors.starts)
-        log_sizes = float(self._banded.log_variances.sum()) + self._shared.log_det
+        log_sizes = float(self.banded.log_variances.sum()) + self._shared.log_det
         log_scale = float(np.log(errors.scale).sum())
         if errors.unmix is not None:
             log_scale -= float(np.log(errors.unmix.diagonal()).sum())
@@ -115,19 +116,22 @@ class LinearFactor:
 
     def whiten(self, values: Array) -> Array:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
-        alone = self._banded.whiten(self.errors.standardise(values))
+        alone = self.banded.whiten(self.errors.standardise(values))
         return self._shared.whiten(alone)
 
     def whiten_back(self, white: Array) -> Array:
         """W^T Y (N, m), for Y (k, m) in order and the W of `whiten`."""
-        values = self._banded.whiten_back(self._shared.whiten(white.copy()))
-        return self.errors.unstandardise(values)
+        return self.errors.unstandardise(self.whiten_back_standard(white.copy()))
+
+    def whiten_back_standard(self, white: Array) -> Array:
+        """The same (k, m) of standardised values, in order; Y is overwritten."""
+        return self.banded.whiten_back(self._shared.whiten(white))
 
     def correlate(self, white: Array) -> Array:
         """R Y (k, m) in order, for white Y (k, m) and Cholesky's root R."""
         errors = self.errors
         shared = SharedFactor(self._columns, errors.starts)
-        values = self._banded.unwhiten(shared.unwhiten(white)) * errors.scale[:, None]
+        values = self.banded.unwhiten(shared.unwhiten(white)) * errors.scale[:, None]
         if errors.unmix is not None:
             values = scipy.sparse.linalg.spsolve_triangular(errors.unmix, values)
         return np.asarray(values)
@@ -139,17 +143,17 @@ class LinearFactor:
 
     def scored(self, standard: Array) -> Array:
         """The precision of standardised values (k, m) times them."""
-        white = self._banded.whiten(standard)
-        return self._banded.whiten_back(white - self._shared.shared_part(white))
+        white = self.banded.whiten(standard)
+        return self.banded.whiten_back(white - self._shared.shared_part(white))
 
     def scored_root(self) -> Array:
         """A (k, K): a segment's precision is that without shared errors less A A^T."""
-        return self._banded.whiten_back(self._shared.root())
+        return self.banded.whiten_back(self._shared.root())
 
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of C^-1, of a factor of all readings."""
         errors = self.errors
-        diagonal = self._banded.precision_diagonal() / errors.scale**2
+        diagonal = self.banded.precision_diagonal() / errors.scale**2
         if errors.unmix is not None:
             # channels are independent where they are not mixed
             diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
@@ -212,14 +216,19 @@ class WideFactor:
         """(C + G G^T)^-1 Y (N, m), for Y (N, m)."""
         return self.whiten_back(self.whiten(values))
 
+    def absorbed_root(self) -> Array:
+        """A (k, n): the precision of standardised values is that of C less A A^T."""
+        share = self.sizes / np.hypot(1.0, self.sizes)
+        return self.alone.whiten_back_standard(self.axes * share)
+
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of (C + G G^T)^-1.
 
         Of readings that the columns alone determine it is rounding about 0.
         """
         alone = self.alone.precision_diagonal()
-        share = self.sizes / np.hypot(1.0, self.sizes)
-        absorbed: Array = (self.alone.whiten_back(self.axes * share) ** 2).sum(axis=1)
+        root = self.alone.errors.unstandardise(self.absorbed_root())
+        absorbed: Array = (root**2).sum(axis=1)
         return np.maximum(alone - absorbed, PRECISION_TOLERANCE * alone)
 
     def scaled(self, factor: float) -> WideFactor:

@@ -546,38 +546,32 @@ class Metric:
         factor = law.factor(problem.structure, rows)
         self._slopes = problem.slopes
         self.size = len(factor.order)
-        self._root = factor.widened(problem.slopes)
+        #: root of Sigma + H Lambda H^T
+        self.root = factor.widened(problem.slopes)
         #: log determinant of Sigma + H Lambda H^T
-        self.log_det = self._root.log_det
+        self.log_det = self.root.log_det
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
         if values.ndim == 1:
-            return self._root.alone.whiten(values[:, None])[:, 0]
-        return self._root.alone.whiten(values)
-
-    def parts(self, values: Array) -> tuple[Array, Array]:
-        """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""
-        white, sizes = self.whiten(values), self._root.sizes[:, None]
-        share = sizes / np.hypot(1.0, sizes)
-        return white, share * (self._root.axes.T @ white)
+            return self.root.alone.whiten(values[:, None])[:, 0]
+        return self.root.alone.whiten(values)
 
     def scores(self, values: Array) -> Array:
         """Vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v."""
-        return self._root.whiten(values)
+        return self.root.whiten(values)
 
     def remaining(self, white: Array) -> Array:
         """Whitened values (N, k) less what the parameters absorb of them.
 
-        What they absorb almost whole keeps its digits, which the difference of `parts`
-        loses.
+        What they absorb almost whole keeps its digits.
         """
-        return self._root.remaining(white)
+        return self.root.remaining(white)
 
     def fit(self, values: Array) -> Array:
         """Parameters (n,) or (n, k), in prior sd, that explain values (N,) or (N, k)."""
         columns = values[:, None] if values.ndim == 1 else values
-        root, sizes = self._root, self._root.sizes[:, None]
+        root, sizes = self.root, self.root.sizes[:, None]
         along = root.axes.T @ self.whiten(columns)
         fitted = root.turn.T @ (sizes / (1.0 + sizes**2) * along)
         return np.asarray(fitted[:, 0] if values.ndim == 1 else fitted)

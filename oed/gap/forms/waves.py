@@ -9,6 +9,7 @@ the strongest few stay, each with the prior weight of one among all that were tr
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 
@@ -33,9 +34,13 @@ N_PEAKS = 4
 OVERSAMPLING = 1.5
 #: frequencies of a band, at most
 MAX_FREQUENCIES = 6000
-#: values that are computed at once: of many readings fewer frequencies. There are some
-#: twenty arrays of as many: more take memory and no less time
-VALUES_AT_ONCE = 250_000
+#: values that are computed at once, of many frequencies and a few readings: half of a
+#: core's cache
+VALUES_AT_ONCE = 60_000
+#: those of one reading
+ROW_VALUES = 12_000
+#: places of the even grid, on either side of a reading, that its value goes to
+SPREAD = 14
 #: shortest period, in steps between readings, where these are irregular: they
 #: distinguish waves from their aliases
 IRREGULAR_PERIOD = 0.25
@@ -80,14 +85,14 @@ def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
 
     Each kind has the prior weight of a kind of discrepancy.
     """
-    metric = Metric(problem, law)
+    precision = WavePrecision(problem, Metric(problem, law))
     by_kind: dict[str, list[Band]] = {}
     _, *others = discrepancies.carriers_of(problem)
     legs = next(carrier for carrier in others if carrier.name == JOINTS).parts()
     for band in [*_time_bands(problem, others), *_travel_bands(problem, legs)]:
         by_kind.setdefault(band.kind, []).append(band)
     for kind, bands in by_kind.items():
-        waves = [wave for band in bands for wave in peaks(problem, metric, band)]
+        waves = [wave for band in bands for wave in peaks(precision, band)]
         tried = sum(len(band.frequencies) * len(band.carriers) for band in bands)
         strongest = sorted(waves, key=lambda w: w.log_tail)[:N_PEAKS]
         discrepancy = _joined(discrepancy, kind, strongest, -math.log(tried))
@@ -102,7 +107,7 @@ def _joined(
     labels = list(library.labels)
     for wave in waves:
         turns = _turns(wave.band.clock, np.array([wave.frequency]))
-        block = _columns(wave.carrier, turns)[:, :, 0]
+        block = _columns(wave.carrier.columns, turns)
         columns_of_atom = len(labels) + np.arange(block.shape[1])
         period = 1.0 / wave.frequency
         constants = {f"period_{wave.band.unit}": period}
@@ -116,11 +121,11 @@ def _joined(
     return discrepancies.assembled(columns, atoms, labels)
 
 
-def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
+def peaks(precision: WavePrecision, band: Band) -> list[Wave]:
     """The strongest waves of a band on each of its carriers, refined in frequency."""
     step = float(np.ptp(band.frequencies[:2]))
     waves = []
-    heights = -_log_tails(problem, metric, band)
+    heights = -precision.log_tails(band)
     for carrier, height in zip(band.carriers, heights, strict=True):
         padded = np.concatenate([[-1.0], height, [-1.0]])
         maxima, _ = scipy.signal.find_peaks(padded, distance=int(2 * OVERSAMPLING))
@@ -128,7 +133,7 @@ def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
         for k in maxima[order] - 1:
             fine = band.frequencies[k] + step * REFINED_STEPS
             near = dataclasses.replace(band, carriers=(carrier,), frequencies=fine)
-            tails = _log_tails(problem, metric, near)[0]
+            tails = precision.log_tails(near)[0]
             frequency = float(fine[np.argmin(tails)])
             waves.append(Wave(band, carrier, frequency, float(tails.min())))
     return waves
@@ -218,51 +223,153 @@ def _turns(clock: Array, frequencies: Array) -> Array:
     return np.concatenate([turns.real, turns.imag], axis=2)
 
 
-def _columns(carrier: Carrier, turns: Array) -> Array:
-    """Columns (N, 2 c, k) of cosines and sines (N, J, 2 k) on a carrier."""
-    columns = discrepancies.apply_carrier(carrier.columns, turns)
-    width = turns.shape[2] // 2
-    return columns.reshape(len(columns), -1, width)
+class FourierSums:
+    """Sums over readings of values times exp(2 pi i f t), at evenly spaced frequencies.
+
+    Values go to a fine even grid by a Gaussian, whose transform is divided out (Greengard
+    and Lee 2004, SIAM Rev. 46, 443-454): to 13 digits of the sum of their sizes.
+    """
+
+    def __init__(self, clock: Array, frequencies: Array) -> None:
+        """Lay out the grid for clocks (N, J) and frequencies (k,)."""
+        count = len(frequencies)
+        self._turns = None
+        if count < 2 * SPREAD:  # as many sums cost less without a grid
+            self._turns = np.exp(2j * np.pi * clock[:, :, None] * frequencies)
+            return
+        step = (frequencies[-1] - frequencies[0]) / (count - 1)
+        size = scipy.fft.next_fast_len(2 * count)
+        ratio = size / count
+        width = np.pi * SPREAD / (count**2 * ratio * (ratio - 0.5))
+        middle = count // 2
+        # about the middle frequency
+        self._turn = np.exp(2j * np.pi * (frequencies[0] + middle * step) * clock)
+        place = np.mod(step * clock, 1.0) * size
+        near = np.floor(place)[..., None] + np.arange(1 - SPREAD, SPREAD + 1)
+        offset = (near - place[..., None]) * (2.0 * np.pi / size)
+        spread = np.exp(-(offset**2) / (4.0 * width))
+        each = np.arange(0, spread[:, 0].size + 1, 2 * SPREAD)
+        self._grids = [
+            scipy.sparse.csr_array(
+                (spread[:, j].ravel(), near[:, j].ravel().astype(int) % size, each),
+                shape=(len(clock), size),
+            )
+            for j in range(clock.shape[1])
+        ]
+        number = np.arange(count) - middle
+        self._number = number % size
+        self._factor = np.sqrt(np.pi / width) * np.exp(width * number**2)
+
+    def __call__(self, values: Array, rows: slice = slice(None)) -> Array:
+        """Sums (k, m) of values (n, J, m) at the readings `rows`."""
+        if self._turns is not None:
+            turns = enumerate(self._turns[rows].swapaxes(0, 1))
+            return np.asarray(sum(turn.T @ values[:, j] for j, turn in turns))
+        turned = values * self._turn[rows, :, None]
+        grids = enumerate(self._grids)
+        grid = sum(by_grid[rows].T @ turned[:, j] for j, by_grid in grids)
+        sums = scipy.fft.ifft(grid, axis=0)[self._number]
+        return np.asarray(self._factor[:, None] * sums)
 
 
-def _log_tails(problem: GapProblem, metric: Metric, band: Band) -> Array:
-    """Log tail probability (carriers, k) of what each wave explains, its phases free."""
-    residual = metric.parts(problem.residual[:, None])
-    tails = np.empty((len(band.carriers), len(band.frequencies)))
-    size = max(min(512, VALUES_AT_ONCE // len(problem)), 1)
-    for start in range(0, tails.shape[1], size):
-        chunk = slice(start, start + size)
-        turns = _turns(band.clock, band.frequencies[chunk])
-        for row, carrier in zip(tails, band.carriers, strict=True):
-            row[chunk] = _tails_of(metric, _columns(carrier, turns), residual)
-    return tails
+class WavePrecision:
+    """Products of waves in a metric, of all frequencies together.
+
+    The precision of the noise with what parameters absorb is that of its white and
+    correlated errors less A A^T of each run, and of the parameters. Products with A are
+    Fourier sums.
+    """
+
+    def __init__(self, problem: GapProblem, metric: Metric) -> None:
+        root = metric.root
+        self._noise = root.alone
+        white = root.remaining(root.whiten(problem.residual[:, None]))
+        scored = self._noise.whiten_back_standard(white)
+        #: columns (N, 1 + n): the residual times the precision, and A of the parameters
+        self._common = np.hstack([scored, root.absorbed_root()])
+        self._shared = self._noise.scored_root()
+        starts = self._noise.errors.starts
+        self._runs = list(map(slice, starts, [*starts[1:], len(scored)]))
+
+    def log_tails(self, band: Band) -> Array:
+        """Log tail probability (carriers, k) of what each wave explains, its phases free."""
+        clock = band.clock[self._noise.order]
+        sums = FourierSums(clock, band.frequencies)
+        standardise = self._noise.errors.standardise
+        weights = [
+            np.stack([*map(standardise, carrier.columns.swapaxes(0, 1))], axis=1)
+            for carrier in band.carriers
+        ]
+        size = max(ROW_VALUES // (2 * sum(part.shape[1] for part in weights)), 1)
+        starts = range(0, len(band.frequencies), size)
+        chunks = [band.frequencies[start : start + size] for start in starts]
+        parts = [self._grams(weights, clock, chunk) for chunk in chunks]
+        grams = map(np.concatenate, zip(*parts, strict=True))
+        return np.array([*map(self._tails, itertools.repeat(sums), weights, grams)])
+
+    def _tails(self, sums: FourierSums, weights: Array, gram: Array) -> Array:
+        """The same (k,) of one carrier, of grams beside white and correlated errors alone."""
+        along = self._along(sums, weights, self._common)
+        taken = along[:, :, 1:]
+        gram = gram - taken @ taken.swapaxes(1, 2)
+        for run in self._runs if self._shared.any() else ():
+            taken = self._along(sums, weights, self._shared, run)
+            gram -= taken @ taken.swapaxes(1, 2)
+        return _tails_of(gram, along[:, :, 0])
+
+    def _along(
+        self,
+        sums: FourierSums,
+        weights: Array,
+        columns: Array,
+        rows: slice = slice(None),
+    ) -> Array:
+        """Products (k, 2 c, m) of waves of weights (N, c, J) with columns (N, m)."""
+        values = weights[rows, :, :, None] * columns[rows, None, None]
+        values = values.transpose(0, 2, 1, 3)
+        found = sums(values.reshape(*values.shape[:2], -1), rows)
+        found = found.reshape(len(found), *values.shape[2:])
+        both = np.stack([found.real, found.imag], axis=2)
+        return both.reshape(len(both), -1, columns.shape[1])
+
+    def _grams(
+        self, weights: Sequence[Array], clock: Array, frequencies: Array
+    ) -> list[Array]:
+        """Gram matrices (k, 2 c, 2 c) of each weights (N, c, J), beside white and
+        correlated errors alone.
+        """
+        count, every = len(frequencies), np.concatenate(weights, axis=1)
+        step = max(VALUES_AT_ONCE // (2 * every.shape[1] * count), 1)
+        rows = [slice(k, k + step) for k in range(0, len(clock), step)]
+        waves = (_columns(every[r], _turns(clock[r], frequencies)) for r in rows)
+        grams = [np.zeros((2 * w.shape[1], 2 * w.shape[1], count)) for w in weights]
+        ends = np.cumsum([len(gram) for gram in grams])[:-1]
+        pairs = [list(zip(*np.tril_indices(len(gram)), strict=True)) for gram in grams]
+        whitened = self._noise.banded.whiten_in_turn(waves)
+        if count < 2 * SPREAD:  # rows are short
+            whitened = iter([self._noise.banded.whiten(np.vstack(list(waves)))])
+        for white in whitened:
+            forms = np.split(white.reshape(len(white), -1, count), ends, axis=1)
+            for gram, form, numbers in zip(grams, forms, pairs, strict=True):
+                for i, j in numbers:
+                    gram[i, j] += np.einsum("nk,nk->k", form[:, i], form[:, j])
+        lower = [gram.transpose(2, 0, 1) for gram in grams]
+        return [np.tril(part) + np.tril(part, -1).swapaxes(1, 2) for part in lower]
 
 
-def _tails_of(metric: Metric, forms: Array, residual: tuple[Array, Array]) -> Array:
-    """Log tail probability (k,) of what forms (N, c, k) explain of a residual's parts."""
-    size, width = forms.shape[1:]
-    gram, b = np.zeros((width, size, size)), np.zeros((width, size))
-    columns = metric.parts(forms.reshape(len(forms), -1))
-    for sign, v, r in zip((1.0, -1.0), columns, residual, strict=True):
-        part = v.reshape(-1, size, width)
-        gram += sign * _grams(part)
-        b += sign * np.einsum("nck,n->kc", part, r[:, 0])
+def _columns(weights: Array, turns: Array) -> Array:
+    """Waves (N, 2 c k) of weights (N, c, J) times cosines and sines (N, J, 2 k)."""
+    return discrepancies.apply_carrier(weights, turns).reshape(len(weights), -1)
+
+
+def _tails_of(gram: Array, b: Array) -> Array:
+    """Log tail probability (k,) of what columns explain, of grams (k, c, c) and b (k, c)."""
+    size = b.shape[1]
     ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) + 1e-300
-    gram += ridge[:, None, None] * np.eye(size)
+    gram = gram + ridge[:, None, None] * np.eye(size)
     solved = np.linalg.solve(gram, b[:, :, None])[:, :, 0]
     energy = np.einsum("fi,fi->f", b, solved)
     return log_tail(energy, size)
-
-
-def _grams(forms: Array) -> Array:
-    """Gram matrices (k, c, c) of forms (N, c, k), an entry of all of them at a time."""
-    size, width = forms.shape[1:]
-    grams = np.empty((width, size, size))
-    for i in range(size):
-        for j in range(i + 1):
-            products = np.einsum("nk,nk->k", forms[:, i], forms[:, j])
-            grams[:, i, j] = grams[:, j, i] = products
-    return grams
 
 
 # -- tail of the chi-square ------------------------------------------------------------

@@ -80,18 +80,22 @@ def test_readings_are_carried_by_set_up_and_channel() -> None:
     assert len(tool.parts()) == 1
 
 
-def test_what_a_form_explains_is_that_of_least_squares(
-    rng: np.random.Generator,
+@pytest.mark.parametrize("count", [3, 40])
+def test_what_a_wave_explains_is_that_of_least_squares(
+    rng: np.random.Generator, count: int
 ) -> None:
     problem = case.circles()
     law = case.law(problem)
-    metric, covariance = Metric(problem, law), case.dense(problem, law)
-    forms = rng.standard_normal((len(problem), 2, 3))
-    r = 2.0 * rng.standard_normal(len(problem))
-    tails = waves._tails_of(metric, forms, metric.parts(r[:, None]))
-    for k in range(3):
-        inverse, G = np.linalg.inv(covariance), forms[:, :, k]
+    r, f = 2.0 * rng.standard_normal(len(problem)), np.linspace(0.1, 0.4, count)
+    problem, covariance = problem.with_residual(r), case.dense(problem, law)
+    clock, columns = rng.uniform(0.0, 60.0, (2, len(problem), 2))
+    carrier = discrepancy.Carrier("", columns[:, None], ("",))
+    precision = waves.WavePrecision(problem, Metric(problem, law))
+    (tails,) = precision.log_tails(waves.Band("", "s", clock, (carrier,), f))
+    wave = columns[:, :, None] * np.exp(2j * np.pi * clock[:, :, None] * f)
+    inverse = np.linalg.inv(covariance)
+    for tail, column in zip(tails, wave.sum(axis=1).T, strict=True):
+        G = np.column_stack([column.real, column.imag])
         energy = r @ inverse @ G @ np.linalg.solve(G.T @ inverse @ G, G.T @ inverse @ r)
-        assert tails[k] == pytest.approx(
-            -0.5 * energy, rel=1e-3
-        )  # of two degrees of freedom
+        # of two degrees of freedom
+        assert tail == pytest.approx(-0.5 * energy, rel=1e-3)
