@@ -29,7 +29,7 @@ from oed.gap.cause.scatter import (
 from oed.gap.cause.search import Hypothesis, Key, Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import NO_EFFECT, AnswerContent, Diagnosis, Explained, Size
-from oed.gap.data.evidence import WhitenedColumns
+from oed.gap.data.evidence import grams_of
 from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms.discrepancy import JOINTS, READINGS, part_in_words
 from oed.gap.forms.library import Library
@@ -115,9 +115,9 @@ def nearest_effects(search: Search, h: Hypothesis) -> tuple[str, ...]:
     coefficients, _ = metric.posterior(columns, problem.residual)
     of_process = len(search.processes.atoms[h.process].columns)
     change = columns[:, -of_process:] @ coefficients[-of_process:]
-    grams = WhitenedColumns(
-        problem.with_residual(change), metric, library.columns
-    ).grams()
+    every = np.arange(library.columns.shape[1])
+    changed = problem.with_residual(change)
+    grams = grams_of(changed, metric, library.columns, every)
     shares: dict[str, float] = {}
     for atom in library.atoms:
         mean = posterior_mean(grams, atom.columns, MAX_RIVAL_SIZE)

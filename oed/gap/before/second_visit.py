@@ -421,8 +421,10 @@ def answer_forms(
     processes = discrepancy.build(both)
     search = Search(
         taken,
-        dataclasses.replace(library, columns=library.columns[first]),
-        dataclasses.replace(processes, columns=processes.columns[first]),
+        dataclasses.replace(library, columns=library.columns.first_rows(len(taken))),
+        dataclasses.replace(
+            processes, columns=processes.columns.first_rows(len(taken))
+        ),
         dataclasses.replace(diagnosis.law, level=1.0),
         0.0,
     )

@@ -184,7 +184,8 @@ class ReversedForms:
         for k, column in enumerate(form.columns):
             name = self._library.names[column]
             if name in number_of:
-                columns[:, k] = library.columns[:, number_of[name]]
+                number = np.array([number_of[name]])
+                columns[:, k] = library.columns.take(number)[:, 0]
         return columns
 
     @functools.cached_property

@@ -20,7 +20,7 @@ from scipy import special
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, UNKNOWN_SIZES
 from oed.gap.data import evidence
-from oed.gap.data.evidence import Grams, WhitenedColumns
+from oed.gap.data.evidence import ChoiceGrams, Grams, WhitenedColumns
 from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy
 from oed.gap.forms.library import Library
@@ -181,16 +181,15 @@ class FormProducts:
         """The metric of the law."""
         return Metric(self._problem, self._law)
 
-    def whitened(self, columns: Index) -> WhitenedColumns:
-        """Some columns of the effects. Those of many readings take much memory."""
-        return WhitenedColumns(
-            self._problem, self.metric, self._library.columns, columns
-        )
-
     @functools.cached_property
     def in_question(self) -> Grams:
         """Grams of the columns of the effects in question."""
-        return self.whitened(self._needed).grams(self._needed)
+        return self._grams_of(self._needed)
+
+    def _grams_of(self, columns: Index) -> Grams:
+        """Grams of some columns of the effects."""
+        library = self._library.columns
+        return evidence.grams_of(self._problem, self.metric, library, columns)
 
     def place(self, columns: Index) -> Index:
         """Numbers of some columns among those of the effects in question."""
@@ -203,9 +202,13 @@ class FormProducts:
     @functools.cached_property
     def remainders(self) -> Remainders:
         """The processes that an unknown remainder may be."""
-        columns = WhitenedColumns(self._problem, self.metric, self._processes.columns)
-        log_kinds = discrepancy.log_shares(self._processes, self._library)
-        return Remainders(columns, self._processes, log_kinds)
+        processes = self._processes
+        choices = [atom.columns for atom in processes.atoms]
+        products = ChoiceGrams.of(
+            self._problem, self.metric, processes.columns, choices
+        )
+        log_kinds = discrepancy.log_shares(processes, self._library)
+        return Remainders(products, processes, log_kinds)
 
     def log_remainders(self, alone: Grams, selected: Selected) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
@@ -229,8 +232,8 @@ class FormProducts:
         """Products (k, P) of the columns of a form with all processes' columns."""
         key = columns.tobytes()
         if key not in self._cross:
-            form = self.whitened(columns)
-            self._cross[key] = form.with_others(self.remainders.whitened)
+            form = self.metric.precision(self._library.columns.take(columns))
+            self._cross[key] = self._processes.columns.products(form)
         return self._cross[key]
 
     def _taken(self, selected: Selected) -> tuple[Array, Array]:
@@ -241,7 +244,7 @@ class FormProducts:
         columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
         grams = self.grams_of(columns)
         parts = [self._with_processes(c) for c, _ in selected]
-        cross = np.vstack([np.zeros((0, len(self.remainders.whitened.b))), *parts])
+        cross = np.vstack([np.zeros((0, len(self.remainders.products.b))), *parts])
         taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
         start = 0
         for own, size in selected:
@@ -261,7 +264,7 @@ class FormProducts:
         columns = np.arange(self._library.columns.shape[1])
         if len(self._needed) == len(columns):
             return self.in_question
-        return self.whitened(columns).grams()
+        return self._grams_of(columns)
 
     @functools.cached_property
     def log_prior(self) -> Array:
@@ -307,26 +310,27 @@ class Remainders:
 
     def __init__(
         self,
-        whitened: WhitenedColumns,
+        products: ChoiceGrams,
         processes: Library,
         log_kinds: Array,
     ) -> None:
         """Lay out the processes, those with as many columns together.
 
-        whitened    their columns
+        products    of their columns
         log_kinds   (processes,) log prior of the kind of each
         """
-        self.whitened = whitened
+        self.products = products
         self._columns = [atom.columns for atom in processes.atoms]
         #: numbers (a,), columns (a, d) and Gram matrices (a, d, d), and how to solve these
         self._groups = []
         for numbers, rows in evidence.group_by_count(self._columns):
-            blocks, axes = whitened.blocks(rows), None
+            blocks = np.array([products.grams[k] for k in numbers])
+            axes = None
             if rows.shape[1] >= MIN_AXES:
                 axes = evidence.GramAxes.of(blocks, self._least(rows))
             self._groups.append((numbers, rows, blocks, axes))
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
-        energy = energies(whitened.diagonal, self._columns)
+        energy = energies(products.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
         #: (processes, sizes) log prior of each
         self.log_prior = (log_weights + log_kinds)[:, None] + log_sizes
@@ -336,7 +340,7 @@ class Remainders:
 
     def _least(self, rows: Index) -> Array:
         """Energies (a,) of directions of columns (a, d) up to which they are rounding."""
-        largest = self.whitened.whole[rows].max(axis=1)
+        largest = self.products.whole[rows].max(axis=1)
         return np.asarray(evidence.ENERGY_TOLERANCE * largest)
 
     def log_evidences(self, alone: Grams, taken: Array, projected: Array) -> Array:
@@ -349,7 +353,7 @@ class Remainders:
         """
         table = np.empty((len(self._columns), len(REMAINDER_SIZES)))
         for numbers, rows, blocks, axes in self._groups:
-            b, over = self.whitened.b[rows], taken[:, rows]
+            b, over = self.products.b[rows], taken[:, rows]
             if axes is None:
                 gram, b = evidence.left_beside(blocks, b, over, projected)
                 gain, log_det = evidence.explained_energy(

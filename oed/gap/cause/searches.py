@@ -20,6 +20,7 @@ from oed.effect_model import Effect
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.search import Hypothesis, Key, Search
 from oed.gap.data import evidence
+from oed.gap.data.columns import Columns
 from oed.gap.data.evidence import LawPosterior
 from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy, waves
@@ -38,21 +39,22 @@ N_CANDIDATES = 14
 #: least root mean square of each effect and process in the wide model, in units of the
 #: noise
 WIDE_RMS = 0.7
+#: size of a direction of the wide model, in units of the noise, that predicts no reading
+UNSEEN_SIZE = 1e-4
 
 
 def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     """The search under each of the noise laws that stand for all."""
-    nothing = np.zeros((len(problem), 0))
-    plain = evidence.posterior(problem, nothing)
+    plain = evidence.posterior(problem, evidence.compress(problem))
     library = libraries.build(problem, effects, Metric(problem, plain.mode))
     processes = discrepancy.build(problem)
-    columns = wide_model(library, processes)
-    wide = evidence.posterior(problem, columns)
-    outliers = _outliers(problem, library, processes, wide.mode)
+    columns = wide_model(problem, library, processes)
+    wide = evidence.posterior(problem, evidence.visible(columns))
+    outliers = _outliers(problem, library, processes, wide.mode, columns)
+    del columns  # of many readings they take much memory
     clean = without_outliers(problem, outliers)
     if outliers is not None:
-        plain = evidence.posterior(clean, nothing)
-        wide = evidence.posterior(clean, columns)
+        plain, wide = (evidence.posterior(clean, p.columns) for p in (plain, wide))
     unknown = waves.add(processes, clean, wide.mode)
     search_under = functools.partial(
         Search, clean, library, unknown, outliers=outliers, given=problem
@@ -91,7 +93,9 @@ def searches_under(
     """The search under a noise law that is known, with and without outliers."""
     library = libraries.build(problem, effects, Metric(problem, law))
     processes = discrepancy.build(problem)
-    outliers = _outliers(problem, library, processes, law)
+    columns = wide_model(problem, library, processes)
+    outliers = _outliers(problem, library, processes, law, columns)
+    del columns
     results = []
     for removed in (None, outliers) if outliers is not None else (None,):
         clean = without_outliers(problem, removed)
@@ -103,14 +107,19 @@ def searches_under(
 
 
 def _outliers(
-    problem: GapProblem, library: Library, processes: Library, law: NoiseLaw
+    problem: GapProblem,
+    library: Library,
+    processes: Library,
+    law: NoiseLaw,
+    columns: Array,
 ) -> Outliers | None:
     """Outliers from the wide model, or from it with the gap that looks best added.
 
     A step's edges, say, are outliers from every smooth model; and outliers look like
     steps. The more probable explanation counts.
+
+    columns  (N, k) of the wide model
     """
-    columns = wide_model(library, processes)
     outliers = detect_outliers(problem, law, columns)
     if outliers is None:
         return None
@@ -169,7 +178,8 @@ def _add_gap(
     forms = (tuple(sorted(gap.atoms)), gap.process)
     if forms not in posteriors:
         columns = gap.columns(search.library, search.processes)
-        posteriors[forms] = evidence.posterior(problem, columns)
+        compressed = evidence.compress(problem, Columns.of(columns))
+        posteriors[forms] = evidence.posterior(problem, compressed)
 
 
 def _add_scarce(
@@ -187,22 +197,26 @@ def _add_scarce(
 # -- the wide model --------------------------------------------------------------------
 
 
-def wide_model(library: Library, processes: Library) -> Array:
-    """Columns (N, k) of the middle form of every effect and of the broad processes."""
-    columns = [_middle_form(library, effect) for effect in library.effects]
+def wide_model(problem: GapProblem, library: Library, processes: Library) -> Array:
+    """Columns (N, k) of the middle form of every effect and of the broad processes.
+
+    Compressed, the parameters' slopes among them.
+    """
+    forms = [_middle_form(library, effect) for effect in library.effects]
     broad = [effect for effect in processes.effects if effect != IN_A_RUN]
-    columns += [_middle_form(processes, effect) for effect in broad]
-    return np.hstack(columns)
+    forms += [_middle_form(processes, effect) for effect in broad]
+    blocks = [block for form in forms for block in form.blocks]
+    return evidence.compress(problem, Columns(len(problem), blocks), UNSEEN_SIZE)
 
 
-def _middle_form(library: Library, effect: str) -> Array:
+def _middle_form(library: Library, effect: str) -> Columns:
     """The middle of an effect's widest forms, of the least root mean square."""
     forms = [library.atoms[k].columns for k in library.atoms_of(effect)]
     widest = max(len(form) for form in forms)
     full = [form for form in forms if len(form) == widest]
-    columns = library.columns[:, full[len(full) // 2]]
-    rms = np.sqrt((columns**2).sum() / len(columns))
-    return np.asarray(columns * (WIDE_RMS / rms))
+    middle = full[len(full) // 2]
+    rms = np.sqrt((library.columns.take(middle) ** 2).sum() / len(library.columns))
+    return library.columns.some(middle, WIDE_RMS / rms)
 
 
 # -- outliers --------------------------------------------------------------------------
@@ -211,9 +225,11 @@ def _middle_form(library: Library, effect: str) -> Array:
 def detect_outliers(
     problem: GapProblem, law: NoiseLaw, columns: Array
 ) -> Outliers | None:
-    """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
-    nuisances = np.hstack([problem.slopes, columns])
-    factor = law.factor(problem.structure).widened(nuisances)
+    """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model.
+
+    The parameters' slopes are among them.
+    """
+    factor = law.factor(problem.structure).widened(columns)
     return noise_law.detect_outliers(
         problem.residual, factor, statement=problem.statement
     )

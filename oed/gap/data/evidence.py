@@ -24,6 +24,7 @@ from scipy import special
 from oed import linear_algebra
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES
+from oed.gap.data.columns import VALUES_AT_ONCE, Columns
 from oed.gap.data.problem import GapProblem, Metric
 from oed.noise import Laws, NoiseLaw
 from oed.noise_law import NoisePrior, ResidualModel, draw_laws
@@ -280,28 +281,18 @@ class GramAxes:
 class WhitenedColumns:
     """Columns (N, K) in a metric, of which some at a time are wanted as Grams.
 
-    Columns of many readings take much memory once they are whitened: those that are not
-    needed are left out.
+    Columns of many readings take much memory once they are whitened: `grams_of` has few
+    at a time.
     """
 
-    def __init__(
-        self,
-        problem: GapProblem,
-        metric: Metric,
-        columns: Array,
-        needed: Index | None = None,
-    ) -> None:
-        """Whiten the columns `needed`, all by default."""
-        needed = np.arange(columns.shape[1]) if needed is None else needed
-        self._place = np.full(columns.shape[1], -1, dtype=np.intp)
-        self._place[needed] = np.arange(len(needed))
+    def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
         #: (K,) energy of each column before the parameters absorb
         self.whole = np.zeros(columns.shape[1])
-        self._columns = np.empty((metric.size, len(needed)))
-        for start in range(0, len(needed), COLUMNS_AT_ONCE):
+        self._columns = np.empty((metric.size, columns.shape[1]))
+        for start in range(0, columns.shape[1], COLUMNS_AT_ONCE):
             some = slice(start, start + COLUMNS_AT_ONCE)
-            white = metric.whiten(columns[:, needed[some]])
-            self.whole[needed[some]] = np.einsum("nk,nk->k", white, white)
+            white = metric.whiten(columns[:, some])
+            self.whole[some] = np.einsum("nk,nk->k", white, white)
             self._columns[:, some] = metric.remaining(white)
         residual = metric.scores(problem.residual[:, None])[:, 0]
         energy = float(residual @ residual)
@@ -316,20 +307,11 @@ class WhitenedColumns:
             base=float(log_student(metric.log_det, energy, metric.size)),
         )
         #: (K,) projections of the residual
-        self.b = np.zeros(columns.shape[1])
-        self.b[needed] = self._columns.T @ residual
-
-    @property
-    def diagonal(self) -> Array:
-        """Energy (K,) of each column; 0 of those that are not needed."""
-        diagonal = np.zeros(len(self._place))
-        energy = np.einsum("nk,nk->k", self._columns, self._columns)
-        diagonal[self._place >= 0] = energy
-        return diagonal
+        self.b = self._columns.T @ residual
 
     def grams(self, columns: slice | Index = slice(None)) -> Grams:
         """Grams of some columns; `base` is the log evidence of no gap."""
-        some = self._columns[:, self._place[columns]]
+        some = self._columns[:, columns]
         return dataclasses.replace(
             self._no_columns,
             gram=some.T @ some,
@@ -338,13 +320,96 @@ class WhitenedColumns:
         )
 
     def with_others(self, others: WhitenedColumns) -> Array:
-        """Inner products (k, L) of the columns that are needed with all others."""
+        """Inner products (k, L) with all others."""
         return self._columns.T @ others._columns
 
-    def blocks(self, choices: Index) -> Array:
-        """Gram matrices (a, d, d) of choices (a, d) of columns."""
-        every = [self._columns[:, self._place[choice]] for choice in choices]
-        return np.array([some.T @ some for some in every])
+
+def grams_of(
+    problem: GapProblem, metric: Metric, columns: Columns, numbers: Index
+) -> Grams:
+    """Grams of the columns `numbers` (K,), few of which are in memory at a time."""
+    size = max(VALUES_AT_ONCE // len(problem), 1)
+    count = max(-(-len(numbers) // size), 1)
+    chunks = np.array_split(np.arange(len(numbers)), count)
+
+    def whitened(chunk: Index) -> WhitenedColumns:
+        return WhitenedColumns(problem, metric, columns.take(numbers[chunk]))
+
+    gram = np.empty((len(numbers), len(numbers)))
+    parts = []
+    for k, chunk in enumerate(chunks):
+        some = whitened(chunk)
+        parts.append(some.grams())
+        gram[np.ix_(chunk, chunk)] = parts[-1].gram
+        for later in chunks[k + 1 :]:
+            products = some.with_others(whitened(later))
+            gram[np.ix_(chunk, later)] = products
+            gram[np.ix_(later, chunk)] = products.T
+    return dataclasses.replace(
+        parts[0],
+        gram=gram,
+        b=np.concatenate([part.b for part in parts]),
+        whole=np.concatenate([part.whole for part in parts]),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChoiceGrams:
+    """Inner products of K columns, those among columns of one choice alone.
+
+    grams     Gram matrix (d, d) of each choice
+    diagonal  (K,) energy of each column
+    b, whole  (K,) as of `Grams`
+    """
+
+    grams: list[Array]
+    diagonal: Array
+    b: Array
+    whole: Array
+
+    @classmethod
+    def of(
+        cls,
+        problem: GapProblem,
+        metric: Metric,
+        columns: Columns,
+        choices: Sequence[Index],
+    ) -> ChoiceGrams:
+        """Whiten the columns, few at a time. Grams of choices within others are theirs."""
+        count = columns.shape[1]
+        holder, place = (
+            np.full(count, -1, dtype=np.intp),
+            np.zeros(count, dtype=np.intp),
+        )
+        within: dict[int, tuple[int, Index]] = {}
+        largest = sorted(range(len(choices)), key=lambda k: -len(choices[k]))
+        for k in largest:
+            choice = choices[k]
+            holders = np.unique(holder[choice])
+            if len(holders) != 1 or holders[0] < 0:
+                holder[choice], place[choice] = k, np.arange(len(choice))
+            within[k] = int(holder[choice[0]]), place[choice]
+        most = max(VALUES_AT_ONCE // len(problem), 1)
+        alone = [k for k in largest if within[k][0] == k]
+        ends = np.cumsum([len(choices[k]) for k in alone])
+        of_choice: dict[int, Array] = {}
+        diagonal, b, whole = np.zeros((3, count))
+        for batch in np.unique(ends // most):
+            some = [
+                k for k, end in zip(alone, ends, strict=True) if end // most == batch
+            ]
+            numbers = np.concatenate([choices[k] for k in some])
+            white = WhitenedColumns(problem, metric, columns.take(numbers))
+            b[numbers], whole[numbers] = white.b, white.whole
+            start = 0
+            for k in some:
+                stop = start + len(choices[k])
+                of_choice[k] = white.grams(slice(start, stop)).gram
+                diagonal[choices[k]] = of_choice[k].diagonal()
+                start = stop
+        places = [within[k] for k in range(len(choices))]
+        grams = [of_choice[k][np.ix_(rows, rows)] for k, rows in places]
+        return cls(grams, diagonal, b, whole)
 
 
 def log_student(log_det: ArrayLike, energy: ArrayLike, size: int) -> Array:
@@ -360,15 +425,40 @@ def log_student(log_det: ArrayLike, energy: ArrayLike, size: int) -> Array:
     return np.asarray(constant - 0.5 * np.asarray(log_det) - half * log_energy)
 
 
-def compress(problem: GapProblem, columns: Array) -> Array:
+def compress(
+    problem: GapProblem, columns: Columns | None = None, least: float = MIN_SIZE
+) -> Array:
     """Columns (N, k') with the same covariance as [H Lambda^1/2, columns].
 
-    Directions far below the noise are left out.
+    They are orthogonal, the largest first. Directions of less size than the `least`, by
+    default far below the noise, are left out. Those of long sessions are found from
+    triangles of some rows after others.
     """
-    both = np.hstack([problem.slopes, columns])
-    directions, sizes, _ = np.linalg.svd(both, full_matrices=False)
-    visible = sizes > MIN_SIZE
-    return np.asarray(directions[:, visible] * sizes[visible])
+    slopes = problem.slopes
+    columns = Columns(len(problem), ()) if columns is None else columns
+    count, width = len(slopes), slopes.shape[1] + columns.shape[1]
+    step = max(VALUES_AT_ONCE // max(width, 1), 2 * width, 1)
+    rows = [slice(start, start + step) for start in range(0, count, step)]
+    triangle = np.zeros((0, width))
+    for some in rows:
+        both = np.hstack([slopes[some], columns.all(some)])
+        triangle = both if len(rows) == 1 else _triangle(np.vstack([triangle, both]))
+    _, sizes, turn = np.linalg.svd(triangle, full_matrices=False)
+    axes = turn[sizes > least].T
+    compressed = np.empty((count, axes.shape[1]))
+    for some in rows:
+        compressed[some] = np.hstack([slopes[some], columns.all(some)]) @ axes
+    return compressed
+
+
+def visible(compressed: Array) -> Array:
+    """Those of compressed columns (N, k) that are not far below the noise."""
+    return np.asarray(compressed[:, np.linalg.norm(compressed, axis=0) > MIN_SIZE])
+
+
+def _triangle(rows: Array) -> Array:
+    """Triangle R (k, k) with R^T R = Y^T Y, of rows Y (n, k)."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def log_evidence(
@@ -440,9 +530,11 @@ class LawPosterior:
 
 
 def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
-    """The law's posterior with columns (N, k) of prior N(0, 1) in the model."""
-    compressed = compress(problem, columns)
-    prior, model = _prior(problem), linear_model(problem, compressed)
+    """The law's posterior with columns (N, k) of prior N(0, 1) in the model.
+
+    The parameters' slopes are among them, as from `compress`.
+    """
+    prior, model = _prior(problem), linear_model(problem, columns)
 
     def cost(u: Array) -> Array:
         values = log_evidences(model, _laws(problem, u))
@@ -454,7 +546,7 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
         cost, starts, MAX_COORDINATE, points=N_POINTS, draws=DRAWS_OF_EACH
     )
     law = NoiseLaw(_laws(problem, drawn.mode[None]))
-    return LawPosterior(compressed, law, drawn.draws, drawn.log_integral)
+    return LawPosterior(columns, law, drawn.draws, drawn.log_integral)
 
 
 def mixture(

@@ -561,6 +561,10 @@ class Metric:
         """Vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v."""
         return self.root.whiten(values)
 
+    def precision(self, values: Array) -> Array:
+        """M Y (N, k), for values Y (N, k)."""
+        return self.root.precision(values)
+
     def remaining(self, white: Array) -> Array:
         """Whitened values (N, k) less what the parameters absorb of them.
 

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from oed.base import Array, Index, Mask, field_modes
+from oed.gap.data.columns import Block, Columns
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import ALONE_SHARE, Atom, Library
 from oed.measurement import Series
@@ -210,6 +211,20 @@ CONDITIONS = {
 Values = Array
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Part:
+    """Columns of one term on one column of its carrier.
+
+    column  number of the carrier's column
+    block   the columns
+    sign    of the columns driven the other way
+    """
+
+    column: int
+    block: Block
+    sign: float = 1.0
+
+
 @dataclasses.dataclass(frozen=True)
 class Term:
     """One kind of discrepancy at one reach.
@@ -217,24 +232,28 @@ class Term:
     name       of the kind: what it comes with
     about      in words
     carrier    what it acts on
-    forms      (N, J, c, k) for each of the carrier's columns
+    parts      on each of the carrier's columns; terms may have parts in common
     reach      of its kernel
     timed      whether it varies with the time or a temperature
-    signs      of its forms driven the other way, each of as many
     """
 
     name: str
     about: str
     carrier: Carrier
-    forms: Array
+    parts: tuple[Part, ...]
     reach: float
     timed: bool = False
-    signs: tuple[float, ...] = (1.0,)
 
     @property
-    def reversal(self) -> Array:
-        """Factor (k,) on the columns of each of the carrier's, driven the other way."""
-        return np.repeat(self.signs, self.forms.shape[3] // len(self.signs))
+    def is_visible(self) -> bool:
+        """Whether it changes a reading."""
+        blocks = [part.block for part in self.parts]
+        return any(bool(b.weights.any() and b.values.any()) for b in blocks)
+
+    def beside(self, other: Term, about: str) -> Term:
+        """The parts of two terms on the same carrier together."""
+        parts = sorted([*self.parts, *other.parts], key=lambda part: part.column)
+        return dataclasses.replace(self, about=about, parts=tuple(parts))
 
 
 def log_shares(discrepancy: Library, listed: Library) -> Array:
@@ -252,65 +271,51 @@ def log_shares(discrepancy: Library, listed: Library) -> Array:
 
 def build(problem: GapProblem) -> Library:
     """The discrepancy's terms as atoms, with their prior probability within a kind."""
-    columns = [np.zeros((len(problem), 0))]
     atoms: list[Atom] = []
     labels: list[str] = []
+    columns_of: dict[Part, Index] = {}
     for kind in _terms_by_kind(problem):
-        every = [(term, *_columns(term)) for term in kind]
-        visible = [part for part in every if part[1].any()]
-        for term, block, owner in visible:
-            start = len(labels)
+        visible = [term for term in kind if term.is_visible]
+        for term in visible:
             constants = {"reach": term.reach} if term.reach else {}
+            for part in term.parts:
+                if part not in columns_of:
+                    width = part.block.width
+                    columns_of[part] = len(labels) + np.arange(width)
+                    labels += [term.carrier.labels[part.column]] * width
+            widths = [part.block.width for part in term.parts]
+            owner = np.repeat([part.column for part in term.parts], widths)
+            reversal = np.repeat([part.sign for part in term.parts], widths)
+            numbers = np.concatenate([columns_of[part] for part in term.parts])
             for choice, share in _choices(term.carrier, owner):
                 log_weight = math.log(share) - math.log(len(visible))
-                columns_of_atom = start + choice
-                factor = np.tile(term.reversal, len(term.carrier.labels))[choice]
                 atom = Atom(
-                    term.name, constants, columns_of_atom, log_weight, term.about
+                    term.name,
+                    constants,
+                    numbers[choice],
+                    log_weight,
+                    term.about,
+                    timed=term.timed,
+                    reversal=reversal[choice],
                 )
-                atoms.append(
-                    dataclasses.replace(atom, timed=term.timed, reversal=factor)
-                )
-            columns.append(block)
-            labels += [term.carrier.labels[c] for c in owner]
-    return assembled(columns, atoms, labels)
+                atoms.append(atom)
+    blocks = [part.block for part in columns_of]
+    return assembled(Columns(len(problem), blocks), atoms, labels)
 
 
 def assembled(
-    columns: list[Array], atoms: Sequence[Atom], labels: Sequence[str]
+    columns: Columns, atoms: Sequence[Atom], labels: Sequence[str]
 ) -> Library:
-    """Blocks of columns (N, k) of a discrepancy, in units of the noise, as a library.
-
-    The list of blocks is empty afterwards: those of long sessions would be twice in
-    memory.
-    """
+    """Columns (N, K) of a discrepancy, in units of the noise, as a library."""
     count = len(labels)
     return Library(
-        columns=_joined(columns),
+        columns=columns,
         atoms=tuple(atoms),
         names=tuple(f"discrepancy {k}" for k in range(count)),
         labels=tuple(labels),
         scales=np.ones(count),
         not_testable={},
     )
-
-
-def _joined(blocks: list[Array]) -> Array:
-    """Blocks (N, k) side by side (N, K); the list is emptied on the way."""
-    joined = np.empty((len(blocks[0]), sum(block.shape[1] for block in blocks)))
-    start = 0
-    while blocks:
-        block = blocks.pop(0)
-        joined[:, start : start + block.shape[1]] = block
-        start += block.shape[1]
-    return joined
-
-
-def _columns(term: Term) -> tuple[Array, Index]:
-    """Columns (N, c k) of a term, and the number (c k,) of the carrier's of each."""
-    block = np.einsum("ncj,njck->nck", term.carrier.columns, term.forms)
-    count, width = block.shape[1:]
-    return block.reshape(len(block), -1), np.repeat(np.arange(count), width)
 
 
 def _choices(carrier: Carrier, owner: Index) -> list[tuple[Index, float]]:
@@ -334,70 +339,79 @@ def _terms_by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     over_session = [_Places(c, session[:, :, None]) for c in every]
     over_workspace = [_Places(c, travel, by_column=c.name == JOINTS) for c in every]
     yield [
-        Term(OVER_TIME, f"drift of {p.carrier.name}", p.carrier, forms, reach, True)
+        Term(OVER_TIME, f"drift of {p.carrier.name}", p.carrier, parts, reach, True)
         for p in over_session
-        for reach, forms in p.forms(REACHES["time"])
+        for reach, parts in p.parts(REACHES["time"])
     ]
-    workspace = [(p, p.forms(REACHES["place"])) for p in over_workspace]
+    steady: list[Term] = []
     for name, ending, common, by_joint, timed in _factors(problem):
+        sign = -1.0 if name == WITH_DIRECTION else 1.0
         terms = [
             Term(
                 name,
                 f"an error of {p.carrier.name} over the workspace{ending}",
                 p.carrier,
-                _times(forms, by_joint if p.by_column else common),
+                parts,
                 reach,
                 timed,
             )
-            for p, by_reach in workspace
-            for reach, forms in by_reach
+            for p in over_workspace
+            for reach, parts in p.parts(
+                REACHES["place"], by_joint if p.by_column else common, sign
+            )
         ]
-        yield _with_both_ways(terms, workspace) if name == WITH_DIRECTION else terms
+        steady = steady or terms
+        yield _with_both_ways(terms, steady) if name == WITH_DIRECTION else terms
     yield list(_run_terms(problem, every))
     single = list(_single_run_terms(problem, every[0]))
     if len(single) > 1:
         yield single
 
 
-@dataclasses.dataclass(frozen=True)
 class _Places:
-    """Where a carrier is: its kernel's coordinates at the poses that readings see.
+    """Where a carrier is: its kernel's coordinates at the poses that readings see."""
 
-    carrier
-    at          (N, J, d), or (N, J, c) one of each column
-    by_column   whether each column has its coordinate
-    """
+    def __init__(self, carrier: Carrier, at: Array, by_column: bool = False) -> None:
+        """Coordinates (N, J, d), or (N, J, c) one of each column if `by_column`."""
+        self.carrier, self.by_column, self._at = carrier, by_column, at
+        self._modes: dict[float, list[Array]] = {}
 
-    carrier: Carrier
-    at: Array
-    by_column: bool = False
+    def parts(
+        self, reaches: Sequence[float], factor: Array | None = None, sign: float = 1.0
+    ) -> list[tuple[float, tuple[Part, ...]]]:
+        """Each reach with its forms, times a factor (N, J), or (N, J, c) of each column.
 
-    def forms(self, reaches: Sequence[float]) -> list[tuple[float, Array]]:
-        """Each reach with its forms (N, J, c, k)."""
-        return [(reach, self._forms(reach)) for reach in reaches]
+        sign  of the forms driven the other way
+        """
+        weights = self.carrier.columns
+        if factor is not None:
+            by_column = factor[:, None] if factor.ndim == 2 else factor.swapaxes(1, 2)
+            weights = weights * by_column
+        results = []
+        for reach in reaches:
+            if reach not in self._modes:
+                self._modes[reach] = list(self._forms(reach))
+            parts = tuple(
+                Part(c, Block(weights[:, c], modes), sign)
+                for c, modes in enumerate(self._modes[reach])
+            )
+            results.append((reach, parts))
+        return results
 
-    def _forms(self, reach: float) -> Array:
+    def _forms(self, reach: float) -> Iterator[Array]:
+        """Modes (N, J, k) on each of the carrier's columns, which may share them."""
         columns = self.carrier.columns
         count = columns.shape[1]
         most = min(MAX_MODES, MAX_COLUMNS // count)
         acting = [np.asarray(columns[:, c].any(axis=1)) for c in range(count)]
-        parts: list[Array] = []
+        form = np.zeros((*self._at.shape[:2], 0))
         for c in range(count):
-            if c > 0 and not self.by_column and (acting[c] == acting[c - 1]).all():
-                parts.append(parts[-1])
-                continue
-            if not acting[c].any():
-                parts.append(np.zeros((*self.at.shape[:2], 0)))
-                continue
-            coordinates = self.at[:, :, c, None] if self.by_column else self.at
-            parts.append(
-                _fill_rows(acting[c], modes(coordinates[acting[c]], reach, most))
-            )
-        width = max(part.shape[2] for part in parts)
-        forms = np.zeros((*self.at.shape[:2], count, width))
-        for c, part in enumerate(parts):
-            forms[:, :, c, : part.shape[2]] = part
-        return forms
+            if c == 0 or self.by_column or (acting[c] != acting[c - 1]).any():
+                form = np.zeros((*self._at.shape[:2], 0))
+                if acting[c].any():
+                    at = self._at[:, :, c, None] if self.by_column else self._at
+                    form = _fill_rows(acting[c], modes(at[acting[c]], reach, most))
+            yield form
 
 
 def _fill_rows(rows: Mask, values: Array) -> Array:
@@ -407,27 +421,18 @@ def _fill_rows(rows: Mask, values: Array) -> Array:
     return every
 
 
-def _with_both_ways(
-    terms: Sequence[Term],
-    workspace: Sequence[tuple[_Places, list[tuple[float, Array]]]],
-) -> list[Term]:
+def _with_both_ways(terms: Sequence[Term], steady: Sequence[Term]) -> list[Term]:
     """Terms that turn their sign with the direction, and errors that differ each way.
 
     What is worn in one place acts both ways, and more in one of them.
     """
-    steady = [forms for _, by_reach in workspace for _, forms in by_reach]
     results = []
-    for term, forms in zip(terms, steady, strict=True):
-        if not term.forms.any():  # no direction is known
+    for term, alike in zip(terms, steady, strict=True):
+        if not term.is_visible:  # no direction is known
             continue
-        both = np.concatenate([forms, term.forms], axis=3)
-        about = (
-            f"an error of {term.carrier.name} over the workspace, different each way"
-        )
-        different = dataclasses.replace(
-            term, about=about, forms=both, signs=(1.0, -1.0)
-        )
-        results += [dataclasses.replace(term, signs=(-1.0,)), different]
+        about = f"an error of {term.carrier.name} over the workspace"
+        both = alike.beside(term, f"{about}, different each way")
+        results += [term, dataclasses.replace(both, name=term.name)]
     return results
 
 
@@ -481,13 +486,6 @@ def _centred(values: Array) -> Array:
     return known_values((values - middle) / (0.5 * np.ptp(finite)))
 
 
-def _times(forms: Array, factor: Array) -> Array:
-    """Forms (N, J, c, k) times a factor (N, J), or (N, J, c) of each column's own."""
-    if factor.ndim == 2:
-        factor = factor[:, :, None]
-    return forms * factor[..., None]
-
-
 def _circle(problem: GapProblem) -> Array:
     """Cosine and sine (N, J, 2) of the phase."""
     phase = known_values(_covariate(problem, "phase"))
@@ -501,10 +499,14 @@ def _run_terms(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
     for carrier in every:
         if carrier.name == JOINTS:
             continue
-        for reach, forms in _Places(carrier, circle).forms(REACHES["phase"]):
-            both = np.concatenate([forms, _times(forms, sense)], axis=3)
-            about = f"an error of {carrier.name} along the runs"
-            yield Term(ALONG_RUNS, about, carrier, both, reach, signs=(1.0, -1.0))
+        about = f"an error of {carrier.name} along the runs"
+        places, reaches = _Places(carrier, circle), REACHES["phase"]
+        turned = places.parts(reaches, sense, sign=-1.0)
+        for (reach, parts), (_, others) in zip(
+            places.parts(reaches), turned, strict=True
+        ):
+            alike = Term(ALONG_RUNS, about, carrier, parts, reach)
+            yield alike.beside(Term(ALONG_RUNS, about, carrier, others, reach), about)
 
 
 def _single_run_terms(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
@@ -521,8 +523,8 @@ def _single_run_terms(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
         rows = problem.rows.iloc[int(members[0])]
         label = f"run {rows['setup']} {rows['run']}"
         carrier = Carrier(label, columns[:, touched], (label,) * int(touched.sum()))
-        forms = _Places(carrier, circle).forms((reach,))[0][1]
-        yield Term(IN_A_RUN, "an error in one run", carrier, forms, 0.0, True)
+        parts = _Places(carrier, circle).parts((reach,))[0][1]
+        yield Term(IN_A_RUN, "an error in one run", carrier, parts, 0.0, True)
 
 
 def modes(places: Array, reach: float, most: int) -> Array:

@@ -19,6 +19,7 @@ import numpy as np
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.data import evidence
+from oed.gap.data.columns import Block, Columns
 from oed.gap.data.problem import (
     GapProblem,
     Metric,
@@ -115,7 +116,7 @@ class Library:
     by_condition    {covariate that effects need first, "" for none: number of effects}
     """
 
-    columns: Array
+    columns: Columns
     atoms: tuple[Atom, ...]
     names: tuple[str, ...]
     labels: tuple[str, ...]
@@ -140,7 +141,7 @@ class Library:
 
     def scaled_columns(self, atom: int, size: float) -> Array:
         """Columns (N, k) of an atom times its size."""
-        return size * self.columns[:, self.atoms[atom].columns]
+        return size * self.columns.take(self.atoms[atom].columns)
 
     def coefficients_of(self, atom: int) -> tuple[str, ...]:
         """Names of the effect's own coefficients that an atom moves."""
@@ -167,7 +168,8 @@ def build(
     With a metric, an effect of many constants keeps the few that explain most, each
     with its prior weight among all.
     """
-    blocks: list[Array] = []
+    per_noise = 1.0 / problem.sigma[:, None]
+    blocks: list[Block] = []
     atoms: list[Atom] = []
     names: list[str] = []
     labels: list[str] = []
@@ -190,7 +192,7 @@ def build(
             continue
         for form, log_weight, halved in _add_alike(forms, effect.common_to_limbs):
             start = len(names)
-            blocks.append(problem.in_noise_units(form.columns))
+            blocks.append(Block.of(form.columns, per_noise))
             names += form.names
             limits += map(effect.size_limit, form.names, form.scales)
             labels += form.labels
@@ -198,9 +200,8 @@ def build(
             of_form = _atoms(form, start, log_weight, halved, effect.about)
             timed = effect.varies_with_time
             atoms += [dataclasses.replace(atom, timed=timed) for atom in of_form]
-    columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     return Library(
-        columns=columns,
+        columns=Columns(len(problem), blocks),
         atoms=tuple(atoms),
         names=tuple(names),
         labels=tuple(labels),

@@ -19,6 +19,7 @@ from scipy import special
 
 from oed import units
 from oed.base import Array
+from oed.gap.data.columns import Block
 from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy as discrepancies
 from oed.gap.forms.discrepancy import JOINTS, Carrier
@@ -103,8 +104,8 @@ def _joined(
     library: Library, kind: str, waves: list[Wave], log_weight: float
 ) -> Library:
     """A library with waves as further atoms of a kind."""
-    columns, atoms = [library.columns], list(library.atoms)
-    labels = list(library.labels)
+    blocks: list[Block] = []
+    atoms, labels = list(library.atoms), list(library.labels)
     for wave in waves:
         turns = _turns(wave.band.clock, np.array([wave.frequency]))
         block = _columns(wave.carrier.columns, turns)
@@ -116,8 +117,9 @@ def _joined(
         atoms.append(
             Atom(kind, constants, columns_of_atom, log_weight, about, timed, even)
         )
-        columns.append(block)
+        blocks.append(Block.of(block))
         labels += [label for label in wave.carrier.labels for _ in range(2)]
+    columns = library.columns.with_blocks(*blocks)
     return discrepancies.assembled(columns, atoms, labels)
 
 

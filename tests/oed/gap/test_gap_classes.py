@@ -140,13 +140,15 @@ def dense(
     """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that
     absorbs most.
     """
-    m = metric(p)
-    mine = search.library.columns[:, search.library.atoms[h.atoms[0]].columns]
+    m, mine = (
+        metric(p),
+        search.library.columns.take(search.library.atoms[h.atoms[0]].columns),
+    )
     inner = mine.T @ m @ mine + np.eye(mine.shape[1]) / h.sizes[0] ** 2
     y = mine @ np.linalg.solve(inner, mine.T @ m @ search.problem.residual)
     energies = [y @ m @ y]
     for atom in search.library.atoms_of(rival):
-        g = search.library.columns[:, search.library.atoms[atom].columns]
+        g = search.library.columns.take(search.library.atoms[atom].columns)
         cross = g.T @ m @ y
         ridge = g.T @ m @ g + np.eye(g.shape[1]) / compare.MAX_RIVAL_SIZE**2
         energies.append(y @ m @ y - cross @ np.linalg.solve(ridge, cross))
@@ -240,7 +242,7 @@ def test_the_posterior_mean_is_the_ridge_estimate() -> None:
     p = readings(ONE)
     search, h = searched(p, "encoder_scale", 20.0)
     rows = search.columns_of(h.atoms[0])
-    g, m = search.library.columns[:, rows], metric(p)
+    g, m = search.library.columns.take(rows), metric(p)
     wanted = np.linalg.solve(
         g.T @ m @ g + np.eye(g.shape[1]) / 0.25, g.T @ m @ search.problem.residual
     )

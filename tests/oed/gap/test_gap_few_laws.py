@@ -54,6 +54,6 @@ def test_a_law_in_a_corner_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> N
     """As where all rows are copies of others: no law is drawn about the mode."""
     problem = planted(readings(4), BOW, {"leg 1": 1.0}, turns=2.0)
     monkeypatch.setattr(evidence, "MAX_COORDINATE", 0.0)
-    posterior = evidence.posterior(problem, np.zeros((len(problem.residual), 0)))
+    posterior = evidence.posterior(problem, evidence.compress(problem))
     assert np.isfinite(posterior.log_evidence)
     assert (posterior.draws == posterior.draws[0]).all()

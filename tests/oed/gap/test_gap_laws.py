@@ -8,6 +8,7 @@ from kernel.dense_noise import law_covariance
 from kernel.gap_lines import white_lines
 from kernel.laws import noise_law
 from oed.gap.data import evidence
+from oed.gap.data.columns import Columns
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 
@@ -31,7 +32,10 @@ def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     true = noise_law(repeat, 0.0, 1.0)
     problem, rng = _readings(lines, true, 5), np.random.default_rng(6)
     models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
-    posteriors = [evidence.posterior(problem, columns) for columns in models]
+    posteriors = [
+        evidence.posterior(problem, evidence.compress(problem, Columns.of(columns)))
+        for columns in models
+    ]
     mixture = evidence.mixture(problem, posteriors)
     drawn = rng.standard_normal((500, posteriors[0].draws.shape[1]))
     every = evidence._laws(problem, drawn)
@@ -55,7 +59,7 @@ def test_the_most_probable_law_is_near_the_true_one(
     problem = white_lines(7, runs=12, length=40)
     true = noise_law(repeat, wander, 6.0)
     readings = _readings(problem, true, 8)
-    mode = evidence.posterior(readings, np.zeros((len(problem), 0))).mode.law
+    mode = evidence.posterior(readings, evidence.compress(readings)).mode.law
     assert mode.scale[0, 0] == pytest.approx(1.0, abs=0.1)
     single, wandering = np.sqrt([1.0 - mode.correlated[0], mode.correlated[0]])
     # the reference reading of RM 5 is shared already: repeat comes on top

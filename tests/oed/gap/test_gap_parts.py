@@ -15,6 +15,7 @@ from oed.gap.cause.closure import N_FOLDS, Paths
 from oed.gap.cause.search import energies
 from oed.gap.cause.searches import WIDE_RMS, wide_model
 from oed.gap.data import evidence
+from oed.gap.data.columns import Block, Columns
 from oed.gap.data.evidence import linear_model, log_evidences
 from oed.gap.data.problem import Metric, Signature
 from oed.gap.forms import discrepancy, library
@@ -79,37 +80,37 @@ def test_forms_of_two_effects_are_separated_pair_by_pair(
     assert angles == pytest.approx((smallest, smallest), rel=1e-9)
 
 
-def test_products_are_those_in_the_dense_metric(rng: np.random.Generator) -> None:
+def test_products_are_those_in_the_dense_metric(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     problem = case.circles(8)
     problem = problem.with_residual(rng.standard_normal(len(problem)))
     law = dataclasses.replace(case.law(problem), level=1.0)
     metric = np.linalg.inv(case.dense(problem, law))
-    effects = rng.standard_normal((len(problem), 4))
-    processes = rng.standard_normal((len(problem), 3))
-    needed = np.array([0, 2])
-    products = evidence.WhitenedColumns(problem, Metric(problem, law), effects, needed)
-    others = evidence.WhitenedColumns(problem, Metric(problem, law), processes)
-    np.testing.assert_allclose(
-        products.diagonal[needed],
-        np.diag(effects.T @ metric @ effects)[needed],
-        rtol=1e-8,
-    )
-    gram = effects[:, needed].T @ metric @ effects[:, needed]
-    np.testing.assert_allclose(products.grams(needed).gram, gram, rtol=1e-8)
-    cross = effects[:, [2]].T @ metric @ processes
-    alone = evidence.WhitenedColumns(
-        problem, Metric(problem, law), effects, np.array([2])
-    )
-    told = alone.with_others(others)
-    np.testing.assert_allclose(told, cross, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(
-        others.b, processes.T @ metric @ problem.residual, atol=1e-9
-    )
-    block = processes[:, [0, 2]].T @ metric @ processes[:, [0, 2]]
-    (product,) = others.blocks(np.array([[0, 2]]))
-    np.testing.assert_allclose(product, block, rtol=1e-8)
-    diagonal = np.diag(block)
-    assert energies(diagonal, [np.array([0, 1])])[0] == pytest.approx(diagonal.sum())
+    values = rng.standard_normal((len(problem), 2, 3))
+    weights = rng.standard_normal((2, len(problem), 2))
+    forms = Columns(len(problem), [Block(w, values) for w in weights])
+    dense = np.hstack([np.einsum("nj,njk->nk", w, values) for w in weights])
+    np.testing.assert_allclose(forms.all(), dense)
+    some = forms.some(np.array([5, 1, 2]), 2.0)
+    np.testing.assert_allclose(some.all(slice(3, 9)), 2.0 * dense[3:9, [5, 1, 2]])
+    monkeypatch.setattr(evidence, "VALUES_AT_ONCE", 2 * len(problem))
+    needed, known = np.array([0, 4, 2]), Metric(problem, law)
+    b = dense.T @ metric @ problem.residual
+    gram = dense.T @ metric @ dense
+    grams = evidence.grams_of(problem, known, forms, needed)
+    np.testing.assert_allclose(grams.gram, gram[np.ix_(needed, needed)], rtol=1e-7)
+    np.testing.assert_allclose(grams.b, b[needed], atol=1e-9)
+    cross = forms.products(known.precision(dense[:, [2]]))
+    np.testing.assert_allclose(cross, gram[[2]], rtol=1e-7, atol=1e-9)
+    choices = [np.array(choice) for choice in ([2, 0], [5, 1, 3], [3, 1], [4], [1, 4])]
+    products = evidence.ChoiceGrams.of(problem, known, forms, choices)
+    for choice, block in zip(choices, products.grams, strict=True):
+        np.testing.assert_allclose(block, gram[np.ix_(choice, choice)], rtol=1e-7)
+    np.testing.assert_allclose(products.b, b, atol=1e-9)
+    np.testing.assert_allclose(products.diagonal, gram.diagonal(), rtol=1e-7)
+    energy = energies(products.diagonal, [np.array([0, 1])])[0]
+    assert energy == pytest.approx(gram[0, 0] + gram[1, 1])
 
 
 def test_evidence_of_many_laws_is_that_of_each(rng: np.random.Generator) -> None:
@@ -176,9 +177,9 @@ def test_the_wide_model_has_every_effect_at_one_size() -> None:
     problem = gap_lines.readings(1)
     forms = library.build(problem, gap_lines.EFFECTS)
     processes = discrepancy.build(problem)
-    columns = wide_model(forms, processes)
+    columns = wide_model(problem, forms, processes)
     assert len(columns) == len(problem)
     broad = [e for e in processes.effects if e != discrepancy.IN_A_RUN]
     effects = len(forms.effects) + len(broad)
-    energy = (columns**2).sum() / len(columns)
+    energy = ((columns**2).sum() - (problem.slopes**2).sum()) / len(columns)
     assert energy == pytest.approx(effects * WIDE_RMS**2)

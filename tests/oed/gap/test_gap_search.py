@@ -384,7 +384,7 @@ def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     assert again.answers == diagnosis.answers
     assert again.where == diagnosis.where
     (alone,) = searching.searches_under(problem, EFFECTS, law)
-    nothing = evidence.compress(problem, np.zeros((len(problem), 0)))
+    nothing = evidence.compress(problem)
     assert alone.grams.base == pytest.approx(
         evidence.log_evidence(problem, law, nothing)
     )

@@ -33,7 +33,7 @@ def test_normal_readings_have_no_strays() -> None:
     twenty.
     """
     detected = [
-        detect_outliers(p, STATED_LAW, np.zeros((len(p), 0)))
+        detect_outliers(p, STATED_LAW, p.slopes)
         for p in (white_lines(k, 5, 31) for k in range(12))
     ]
     assert sum(f is not None for f in detected) <= 1
@@ -45,9 +45,8 @@ def test_strays_are_told_and_no_others() -> None:
     far = rng.choice(len(problem), 12, replace=False)
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
-    detected = detect_outliers(
-        problem.with_residual(y), STATED_LAW, np.zeros((len(problem), 0))
-    )
+    detected = detect_outliers(problem.with_residual(y), STATED_LAW, problem.slopes)
+    assert detected is not None
     ordinary = np.delete(np.arange(len(problem)), far)
     assert np.abs(detected.pseudo_residual - y)[far].min() > 5.0
     assert np.sqrt(np.mean((detected.pseudo_residual - y)[ordinary] ** 2)) < 0.3
@@ -66,9 +65,7 @@ def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     rng, means, plain_means = np.random.default_rng(seed), [], []
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
-        detected = detect_outliers(
-            problem.with_residual(y), STATED_LAW, np.zeros((len(problem), 0))
-        )
+        detected = detect_outliers(problem.with_residual(y), STATED_LAW, problem.slopes)
         means.append(np.mean(y if detected is None else detected.pseudo_residual))
         plain_means.append(np.mean(y))
     least = (degrees + 3.0) / (degrees + 1.0)
@@ -84,10 +81,12 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
     y = columns @ rng.standard_normal(columns.shape[1]) + rng.standard_normal(
         len(problem)
     )
-    assert detect_outliers(problem.with_residual(y), STATED_LAW, columns) is None
+    wide = np.hstack([problem.slopes, columns])
+    assert detect_outliers(problem.with_residual(y), STATED_LAW, wide) is None
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    detected = detect_outliers(problem.with_residual(y), STATED_LAW, columns)
+    detected = detect_outliers(problem.with_residual(y), STATED_LAW, wide)
+    assert detected is not None
     moved = np.abs(detected.pseudo_residual - y)
     assert moved[far].min() > 5.0
     assert np.quantile(np.delete(moved, far), 0.95) < 1.0
@@ -108,9 +107,8 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
     spoilt[far] += 20.0
-    detected = detect_outliers(
-        problem.with_residual(spoilt), law, np.zeros((len(problem), 0))
-    )
+    detected = detect_outliers(problem.with_residual(spoilt), law, problem.slopes)
+    assert detected is not None
     neighbours = np.concatenate([far - 2, far + 2])  # two channels are read by turns
     assert np.abs(detected.pseudo_residual - y)[neighbours].max() < 1.0
     assert np.abs(detected.pseudo_residual - y)[far].max() < 5.0

@@ -21,8 +21,10 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     problem, rng = readings(seed), np.random.default_rng(seed)
     known, processes = library.build(problem, EFFECTS), smooth(problem)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
-    book = known.columns[:, whole] @ np.array([1.0, -0.6])
-    departure = some(processes, "an error of the joints", rng)
+    book, departure = (
+        known.columns.take(whole) @ np.array([1.0, -0.6]),
+        some(processes, "an error of the joints", rng),
+    )
     change = orthogonal_sum(
         problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2]
     )
@@ -106,8 +108,8 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     none = library.build(acting, ())
     processes = terms(acting, "over the workspace")
     posteriors = [
-        evidence.posterior(acting, columns)
-        for columns in (np.zeros((len(acting), 0)), processes.scaled_columns(0, 3.0))
+        evidence.posterior(acting, evidence.compress(acting, columns))
+        for columns in (None, processes.columns.some(processes.atoms[0].columns, 3.0))
     ]
     ranked = compare(
         [
