@@ -37,6 +37,8 @@ from oed.noise.banded import (
     chain_sums,
 )
 
+#: columns that are whitened back at once: more take memory and no less time
+COLUMNS_AT_ONCE = 64
 #: share of a precision below which it is rounding
 PRECISION_TOLERANCE = 1e-12
 
@@ -188,8 +190,9 @@ class WideFactor:
     def __init__(self, factor: LinearFactor, columns: Array) -> None:
         self.alone, self.order = factor, factor.order
         self._columns = columns
+        white = factor.whiten(columns)
         axes, triangle = scipy.linalg.qr(
-            factor.whiten(columns), mode="economic", check_finite=False
+            white, mode="economic", check_finite=False, overwrite_a=True
         )
         rotation, self.sizes, self.turn = scipy.linalg.svd(
             triangle, full_matrices=False, check_finite=False
@@ -227,8 +230,12 @@ class WideFactor:
         Of readings that the columns alone determine it is rounding about 0.
         """
         alone = self.alone.precision_diagonal()
-        root = self.alone.errors.unstandardise(self.absorbed_root())
-        absorbed: Array = (root**2).sum(axis=1)
+        absorbed = np.zeros(len(alone))
+        share = self.sizes / np.hypot(1.0, self.sizes)
+        for start in range(0, len(share), COLUMNS_AT_ONCE):
+            some = slice(start, start + COLUMNS_AT_ONCE)
+            back = self.alone.whiten_back(self.axes[:, some] * share[some])
+            absorbed += (back**2).sum(axis=1)
         return np.maximum(alone - absorbed, PRECISION_TOLERANCE * alone)
 
     def scaled(self, factor: float) -> WideFactor:

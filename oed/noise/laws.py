@@ -376,6 +376,8 @@ class Whitening:
         structure = self.structure
         wide = [structure.effects] if structure.has_effects else []
         wide += [structure.course] if self._has_course else []
+        if not wide:
+            return values
         parts = [np.broadcast_to(w, (len(values), *w.shape)) for w in wide]
         return np.concatenate([values, *parts], axis=2)
 
@@ -392,20 +394,21 @@ class Whitening:
         """
         structure, count = self.structure, grid.shape[-1]
         shape = (len(pairs), *structure.shape)
-        both = np.concatenate(
-            [np.broadcast_to(p, (*shape, p.shape[-1])) for p in (grid, shared)], axis=3
-        )
-        log_variances = np.zeros(len(pairs))
-        if pairs[:, 0].any():
+        both = [np.broadcast_to(p, (*shape, p.shape[-1])) for p in (grid, shared)]
+        log_variances, is_correlated = np.zeros(len(pairs)), bool(pairs[:, 0].any())
+        if is_correlated:
             factor = self._factor(pairs)
             log_variances = factor.log_variances.reshape(len(pairs), -1).sum(axis=1)
-            chains = both.reshape(-1, *both.shape[2:])
-            both = factor.whiten_chains(chains).reshape(both.shape)
-        white, columns = both[..., :count], both[..., count:]
+            chains = [values.reshape(-1, *values.shape[2:]) for values in both]
+            both = [
+                factor.whiten_chains(c).reshape(*shape, c.shape[-1]) for c in chains
+            ]
+        white, columns = both
         factors = self._factors(laws, count)[:, structure.group_of_chain]
         transposed = columns.swapaxes(2, 3)
         if len(pairs) == len(laws):
-            white = white * factors[:, :, None]
+            own = white if is_correlated else None
+            white = np.multiply(white, factors[:, :, None], out=own)
             rows = white.reshape(len(laws), -1, count)
             gram = rows.swapaxes(1, 2) @ rows
             across = transposed @ white

@@ -64,21 +64,39 @@ class LikelyForms:
 
 
 @dataclasses.dataclass(frozen=True)
+class DrawnEnergy:
+    """Energy z^2 of N readings in D draws z of columns (N, k) times coefficients (k, d)."""
+
+    parts: list[tuple[Array, Array]]
+
+    def sums(self, rows: Mask | slice = slice(None)) -> Array:
+        """Sum (D,) over some readings, all by default."""
+        pairs = [(columns[rows], beta) for columns, beta in self.parts]
+        sums = [((c.T @ c @ beta) * beta).sum(axis=0) for c, beta in pairs]
+        return np.asarray(np.maximum(np.concatenate(sums), 0.0))
+
+    def mean(self) -> Array:
+        """Mean (N,) over the draws."""
+        sums = [((c @ (beta @ beta.T)) * c).sum(axis=1) for c, beta in self.parts]
+        count = sum(beta.shape[1] for _, beta in self.parts)
+        return np.asarray(np.maximum(sum(sums), 0.0) / count)
+
+
+@dataclasses.dataclass(frozen=True)
 class Draws:
     """Energy of what acts, in units of the stated noise, in D draws.
 
-    timed        (N, D) of what varies with time in each reading, before the parameters
-                 absorb
-    other_way    (N, D) of all that acts, and `acting` (N, D) with the runs as they were
-                 driven; None where the other way is not known
-    remaining    (N, D) as calibration leaves it
+    timed        of what varies with time, before the parameters absorb
+    other_way    of all that acts, and `acting` with the runs as they were driven; None
+                 where the other way is not known
+    remaining    as calibration leaves it
     parts        {label: (D,)} of the columns of each label, as calibration leaves them
     """
 
-    timed: Array
-    acting: Array
-    other_way: Array | None
-    remaining: Array
+    timed: DrawnEnergy
+    acting: DrawnEnergy
+    other_way: DrawnEnergy | None
+    remaining: DrawnEnergy
     parts: dict[str, Array]
 
 
@@ -95,40 +113,32 @@ def draw_energies(
     counts = rng.multinomial(draws, shares / shares.sum())
     drawn = [(model, n) for model, n in zip(models, counts, strict=True) if n]
     names = list(dict.fromkeys(label for model, _ in drawn for label in model.labels))
-    energies = []
+    timed, acting, other_way, remaining = (DrawnEnergy([]) for _ in range(4))
+    parts: dict[str, list[Array]] = {name: [] for name in names}
     for model, n in drawn:
         mean, precision = metric.posterior(model.columns, problem.residual)
         root = linalg.cholesky(precision, lower=True)
         normal = rng.standard_normal((len(mean), n))
         spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
         beta = mean[:, None] + spread
-        remaining = model.columns - problem.slopes @ metric.fit(model.columns)
-        timed = slice(None) if model.timed is None else model.timed
-        other_way = model.columns if model.other_way is None else model.other_way
+        left = model.columns - problem.slopes @ metric.fit(model.columns)
+        of_time = slice(None) if model.timed is None else model.timed
+        turned = model.columns if model.other_way is None else model.other_way
+        timed.parts.append((model.columns[:, of_time], beta[of_time]))
+        acting.parts.append((model.columns, beta))
+        other_way.parts.append((turned, beta))
+        remaining.parts.append((left, beta))
         labels = np.array(model.labels)
-        parts = [remaining[:, labels == name] @ beta[labels == name] for name in names]
-        energies.append(
-            (
-                (model.columns[:, timed] @ beta[timed]) ** 2,
-                (model.columns @ beta) ** 2,
-                (other_way @ beta) ** 2,
-                (remaining @ beta) ** 2,
-                np.array([np.sum(part**2, axis=0) for part in parts]),
-            )
-        )
+        for name, energies in parts.items():
+            own = labels == name
+            energies.append(DrawnEnergy([(left[:, own], beta[own])]).sums())
     is_known = all(model.other_way is not None for model, _ in drawn)
-    kinds = [list(alike) for alike in zip(*energies, strict=True)]
-    every: list[Array] = []
-    energies.clear()
-    for alike in kinds:  # of many readings they take much memory
-        every.append(np.hstack(alike))
-        alike.clear()
     return Draws(
-        timed=every[0],
-        acting=every[1],
-        other_way=every[2] if is_known else None,
-        remaining=every[3],
-        parts=dict(zip(names, every[4], strict=True)),
+        timed=timed,
+        acting=acting,
+        other_way=other_way if is_known else None,
+        remaining=remaining,
+        parts={name: np.concatenate(energies) for name, energies in parts.items()},
     )
 
 
@@ -305,10 +315,10 @@ def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
                 yield _place(name, energy, total, even)
 
 
-def _location_of_readings(name: str, inside: Mask, energy: Array) -> _Place:
-    """A place that holds some readings (N,), by the energy (N, D) of all."""
+def _location_of_readings(name: str, inside: Mask, energy: DrawnEnergy) -> _Place:
+    """A place that holds some readings (N,), by the energy of all."""
     even = float(inside.mean())
-    location = _place(name, energy[inside].sum(axis=0), energy.sum(axis=0), even)
+    location = _place(name, energy.sums(inside), energy.sums(), even)
     return dataclasses.replace(location, readings=inside)
 
 
@@ -340,10 +350,11 @@ def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     timed = np.flatnonzero(np.isfinite(times))
     cells = np.array_split(np.unique(times[timed]), N_CELLS)
     starts = np.array([cell[0] for cell in cells if len(cell)])
-    if len(starts) < 2 or not drawn.timed.any():
+    energy = drawn.timed.mean()
+    if len(starts) < 2 or not energy.any():
         return
     number = np.searchsorted(starts, times[timed], side="right") - 1
-    cells_inside = _densest(number, drawn.timed[timed], len(starts))
+    cells_inside = _densest(number, energy[timed], len(starts))
     inside = np.zeros(len(times), dtype=bool)
     inside[timed] = np.isin(number, cells_inside)
     name = f"time {_extent(times, times[inside])}"
@@ -422,7 +433,8 @@ def _stretch_of_phase(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
         return
     rows = np.concatenate(long)
     number = (phase[rows] / (2.0 * np.pi) * N_SECTORS).astype(int) % N_SECTORS
-    cells = _densest(number, drawn.remaining[rows], N_SECTORS, around=True)
+    energy = drawn.remaining.mean()[rows]
+    cells = _densest(number, energy, N_SECTORS, around=True)
     begin, end = 360 * cells[0] // N_SECTORS, 360 * (cells[-1] + 1) // N_SECTORS
     inside = np.isin(np.arange(len(phase)), rows[np.isin(number, cells)])
     stretch = _location_of_readings(f"phase {begin}-{end}", inside, drawn.remaining)
@@ -437,8 +449,8 @@ def _directions(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     forward = np.sign(problem.rows["direction"].to_numpy(dtype=float))
     energy = {}
     for sign in (1, -1):
-        energy[sign] = drawn.acting[forward == sign].sum(axis=0)
-        energy[sign] += drawn.other_way[forward == -sign].sum(axis=0)
+        energy[sign] = drawn.acting.sums(forward == sign)
+        energy[sign] += drawn.other_way.sums(forward == -sign)
     total = energy[1] + energy[-1]
     for sign, amount in energy.items():
         even = np.abs(amount - 0.5 * total) <= EVEN_TOLERANCE * total
@@ -450,13 +462,13 @@ def _densest(number: Index, energy: Array, count: int, around: bool = False) -> 
     """Cells, one beside the other, in which the mean energy is highest beyond chance.
 
     number    (n,) cell of each reading
-    energy    (n, D) of each
+    energy    (n,) mean of each
     around    whether the last cell is beside the first; then up to half of them count
 
     The scan statistic of Kulldorff (1997), of densities inside and outside.
     """
     readings = np.bincount(number, minlength=count)
-    amount = np.bincount(number, energy.mean(axis=1), minlength=count)
+    amount = np.bincount(number, energy, minlength=count)
     repeated = 2 if around else 1
     n = np.concatenate([[0.0], np.cumsum(np.tile(readings, repeated))])
     e = np.concatenate([[0.0], np.cumsum(np.tile(amount, repeated))])
