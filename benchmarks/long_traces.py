@@ -9,7 +9,7 @@ along over 8 readings, which no study states; each run's level repeats to 0.2 um
 is 2 um of backlash in one leg. The diagnosis estimates the noise law, or knows it
 (`--law known`).
 
-Each row is a process of its own. Seconds are processor time on one BLAS thread; memory
+Each row is a process of its own. The fit reads the file and identifies. Seconds are processor time on one BLAS thread; memory
 is the peak of the process, with Python and all libraries.
 """
 
@@ -131,26 +131,28 @@ def known_law(problem: GapProblem) -> NoiseLaw:
     return NoiseLaw(dataclasses.replace(problem.stated_law.law, **arrays))
 
 
-def diagnose_once(readings: int, gap: bool, law: str) -> tuple[float, str]:
-    """Processor seconds of one diagnosis, and its answer in words."""
+def diagnose_once(readings: int, gap: bool, law: str) -> tuple[float, float, str]:
+    """Processor seconds of reading and fit, and of the diagnosis; its answer in words."""
     with tempfile.TemporaryDirectory() as folder:
         csv = write_readings(Path(folder), readings, gap)
         stated = write_study(Path(folder), readings, False, NOISE)
+        start = time.process_time()
         problem, effects = prepare(stated, csv)
-    start = time.process_time()
+    fit, start = time.process_time() - start, time.process_time()
     known = known_law(problem) if law == "known" else None
     result = diagnose(problem, effects, np.random.default_rng(1), law=known)
     seconds = time.process_time() - start
     first = result.answers[0]
     answer = " + ".join(first.effects) or "no gap"
-    return seconds, f"{answer} ({first.probability:.2f})"
+    return fit, seconds, f"{answer} ({first.probability:.2f})"
 
 
 def row(readings: int, gap: bool, law: str) -> str:
     """One row of the table."""
-    seconds, answer = diagnose_once(readings, gap, law)
-    acts = "backlash" if gap else "nothing"
-    return f"| {readings} | {acts} | {seconds:.1f} | {peak() / 2**20:.0f} | {answer} |"
+    fit, seconds, answer = diagnose_once(readings, gap, law)
+    acts, memory = "backlash" if gap else "nothing", peak() / 2**20
+    figures = f"{fit:.1f} | {seconds:.1f} | {memory:.0f}"
+    return f"| {readings} | {acts} | {figures} | {answer} |"
 
 
 def main() -> None:
@@ -166,8 +168,8 @@ def main() -> None:
         gap = options.row == "gap"
         print(row(options.readings[0], gap, options.law))
         return
-    print("| readings | acts | s | MiB | answer |")
-    print("| --: | --- | --: | --: | --- |")
+    print("| readings | acts | fit, s | diagnosis, s | MiB | answer |")
+    print("| --: | --- | --: | --: | --: | --- |")
     sys.stdout.flush()
     for readings in options.readings:
         for case in ("gap", "none"):

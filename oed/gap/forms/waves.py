@@ -234,44 +234,33 @@ class FourierSums:
 
     def __init__(self, clock: Array, frequencies: Array) -> None:
         """Lay out the grid for clocks (N, J) and frequencies (k,)."""
-        count = len(frequencies)
-        self._turns = None
-        if count < 2 * SPREAD:  # as many sums cost less without a grid
-            self._turns = np.exp(2j * np.pi * clock[:, :, None] * frequencies)
+        self._poses, count = clock.shape[1], len(frequencies)
+        clock, self._grid = clock.reshape(-1, 1), None
+        if count < 2 * SPREAD:  # so few sums cost less without a grid
+            self._turns = np.exp(2j * np.pi * clock * frequencies)
             return
-        step = (frequencies[-1] - frequencies[0]) / (count - 1)
-        size = scipy.fft.next_fast_len(2 * count)
-        ratio = size / count
+        size, number = scipy.fft.next_fast_len(2 * count), np.arange(count) - count // 2
+        ratio, step = size / count, np.ptp(frequencies) / (count - 1)
         width = np.pi * SPREAD / (count**2 * ratio * (ratio - 0.5))
-        middle = count // 2
-        # about the middle frequency
-        self._turn = np.exp(2j * np.pi * (frequencies[0] + middle * step) * clock)
         place = np.mod(step * clock, 1.0) * size
-        near = np.floor(place)[..., None] + np.arange(1 - SPREAD, SPREAD + 1)
-        offset = (near - place[..., None]) * (2.0 * np.pi / size)
+        near = np.floor(place).astype(int) + np.arange(1 - SPREAD, SPREAD + 1)
+        offset = (near - place) * (2.0 * np.pi / size)
         spread = np.exp(-(offset**2) / (4.0 * width))
-        each = np.arange(0, spread[:, 0].size + 1, 2 * SPREAD)
-        self._grids = [
-            scipy.sparse.csr_array(
-                (spread[:, j].ravel(), near[:, j].ravel().astype(int) % size, each),
-                shape=(len(clock), size),
-            )
-            for j in range(clock.shape[1])
-        ]
-        number = np.arange(count) - middle
+        ends = np.arange(0, spread.size + 1, 2 * SPREAD)
+        entries = spread.ravel(), near.ravel() % size, ends
+        self._grid = scipy.sparse.csr_array(entries, shape=(len(clock), size))
+        self._turns = np.exp(2j * np.pi * frequencies[count // 2] * clock)
         self._number = number % size
-        self._factor = np.sqrt(np.pi / width) * np.exp(width * number**2)
+        self._factor = np.sqrt(np.pi / width) * np.exp(width * number**2)[:, None]
 
-    def __call__(self, values: Array, rows: slice = slice(None)) -> Array:
-        """Sums (k, m) of values (n, J, m) at the readings `rows`."""
-        if self._turns is not None:
-            turns = enumerate(self._turns[rows].swapaxes(0, 1))
-            return np.asarray(sum(turn.T @ values[:, j] for j, turn in turns))
-        turned = values * self._turn[rows, :, None]
-        grids = enumerate(self._grids)
-        grid = sum(by_grid[rows].T @ turned[:, j] for j, by_grid in grids)
-        sums = scipy.fft.ifft(grid, axis=0)[self._number]
-        return np.asarray(self._factor[:, None] * sums)
+    def __call__(self, values: Array, first: int = 0) -> Array:
+        """Sums (k, m) of values (n, J, m) at the readings from the first on."""
+        flat = values.reshape(-1, values.shape[2])
+        rows = slice(self._poses * first, self._poses * first + len(flat))
+        if self._grid is None:
+            return np.asarray(self._turns[rows].T @ flat)
+        grid = self._grid[rows].T @ (flat * self._turns[rows])
+        return np.asarray(self._factor * scipy.fft.ifft(grid, axis=0)[self._number])
 
 
 class WavePrecision:
@@ -302,9 +291,8 @@ class WavePrecision:
             np.stack([*map(standardise, carrier.columns.swapaxes(0, 1))], axis=1)
             for carrier in band.carriers
         ]
-        size = max(ROW_VALUES // (2 * sum(part.shape[1] for part in weights)), 1)
-        starts = range(0, len(band.frequencies), size)
-        chunks = [band.frequencies[start : start + size] for start in starts]
+        numbers = 2 * sum(part.shape[1] for part in weights) * len(band.frequencies)
+        chunks = np.array_split(band.frequencies, -(-numbers // ROW_VALUES))
         parts = [self._grams(weights, clock, chunk) for chunk in chunks]
         grams = map(np.concatenate, zip(*parts, strict=True))
         return np.array([*map(self._tails, itertools.repeat(sums), weights, grams)])
@@ -315,21 +303,16 @@ class WavePrecision:
         taken = along[:, :, 1:]
         gram = gram - taken @ taken.swapaxes(1, 2)
         for run in self._runs if self._shared.any() else ():
-            taken = self._along(sums, weights, self._shared, run)
+            taken = self._along(sums, weights[run], self._shared[run], run.start)
             gram -= taken @ taken.swapaxes(1, 2)
         return _tails_of(gram, along[:, :, 0])
 
     def _along(
-        self,
-        sums: FourierSums,
-        weights: Array,
-        columns: Array,
-        rows: slice = slice(None),
+        self, sums: FourierSums, weights: Array, columns: Array, first: int = 0
     ) -> Array:
-        """Products (k, 2 c, m) of waves of weights (N, c, J) with columns (N, m)."""
-        values = weights[rows, :, :, None] * columns[rows, None, None]
-        values = values.transpose(0, 2, 1, 3)
-        found = sums(values.reshape(*values.shape[:2], -1), rows)
+        """Products (k, 2 c, m) of waves of weights (n, c, J) with columns (n, m)."""
+        values = weights.swapaxes(1, 2)[..., None] * columns[:, None, None]
+        found = sums(values.reshape(*values.shape[:2], -1), first)
         found = found.reshape(len(found), *values.shape[2:])
         both = np.stack([found.real, found.imag], axis=2)
         return both.reshape(len(both), -1, columns.shape[1])
