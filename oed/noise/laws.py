@@ -468,6 +468,11 @@ class Whitening:
     def _run_sums(self, of_chains: Array) -> Array:
         """Sums (L, R, ...) over each run of what its chains (L, C, ...) have."""
         first = self.structure.first_chains
+        laws, chains, *rest = of_chains.shape
+        of_run = chains // len(first)
+        if np.array_equal(first, np.arange(0, chains, of_run)):
+            by_run = of_chains.reshape(laws, len(first), of_run, *rest)
+            return np.asarray(by_run.sum(axis=2))  # a tenth of the time of `reduceat`
         return np.asarray(np.add.reduceat(of_chains, first, axis=1))
 
     def draw(
