@@ -6,7 +6,12 @@ whitened slopes H is
 
     -1/2 [ N log s^2 + sum log(1 + l_i / s^2) + (r^T r - sum b_i^2 / (l_i + s^2)) / s^2 ],
 
-l_i the eigenvalues of H^T H, b the components of H^T r; its maximum over s counts.
+l_i the eigenvalues of H^T H, b the components of H^T r; its maximum over s counts. Slopes of
+one residual alone need no eigenvalues: Householder's tridiagonal form of the products
+[r H]^T [r H] leaves r in its place, and its pivots d_i from the last one on, with s^2 added
+to all but the first, are those of H^T H + s^2 and, the first of them, what remains of r:
+
+    -1/2 [ N log s^2 + sum log(d_i / s^2) + d_0 / s^2 ].
 """
 
 from __future__ import annotations
@@ -39,30 +44,6 @@ RESOLVED_SHARE = 1e-6
 LOG_SIZE_RANGE = float(np.log(np.log(1e5)))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ResidualSpectrum:
-    """Slopes H (N, r) by eigenvalues of H^T H.
-
-    slopes   (N, r) whitened
-    values   (r,) eigenvalues
-    vectors  (r, r)
-    """
-
-    slopes: Array
-    values: Array
-    vectors: Array
-
-    def components(self, white: Array) -> Array:
-        """Components (r, m) of whitened values (N, m) along the eigenvectors."""
-        return self.vectors.T @ (self.slopes.T @ white)
-
-
-def spectrum(slopes: Array) -> ResidualSpectrum:
-    """The spectrum of whitened slopes (N, r)."""
-    values, vectors = np.linalg.eigh(slopes.T @ slopes)
-    return ResidualSpectrum(slopes, np.maximum(values, 0.0), vectors)
-
-
 @dataclasses.dataclass(frozen=True, slots=True)
 class Score:
     """Log evidence in the linear model, and the scale of the noise that goes with it."""
@@ -86,7 +67,10 @@ class Screening:
         session = data.session
         self.data = data
         self.noise: Noise = session.measurement.noise(session.series)
-        self._white = spectrum(self.noise.whiten(data.slopes))
+        white = self.noise.whiten(data.slopes)
+        directions, sizes, _ = np.linalg.svd(white, full_matrices=False)
+        #: (N, r) slopes turned until they are orthogonal, and (r,) their squares
+        self._turned, self._energies = directions * sizes, sizes**2
         self._residual = self.noise.whiten(session.y - data.predicted)
         self.scales = scales_of_noise(self._residual)
         setups = session.measurement.setups.values()
@@ -119,35 +103,32 @@ class Screening:
 
     def _scores_of(self, white: Array) -> list[Score]:
         """Scores of whitened residuals (N, m) with the slopes as given."""
-        by_scale = self._densities_by_scale(self._white, white, len(white))
-        return [self._best(column) for column in by_scale.T]
+        return [self._best(column) for column in self._densities_by_scale(white).T]
 
     def _best(self, by_scale: Array) -> Score:
         k = int(np.argmax(by_scale))
         return Score(float(by_scale[k]), float(self.scales[k]))
 
-    def _densities_by_scale(
-        self, of: ResidualSpectrum, white: Array, count: int
-    ) -> Array:
-        """Log evidences (S, m), by scale, of whitened residuals (N, m) of `count` values."""
-        density = log_density_by_scale(
-            of.values, of.components(white).T ** 2, (white**2).sum(axis=0), self.scales
-        )
-        constant = self._prior - count * np.log(self.scales)
-        return np.asarray(constant[:, None] + density.T)
+    def _weights(self, count: int) -> Array:
+        """Log evidences (S,) of the scales for `count` values."""
+        return np.asarray(self._prior - count * np.log(self.scales))
+
+    def _densities_by_scale(self, white: Array) -> Array:
+        """Log evidences (S, m), by scale, of whitened residuals (N, m)."""
+        squares, energy = (white.T @ self._turned) ** 2, (white**2).sum(axis=0)
+        density = log_density_by_scale(self._energies, squares, energy, self.scales)
+        return np.asarray(density.T + self._weights(len(white))[:, None])
 
     # -- amounts in the readings -------------------------------------------------------
 
     def _columns_score(self, trial: MistakeTrial, columns: Array) -> Score:
         """Score with amounts of unknown size, of columns (N, k)."""
         both = np.column_stack([self._residual, self.noise.whiten(columns)])
-        components = self._white.components(both)
+        components = self._turned.T @ both
         whole = both.T @ both
-        alone = self._densities_by_scale(
-            self._white, self._residual[:, None], len(both)
-        )[:, 0]
+        alone = self._densities_by_scale(both[:, :1])[:, 0]
         square = self.scales[:, None, None] ** 2
-        weights = 1.0 / (self._white.values + square)
+        weights = 1.0 / (self._energies + square)
         grams = (whole - (components.T * weights) @ components) / square
         gains, amounts = gains_of_amounts(grams)
         scaling = np.array([trial.scaling(some) for some in amounts])
@@ -193,10 +174,8 @@ class Screening:
         count = int(rows.sum())
         if not count:
             return Score(0.0, 1.0)
-        part = spectrum(slopes[rows])
-        return self._best(
-            self._densities_by_scale(part, white[rows, None], count)[:, 0]
-        )
+        density = log_density_of_one(slopes[rows], white[rows], self.scales)
+        return self._best(density + self._weights(count))
 
 
 def scales_of_noise(residual: Array) -> Array:
@@ -222,6 +201,25 @@ def log_density_by_scale(
     variances = scales**-2.0
     gain, log_determinant = explained_energy(values, squares, variances)
     return -0.5 * (log_determinant + energy[..., None] * variances - gain * variances)
+
+
+def log_density_of_one(slopes: Array, residual: Array, scales: Array) -> Array:
+    """The same (S,) of one residual (n,) with slopes (n, r).
+
+    Where rounding of the products exceeds s^2, the pivots are those of what it is.
+    """
+    both = np.column_stack([residual, slopes])
+    _, diagonal, beside, _, _ = scipy.linalg.lapack.dsytrd(both.T @ both, lower=1)
+    squares = scales[:, None] ** 2
+    rounding = both.shape[1] * np.finfo(float).eps * diagonal.max()
+    # all scales one after the other, parted by 0
+    shifted = diagonal[:0:-1] + np.maximum(squares, rounding)
+    linked = np.tile(np.append(beside[:0:-1], 0.0), len(scales))[:-1]
+    factored, _, _ = scipy.linalg.lapack.dpttrf(shifted.ravel(), linked)
+    pivots = factored.reshape(shifted.shape)
+    remaining = diagonal[0] - beside[0] ** 2 / pivots[:, -1]
+    log_determinant = np.log(pivots / squares).sum(axis=1)
+    return np.asarray(-0.5 * (log_determinant + remaining / squares[:, 0]))
 
 
 def gains_of_amounts(grams: Array) -> tuple[Array, Array]:
