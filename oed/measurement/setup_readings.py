@@ -140,7 +140,6 @@ class SetupReadings:
     """One set-up's readings.
 
     setup  of the instrument
-    model  its readings at given poses
 
     A vector theta has the machine's parameters first, and the set-up's unknowns at the
     slice `unknowns`. Shapes: m vectors, n readings, N = n times the channels.
@@ -148,11 +147,15 @@ class SetupReadings:
 
     def __init__(self, kinematics: Kinematics, setup: Setup, unknowns: slice) -> None:
         self.setup = setup
-        self.model = ObservationModel(kinematics.machine, setup)
         self._kinematics, self._unknowns = kinematics, unknowns
         self._count = len(kinematics.machine.parameters)
         # a fit needs Jacobians where it has just computed the readings
         self._last: _Solution | None = None
+
+    @functools.cached_property
+    def model(self) -> ObservationModel:
+        """Its readings at given poses; of many set-ups only a few may be read."""
+        return ObservationModel(self._kinematics.machine, self.setup)
 
     def poses(
         self, series: Series, theta: Array, *, strict: bool, wanted: Mask | None = None
