@@ -1,6 +1,7 @@
 """Times that no session has: falling, standing still, in other units, two runs at once."""
 
 import dataclasses
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ from shipped_models import planar_2dof, pose_tracker
 from oed import checks
 from oed.checks.findings import Severity
 from oed.checks.session import SessionReadings
-from oed.checks.times import wrong_times
+from oed.checks.times import TimedRun, _with, wrong_times
 from oed.instrument import mount
 from oed.measurement import Measurement
 
@@ -184,3 +185,17 @@ def test_rows_of_a_second_file_may_have_the_numbers_of_the_first() -> None:
     sentences = [[f.severity for f in wrong_times(s)] for s in (one, two)]
     assert sentences[0]
     assert sentences[1] == sentences[0]
+
+
+def test_only_the_runs_between_are_changed() -> None:
+    class Run(str):
+        def scaled(self, factor: float, later: float) -> str:
+            return f"{self} x {factor} + {later}"
+
+    runs = cast(list[TimedRun], [Run(name) for name in "abcd"])
+    assert _with(runs, 1, 3, 60.0, 5.0) == [
+        "a",
+        "b x 60.0 + 5.0",
+        "c x 60.0 + 5.0",
+        "d",
+    ]

@@ -188,5 +188,7 @@ def test_what_no_reading_determines_is_refused() -> None:
         CRITERIA.build("I", N)
     with pytest.raises(ValueError, match="is none of"):
         CRITERIA.build("Z", N)
-    with pytest.raises(ValueError, match="summing to 1"):
-        Compound((Determinant(N),), (0.5,))
+    for shares in ((0.5,), (0.5, 0.6), (1.5, -0.5), (1.0, 0.0)):
+        parts = (Determinant(N), Variance(FACTOR))[: len(shares)]
+        with pytest.raises(ValueError, match="summing to 1"):
+            Compound(parts, shares)

@@ -13,7 +13,13 @@ from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.variance import Variance
 from oed.design.rules import SetupLimit, TimeBudget
-from oed.design.search import improve, search, select_greedily
+from oed.design.search import (
+    _Exchange,
+    _Restarts,
+    improve,
+    search,
+    select_greedily,
+)
 
 COUNT, SIZE, N = 9, 4, 3
 CRITERIA: dict[str, Criterion] = {
@@ -104,6 +110,20 @@ def test_sweeps_end_where_no_exchange_helps(name: str) -> None:
         exchanged[place] = other
         if len(set(exchanged.tolist())) == SIZE:
             assert evaluator.value(exchanged) <= evaluator.value(plan) + 1e-9
+
+
+@pytest.mark.parametrize(("size", "most"), [(1, 1), (4, 4), (8, 6)])
+def test_a_restart_replaces_two_to_six_candidates(size: int, most: int) -> None:
+    """Each number about as often; of one candidate, that one."""
+    blocks = np.random.default_rng(3).standard_normal((20, 1, N))
+    evaluator = CriterionEvaluator(blocks, CRITERIA["D"], 0.05 * np.eye(N))
+    exchange = _Exchange(evaluator, Rules(size=size))
+    restarts = _Restarts(exchange, np.random.default_rng(3))
+    plan = np.arange(size)
+    changed = [restarts._change(plan) for _ in range(100)]
+    assert {len(np.unique(one)) for one in changed} == {size}
+    replaced = {len(np.setdiff1d(plan, one)) for one in changed}
+    assert replaced == set(range(min(2, most), most + 1))
 
 
 def test_a_budget_of_time_bounds_plans_of_any_size() -> None:

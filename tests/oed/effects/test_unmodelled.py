@@ -1,6 +1,7 @@
 """What an effect outside the model does, through calibration, on the oracle's A3 head."""
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,16 @@ from shipped_models import gravity, leg_thermal, servo_lag, step
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference
+from oed.accuracy import (
+    ErrorMaps,
+    Prediction,
+    Reference,
+    budget_model,
+    error_maps,
+)
 from oed.effect_model import Column, Effect, State
-from oed.effects import ExpectedEffects, SessionStates
+from oed.effects import ExpectedEffects, SessionStates, expected_effects
+from oed.effects.unmodelled import _joint_maps
 from oed.estimation import identify
 from oed.gap import DOWN, assemble
 
@@ -184,3 +192,18 @@ def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
 def test_nothing_is_expected_of_effects_that_need_what_no_plan_states() -> None:
     """One machine's only effect depends on the feed, which the rows do not have."""
     assert expected_of([servo_lag.effect], a3_plans.workspace()[::30]) is None
+
+
+def test_compensation_takes_away_what_the_parameters_mimic(
+    rng: np.random.Generator,
+) -> None:
+    """All of an effect that is an error of parameters; nothing where nothing is sent."""
+    raw = rng.standard_normal((5, 3, 4))
+    shift = rng.standard_normal((4, 2))
+    model = SimpleNamespace(root=np.eye(4), used=np.arange(4))
+    tool = raw @ shift
+    for remaining, left in ((np.zeros_like(raw), 0.0 * tool), (raw, tool)):
+        maps = ErrorMaps(np.zeros((5, 3)), ("x", "y", "z"), raw, remaining)
+        joint = _joint_maps(model, maps, tool, shift)
+        assert joint.remaining[:, :, 4:] == pytest.approx(left, abs=1e-12)
+        assert joint.raw[:, :, 4:] == pytest.approx(tool)
