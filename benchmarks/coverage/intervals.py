@@ -87,11 +87,10 @@ def one_machine(
     estimate = identify(
         m, bench.series, y, stages=bench.stages, estimate_noise=estimate_noise
     )
-    z = posterior.draw_coordinates(estimate, rng, DRAWS)
+    z, _, _ = posterior.draw_coordinates(estimate, rng, DRAWS)
     inside, nees = _combinations(bench, estimate, z, exact)
-    theta = posterior.draw_lost_directions(
-        m, bench.series, y, estimate, z[:BAND_DRAWS], rng
-    )
+    density = posterior.LogDensity(m, bench.series, y, estimate)
+    theta = density.draw_theta(rng, z[:BAND_DRAWS])
     return Outcome(inside, nees, _bands(bench, estimate, theta, truth))
 
 

@@ -89,7 +89,7 @@ def one_machine(bench: Bench, number: int, seed: int) -> dict[str, int]:
     estimate = identify(m, bench.series, y, stages=bench.stages, estimate_noise=True)
     fitted = estimate.noise_posterior
     assert fitted is not None
-    z = posterior.draw_coordinates(estimate, rng, DRAWS)
+    z, _, _ = posterior.draw_coordinates(estimate, rng, DRAWS)
     laws = fitted.draws[rng.choice(len(fitted.weights), size=DRAWS, p=fitted.weights)]
     turn = bench.coordinates.dual @ estimate.coordinates.basis
     true = turn @ true_coordinates(bench, estimate, exact)

@@ -82,8 +82,8 @@ class IdentifiableCoordinates:
         )
 
     def from_theta(self, theta: Array) -> Array:
-        """Coordinates z (r,) of parameters (n,); null directions are dropped."""
-        return self.dual @ (theta - self.origin)
+        """Coordinates z (..., r) of parameters (..., n); null directions are dropped."""
+        return (self.dual @ (theta - self.origin).T).T
 
     def to_theta(self, z: Array) -> Array:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""

@@ -1,19 +1,18 @@
 """The posterior of the parameters: log density, sampling, checks of the sampler.
 
-MIXED_RHAT            R-hat of independent ensembles below which they agree
-ApproximateDraws      draws from the approximation about an estimate
-Checkpoint            where an unfinished chain is saved
-LogDensity            log posterior density in identifiable coordinates
-OutOfBoundsError      readings and bounds contradict each other
-Posterior             draws of the posterior, and their diagnostics
-Sampler               the names of samplers
-draw_approximation    draws without sampling
-draw_coordinates      draws of the identifiable coordinates
-draw_lost_directions  parameters at coordinates, with lost directions drawn
-predictive_checks     whether readings look like those that the posterior predicts
-sample                samples the posterior
-save                  writes the draws as NetCDF
-to_arviz              the draws as ArviZ reads them
+MIXED_RHAT          R-hat of independent ensembles below which they agree
+ApproximateDraws    draws from the approximation about an estimate
+Checkpoint          where an unfinished chain is saved
+LogDensity          log posterior density in identifiable coordinates
+OutOfBoundsError    readings and bounds contradict each other
+Posterior           draws of the posterior, and their diagnostics
+Sampler             the names of samplers
+draw_approximation  draws without sampling
+draw_coordinates    coordinates of the parameters, the noise law and effects, likewise
+predictive_checks   whether readings look like those that the posterior predicts
+sample              samples the posterior
+save                writes the draws as NetCDF
+to_arviz            the draws as ArviZ reads them
 """
 
 from typing import TYPE_CHECKING
@@ -29,12 +28,7 @@ if TYPE_CHECKING:
         OutOfBoundsError,
         draw_approximation,
         draw_coordinates,
-        draw_lost_directions,
     )
-    from oed.posterior.posterior import (
-        Sampler,
-        predictive_checks,
-        sample,
-    )
+    from oed.posterior.posterior import Sampler, predictive_checks, sample
 else:
     __getattr__ = door(__name__)

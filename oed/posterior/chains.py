@@ -343,10 +343,8 @@ def collect(
     thinned = chain[:, ::every]
     theta = target.draw_theta(rng, thinned[..., :r])
     ess, rhat = _diagnostics(target, ensembles, chain, theta)
-    draws, points = (
-        ensembles.group_by_ensemble(theta),
-        ensembles.group_by_ensemble(thinned),
-    )
+    draws = ensembles.group_by_ensemble(theta)
+    points = ensembles.group_by_ensemble(thinned)
     inside = target.measurement.in_bounds(draws)
     draws, points = _accepted(draws, inside), _accepted(points, inside)
     if not draws.size:

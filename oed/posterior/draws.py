@@ -71,8 +71,7 @@ class Posterior:
     @property
     def theta(self) -> Array:
         """Means of the draws (n,), SI."""
-        mean: Array = self.pooled.mean(axis=0)
-        return mean
+        return np.asarray(self.pooled.mean(axis=0))
 
     @property
     def covariance(self) -> Array:
@@ -91,20 +90,10 @@ def to_arviz(posterior: Posterior) -> xr.DataTree:
     Attributes name the sampler, and k of the importance weights. R-hat is emcee's alone.
 
     >>> import numpy as np
-    >>> from oed import Measurement, mount
-    >>> from oed.estimation import identify
-    >>> from oed.measurement import draw_parameters, draw_readings
-    >>> from oed.posterior import sample, to_arviz
-    >>> from pkm_models.instruments.pose_tracker import position
-    >>> from pkm_models.machines.planar_2dof import machine
-    >>> measurement = Measurement(machine, [mount(position, "tracker")])
-    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
-    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
-    >>> rng = np.random.default_rng(1)
-    >>> truth = draw_parameters(measurement, rng)
-    >>> y = draw_readings(measurement, [series], truth, rng)
-    >>> estimate = identify(measurement, [series], y)
-    >>> posterior = sample(measurement, [series], y, estimate, rng, ess=400)
+    >>> from oed.posterior import Posterior, to_arviz
+    >>> draws, none = np.arange(10.0).reshape(1, 5, 2), np.zeros((1, 5, 0))
+    >>> ess, rhat = np.full(2, 5.0), np.full(2, np.nan)
+    >>> posterior = Posterior(("d1", "d2"), draws, draws, none, (), ess, rhat)
     >>> to_arviz(posterior)["posterior"]["theta"].dims
     ('chain', 'draw', 'parameter')
     """

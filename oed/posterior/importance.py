@@ -62,7 +62,7 @@ class StudentProposal:
 
     centre: Array
     root: Array
-    points_of_ess: float = 1.6
+    points_of_ess: float = 1.35
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         """Points (count, d) and log densities (count,), up to a constant."""
@@ -112,18 +112,21 @@ class Proposals:
     """Weighted proposals.
 
     points       (m, dimensions) those of a density above 0
+    theta        (m, n) parameters there, along lost directions where there is b(w)
     log_weights  (m,) before smoothing
     drawn        proposals, with those of density 0
     """
 
     points: Array
+    theta: Array
     log_weights: Array
     drawn: int
 
     @classmethod
-    def empty(cls, dimensions: int) -> Proposals:
+    def empty(cls, target: LogDensity) -> Proposals:
         """No proposal yet."""
-        return cls(np.zeros((0, dimensions)), np.zeros(0), 0)
+        points = np.zeros((0, target.dimensions))
+        return cls(points, target.place(points, None)[1], np.zeros(0), 0)
 
     def extend(
         self,
@@ -134,12 +137,14 @@ class Proposals:
     ) -> Proposals:
         """These and `count` more. Raises KeyboardInterrupt."""
         points, log_density = proposal.draw(rng, count)
-        log_weights = target(points) - log_density
+        w = target.draw_lost(rng, len(points))
+        log_weights = target(points, w) - log_density
         if target.interrupted:
             raise KeyboardInterrupt
         good = np.isfinite(log_weights)
         return Proposals(
             np.concatenate([self.points, points[good]]),
+            np.concatenate([self.theta, target.place(points, w)[1][good]]),
             np.concatenate([self.log_weights, log_weights[good]]),
             self.drawn + count,
         )
@@ -164,7 +169,7 @@ def draw_weighted(
     Draws are as many as are worth `ess` independent ones for every parameter, and `max_draws`
     at most. Raises KeyboardInterrupt.
     """
-    proposals, k = Proposals.empty(target.dimensions), math.inf
+    proposals, k = Proposals.empty(target), math.inf
     count = max(math.ceil(proposal.points_of_ess * ess), MIN_PROPOSALS)
     while proposals.drawn < max(MAX_PROPOSALS_PER_ESS * ess, MIN_PROPOSALS):
         for start in range(0, count, PROPOSALS_AT_ONCE):
@@ -179,7 +184,8 @@ def draw_weighted(
         if k <= PosteriorSection.largest_pareto_k(proposals.drawn):
             for spare in SPARES:
                 chosen = resample(weights, math.ceil(min(spare * ess, max_draws)), rng)
-                reached = float(np.min(worth(target, proposals.points, chosen)))
+                each = worth(proposals.theta, chosen)
+                reached = float(np.nanmin(each, initial=len(chosen)))
                 if reached >= ess or len(chosen) >= max_draws:
                     return proposals, k, chosen
             if progress is not None:
@@ -200,21 +206,22 @@ def resample(weights: Array, count: int, rng: np.random.Generator) -> Index:
     return rng.permutation(np.minimum(numbers, len(weights) - 1))
 
 
-def worth(target: LogDensity, points: Array, chosen: Index) -> Array:
-    """Number of independent draws (n,) that draws are worth, of parameters that move.
+def worth(theta: Array, chosen: Index) -> Array:
+    """Number of independent draws (n,) that draws are worth; NaN for what does not move.
+
+    theta  (m, n) of the proposals
 
     For draws with repetitions c about a mean, it is the variance of one over that of the
     mean: m sum c x^2 / sum c^2 x^2.
     """
-    counts = np.bincount(chosen, minlength=len(points)).astype(float)
-    some = counts > 0
-    counts = counts[some, None]
-    theta = target.coordinates.to_theta(points[some, : target.r])[:, target.moving]
-    if not theta.size:
-        return np.array([float(len(chosen))])
+    counts = np.bincount(chosen, minlength=len(theta)).astype(float)[:, None]
+    values = np.full(theta.shape[1], np.nan)
+    moving = np.ptp(theta, axis=0) > 0
+    theta = theta[:, moving]
     square = (theta - (counts * theta).sum(axis=0) / len(chosen)) ** 2
     once, twice = (counts * square).sum(axis=0), (counts**2 * square).sum(axis=0)
-    return np.asarray(len(chosen) * once / np.maximum(twice, np.finfo(float).tiny))
+    values[moving] = len(chosen) * once / np.maximum(twice, np.finfo(float).tiny)
+    return values
 
 
 def collect(
@@ -224,23 +231,23 @@ def collect(
     chosen: Index,
     rng: np.random.Generator,
 ) -> Posterior:
-    """The drawn proposals, with null directions from their prior, within bounds.
+    """The drawn proposals, with lost directions from their prior, within bounds.
 
     Raises OutOfBoundsError where no draw is within bounds.
     """
-    points, r = proposals.points[chosen], target.r
-    theta = target.draw_theta(rng, points[:, :r])
+    theta, ess = proposals.theta[chosen], worth(proposals.theta, chosen)
+    z, laws = target.coordinates.from_theta(theta), proposals.points[chosen, target.r :]
+    if target.bend is None:
+        theta = target.draw_theta(rng, z)
+        ess[np.isnan(ess) & (np.ptp(theta, axis=0) > 0)] = len(chosen)
     inside = target.measurement.in_bounds(theta)
     if not inside.any():
         raise OutOfBoundsError(target.measurement, theta)
-    ess = np.full(theta.shape[1], np.nan)
-    ess[np.ptp(theta, axis=0) > 0] = len(chosen)
-    ess[target.moving] = worth(target, proposals.points, chosen)
     return Posterior(
         names=target.measurement.names,
         draws=theta[inside][None],
-        z=points[inside][None, :, :r],
-        noise_law=points[inside][None, :, r:],
+        z=z[inside][None],
+        noise_law=laws[inside][None],
         noise_names=target.noise_names,
         ess=ess * inside.mean(),
         rhat=np.full(theta.shape[1], np.nan),

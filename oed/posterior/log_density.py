@@ -7,10 +7,19 @@ z are the identifiable coordinates (`oed.estimation.coordinates`), u those of th
 (`oed.noise_law.prior`), sampled where the law is estimated, so that few readings give wide
 tails.
 
+Directions that no reading determines have coordinates w, standard normal a priori. They are
+straight to first order only: a move by a millimetre's tolerance changes readings to second
+order. z moves against it,
+
+    theta(z, w) = origin + basis (z - b(w)) + null_basis w,        b quadratic,
+
+a change of coordinates of Jacobian 1, so that one reading of the machine at theta(z, w) gives
+the density of z and w together. b only has to be near: what it leaves is in the density.
+
 Without sampling, draws come from the approximation about an estimate: under each noise law
-the identifiable coordinates are normal, and laws are drawn by their weight. Directions
-that no reading determines are drawn from their prior and followed exactly: the readings
-stay as they were, however far a lost direction leads.
+the identifiable coordinates are normal, and laws are drawn by their weight. Lost directions
+are drawn from their prior and followed exactly, by Gauss-Newton steps: the readings stay as
+they were, however far a lost direction leads.
 """
 
 from __future__ import annotations
@@ -119,8 +128,10 @@ def interpolate(
     return InterpolatedReadings(some(rows), middle, rows, matrix)
 
 
-#: degrees of freedom of the independent proposals' Student tails
-PROPOSAL_DOF = 20.0
+#: degrees of freedom of the independent proposals' Student tails: at least, and over the
+#: coordinates. Against a normal density 95 % of proposals count in any dimension; with 20
+#: degrees it would be 76 % of 36 coordinates
+MIN_DOF, DOF_PER_COORDINATE = 20.0, 2.5
 #: draws of the parameters: their covariance is known to 2 %
 N_DRAWS = 2000
 #: rounds of draws until enough keep to the bounds
@@ -131,8 +142,12 @@ MAX_EXCESS = 5e-4
 CORRECTED_AT_ONCE = 100
 #: readings of draws that are predicted at once: 2 MB
 BATCH_READINGS = 200_000
-#: numbers in the readings that are kept for the draws among the points: 32 MB
-MAX_NUMBERS = 4_000_000
+#: points that b(w) is fitted at, over its coefficients, and at most: beyond, to follow each
+#: draw costs as much
+POINTS_PER_COEFFICIENT, MAX_BEND_POINTS = 2, 1000
+#: change of all readings together, over the noise, that b(w) may leave (root mean square):
+#: with 0.45 weights scatter so much that to follow each draw is as fast
+MAX_LEFT = 0.3
 #: spread of the points that readings are interpolated between, over the posterior's
 SPREAD_OF_POINTS = 1.5
 #: movement by a lost direction, in tolerances, below which it is rounding
@@ -175,8 +190,8 @@ class LogDensity:
     law           posterior of the noise law in the linear model; None where it is known
     interrupted   whether Ctrl-C arrived during an evaluation
 
-    Bounds of parameters hold here where no lost direction moves a parameter; of others
-    draws are left out once lost directions are drawn.
+    Without w, bounds of parameters hold here where no lost direction moves a parameter; of
+    others draws are left out once lost directions are drawn. With w all of them hold here.
     """
 
     def __init__(
@@ -200,8 +215,6 @@ class LogDensity:
         largest = np.abs(self.coordinates.basis).max(axis=1)
         self.moving = np.flatnonzero(largest > 0)
         self.interrupted = False
-        # readings (N,) where the density was asked for, by the coordinates' bytes
-        self._known: dict[bytes, Array] = {}
         robust = estimate.robust_readings
         self._y = y if robust is None else robust
         self._series, self._theta = series, estimate.theta
@@ -214,22 +227,13 @@ class LogDensity:
 
     @functools.cached_property
     def _readings(self) -> Readings:
-        """Readings (m, N) at parameters (m, n) that the posterior allows."""
-        return self._interpolated(np.zeros((len(self._theta), 0)))
+        """Readings (m, N) at parameters (m, n) that the posterior allows.
 
-    @functools.cached_property
-    def _readings_along_null(self) -> Readings:
-        """The same where lost directions are drawn from their prior as well."""
-        return self._interpolated(self.coordinates.null_basis)
-
-    def _interpolated(self, null: Array) -> Readings:
-        """Readings of long sessions, interpolated from a few of them.
-
-        null  (n, k) directions that move by their prior
+        Those of long sessions are interpolated from a few of them.
         """
         if len(self._y) < MIN_READINGS:
             return self._exact
-        count = POINTS + CHECKS
+        count, null = POINTS + CHECKS, self.coordinates.null_basis
         # which points they are matters little: always the same
         rng = np.random.default_rng(0)
         normal = rng.standard_normal((count, self.r + null.shape[1])) * SPREAD_OF_POINTS
@@ -249,46 +253,79 @@ class LogDensity:
         parts = [some.part for some in taken]
         return lambda theta: measurement.try_readings(parts, theta)[:, columns]
 
-    def __call__(self, points: Array) -> Array:
+    @functools.cached_property
+    def bend(self) -> Array | None:
+        """Coefficients (k (k + 1) / 2, r) of b(w); None where it leaves too much."""
+        r, k = self.r, self.coordinates.null_basis.shape[1]
+        count = POINTS_PER_COEFFICIENT * (k * (k + 1) // 2)
+        if not 0 < count <= MAX_BEND_POINTS:
+            return None if count else np.zeros((0, r))
+        # which points they are matters little: always the same
+        rng = np.random.default_rng(0)
+        w = rng.standard_normal((count, k))
+        centre = np.tile(self.centre[:r], (count, 1))
+        excess = self._excess(centre, centre, w)
+        assembled = np.isfinite(excess).all(axis=1)
+        shifts = np.linalg.solve(self._precision, self._slope.T @ excess[assembled].T).T
+        bend = np.asarray(np.linalg.lstsq(_products(w[assembled]), shifts)[0])
+        w = rng.standard_normal((CHECKS, k))
+        z = self.centre[:r] + rng.standard_normal((CHECKS, r)) @ self.root[:r, :r].T
+        left = self._excess(z, z - _products(w) @ bend, w)
+        return bend if np.mean(np.sum(left**2, axis=1)) <= MAX_LEFT**2 else None
+
+    def _excess(self, before: Array, after: Array, w: Array) -> Array:
+        """Whitened change (m, N) of readings from z (m, r) to another z at w (m, k)."""
+        readings, to_theta = self._readings, self.coordinates.to_theta
+        moved = to_theta(after) + w @ self.coordinates.null_basis.T
+        return self._noise.whiten_last(readings(moved) - readings(to_theta(before)))
+
+    def draw_lost(self, rng: np.random.Generator, count: int) -> Array | None:
+        """Coordinates w (count, k) from their prior; None where there is no b(w)."""
+        if self.bend is None:
+            return None
+        return rng.standard_normal((count, self.coordinates.null_basis.shape[1]))
+
+    def place(self, points: Array, w: Array | None) -> tuple[Array, Array]:
+        """z - b(w) (m, r) and theta (m, n) at points (m, dimensions); w None: 0."""
+        z = points[:, : self.r]
+        if w is None or self.bend is None:
+            return z, self.coordinates.to_theta(z)
+        z = z - _products(w) @ self.bend
+        return z, self.coordinates.to_theta(z) + w @ self.coordinates.null_basis.T
+
+    def __call__(self, points: Array, w: Array | None = None) -> Array:
         """Log density (walkers,) at points (walkers, dimensions).
+
+        w  (walkers, k) lost directions, whose prior is left out; None: 0
 
         The sampler prints a traceback of whatever is raised here, so that Ctrl-C is
         only noted.
         """
         try:
-            return self._log_density(points)
+            return self._log_density(points, w)
         except KeyboardInterrupt:
             self.interrupted = True
             return np.full(len(points), -np.inf)
 
-    def _log_density(self, points: Array) -> Array:
-        return np.concatenate(
-            [self._part(points[batch]) for batch in self._batches(points)]
-        )
+    def _log_density(self, points: Array, w: Array | None) -> Array:
+        parts = []
+        for batch in self._batches(points):
+            parts.append(self._part(points[batch], None if w is None else w[batch]))
+        return np.concatenate(parts)
 
     def _batches(self, points: Array) -> list[slice]:
         """Parts of some points whose readings fit into memory."""
         size = max(BATCH_READINGS // len(self._y), 1)
         return [slice(k, k + size) for k in range(0, len(points), size)]
 
-    def _part(self, points: Array) -> Array:
+    def _part(self, points: Array, w: Array | None) -> Array:
         """Log density of points whose readings fit into memory."""
-        z, u = points[:, : self.r], points[:, self.r :]
-        theta = self.coordinates.to_theta(z)
-        readings = self._readings(theta)
-        if (len(self._known) + len(z)) * len(self._y) <= MAX_NUMBERS:
-            self._known.update(zip(map(np.ndarray.tobytes, z), readings, strict=True))
-        prior = np.sum(points**2, axis=1)
-        value = -0.5 * (self._misfit(readings - self._y, u) + prior)
-        possible = np.isfinite(value) & self.measurement.in_bounds(theta, self._bounded)
+        (z, theta), u = self.place(points, w), points[:, self.r :]
+        bounded = self._bounded if w is None else self.measurement.bounded
+        prior = np.sum(z**2, axis=1) + np.sum(u**2, axis=1)
+        value = -0.5 * (self._misfit(self._readings(theta) - self._y, u) + prior)
+        possible = np.isfinite(value) & self.measurement.in_bounds(theta, bounded)
         return np.where(possible, value, -np.inf)
-
-    def _known_readings(self, z: Array) -> Array | None:
-        """Exact readings (m, N) at coordinates (m, r), where all of them are known."""
-        keys = [row.tobytes() for row in z]
-        if len(self._y) >= MIN_READINGS or not all(k in self._known for k in keys):
-            return None
-        return np.array([self._known[k] for k in keys])
 
     def linear_model(self) -> ResidualModel:
         """Readings as a linear model about the estimate, for an estimated noise law."""
@@ -371,15 +408,10 @@ class LogDensity:
         """Parameters (..., n) at coordinates (..., r), null directions from their prior."""
         null = self.coordinates.null_basis
         change = rng.standard_normal((*z.shape[:-1], null.shape[1])) @ null.T
-        known = self._known_readings(z.reshape(-1, self.r))
-        return self.move_along_null(self.coordinates.to_theta(z), change, known)
+        return self.move_along_null(self.coordinates.to_theta(z), change)
 
-    def move_along_null(
-        self, theta: Array, change: Array, known: Array | None = None
-    ) -> Array:
+    def move_along_null(self, theta: Array, change: Array) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.
-
-        known  (m, N) readings of the draws, one after the other, where they are known
 
         A null direction is straight to first order only: turning joints by a
         millimetre's tolerance moves a reading by a micrometre to second order. Gauss-Newton
@@ -393,9 +425,9 @@ class LogDensity:
         before = theta.reshape(-1, theta.shape[-1])
         after = before + change.reshape(before.shape)
         step = self._slope @ np.linalg.solve(self._precision, self.coordinates.basis.T)
-        readings = self._readings_along_null
+        readings = self._readings
         for batch in self._batches(before):
-            exact = readings(before[batch]) if known is None else known[batch]
+            exact = readings(before[batch])
             excess = self._noise.whiten_last(readings(after[batch]) - exact)
             moved = after[batch] - excess @ step
             farthest = np.argsort(-np.linalg.norm(excess, axis=1))
@@ -409,19 +441,32 @@ class LogDensity:
         return after.reshape(theta.shape)
 
 
+def _products(w: Array) -> Array:
+    """w_i w_j (m, k (k + 1) / 2), i <= j, of coordinates (m, k)."""
+    first, second = np.triu_indices(w.shape[1])
+    return np.asarray(w[:, first] * w[:, second])
+
+
+def _degrees_of_freedom(coordinates: int) -> float:
+    """Of proposals' Student tails."""
+    return max(MIN_DOF, DOF_PER_COORDINATE * coordinates)
+
+
 def draw_student(
     random: np.random.Generator | np.random.RandomState, shape: tuple[int, ...]
 ) -> Array:
     """Draws (m, d) of a Student t of unit scale."""
     normal = random.standard_normal(shape)
-    chi2 = random.chisquare(PROPOSAL_DOF, (shape[0], 1))
-    return np.asarray(normal / np.sqrt(chi2 / PROPOSAL_DOF))
+    dof = _degrees_of_freedom(shape[1])
+    chi2 = random.chisquare(dof, (shape[0], 1))
+    return np.asarray(normal / np.sqrt(chi2 / dof))
 
 
 def log_student(white: Array) -> Array:
     """Log density (m,) of a Student t of unit scale at (m, d), up to a constant."""
-    power = -0.5 * (PROPOSAL_DOF + white.shape[1])
-    return np.asarray(power * np.log1p(np.sum(white**2, axis=1) / PROPOSAL_DOF))
+    dof = _degrees_of_freedom(white.shape[1])
+    power = -0.5 * (dof + white.shape[1])
+    return np.asarray(power * np.log1p(np.sum(white**2, axis=1) / dof))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -456,72 +501,39 @@ def draw_approximation(
     """
     if estimate.effects is not None:
         count = len(estimate.effects.theta)
-    parts: list[Array] = []
-    laws: list[Array] = []
-    effects: list[Array] = []
+    target = LogDensity(measurement, series, y, estimate)
+    parts: list[tuple[Array, Array, Array]] = []
     missing = count
     for _ in range(MAX_ROUNDS):
-        points = _draw_points(estimate, rng, count)
-        z, law = points.z, points.law
-        theta = draw_lost_directions(measurement, series, y, estimate, z, rng)
+        z, laws, effects = draw_coordinates(estimate, rng, count)
+        theta = target.draw_theta(rng, z)
         assembled = np.isfinite(theta).all(axis=1)
         inside = assembled & measurement.in_bounds(theta)
-        parts.append(theta[inside][:missing])
-        laws.append(law[inside][:missing])
-        effects.append(points.effects[inside][:missing])
-        missing -= int(inside.sum())
-        if missing <= 0 or (inside == assembled).all():
-            return ApproximateDraws(
-                np.concatenate(parts),
-                np.concatenate(laws),
-                effects=np.concatenate(effects),
-            )
+        chosen = np.flatnonzero(inside)[:missing]
+        parts.append((theta[chosen], laws[chosen], effects[chosen]))
+        missing -= len(chosen)
+        if missing == 0 or (inside == assembled).all():
+            theta, laws, effects = map(np.concatenate, zip(*parts, strict=True))
+            return ApproximateDraws(theta, laws, effects=effects)
     raise OutOfBoundsError(measurement, theta[assembled])
 
 
-def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:
-    """Draws (count, r) of the identifiable coordinates."""
-    return _draw_points(estimate, rng, count).z
+def draw_coordinates(
+    estimate: Estimate, rng: np.random.Generator, count: int
+) -> tuple[Array, Array, Array]:
+    """Draws of z (m, r), of the law's coordinates (m, d), of effects (m, k).
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Points:
-    """Draws of identifiable coordinates (m, r), of the law's (m, d), of effects (m, k)."""
-
-    z: Array
-    law: Array
-    effects: Array
-
-
-def _draw_points(estimate: Estimate, rng: np.random.Generator, count: int) -> _Points:
-    """`count` draws; with effects, those that were drawn with them, in a drawn order."""
+    With effects, those that were drawn with them, in a drawn order.
+    """
     posterior, none = estimate.noise_posterior, np.zeros((count, 0))
     if estimate.effects is not None and posterior is not None:
         sampled = estimate.effects
         number = rng.permutation(np.arange(count) % len(sampled.theta))
-        coordinates = estimate.coordinates
-        z = (sampled.theta[number] - coordinates.origin) @ coordinates.dual.T
-        _, law = posterior.draw(rng, count)
-        return _Points(z, law, sampled.coefficients[number])
+        z = estimate.coordinates.from_theta(sampled.theta[number])
+        return z, posterior.draw(rng, count)[1], sampled.coefficients[number]
     if posterior is not None:
-        return _Points(*posterior.draw(rng, count), none)
+        return *posterior.draw(rng, count), none
     dual = estimate.coordinates.dual
     root = covariance_root(dual @ estimate.covariance @ dual.T)
     normal = rng.standard_normal((count, len(estimate.z)))
-    return _Points(estimate.z + normal @ root.T, none, none)
-
-
-def draw_lost_directions(
-    measurement: Measurement,
-    series: Sequence[Series],
-    y: Array,
-    estimate: Estimate,
-    z: Array,
-    rng: np.random.Generator,
-) -> Array:
-    """Parameters (m, n), SI, at coordinates (m, r), with lost directions drawn.
-
-    y  (N,) the readings, SI. Raises AssemblyError at the estimate.
-    """
-    target = LogDensity(measurement, series, y, estimate)
-    return target.draw_theta(rng, z)
+    return estimate.z + normal @ root.T, none, none

@@ -3,7 +3,7 @@
 Independent draws come from importance sampling about the estimate; the tail of their
 weights says whether they may be used (`oed.posterior.importance`). Where not, emcee
 samples, started from them (`oed.posterior.chains`). Directions that no reading determines
-are drawn from their prior. Draws out of the bounds of parameters are left out: what stays
+come from their prior. Draws out of the bounds of parameters are left out: what stays
 are draws of the truncated posterior.
 """
 
@@ -177,7 +177,7 @@ def sample(
     True
     """
     target = LogDensity(measurement, series, y, estimate)
-    proposals, k = importance.Proposals.empty(target.dimensions), math.nan
+    proposals, k = importance.Proposals.empty(target), math.nan
     if sampler == "auto" and ess <= importance.MAX_ESS:
         limit = math.inf if max_draws is None else max_draws
         drawn, proposals, k = importance.sample_independent(

@@ -183,7 +183,7 @@ def _sampler(posterior: PosteriorSection) -> str:
         k = text.fixed(posterior.pareto_k, 2)
         if posterior.sampler == PosteriorSection.IMPORTANCE:
             return (
-                f"The posterior has {draws} independent draws: {points} points about the"
+                f"The posterior has {draws} draws: {points} independent points about the"
                 " estimate were weighted by the density, and draws taken by weight. The"
                 f" tail of the weights has Pareto k = {k}; up to {limit} such draws are"
                 " reliable. All draws are in posterior.nc."

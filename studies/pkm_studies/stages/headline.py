@@ -390,7 +390,7 @@ def _posterior(section: PosteriorSection | None) -> list[str]:
     ess = min((m.ess for m in marginals if m.ess is not None), default=math.nan)
     size = f"an effective sample size of at least {float(f'{ess:.2g}'):.0f}"
     if section.sampler == PosteriorSection.IMPORTANCE:
-        return [f"The posterior has {section.draws} independent draws, {size}."]
+        return [f"The posterior has {section.draws} draws by weight, {size}."]
     rhat = max((m.rhat for m in marginals if m.rhat is not None), default=math.nan)
     return [
         f"The posterior has {section.draws} draws, {size} and an R-hat of at most"

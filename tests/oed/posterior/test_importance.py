@@ -1,7 +1,7 @@
 """Independent draws: what they are worth, and densities whose weights must be refused."""
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -37,16 +37,18 @@ def funnel(x: np.ndarray) -> np.ndarray:
 class Target:
     """A density of four coordinates that are the parameters."""
 
-    dimensions, r, moving, interrupted = 4, 4, np.arange(4), False
+    dimensions, interrupted = 4, False
 
     def __init__(self, density: Density) -> None:
-        self.coordinates: Any = self
         self._density = density
 
-    def to_theta(self, z: np.ndarray) -> np.ndarray:
-        return z
+    def draw_lost(self, rng: np.random.Generator, count: int) -> None:
+        """No direction is lost."""
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def place(self, points: np.ndarray, w: None) -> tuple[np.ndarray, np.ndarray]:
+        return points, points
+
+    def __call__(self, points: np.ndarray, w: None) -> np.ndarray:
         return self._density(points)
 
 
@@ -60,7 +62,7 @@ def weighted(
     proposals, k, chosen = draw_weighted(target, proposal, rng, ess, np.inf)
     if chosen is None:
         return None, 0.0, k
-    worth = importance.worth(target, proposals.points, chosen)
+    worth = importance.worth(proposals.theta, chosen)
     return proposals.points[chosen], float(worth.min()), k
 
 
@@ -96,7 +98,7 @@ def test_a_density_whose_weights_fail_is_sampled_by_emcee(
     target = LogDensity(m, series, y, estimate)
     root, centre = np.linalg.inv(target.root), target.centre
 
-    def bent(_: LogDensity, points: np.ndarray) -> np.ndarray:
+    def bent(_: LogDensity, points: np.ndarray, w: np.ndarray | None) -> np.ndarray:
         return banana((points - centre) @ root.T)
 
     monkeypatch.setattr(LogDensity, "_log_density", bent)

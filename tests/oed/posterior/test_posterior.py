@@ -14,7 +14,7 @@ from kernel.delta_probe import problem
 from oed import posterior, safe_files
 from oed.estimation import identify
 from oed.measurement import draw_readings
-from oed.posterior import Sampler
+from oed.posterior import LogDensity, Sampler, log_density
 
 #: steps of a chain whose draws are not judged: past the first check, not at one
 SHORT = 60
@@ -121,7 +121,10 @@ def test_a_known_noise_is_not_sampled() -> None:
     assert drawn.noise_law.shape[2] == 0
 
 
-def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> None:
+@pytest.mark.parametrize("follows", [False, True])
+def test_draws_of_a_machine_with_lost_directions_still_read_as_observed(
+    follows: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A3 with one taught bar: three turns of the platform's joints stay at their
     tolerance, of a millimetre, yet every draw fits the readings: residuals of 30
     readings are those of the noise and 18 directions, not more.
@@ -129,6 +132,8 @@ def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> Non
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 15)]
     rng = np.random.default_rng(3)
+    if follows:
+        monkeypatch.setattr(log_density, "MAX_LEFT", 0.0)
     y = draw_readings(m, series, a3_plans.table_3(m), rng)
     estimate = identify(m, series, y)
     drawn = posterior.sample(m, series, y, estimate, rng, ess=300)
@@ -140,9 +145,25 @@ def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> Non
     assert drawn.pooled.std(axis=0)[m.free] == pytest.approx(
         estimate.sd[m.free], rel=0.15
     )
-    local = estimate.coordinates
+    local, target = estimate.coordinates, LogDensity(m, series, y, estimate)
+    assert (target.bend is None) == follows
     lost = np.linalg.pinv(local.null_basis) @ (drawn.pooled - estimate.theta).T
     assert lost.std(axis=1) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_density_along_lost_directions_is_that_of_its_parameters() -> None:
+    """The fitted shift of z costs no accuracy: the density is that at theta itself."""
+    m = a3_plans.measurement()
+    series, rng = [a3_plans.circles(m, 15)], np.random.default_rng(3)
+    y = draw_readings(m, series, a3_plans.table_3(m), rng)
+    estimate = identify(m, series, y)
+    target = LogDensity(m, series, y, estimate)
+    points, w = target.starts(rng, 20), 2.0 * rng.standard_normal((20, 3))
+    theta = target.place(points, w)[1]
+    scaled = (theta - m.nominal)[:, m.free] / m.tolerance[m.free]
+    prior = np.sum(scaled**2, axis=1) - np.sum(w**2, axis=1)
+    misfit = np.sum(((m.readings(series, theta) - y) / m.sigma(series)) ** 2, axis=1)
+    assert target(points, w) == pytest.approx(-0.5 * (misfit + prior), abs=1e-6)
 
 
 def test_what_is_kept_is_bounded_and_progress_is_told() -> None:

@@ -263,7 +263,7 @@ def test_independent_draws_have_no_diagnostics_of_chains() -> None:
     for marginal in raw["posterior"]["marginals"].values():
         marginal["rhat"] = None
     shown = shown_text(result_of(raw))
-    assert "1200 independent draws: 1600 points" in shown
+    assert "1200 draws: 1600 independent points" in shown
     assert "Pareto k = 0.18; up to 0.69" in shown
     assert "Every marginal is well sampled" in shown
     for word in ("R-hat", "walker", "autocorrelation time", "accepted", "mixed"):
