@@ -9,8 +9,9 @@ along over 8 readings, which no study states; each run's level repeats to 0.2 um
 is 2 um of backlash in one leg. The diagnosis estimates the noise law, or knows it
 (`--law known`).
 
-Each row is a process of its own. The fit reads the file and identifies. Seconds are processor time on one BLAS thread; memory
-is the peak of the process, with Python and all libraries.
+Each row is a process of its own. The fit reads the file and identifies. Seconds are
+processor time on one BLAS thread; memory is the peak of the process, with Python and
+all libraries.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ def write_together(contents: Mapping[Path, bytes]) -> tuple[Path, ...]:
     return tuple(contents)
 
 
-def _about(path: Path, error: OSError) -> OSError:
+def _named_error(path: Path, error: OSError) -> OSError:
     """The error with the name of the file that was to be written.
 
     A full disk is reported without a name, and HDF5 reports it without a number.

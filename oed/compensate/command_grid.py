@@ -178,7 +178,7 @@ class CommandGrid:
             """Errors (n, s, k) over the target of interpolation along one axis."""
             if count == 1:
                 return np.zeros((*exact.shape[:2], len(target)))
-            lines = _between(positions, k, axes[k].knots(count), correction)
+            lines = _interpolated(positions, k, axes[k].knots(count), correction)
             return np.asarray(
                 np.einsum("nkj,nsj->nsk", motion_per_target, lines - exact)
             )

@@ -299,7 +299,9 @@ class Effect:
 
     def size_limit(self, name: str, scale: float) -> float:
         """A coefficient in expected sizes, `scale` in SI, that no machine exceeds."""
-        return min(IMPOSSIBLE_SIZES, IMPOSSIBLE_SI.get(self.unit(name), math.inf) / scale)
+        return min(
+            IMPOSSIBLE_SIZES, IMPOSSIBLE_SI.get(self.unit(name), math.inf) / scale
+        )
 
     def unit(self, coefficient: str) -> str:
         """SI unit of a coefficient by its name."""

@@ -302,9 +302,9 @@ def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, Arr
 
     The first result is (..., m, m), to be subtracted from Y^T Y; the second (...).
     """
-    size = amounts[..., None, :, None]
+    size: Array = amounts[..., None, :, None]
     covariance = np.eye(inner.shape[-1]) + size * inner * np.swapaxes(size, -1, -2)
-    roots = np.linalg.cholesky(covariance)
+    roots: Array = np.asarray(np.linalg.cholesky(covariance), float)
     half = _substituted(roots, size * products)
     *rest, segments, columns, count = half.shape
     flat = half.reshape(*rest, segments * columns, count)

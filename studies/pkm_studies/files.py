@@ -40,7 +40,7 @@ def write_all(contents: Mapping[Path, bytes | str]) -> tuple[Path, ...]:
             raise InputError(
                 "a folder of this name is in the way", "name a file", file=str(path)
             )
-        out_folder(path.parent)
+        make_folder(path.parent)
     encoded = {
         path: content.encode() if isinstance(content, str) else content
         for path, content in contents.items()

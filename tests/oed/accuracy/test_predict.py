@@ -11,8 +11,16 @@ from shipped_models import a3_head, linear_delta
 
 from kernel import a3_plans
 from oed import identifiability
-from oed.accuracy import ErrorMaps, Prediction, Spread, predict, relative_to_reference
+from oed.accuracy import (
+    ErrorMaps,
+    Prediction,
+    Spread,
+    least_error,
+    predict,
+    relative_to_reference,
+)
 from oed.mechanism import ErrorModel, Kinematics
+from oed.result import CompensationName
 
 ARCSEC = 180 * 3600 / np.pi
 A3 = Kinematics(a3_head.machine)

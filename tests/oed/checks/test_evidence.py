@@ -18,7 +18,8 @@ from oed.checks.mistakes.suspect import cuts_are_coarse, part_scopes, whole_scop
 from oed.instrument import mount
 from oed.measurement import Measurement, reading_structure
 from oed.noise import Laws, ReadingStructure
-from oed.noise_law import log_prior_of_scale, scale_over_stated
+from oed.noise_law import log_prior_of_scale
+from oed.noise_law.prior import scale_over_stated
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 ONE = Laws(

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from oed.base import Orientation
 from oed.checks.explain import as_given
+from oed.checks.findings import PHYSICAL_KINDS
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.mistakes import (
-    PHYSICAL_KINDS,
     MistakeTrial,
     Suspect,
     amounts,

@@ -11,15 +11,9 @@ from shipped_models import gravity, leg_thermal, servo_lag, step
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import (
-    ErrorMaps,
-    Prediction,
-    Reference,
-    budget_model,
-    error_maps,
-)
+from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference
 from oed.effect_model import Column, Effect, State
-from oed.effects import ExpectedEffects, SessionStates, expected_effects
+from oed.effects import ExpectedEffects, SessionStates
 from oed.effects.unmodelled import _joint_maps
 from oed.estimation import identify
 from oed.gap import DOWN, assemble

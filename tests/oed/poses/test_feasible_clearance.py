@@ -143,7 +143,7 @@ def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
     assert (feasibility.allowed == (np.minimum(link, rod) >= 0.05)).all()
     assert 0 < feasibility.refusal_counts["come too near an obstacle"] < 200
     stated = Surroundings(obstacles=around, links=0.03, bar=0.01, ignore=(0, 2))
-    feasibility = check_readings(m, series, ReadingLimits(surroundings=stated))
+    feasibility = ReadingLimits(surroundings=stated).check(m, series)
     assert (feasibility.allowed == (np.minimum(link, rod) >= 0.0)).all()
     with_guides = Clearance(m, "bar", dataclasses.replace(about, ignore=()))
     assert (

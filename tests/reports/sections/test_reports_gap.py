@@ -21,7 +21,6 @@ from pkm_reports.sections import gap_figures
 from pkm_studies.base import Silent
 from pkm_studies.stages import RunState
 from pkm_studies.stages.gap.diagnosis import gap_section
-from pkm_studies.stages.readings import planned_series, simulate_readings
 from pkm_studies.study import Study
 
 pytestmark = pytest.mark.pictures
@@ -31,17 +30,9 @@ pytestmark = pytest.mark.pictures
 def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
     """The gap of the diagnosis by hand, as it comes back from result.json."""
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
-    state = RunState.start(Study.load(path), 3, Silent(), None)
-    readings = simulate_readings(state, planned_series(state)).readings
-    residuals = assemble(
-        state.measurement,
-        readings.series,
-        readings.covariates,
-        readings.truth,
-        readings.y,
-    )
-    diagnosis = gap_fixture.diagnosis(residuals)
-    section = gap_section(diagnosis, state.resolved.gap.effects)
+    diagnosis = gap_fixture.diagnosis(gap_fixture.problem(path))
+    effects = RunState.start(Study.load(path), 3, Silent(), None).resolved.gap.effects
+    section = gap_section(diagnosis, effects)
     return msgspec.json.decode(msgspec.json.encode(section), type=GapSection)
 
 

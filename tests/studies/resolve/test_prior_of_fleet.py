@@ -9,7 +9,7 @@ import pytest
 import sample
 
 from pkm_studies.commands import main
-from pkm_studies.study import parse
+from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -86,4 +86,4 @@ def test_what_does_not_fit_is_refused(fleet: Path, oed: Run) -> None:
     ):
         code, _, error = oed("run", third(fleet, prior, text), "--out", fleet / "no")
         assert (code, "prior." in error, words in error) == (2, True, True), error
-    assert parse(STUDY.format(seed=1), fleet / "x.study.toml").prior.from_ == []
+    assert Study.parse(STUDY.format(seed=1), fleet / "x.study.toml").prior.from_ == []

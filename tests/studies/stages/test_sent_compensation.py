@@ -14,7 +14,7 @@ from oed import trust
 from oed.accuracy import Spread, least_error
 from oed.effects import SessionStates
 from oed.result import CompensationName, MixtureSection
-from pkm_studies.earlier_result import controller_values, corrects_effects
+from pkm_studies.earlier_result import controller_values
 from pkm_studies.stages.correct import mixture
 from pkm_studies.stages.correct.corrected import drop_tables
 from pkm_studies.stages.predict import knowledge
@@ -148,11 +148,11 @@ def test_every_section_says_what_a_controller_gets() -> None:
 
 def test_effects_are_corrected_only_where_that_is_better() -> None:
     result = report_fixture.result_of(whole())
-    assert corrects_effects(result)
+    assert result.corrects_effects
     assert result.gap.mixture is not None
     mixture = msgspec.structs.replace(result.gap.mixture, with_effects=None)
     gap = msgspec.structs.replace(result.gap, mixture=mixture)
-    assert not corrects_effects(msgspec.structs.replace(result, gap=gap))
+    assert not msgspec.structs.replace(result, gap=gap).corrects_effects
     assert result.corrected is not None
     section = drop_tables(result.corrected)
     assert not section.tables
