@@ -77,6 +77,7 @@ def test_the_prediction_is_that_of_the_posterior(fitted: oed.EstimateView) -> No
         assert spread.after.rms == pytest.approx(exact, rel=0.08), name
 
 
+@pytest.mark.slow
 def test_held_out_readings_are_predicted_as_by_the_posterior(tmp_path: Path) -> None:
     """Readings with the long tool from those with the short one."""
     sections = {}

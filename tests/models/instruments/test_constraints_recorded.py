@@ -192,13 +192,14 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
 # -- commands ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("machine", "instrument"),
     [
-        pytest.param("micro_cmm", "passive_joint", marks=pytest.mark.slow),
-        pytest.param("micro_cmm", "locked_joint", marks=pytest.mark.slow),
+        ("micro_cmm", "passive_joint"),
+        ("micro_cmm", "locked_joint"),
         ("delta", "touch_plane"),
-        pytest.param("hexapod", "seat", marks=pytest.mark.slow),
+        ("hexapod", "seat"),
     ],
 )
 def test_a_new_study_is_sound_and_runs(

@@ -308,9 +308,9 @@ def rough_then_fine(
     return fine, changes
 
 
-@pytest.mark.parametrize("machines", [1, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_home_error_of_8_mm_converges(
-    grid: np.ndarray, d_optimal: Choice, taught: Measurement, machines: int
+    grid: np.ndarray, d_optimal: Choice, taught: Measurement
 ) -> None:
     """Machines of Table 3 with home errors of 8 mm more, of either sign.
 
@@ -321,7 +321,7 @@ def test_a_home_error_of_8_mm_converges(
     workspace = a3_plans.workspace()
     rng = np.random.default_rng(5)
     with_error, rounds = [], []
-    for _ in range(machines):
+    for _ in range(40):
         truth = a3_plans.table_3(m)
         truth[:3] += HOME_ERROR * rng.choice([-1, 1], 3)
         fine, changes = rough_then_fine(m, command, truth, rng)
@@ -330,7 +330,7 @@ def test_a_home_error_of_8_mm_converges(
     assert max(len(c) for c in rounds) <= 5
     assert all(c[-1] < THRESHOLD for c in rounds)
     without = realise(
-        m, m.series("cup", command), [a3_plans.table_3(m)] * machines, seed=6
+        m, m.series("cup", command), [a3_plans.table_3(m)] * 40, seed=6
     ).after
     rms = [
         np.sqrt(np.mean(np.array(e) ** 2, axis=(0, 1)))[2:5]

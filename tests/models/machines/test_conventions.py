@@ -62,15 +62,17 @@ def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) ->
         entries = {e["name"]: e for e in json.loads(capsys.readouterr().out)}
         assert list(entries) == names
         for entry in entries.values():
-            assert main(["list", kind, entry["name"]]) == 0
-            printed = capsys.readouterr().out
-            assert f"source: {entry['source']}" in printed
             assert entry["columns"]
             for c in entry["columns"]:
                 assert c["about"]
+                assert c["name"].rpartition("_")[2] in units.UNITS
+        for entry in list(entries.values())[::5]:
+            assert main(["list", kind, entry["name"]]) == 0
+            printed = capsys.readouterr().out
+            assert f"source: {entry['source']}" in printed
+            for c in entry["columns"]:
                 shown = f"{c['name']}: {c['role']}: {c['about']}" in printed
                 assert shown == (c["role"] != "parameter")
-                assert c["name"].rpartition("_")[2] in units.UNITS
     assert main(["list", "machines"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == len(MACHINES)
 

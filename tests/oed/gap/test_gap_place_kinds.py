@@ -39,9 +39,8 @@ def _named(diagnosis: Diagnosis) -> dict[str, PlaceRecord]:
     return {b.block: b for b in diagnosis.where if b.p_value < STANDING_OUT}
 
 
-@pytest.mark.parametrize(
-    "interleaved", [True, pytest.param(False, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("interleaved", [True, False])
 def test_a_bent_ruler_is_in_its_set_up_and_in_no_time(interleaved: bool) -> None:
     """Where set-ups follow one another, set-up and time are one, and it is said."""
     problem = planar_session.ruler_session(

@@ -51,6 +51,7 @@ def written(oed: Run, folder: Path, machine: Machine, values: np.ndarray) -> Pat
     return folder
 
 
+@pytest.mark.slow
 def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(
     oed: Run, tmp_path: Path, rng: np.random.Generator
 ) -> None:

@@ -126,6 +126,7 @@ def test_the_table_goes_into_the_controllers_file(
     assert "are not in this file" in said
 
 
+@pytest.mark.slow
 def test_a_finer_line_widens_the_interval(
     planned: Array, tmp_path: Path, oed: Run
 ) -> None:

@@ -192,6 +192,7 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     assert decoded["prediction"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_mixture")
 def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     oed: Run, tmp_path: Path
