@@ -33,8 +33,12 @@ if TYPE_CHECKING:
 Limits = tuple[float, float]
 MAX_CORNER_PARAMETERS: Final = 6
 MAX_LABEL_LENGTH: Final = 18
-#: inches to the left and right of all panels, below and above them, for the labels
-EDGES: Final = (0.55, 0.08, 0.56, 0.06)
+#: inches to the left of all panels, for their labels
+LABEL_WIDTH: Final = 0.55
+#: inches below all panels, for labels and unit
+LABEL_HEIGHT: Final = 0.56
+#: inches beside and above all panels, half a label of a tick
+MARGIN: Final = 0.07
 #: gap between panels, as a share of their size
 GAP: Final = 0.13
 #: sd below which a marginal is shown from close by, without the prior
@@ -55,9 +59,8 @@ def draw_corner(posterior: PosteriorSection) -> Figure:
     width = min(style.FIGURE_WIDTH, 0.8 + 1.25 * n) if n > 1 else 3.2
     height = 0.6 + 1.15 * n
     figure = style.placed_figure(height, width=width)
-    left, right, bottom, top = EDGES
-    edges: Any = {"left": left / width, "right": 1.0 - right / width}
-    edges |= {"bottom": bottom / height, "top": 1.0 - top / height}
+    edges: Any = {"left": LABEL_WIDTH / width, "right": 1.0 - MARGIN / width}
+    edges |= {"bottom": LABEL_HEIGHT / height, "top": 1.0 - MARGIN / height}
     grid = figure.add_gridspec(n, n, **edges, wspace=GAP, hspace=GAP)
     limits = [_limits(draws[:, i]) for i in range(n)]
     labels = [style.label(name, MAX_LABEL_LENGTH) for name in short_names(names)]
