@@ -71,15 +71,18 @@ class Assessment:
         """
         theta = measurement.nominal
         free = free_parameters(measurement, series)
-        h = information.scaled(measurement, series, theta, scaling)[:, free]
-        whitened = information.scaled(measurement, series, theta, "tolerance")[:, free]
+        jacobian = measurement.jacobian(series, theta)
+        h = information.scaled_jacobian(measurement, series, jacobian, scaling)
+        whitened = information.scaled_jacobian(
+            measurement, series, jacobian, "tolerance"
+        )
         scale = information.column_scale(measurement, scaling)[free]
-        covariance = information.posterior_covariance(whitened)
+        covariance = information.posterior_covariance(whitened[:, free])
         names = [measurement.names[k] for k in free]
         return cls(
             measurement=measurement,
             series=tuple(series),
-            identifiability=identifiability.analyse(h, names, scale),
+            identifiability=identifiability.analyse(h[:, free], names, scale),
             scale=scale,
             shrinkage=np.sqrt(np.diag(covariance)),
             covariance=covariance,

@@ -41,7 +41,18 @@ def scaled(
 
     "length" turns the readings into lengths too. Only "tolerance" whitens them.
     """
-    rows = measurement.jacobian(series, theta) * column_scale(measurement, scaling)
+    jacobian = measurement.jacobian(series, theta)
+    return scaled_jacobian(measurement, series, jacobian, scaling)
+
+
+def scaled_jacobian(
+    measurement: Measurement,
+    series: Sequence[Series],
+    jacobian: Array,
+    scaling: Scaling,
+) -> Array:
+    """`scaled`, from the Jacobian (N, n) of the readings, SI."""
+    rows = jacobian * column_scale(measurement, scaling)
     if scaling == "tolerance":
         return measurement.noise(series).whiten(rows)
     if scaling == "length":
