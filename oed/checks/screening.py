@@ -91,12 +91,11 @@ class Screening:
             white = self.noise.whiten(values - self.data.predicted[:, None])
             for k, score in zip(alone, self._scores_of(white), strict=True):
                 result[k] = score
-        for k in sorted(set(range(len(trials))) - set(alone)):
-            one = trials[k]
-            if one.columns is None:
-                result[k] = self._any_score(one)
-            else:
+        for k, one in enumerate(trials):
+            if one.columns is not None:
                 result[k] = self._columns_score(one, one.columns)
+            elif k not in alone:
+                result[k] = self._any_score(one)
         return [s.plus(t.log_scale) for s, t in zip(result, trials, strict=True)]
 
     # -- one residual under all scales -------------------------------------------------

@@ -86,10 +86,8 @@ class ChainFactor:
             count = min(BLOCK_ROWS, len(values) - first)
             stack[:count] = values[first : first + count]
             if first:
-                stack[BLOCK_ROWS], stack[BLOCK_ROWS + 1] = (
-                    values[first - 1],
-                    white[first - 1],
-                )
+                stack[BLOCK_ROWS] = values[first - 1]
+                stack[BLOCK_ROWS + 1] = white[first - 1]
             np.matmul(matrix[:count], stack, out=white[first : first + count])
         return white
 
@@ -145,10 +143,8 @@ class ChainFactor:
         right = np.zeros((count, BLOCK_ROWS, BLOCK_ROWS + 2))
         right[:, every, every] = 1.0
         right[:, later, later - 1] = -decay[:, 1:]
-        right[:, 0, BLOCK_ROWS], right[:, 0, BLOCK_ROWS + 1] = (
-            -decay[:, 0],
-            -slope[:, 0],
-        )
+        right[:, 0, BLOCK_ROWS] = -decay[:, 0]
+        right[:, 0, BLOCK_ROWS + 1] = -slope[:, 0]
         right[:, 0] /= root[:, :1]
         for i in later:
             right[:, i] -= slope[:, i, None] * right[:, i - 1]

@@ -177,10 +177,8 @@ def _reading_errors(structure: ReadingStructure, errors: Errors) -> Errors:
 def _columns_by_run(shared: Array, starts: Index) -> Array:
     """Columns (N, K) of errors that a run shares as columns (N, R K) of all readings."""
     count, kinds = shared.shape
-    columns = np.zeros((count, len(starts), kinds))
-    for number, start in enumerate(starts):
-        end = starts[number + 1] if number + 1 < len(starts) else count
-        columns[start:end, number] = shared[start:end]
+    columns, rows = np.zeros((count, len(starts), kinds)), np.arange(count)
+    columns[rows, np.searchsorted(starts, rows, side="right") - 1] = shared
     return columns.reshape(count, -1)
 
 
@@ -261,10 +259,8 @@ class NoiseLaw:
             f"single readings scatter by {self.level:.2g} times the stated noise"
         ]
         run, seat = (float(sizes[0]) for sizes in (self.law.level, self.law.seat))
-        correlated, reach = (
-            float(np.sqrt(self.law.correlated[0])),
-            float(self.law.reach[0]),
-        )
+        correlated = float(np.sqrt(self.law.correlated[0]))
+        reach = float(self.law.reach[0])
         if run > DESCRIBED_SIZE:
             sentences.append(
                 f"runs differ by {self.level * run:.2g} times the stated noise"
@@ -356,15 +352,15 @@ class Whitening:
         size = (count + shared.shape[-1]) * math.prod(structure.shape) + count**2
         step = max(1, CACHED_NUMBERS // size)
         of_pair = np.bincount(number, minlength=len(pairs))
-        order, ends = np.argsort(number, kind="stable"), np.cumsum(of_pair)
+        order = np.argsort(number, kind="stable")
+        members = np.split(order, np.cumsum(of_pair)[:-1])
         alone = np.flatnonzero(of_pair == 1)
         batches = [alone[first : first + step] for first in range(0, len(alone), step)]
         # a pair's laws have its products in common
         batches += list(np.flatnonzero(of_pair > 1)[:, None])
         gram, log_determinant = np.empty((len(laws), count, count)), np.empty(len(laws))
         for some in batches:
-            first = ends[some] - of_pair[some]
-            rows = order[first] if len(some) > 1 else order[first[0] : ends[some[0]]]
+            rows = np.concatenate([members[k] for k in some])
             part = grid if len(grid) == 1 else grid[some]
             gram[rows], log_determinant[rows] = self._pair_products(
                 pairs[some], laws.take(rows), part, shared
@@ -539,11 +535,8 @@ def _heavy_tailed(
         chi2 = rng.chisquare(dof, errors.shape)
         return errors * np.sqrt((dof - 2.0) / chi2)
     if tails.outlier_share:
-        size = np.exp(
-            rng.uniform(
-                np.log(OUTLIER_SIZES[0]), np.log(OUTLIER_SIZES[1]), errors.shape
-            )
-        )
+        smallest, largest = np.log(OUTLIER_SIZES)
+        size = np.exp(rng.uniform(smallest, largest, errors.shape))
         size *= rng.choice([-1.0, 1.0], errors.shape)
         far = rng.uniform(size=errors.shape) < tails.outlier_share
         return errors + np.where(far, size, 0.0)

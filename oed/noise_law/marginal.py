@@ -142,13 +142,12 @@ def draw_laws(
     Where there is no coordinate, or the mode is in a corner, as where rows are copies of
     others, one law is possible.
     """
-    if not starts.shape[1]:
-        mode = starts[0]
-        return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
-    mode = polish(cost, find_mode(cost, starts, farthest), farthest)
-    proposal = split_student(cost, mode, _signed(root_about(cost, mode)))
-    sample = proposal.points(points)
-    sample = sample[np.abs(sample).max(axis=1) < farthest]
+    mode, sample = starts[0], starts[:0]
+    if starts.shape[1]:
+        mode = polish(cost, find_mode(cost, starts, farthest), farthest)
+        proposal = split_student(cost, mode, _signed(root_about(cost, mode)))
+        sample = proposal.points(points)
+        sample = sample[np.abs(sample).max(axis=1) < farthest]
     if not len(sample):
         return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
     log_weights = -cost(sample) - proposal.log_density(sample)
@@ -377,7 +376,7 @@ class ResidualModel:
     def most_probable(self, prior: NoisePrior, near: Array | None = None) -> Array:
         """The most probable coordinates (d,), from several starts, or from one near."""
         starts = prior.starts() if near is None else near[None]
-        return find_mode(lambda u: self.cost(prior, u), starts, MAX_MODE)
+        return find_mode(functools.partial(self.cost, prior), starts, MAX_MODE)
 
     def integrate(self, prior: NoisePrior, mode: Array | None = None) -> NoisePosterior:
         """The posterior of the noise law, and of z with the law integrated out.
@@ -390,9 +389,7 @@ class ResidualModel:
         if mode is None:
             mode = self.most_probable(prior)
 
-        def cost(u: Array) -> Array:
-            return self.cost(prior, u)
-
+        cost = functools.partial(self.cost, prior)
         root = root_about(cost, mode)
         first = split_student(cost, mode, root)
         draws, solutions, target = self._solve_at(prior, first.points(N_DRAWS))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -23,6 +23,7 @@ from oed.model import Machine
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]
+Result = TypeVar("Result")
 
 #: what the name of a set-up ends in that some readings have anew
 AGAIN_SUFFIX = " again"
@@ -149,9 +150,10 @@ def _reached(series: Series, lost: Index) -> Index:
     return np.concatenate(runs) if runs else np.zeros(0, dtype=np.intp)
 
 
-def _try(series: Series, moved: Moved) -> Series | None:
+def _try(series: Series, of: Callable[[Series], Result | None]) -> Result | None:
+    """What a series gives, as moved or as read; None where it cannot be."""
     try:
-        return moved(series)
+        return of(series)
     except CANNOT_BE:
         return None
 
@@ -172,8 +174,10 @@ def pose_table(
     for series, span in zip(session.series, session.spans, strict=True):
         count = session.channel_count(series.setup)
         reached = moved_rows(series, moved)
-        values = None if reached is None else _linear(data, reached[1])
-        if reached is None or values is None:
+        if reached is None:
+            continue
+        values = _try(reached[1], lambda taken: data.linear([taken]))
+        if values is None:
             continue
         rows = reached[0]
         places = span.start + (rows[:, None] * count + np.arange(count)).ravel()
@@ -185,14 +189,6 @@ def pose_table(
     return (
         None if np.isnan(predicted).all() else PoseTable(predicted, slopes, by_amount)
     )
-
-
-def _linear(data: Suspect, series: Series) -> tuple[Array, Array] | None:
-    """What the linear model reads of a series, and its slopes."""
-    try:
-        return data.linear([series])
-    except CANNOT_BE:
-        return None
 
 
 def mounted_again(
