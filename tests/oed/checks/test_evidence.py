@@ -132,9 +132,11 @@ def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -
             values.append(density + weight + 0.5 * len(r) * np.log(2.0 * np.pi))
         return float(max(values))
 
-    assert screen.as_given().log_evidence == pytest.approx(
-        best(residual, slopes), abs=1e-4
-    )
+    of_given = screen.as_given().log_evidence
+    assert of_given == pytest.approx(best(residual, slopes), abs=1e-4)
+    # slopes whose squares hide the noise leave a number, and no likely one
+    hidden = screening.log_density_of_one(1e9 * slopes, residual, screen.scales)
+    assert (hidden < of_given).all()
     every = list(trials(given))
     of_values = next(t for t in every if t.kind == "sign")
     of_poses = next(t for t in every if t.kind == "pose" and t.table is not None)
