@@ -342,6 +342,12 @@ def test_the_front_only_falls() -> None:
     assert front[0].stages == ()
 
 
+def test_a_measurement_costs_only_what_is_stated() -> None:
+    option = parabola_option(4)
+    assert option.price == 0.0
+    assert option.operator == ""
+
+
 def test_a_reading_takes_time() -> None:
     setup = mount(relative.rm4, "rm")
     series = Measurement(machine, [setup]).series(

@@ -87,4 +87,6 @@ def test_the_fewest_readings_are_those_of_all_plans(
     assert fewest <= count <= fewest + 1
     assert len(plan) in (count - 1, count)
     assert belief.fewest_remaining(blocks, 1, 1e-3 * limits) is None
+    assert fewest > 1
+    assert belief.fewest_remaining(blocks, fewest - 1, limits) is None
     assert belief.fewest_remaining(blocks, 5, 1e3 * limits) == ([], 0)
