@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from oed import result
-from oed.result import AnswerRecord, ComponentAccuracy, GoodnessSection, SpreadRecord
+from oed.result import (
+    AnswerRecord,
+    ComponentAccuracy,
+    GapSection,
+    GoodnessSection,
+    SpreadRecord,
+)
 from oed.result.record import Record
 
 
@@ -35,3 +41,9 @@ def test_missing_numbers_are_null_in_the_file() -> None:
     section = GoodnessSection(None, 3.0, None, np.nan)
     plain = msgspec.json.decode(msgspec.json.encode(section))
     assert (plain["chi2"], plain["dof"], plain["p_high"]) == (None, 3.0, None)
+
+
+def test_no_gap_is_reported_from_where_both_errors_cost_as_much() -> None:
+    """P times a test in vain is (1 - P) times a missed gap."""
+    missed, p = GapSection.MISSED_GAP_COST, GapSection.NO_GAP_PROBABILITY
+    assert missed * (1.0 - p) == pytest.approx(p)
