@@ -30,7 +30,13 @@ class KilledError(Exception):
 problem_once = functools.cache(functools.partial(problem, distances=False))
 
 
-def sampled(folder: Path | None, seed: int = 5, key: str = "a study") -> Posterior:
+def sampled(
+    folder: Path | None,
+    seed: int = 5,
+    key: str = "a study",
+    max_steps: int = STEPS,
+    resumed: Callable[[int], None] | None = None,
+) -> Posterior:
     m, series, y, estimate = problem_once()
     checkpoint = None if folder is None else Checkpoint(folder, key)
     return posterior.sample(
@@ -41,8 +47,9 @@ def sampled(folder: Path | None, seed: int = 5, key: str = "a study") -> Posteri
         np.random.default_rng(seed),
         sampler="emcee",
         ess=1e9,
-        max_steps=STEPS,
+        max_steps=max_steps,
         checkpoint=checkpoint,
+        resumed=resumed,
     )
 
 
@@ -92,20 +99,9 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
             sampled(folder)
     (saved,) = folder.iterdir()
     resumed_after: list[int] = []
-    m, series, y, estimate = problem_once()
     for key, seed in (("another study", 5), ("a study", 6), ("a study", 5)):
         copy = saved.read_bytes()
-        posterior.sample(
-            m,
-            series,
-            y,
-            estimate,
-            np.random.default_rng(seed),
-            sampler="emcee",
-            max_steps=BLOCK + 4,
-            checkpoint=Checkpoint(folder, key),
-            resumed=resumed_after.append,
-        )
+        sampled(folder, seed, key, BLOCK + 4, resumed_after.append)
         Checkpoint(folder, key).clear()
         assert not folder.exists()
         folder.mkdir()
