@@ -8,7 +8,6 @@ Kinematics           both directions of a machine, and their derivatives
 MachineFrame         what an instrument sees of a machine, in symbols
 NO_TOOL              the reference tool
 closest_closure      where a machine that does not assemble meets its equations best
-component_errors     exact errors of the pose components that a machine states
 generated_functions  the kinematics of a machine as C functions
 pose_error           the exact twist error of a machine at joints
 symbols              a symbolic vector of coordinates or parameters
@@ -26,13 +25,7 @@ if TYPE_CHECKING:
     from oed.mechanism.inverse import AssemblyError
     from oed.mechanism.kinematics import Controller, Kinematics
     from oed.mechanism.least_squares_closure import closest_closure
-    from oed.mechanism.pose_errors import (
-        NO_TOOL,
-        ErrorModel,
-        component_errors,
-        pose_error,
-        twist_between,
-    )
+    from oed.mechanism.pose_errors import NO_TOOL, ErrorModel, pose_error, twist_between
 else:
     # imported when first used: a module of the room may need little of it
     __getattr__ = door(__name__)

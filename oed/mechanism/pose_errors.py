@@ -63,18 +63,6 @@ def twist_between(
     return np.concatenate([shift, vector.reshape(shift.shape)], axis=-1)
 
 
-def component_errors(
-    kinematics: Kinematics,
-    command: Array,
-    joints: Array,
-    parameters: Array,
-    tool: Array = NO_TOOL,
-) -> Array:
-    """Exact errors (n, k) of the machine's pose components, SI, as in `pose_error`."""
-    twist = pose_error(kinematics, command, joints, parameters, tool)
-    return kinematics.error_components(command, twist)
-
-
 @dataclasses.dataclass(frozen=True)
 class ErrorModel:
     """Linear pose error of a machine at n commands, as slopes over np parameters; SI.

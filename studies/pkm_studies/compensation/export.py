@@ -13,7 +13,7 @@ import numpy as np
 from oed import trust, units, verdict
 from oed.base import Array
 from oed.compensate import GridAxis, compensated_joints
-from oed.mechanism import component_errors
+from oed.mechanism import Kinematics, pose_error
 from oed.model import Machine
 from oed.result import ForecastSection, StudyResult
 from oed.safe_files import write_own
@@ -357,6 +357,17 @@ def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
     return (f"no joint drives these components, at most: {', '.join(parts)}",)
 
 
+def _component_errors(
+    kinematics: Kinematics,
+    command: Array,
+    joints: Array,
+    parameters: Array,
+) -> Array:
+    """Exact errors (n, k) of the machine's pose components, SI, as in `pose_error`."""
+    twist = pose_error(kinematics, command, joints, parameters)
+    return kinematics.error_components(command, twist)
+
+
 def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]:
     """What the controller's model and the printed digits cost, and what stays.
 
@@ -367,13 +378,13 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
     if not len(command):
         return ()
     exact = compensated_joints(kinematics, command, values)
-    errors = component_errors(kinematics, command, exact, values)
+    errors = _component_errors(kinematics, command, exact, values)
     remaining = undriven_components(content.machine, errors)
     if controller.joints is None:
         return remaining
     written = dataclasses.replace(content, command=command, grid=None)
     joints = controller.driven_joints(controller.write(written), written)
-    errors = component_errors(kinematics, command, joints, values)
+    errors = _component_errors(kinematics, command, joints, values)
     largest = np.abs(errors).max(axis=0)
     parts = [
         f"{c.name} {quantity(size, c.unit)}"

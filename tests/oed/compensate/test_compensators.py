@@ -5,7 +5,7 @@ import pytest
 from oracles import a3_geometry as a3
 from shipped_models import a3_head, hexapod, planar_2dof
 
-from oed.mechanism import ErrorModel, Kinematics, component_errors
+from oed.mechanism import ErrorModel, Kinematics, pose_error
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
 TABLE3 = a3.errors(**{k: a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")})
@@ -40,7 +40,8 @@ def linear_joints(p: np.ndarray, command: np.ndarray) -> np.ndarray:
 def cut_off(p: np.ndarray, command: np.ndarray) -> np.ndarray:
     """Errors (n, 3) in z, psi, theta that a machine with p has at these joints."""
     joints = linear_joints(p, command)
-    return component_errors(A3, command, joints, p)[:, 2:5]
+    twist = pose_error(A3, command, joints, p)
+    return A3.error_components(command, twist)[:, 2:5]
 
 
 def test_corrected_commands_do_it_with_an_unchanged_controller(

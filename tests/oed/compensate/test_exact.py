@@ -8,7 +8,7 @@ from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
 from oed.compensate.exact import joint_corrections
-from oed.mechanism import AssemblyError, Kinematics, component_errors
+from oed.mechanism import AssemblyError, Kinematics, pose_error
 
 PLANAR = Kinematics(planar_2dof.machine)
 COMMAND = np.array([[0.0, 0.0], [1.0, 0.5], [-1.3, 1.4]])
@@ -59,7 +59,8 @@ def test_a_command_that_no_nominal_one_holds_is_refused() -> None:
     held = np.delete(command, e.value.indices, axis=0)
     assert e.value.indices.tolist() == [1]
     joints = kinematics.inverse(kinematics.corrected_commands(held, truth))[1]
-    left = component_errors(kinematics, held, joints, truth)
+    twist = pose_error(kinematics, held, joints, truth)
+    left = kinematics.error_components(held, twist)
     assert np.abs(left).max() < 1e-9
 
 

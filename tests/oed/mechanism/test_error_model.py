@@ -85,14 +85,6 @@ def test_a_displacement_is_a_shift_and_a_rotation_vector() -> None:
     assert twist == pytest.approx(np.hstack([np.ones((2, 3)), turn]))
 
 
-def test_component_errors_are_those_of_the_twist(direction: np.ndarray) -> None:
-    truth = NOMINAL + direction
-    _, q = A3.inverse(COMMAND, tool=TOOL)
-    twist = pose_errors.pose_error(A3, COMMAND, q, truth, TOOL)
-    components = pose_errors.component_errors(A3, COMMAND, q, truth, TOOL)
-    assert components == pytest.approx(A3.error_components(COMMAND, twist))
-
-
 @pytest.mark.parametrize("index", [[0, 1, 2], [1] * 6, [0, 2] * 6])
 def test_slopes_pulled_back_are_those_of_the_sensitivity(
     index: list[int], rng: np.random.Generator
