@@ -55,15 +55,15 @@ P_EXPLAINED = 0.01
 P_UNEVEN = 0.01
 
 #: probability of a false alarm of a session's comparison
-ALARM = 0.01
+FALSE_ALARM = 0.01
 #: combinations and causes that are printed
 MAX_COMBINATIONS = 10
 #: parameters of a combination that are printed
-TERMS = 4
+MAX_TERMS = 4
 #: departure from 1 of a coefficient that is written as 1
-ONE = 5e-4
+UNIT_TOLERANCE = 5e-4
 #: p-value of no drift from which a combination is not shown: its 95 % interval has 0
-DOUBTFUL = 0.05
+MIN_P_VALUE = 0.05
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -85,12 +85,12 @@ class CombinationChange:
         """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
         (pivot, _), *others = self.coefficients.items()
         phrases = [pivot]
-        for name, coefficient in others[: TERMS - 1]:
+        for name, coefficient in others[: MAX_TERMS - 1]:
             sign = "less" if coefficient < 0.0 else "plus"
             amount = _amount(abs(coefficient), units[pivot], units[name])
             phrases.append(f"{sign} {amount}{name}")
-        if len(others) >= TERMS:
-            phrases.append(f"and {len(others) - TERMS + 1} smaller terms")
+        if len(others) >= MAX_TERMS:
+            phrases.append(f"and {len(others) - MAX_TERMS + 1} smaller terms")
         return " ".join(phrases), units[pivot]
 
     def sentence(self, units: Mapping[str, str]) -> str:
@@ -133,7 +133,7 @@ def _amount(size: float, unit: str, of_unit: str) -> str:
     """A coefficient in words that end before the parameter's name; nothing for 1."""
     if unit != of_unit:
         return f"{size:.3g} {unit} per {of_unit} of "
-    return "" if abs(size - 1.0) < ONE else f"{size:.3g} times "
+    return "" if abs(size - 1.0) < UNIT_TOLERANCE else f"{size:.3g} times "
 
 
 def _explanations(
@@ -177,7 +177,7 @@ class SessionChange:
         if not self.dof:
             yield "The two sessions determine no common combination of parameters."
             return
-        verdict = "No change" if self.p_value >= ALARM else "The machine changed"
+        verdict = "No change" if self.p_value >= FALSE_ALARM else "The machine changed"
         yield (
             f"{verdict}: chi2 {self.chi2:.4g} for {self.dof} combinations that both"
             f" sessions determine, p {format_p_value(self.p_value)}."
@@ -188,11 +188,11 @@ class SessionChange:
                 f"{self.undetermined} of {len(units)} directions {verb} not determined by"
                 " both sessions: a change there stays unseen."
             )
-        if self.p_value < ALARM:
+        if self.p_value < FALSE_ALARM:
             yield from _explanations(self.causes, units)
         # Sidak: the smallest of dof p-values, each uniform where nothing changed
-        threshold = 1.0 - (1.0 - ALARM) ** (1.0 / self.dof)
-        yield f"Changes (* beyond chance among {self.dof}, at {ALARM:g}):"
+        threshold = 1.0 - (1.0 - FALSE_ALARM) ** (1.0 / self.dof)
+        yield f"Changes (* beyond chance among {self.dof}, at {FALSE_ALARM:g}):"
         for combination in self.combinations[:MAX_COMBINATIONS]:
             mark = "*" if combination.p_value < threshold else " "
             yield f"  {mark} {combination.sentence(units)}"
@@ -416,7 +416,7 @@ class SessionDrift:
     @property
     def is_proven(self) -> bool:
         """Whether no drift is less likely than the probability of a false alarm."""
-        return self.p_value < ALARM
+        return self.p_value < FALSE_ALARM
 
     def sentences(self, units: Mapping[str, str], unit: str) -> Iterator[str]:
         """Whether the machine drifts, and whether evenly; causes; combinations.
@@ -445,7 +445,7 @@ class SessionDrift:
         if self.is_proven:
             yield from _explanations(self.causes, units, f" a {unit}")
         yield f"Drift a {unit}, with its 95 % interval:"
-        proven = [c for c in self.combinations if c.p_value < DOUBTFUL]
+        proven = [c for c in self.combinations if c.p_value < MIN_P_VALUE]
         for combination in (proven or self.combinations[:1])[:MAX_COMBINATIONS]:
             yield f"  {combination.interval_sentence(units)}"
 
@@ -572,7 +572,7 @@ class MachineSessions:
         counts: Sequence[int],
         power: float,
         rng: np.random.Generator,
-        alarm: float = ALARM,
+        alarm: float = FALSE_ALARM,
     ) -> Array:
         """Growth (len(counts),) of an rms error, SI a session, that so many sessions prove.
 

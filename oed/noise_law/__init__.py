@@ -1,7 +1,7 @@
 """Which noise law readings have: its prior, evidence and posterior; outliers.
 
 KNOWN_TO            factor to which a stated noise is good
-MIN_FREEDOM       degrees of freedom from which readings determine their noise law
+MIN_FREEDOM         degrees of freedom from which readings determine their noise law
 KernelMixture       Student t kernels at laws
 NoisePosterior      the posterior of a law, as weighted draws
 NoisePrior          the prior of laws, given what is stated of the noise

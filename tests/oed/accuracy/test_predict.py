@@ -96,10 +96,8 @@ def test_home_referenced_slopes_are_the_oracles() -> None:
     """
     command = a3_plans.workspace()[::7]
     maps = ErrorMaps.of(A3, command, "home")
-    q, home_q = (
-        a3.inverse_nominal(*command.T),
-        a3.inverse_nominal(*A3.machine.home_command),
-    )
+    q = a3.inverse_nominal(*command.T)
+    home_q = a3.inverse_nominal(*A3.machine.home_command)
     tip, _ = a3.nominal_pose(*command.T)
     home_tip, home_rotation = a3.nominal_pose(*A3.machine.home_command)
     h = 1e-6

@@ -9,10 +9,7 @@ from shipped_models import a3_head, planar_2dof
 
 from oed.accuracy import driven_errors
 from oed.compensate.command_grid import CommandGrid, GridAxis
-from oed.compensate.export_errors import (
-    interpolation_errors,
-    joint_errors,
-)
+from oed.compensate.export_errors import interpolation_errors, joint_errors
 from oed.compensate.further import FurtherAxes
 from oed.mechanism import Kinematics
 

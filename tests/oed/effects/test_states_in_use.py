@@ -71,7 +71,6 @@ def test_a_command_has_the_reference_tool_whatever_the_setups_have(
     state = in_use(problem)
     np.testing.assert_allclose(state.tool[:-1], COMMAND[:, :3], atol=1e-9)
     columns = ExpectedColumns.of(problem, [encoder_scale.effect], unknown=False)
-    assert columns is not None
     maps = columns.workspace_maps(
         SessionStates(problem.measurement, problem.covariates, problem.states, DOWN),
         problem.theta,

@@ -44,7 +44,6 @@ def fitted(sag: float, seed: int, sizes: np.ndarray) -> Fit:
     problem = ruler_session(("rm2", "rm5"), sag, seed, interleaved=False)
     measurement, series, y = problem.measurement, problem.series, problem.y
     columns = ExpectedColumns.of(problem, EFFECTS)
-    assert columns is not None
     # the session draws its machine first
     root = measurement.prior_root()
     drawn = np.random.default_rng(seed).standard_normal(len(root))

@@ -42,7 +42,6 @@ def test_a_draft_has_the_readings_of_its_time(tmp_path: Path) -> None:
     seconds = tool.cost.setup + 40.5 * tool.cost.reading
     path = write_draft("timed", "delta", "pose_tracker_position", origin, seconds)
     design = Study.load(path).design
-    assert design is not None
     assert design.size == 40
 
 

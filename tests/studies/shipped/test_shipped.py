@@ -71,10 +71,8 @@ def test_a_copy_has_its_own_name(oed: Run, tmp_path: Path) -> None:
     code, out, _ = oed("new", "mine", "--from", "a3_ball_bar")
     assert code == 0
     assert "oed run mine.study.toml" in out
-    copy, original = (
-        Study.load(tmp_path / "mine.study.toml"),
-        Study.load(STUDIES / f"a3_ball_bar{SUFFIX}"),
-    )
+    copy = Study.load(tmp_path / "mine.study.toml")
+    original = Study.load(STUDIES / f"a3_ball_bar{SUFFIX}")
     assert copy.name == "mine"
     lines = zip(copy.text.splitlines(), original.text.splitlines(), strict=True)
     assert [pair for pair in lines if pair[0] != pair[1]] == [

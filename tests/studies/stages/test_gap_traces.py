@@ -7,26 +7,12 @@ import gap_fixture
 import numpy as np
 import pytest
 
-from oed.gap import Diagnosis, assemble
-from pkm_studies.base import Silent
-from pkm_studies.stages import RunState
+from oed.gap import Diagnosis
 from pkm_studies.stages.fit import run_curves
-from pkm_studies.stages.readings import planned_series, simulate_readings
-from pkm_studies.study import Study
 
 
 def _diagnosed(tmp_path: Path) -> Diagnosis:
-    path = gap_fixture.written(tmp_path)
-    state = RunState.start(Study.load(path), 3, Silent(), None)
-    readings = simulate_readings(state, planned_series(state)).readings
-    residuals = assemble(
-        state.measurement,
-        readings.series,
-        readings.covariates,
-        readings.truth,
-        readings.y,
-    )
-    return gap_fixture.diagnosis(residuals)
+    return gap_fixture.diagnosis(gap_fixture.problem(gap_fixture.written(tmp_path)))
 
 
 def test_traces_are_circles_both_ways(tmp_path: Path) -> None:

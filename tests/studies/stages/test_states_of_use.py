@@ -39,7 +39,6 @@ def written(folder: Path, states: str, allowed: str = ALLOWED) -> Path:
 def test_states_are_read_with_their_units(tmp_path: Path) -> None:
     states = "{ payload_N = [0, 500], temp_leg1_C = 30, direction = [-1, 1] }"
     resolved = resolve(Study.load(written(tmp_path, states)), readings=[])
-    assert resolved.prediction is not None
     values = resolved.prediction.states
     assert set(values) == {"payload", "temp_leg1", "direction"}
     np.testing.assert_allclose(values["payload"], [0.0, 500.0])

@@ -104,7 +104,6 @@ def test_a_user_s_effect_replaces_one_of_the_library(tmp_path: Path) -> None:
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
     request = GapRequest.of_study(Study.load(path), sample.resolved().machine)
-    assert request is not None
     (backlash,) = [e for e in request.effects if e.name == "backlash"]
     assert backlash.source == "by hand"
 

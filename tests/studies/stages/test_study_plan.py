@@ -69,8 +69,6 @@ def every_choice(budget: float) -> list[tuple[float, dict[str, float]]]:
     They follow from the normal equations alone.
     """
     resolved = resolve(study.Study.parse(STUDY, HERE))
-    assert resolved.plan is not None
-    assert resolved.prediction is not None
     m = resolved.measurement_with(["rm4", "rm5"])
     maps = ErrorMaps.of(m.kinematics, resolved.prediction.command, "home")
     slopes = maps.raw[:, :2] * m.tolerance[:7]

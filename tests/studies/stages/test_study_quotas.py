@@ -117,7 +117,6 @@ def test_a_study_with_quotas_runs_end_to_end(tmp_path: Path) -> None:
     tables = GRID.format(name="cup") + HIGH + "max = 1\n"
     file.write_text(text(KNOWN, tables=tables), encoding="utf-8")
     design = stages.run_study(study.Study.load(file), out=tmp_path / "out").design
-    assert design is not None
     above = [pose for pose in design.poses if pose.command["z_mm"] > 1200.0]
     assert len(design.poses) == 3
     assert len(above) <= 1
