@@ -15,8 +15,8 @@ MAX_NAMES = 15
 LARGER = {
     "oed.dataset": 30,
     "oed.gap": 24,
-    "pkm_studies.resolve": 39,
-    "pkm_studies.stages": 33,
+    "pkm_studies.resolve": 24,
+    "pkm_studies.stages": 31,
 }
 #: tables of a study file and records of a result are as many as the files have
 RECORDS = {"oed.result.*", "pkm_studies.tables.*"}

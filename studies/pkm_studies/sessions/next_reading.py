@@ -37,7 +37,6 @@ from pkm_studies.stages import (
     RunState,
     checked,
     estimate_section,
-    explain_error,
     select_design,
 )
 from pkm_studies.study import Study
@@ -266,7 +265,7 @@ class Adviser:
                 self.base, state.measurement, taken.series, taken.y, effects
             )
         except IdentificationError as error:
-            raise explain_error(state, error) from error
+            raise state.explained(error) from error
         return FittedReadings(state, estimate, effects)
 
     def advise_fitted(

@@ -27,7 +27,6 @@ check_inputs        remarks on a study that is sound; errors as its run would ra
 check_dataset       what a check finds in readings
 select_design       the chosen candidates of a study, without their section
 estimate_section    an estimate as the result holds it
-explain_error       an error of a fit, opened by what the check found
 measured_curves     readings along circles and lines, as the result holds them
 compensated_series  readings at the joints of a controller with other parameters
 forecast_sentences  a forecast in sentences
@@ -40,11 +39,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from pkm_studies.stages.design.select import select_design
-    from pkm_studies.stages.fit.estimate import (
-        estimate_section,
-        explain_error,
-        sample_posterior,
-    )
+    from pkm_studies.stages.fit.estimate import estimate_section, sample_posterior
     from pkm_studies.stages.fit.goodness import check_dataset
     from pkm_studies.stages.fit.run_curves import compensated_series, measured_curves
     from pkm_studies.stages.forecast import forecast_sentences

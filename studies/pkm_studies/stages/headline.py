@@ -29,7 +29,7 @@ from oed.text import format_number, guaranteed_percent, join_words
 from oed.verdict import accuracy_verdicts
 from pkm_studies import console, result_folder
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.results import Values, error_quantities
+from pkm_studies.results import error_quantities
 from pkm_studies.stages import forecast
 from pkm_studies.stages.gap.sentences import noise_words, plain_name
 from pkm_studies.stages.plan.plan import percent, plan_sentences
@@ -308,7 +308,7 @@ def _unmodelled(section: PredictionSection | None) -> list[str]:
 
 
 def unmodelled_sentence(
-    section: BudgetSection, after: Values, driven: Mapping[str, str]
+    section: BudgetSection, after: Mapping[str, float], driven: Mapping[str, str]
 ) -> str | None:
     """What the effect that adds most does to the accuracy, and the remedy.
 

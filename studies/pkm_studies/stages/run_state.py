@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from oed.checks import CheckedSession
     from oed.corrected import AnswerMixture, CorrectedEstimate
-    from oed.estimation import Estimate
+    from oed.estimation import Estimate, IdentificationError
     from oed.gap import Diagnosis
     from oed.identifiability import Assessment
     from oed.posterior import Checkpoint, Posterior
@@ -177,6 +177,12 @@ class Measured(Scheduled):
     def fit_is_bad(self) -> bool:
         """Whether nothing fitted to the readings can be trusted."""
         return self.checked is not None and self.checked.bad_fit
+
+    def explained(self, error: IdentificationError) -> IdentificationError:
+        """An error of the fit, opened by what the check of the readings found."""
+        if self.checked is None or not self.checked.findings:
+            return error
+        return type(error)(f"{self.checked.findings[0].sentence} {error}")
 
     @property
     def noise_is_a_guess(self) -> bool:

@@ -628,7 +628,7 @@ def _identify(state: Measured, start: Array | None) -> Estimate:
             max_iterations=state.study.identify.max_iterations,
         )
     except IdentificationError as error:
-        raise explain_error(state, error) from error
+        raise state.explained(error) from error
 
 
 def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
@@ -653,14 +653,6 @@ def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
     )
     larger = judged.widened(measurement)
     return state.replace(measurement=larger).add_warnings(warning)
-
-
-def explain_error(state: Measured, error: IdentificationError) -> IdentificationError:
-    """The error, opened by what the check of the readings found."""
-    checked = state.checked
-    if checked is None or not checked.findings:
-        return error
-    return IdentificationError(f"{checked.findings[0].sentence} {error}")
 
 
 def _goodness(state: Measured, estimate: Estimate) -> GoodnessSection:

@@ -47,7 +47,7 @@ from oed.units import MM
 from pkm_studies import describe
 from pkm_studies.base import Stream
 from pkm_studies.resolve import GapRequest
-from pkm_studies.results import Values, advice_on, error_ratio
+from pkm_studies.results import advice_on, error_ratio
 from pkm_studies.stages.fit.estimate import session_states
 from pkm_studies.stages.gap.diagnosis import empty_readings
 from pkm_studies.stages.predict import knowledge
@@ -226,10 +226,7 @@ def budget_section(
             expected=one.size_text,
             remedy=one.effect.remedy,
             not_testable=one.not_testable,
-            **{
-                n: dict(_displayed_shares(budget.names, v, fine))
-                for n, v in sizes.items()
-            },
+            **{n: _displayed_shares(budget.names, v, fine) for n, v in sizes.items()},
         )
         unmodelled.append(line)
     geometry = _displayed_shares(budget.names, after, fine)
@@ -246,7 +243,7 @@ def budget_section(
 
 def _displayed_shares(
     names: Sequence[str], values: Array, fine: Mapping[str, str]
-) -> Values:
+) -> dict[str, float]:
     pairs = zip(names, values, strict=True)
     return {name: units.number(value, fine[name]) for name, value in pairs}
 
@@ -257,14 +254,14 @@ def _line(budget: Budget, number: int, fine: Mapping[str, str]) -> BudgetLine:
     np.divide(line.variance, budget.variance, out=share, where=budget.variance > 0.0)
     size = np.sign(line.variance) * np.sqrt(np.abs(line.variance))
     without, halved = (
-        None if values is None else dict(_displayed_shares(names, values, fine))
+        None if values is None else _displayed_shares(names, values, fine)
         for values in (line.without, line.halved)
     )
     return BudgetLine(
         source=line.source,
         kind=line.kind,
         share=dict(zip(names, share.tolist(), strict=True)),
-        size=dict(_displayed_shares(names, size, fine)),
+        size=_displayed_shares(names, size, fine),
         without=without,
         halved=halved,
     )
