@@ -10,8 +10,7 @@ is 2 um of backlash in one leg. The diagnosis estimates the noise law, or knows 
 (`--law known`).
 
 Each row is a process of its own. The fit reads the file and identifies. Seconds are
-processor time on one BLAS thread; memory is the peak of the process, with Python and
-all libraries.
+processor time on one BLAS thread; memory is the process' peak, with all libraries.
 """
 
 from __future__ import annotations

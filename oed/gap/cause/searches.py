@@ -10,6 +10,7 @@ rests on few of the laws, more are drawn with that gap in the model.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,7 +21,7 @@ from oed.effect_model import Effect
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.search import Hypothesis, Key, Search
 from oed.gap.data import evidence
-from oed.gap.data.columns import Columns
+from oed.gap.data.columns import Block
 from oed.gap.data.evidence import LawPosterior
 from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy, waves
@@ -178,7 +179,7 @@ def _add_gap(
     forms = (tuple(sorted(gap.atoms)), gap.process)
     if forms not in posteriors:
         columns = gap.columns(search.library, search.processes)
-        compressed = evidence.compress(problem, Columns.of(columns))
+        compressed = evidence.compress(problem, [Block.of(columns)])
         posteriors[forms] = evidence.posterior(problem, compressed)
 
 
@@ -205,11 +206,10 @@ def wide_model(problem: GapProblem, library: Library, processes: Library) -> Arr
     forms = [_middle_form(library, effect) for effect in library.effects]
     broad = [effect for effect in processes.effects if effect != IN_A_RUN]
     forms += [_middle_form(processes, effect) for effect in broad]
-    blocks = [block for form in forms for block in form.blocks]
-    return evidence.compress(problem, Columns(len(problem), blocks), UNSEEN_SIZE)
+    return evidence.compress(problem, itertools.chain(*forms), UNSEEN_SIZE)
 
 
-def _middle_form(library: Library, effect: str) -> Columns:
+def _middle_form(library: Library, effect: str) -> list[Block]:
     """The middle of an effect's widest forms, of the least root mean square."""
     forms = [library.atoms[k].columns for k in library.atoms_of(effect)]
     widest = max(len(form) for form in forms)

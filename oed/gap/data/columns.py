@@ -7,6 +7,7 @@ is weights times values, of which one array serves many blocks.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,7 +27,7 @@ class Block:
 
     @classmethod
     def of(cls, columns: Array, weights: Array | None = None) -> Block:
-        """Columns (N, k), times weights (N, 1) or (1, 1) if there are any."""
+        """Columns (N, k), times weights (N, 1) if there are any."""
         weights = np.ones((1, 1)) if weights is None else weights
         return cls(weights, columns[:, None])
 
@@ -35,14 +36,12 @@ class Block:
         """Number of its columns."""
         return int(self.values.shape[2])
 
-    def take(self, numbers: Index | slice, rows: slice) -> Array:
+    def take(self, numbers: Index, rows: slice) -> Array:
         """Some of its columns (n, k) at some rows."""
         weights = self.weights if len(self.weights) == 1 else self.weights[rows]
-        values = self.values[rows]
-        columns = weights[:, 0, None] * values[:, 0, numbers]
-        for j in range(1, values.shape[1]):
-            columns += weights[:, j, None] * values[:, j, numbers]
-        return np.asarray(columns)
+        terms = zip(weights.T, self.values[rows].swapaxes(0, 1), strict=True)
+        columns = (w[:, None] * values[:, numbers] for w, values in terms)
+        return np.asarray(functools.reduce(np.add, columns))
 
 
 class Columns:
@@ -54,52 +53,42 @@ class Columns:
         #: (N, K)
         self.shape = count, int(self._ends[-1])
 
-    @classmethod
-    def of(cls, *parts: Array) -> Columns:
-        """Of arrays (N, k)."""
-        return cls(len(parts[0]), [Block.of(part) for part in parts])
-
     def __len__(self) -> int:
         return self.shape[0]
 
+    def _owners(self, numbers: Index) -> Index:
+        """Number of the block that each column is of."""
+        return np.searchsorted(self._ends, numbers, side="right") - 1
+
     def take(self, numbers: Index, rows: slice = slice(None)) -> Array:
         """Some columns (n, k) at some rows, all by default."""
-        count = len(range(*rows.indices(len(self))))
-        columns = np.empty((count, len(numbers)))
-        owner = np.searchsorted(self._ends, numbers, side="right") - 1
+        columns = np.empty((len(range(*rows.indices(len(self)))), len(numbers)))
+        owner = self._owners(numbers)
         for k in np.unique(owner):
             own = np.flatnonzero(owner == k)
-            within = numbers[own] - self._ends[k]
-            columns[:, own] = self.blocks[k].take(within, rows)
+            columns[:, own] = self.blocks[k].take(numbers[own] - self._ends[k], rows)
         return columns
 
     def all(self, rows: slice = slice(None)) -> Array:
         """All columns (n, K) at some rows, all by default."""
         return self.take(np.arange(self.shape[1]), rows)
 
-    def with_blocks(self, *further: Block) -> Columns:
-        """These columns, and those of further blocks."""
-        return Columns(len(self), [*self.blocks, *further])
-
-    def some(self, numbers: Index, factor: float) -> Columns:
-        """Some columns times a factor, in this order."""
-        owner = np.searchsorted(self._ends, numbers, side="right") - 1
-        parts = np.split(numbers, np.flatnonzero(np.diff(owner)) + 1)
-        blocks = []
-        for part in parts if len(numbers) else ():
-            k = int(np.searchsorted(self._ends, part[0], side="right")) - 1
-            block, within = self.blocks[k], part - self._ends[k]
-            values = block.values
-            if not np.array_equal(within, np.arange(block.width)):
-                values = values[:, :, within]
+    def some(self, numbers: Index, factor: float) -> list[Block]:
+        """Some columns times a factor, in this order; whole blocks share their values."""
+        owner, blocks = self._owners(numbers), []
+        for own in np.split(
+            np.arange(len(numbers)), np.flatnonzero(np.diff(owner)) + 1
+        ):
+            k = int(owner[own[0]])
+            block, within = self.blocks[k], numbers[own] - self._ends[k]
+            is_whole = np.array_equal(within, np.arange(block.width))
+            values = block.values if is_whole else block.values[:, :, within]
             blocks.append(Block(factor * block.weights, values))
-        return Columns(len(self), blocks)
+        return blocks
 
     def first_rows(self, count: int) -> Columns:
         """The columns at the first rows alone."""
-        blocks = [
-            Block(block.weights[:count], block.values[:count]) for block in self.blocks
-        ]
+        blocks = [Block(b.weights[:count], b.values[:count]) for b in self.blocks]
         return Columns(count, blocks)
 
     def products(self, left: Array) -> Array:

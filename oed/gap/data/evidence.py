@@ -15,7 +15,7 @@ each step of a search is of this form again.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from scipy import special
 from oed import linear_algebra
 from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES
-from oed.gap.data.columns import VALUES_AT_ONCE, Columns
+from oed.gap.data.columns import VALUES_AT_ONCE, Block, Columns
 from oed.gap.data.problem import GapProblem, Metric
 from oed.noise import Laws, NoiseLaw
 from oed.noise_law import NoisePrior, ResidualModel, draw_laws
@@ -426,39 +426,35 @@ def log_student(log_det: ArrayLike, energy: ArrayLike, size: int) -> Array:
 
 
 def compress(
-    problem: GapProblem, columns: Columns | None = None, least: float = MIN_SIZE
+    problem: GapProblem, blocks: Iterable[Block] = (), least: float = MIN_SIZE
 ) -> Array:
-    """Columns (N, k') with the same covariance as [H Lambda^1/2, columns].
+    """Columns (N, k') with the same covariance as [H Lambda^1/2, columns of blocks].
 
     They are orthogonal, the largest first. Directions of less size than the `least`, by
     default far below the noise, are left out. Those of long sessions are found from
     triangles of some rows after others.
     """
-    slopes = problem.slopes
-    columns = Columns(len(problem), ()) if columns is None else columns
-    count, width = len(slopes), slopes.shape[1] + columns.shape[1]
+    count, slopes = len(problem), Block.of(problem.slopes)
+    columns = Columns(count, [slopes, *blocks])
+    width = columns.shape[1]
     step = max(VALUES_AT_ONCE // max(width, 1), 2 * width, 1)
     rows = [slice(start, start + step) for start in range(0, count, step)]
     triangle = np.zeros((0, width))
     for some in rows:
-        both = np.hstack([slopes[some], columns.all(some)])
-        triangle = both if len(rows) == 1 else _triangle(np.vstack([triangle, both]))
+        triangle = np.vstack([triangle, columns.all(some)])
+        if len(rows) > 1:
+            triangle = np.asarray(np.linalg.qr(triangle, mode="r"))
     _, sizes, turn = np.linalg.svd(triangle, full_matrices=False)
     axes = turn[sizes > least].T
     compressed = np.empty((count, axes.shape[1]))
     for some in rows:
-        compressed[some] = np.hstack([slopes[some], columns.all(some)]) @ axes
+        compressed[some] = columns.all(some) @ axes
     return compressed
 
 
 def visible(compressed: Array) -> Array:
     """Those of compressed columns (N, k) that are not far below the noise."""
     return np.asarray(compressed[:, np.linalg.norm(compressed, axis=0) > MIN_SIZE])
-
-
-def _triangle(rows: Array) -> Array:
-    """Triangle R (k, k) with R^T R = Y^T Y, of rows Y (n, k)."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def log_evidence(

@@ -19,7 +19,7 @@ from scipy import special
 
 from oed import units
 from oed.base import Array
-from oed.gap.data.columns import Block
+from oed.gap.data.columns import Block, Columns
 from oed.gap.data.problem import GapProblem, Metric
 from oed.gap.forms import discrepancy as discrepancies
 from oed.gap.forms.discrepancy import JOINTS, Carrier
@@ -119,7 +119,8 @@ def _joined(
         )
         blocks.append(Block.of(block))
         labels += [label for label in wave.carrier.labels for _ in range(2)]
-    columns = library.columns.with_blocks(*blocks)
+    every = [*library.columns.blocks, *blocks]
+    columns = Columns(len(library.columns), every)
     return discrepancies.assembled(columns, atoms, labels)
 
 

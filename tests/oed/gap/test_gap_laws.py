@@ -8,7 +8,7 @@ from kernel.dense_noise import law_covariance
 from kernel.gap_lines import white_lines
 from kernel.laws import noise_law
 from oed.gap.data import evidence
-from oed.gap.data.columns import Columns
+from oed.gap.data.columns import Block
 from oed.gap.data.problem import GapProblem
 from oed.noise import NoiseLaw
 
@@ -33,7 +33,7 @@ def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     problem, rng = _readings(lines, true, 5), np.random.default_rng(6)
     models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
     posteriors = [
-        evidence.posterior(problem, evidence.compress(problem, Columns.of(columns)))
+        evidence.posterior(problem, evidence.compress(problem, [Block.of(columns)]))
         for columns in models
     ]
     mixture = evidence.mixture(problem, posteriors)

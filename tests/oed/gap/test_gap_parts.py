@@ -92,7 +92,7 @@ def test_products_are_those_in_the_dense_metric(
     forms = Columns(len(problem), [Block(w, values) for w in weights])
     dense = np.hstack([np.einsum("nj,njk->nk", w, values) for w in weights])
     np.testing.assert_allclose(forms.all(), dense)
-    some = forms.some(np.array([5, 1, 2]), 2.0)
+    some = Columns(len(problem), forms.some(np.array([5, 1, 2]), 2.0))
     np.testing.assert_allclose(some.all(slice(3, 9)), 2.0 * dense[3:9, [5, 1, 2]])
     monkeypatch.setattr(evidence, "VALUES_AT_ONCE", 2 * len(problem))
     needed, known = np.array([0, 4, 2]), Metric(problem, law)

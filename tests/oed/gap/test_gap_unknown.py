@@ -109,7 +109,7 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
     processes = terms(acting, "over the workspace")
     posteriors = [
         evidence.posterior(acting, evidence.compress(acting, columns))
-        for columns in (None, processes.columns.some(processes.atoms[0].columns, 3.0))
+        for columns in ((), processes.columns.some(processes.atoms[0].columns, 3.0))
     ]
     ranked = compare(
         [
