@@ -190,9 +190,11 @@ class WideFactor:
     def __init__(self, factor: LinearFactor, columns: Array) -> None:
         self.alone, self.order = factor, factor.order
         self._columns = columns
-        white = factor.whiten(columns)
         axes, triangle = scipy.linalg.qr(
-            white, mode="economic", check_finite=False, overwrite_a=True
+            np.asfortranarray(factor.whiten(columns)),
+            mode="economic",
+            check_finite=False,
+            overwrite_a=True,
         )
         rotation, self.sizes, self.turn = scipy.linalg.svd(
             triangle, full_matrices=False, check_finite=False

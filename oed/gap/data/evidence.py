@@ -389,7 +389,7 @@ class ChoiceGrams:
             if len(holders) != 1 or holders[0] < 0:
                 holder[choice], place[choice] = k, np.arange(len(choice))
             within[k] = int(holder[choice[0]]), place[choice]
-        most = max(VALUES_AT_ONCE // len(problem), 1)
+        most = max(VALUES_AT_ONCE // (4 * len(problem)), 1)
         alone = [k for k in largest if within[k][0] == k]
         ends = np.cumsum([len(choices[k]) for k in alone])
         of_choice: dict[int, Array] = {}
