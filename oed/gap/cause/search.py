@@ -204,9 +204,7 @@ class FormProducts:
         """The processes that an unknown remainder may be."""
         processes = self._processes
         choices = [atom.columns for atom in processes.atoms]
-        products = ChoiceGrams.of(
-            self._problem, self.metric, processes.columns, choices
-        )
+        products = ChoiceGrams(self._problem, self.metric, processes.columns, choices)
         log_kinds = discrepancy.log_shares(processes, self._library)
         return Remainders(products, processes, log_kinds)
 

@@ -281,79 +281,71 @@ class GramAxes:
 class WhitenedColumns:
     """Columns (N, K) in a metric, of which some at a time are wanted as Grams.
 
-    Columns of many readings take much memory once they are whitened: `grams_of` has few
-    at a time.
+    Columns of many readings take much memory once they are whitened: `grams_of` and
+    `ChoiceGrams` have few at a time.
     """
 
-    def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
+    def __init__(
+        self,
+        problem: GapProblem,
+        metric: Metric,
+        columns: Array,
+        residual: Array | None = None,
+    ) -> None:
+        """Whiten the columns; the residual's scores (N,) in the metric may be known."""
+        if residual is None:
+            residual = metric.scores(problem.residual[:, None])[:, 0]
         #: (K,) energy of each column before the parameters absorb
         self.whole = np.zeros(columns.shape[1])
-        self._columns = np.empty((metric.size, columns.shape[1]))
+        #: (N, K) scores in the metric
+        self.scores = np.empty((metric.size, columns.shape[1]))
         for start in range(0, columns.shape[1], COLUMNS_AT_ONCE):
             some = slice(start, start + COLUMNS_AT_ONCE)
             white = metric.whiten(columns[:, some])
             self.whole[some] = np.einsum("nk,nk->k", white, white)
-            self._columns[:, some] = metric.remaining(white)
-        residual = metric.scores(problem.residual[:, None])[:, 0]
-        energy = float(residual @ residual)
-        none = np.empty(0)
-        #: the residual's own products, with no column
-        self._no_columns = Grams(
-            gram=np.empty((0, 0)),
-            b=none,
-            whole=none,
-            energy=energy,
-            size=metric.size,
-            base=float(log_student(metric.log_det, energy, metric.size)),
-        )
+            self.scores[:, some] = metric.remaining(white)
+        self._energy = float(residual @ residual)
+        base = log_student(metric.log_det, self._energy, metric.size)
+        self._base = float(base)
         #: (K,) projections of the residual
-        self.b = self._columns.T @ residual
+        self.b = self.scores.T @ residual
 
     def grams(self, columns: slice | Index = slice(None)) -> Grams:
         """Grams of some columns; `base` is the log evidence of no gap."""
-        some = self._columns[:, columns]
-        return dataclasses.replace(
-            self._no_columns,
+        some = self.scores[:, columns]
+        return Grams(
             gram=some.T @ some,
             b=self.b[columns],
             whole=self.whole[columns],
+            energy=self._energy,
+            size=len(some),
+            base=self._base,
         )
-
-    def with_others(self, others: WhitenedColumns) -> Array:
-        """Inner products (k, L) with all others."""
-        return self._columns.T @ others._columns
 
 
 def grams_of(
     problem: GapProblem, metric: Metric, columns: Columns, numbers: Index
 ) -> Grams:
     """Grams of the columns `numbers` (K,), few of which are in memory at a time."""
-    size = max(VALUES_AT_ONCE // len(problem), 1)
-    count = max(-(-len(numbers) // size), 1)
-    chunks = np.array_split(np.arange(len(numbers)), count)
+    count = len(numbers)
+    chunks = -(-count * len(problem) // VALUES_AT_ONCE)
+    parts = np.array_split(np.arange(count), max(chunks, 1))
+    residual = metric.scores(problem.residual[:, None])[:, 0]
 
-    def whitened(chunk: Index) -> WhitenedColumns:
-        return WhitenedColumns(problem, metric, columns.take(numbers[chunk]))
+    def whitened(part: Index) -> WhitenedColumns:
+        return WhitenedColumns(problem, metric, columns.take(numbers[part]), residual)
 
-    gram = np.empty((len(numbers), len(numbers)))
-    parts = []
-    for k, chunk in enumerate(chunks):
-        some = whitened(chunk)
-        parts.append(some.grams())
-        gram[np.ix_(chunk, chunk)] = parts[-1].gram
-        for later in chunks[k + 1 :]:
-            products = some.with_others(whitened(later))
-            gram[np.ix_(chunk, later)] = products
-            gram[np.ix_(later, chunk)] = products.T
-    return dataclasses.replace(
-        parts[0],
-        gram=gram,
-        b=np.concatenate([part.b for part in parts]),
-        whole=np.concatenate([part.whole for part in parts]),
-    )
+    gram, b, whole = np.empty((count, count)), np.empty(count), np.empty(count)
+    for k, part in enumerate(parts):
+        some = whitened(part)
+        grams = some.grams()
+        gram[np.ix_(part, part)], b[part], whole[part] = grams.gram, some.b, some.whole
+        for later in parts[k + 1 :]:
+            products = some.scores.T @ whitened(later).scores
+            gram[np.ix_(part, later)], gram[np.ix_(later, part)] = products, products.T
+    return dataclasses.replace(grams, gram=gram, b=b, whole=whole)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
 class ChoiceGrams:
     """Inner products of K columns, those among columns of one choice alone.
 
@@ -362,54 +354,30 @@ class ChoiceGrams:
     b, whole  (K,) as of `Grams`
     """
 
-    grams: list[Array]
-    diagonal: Array
-    b: Array
-    whole: Array
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         problem: GapProblem,
         metric: Metric,
         columns: Columns,
         choices: Sequence[Index],
-    ) -> ChoiceGrams:
-        """Whiten the columns, few at a time. Grams of choices within others are theirs."""
-        count = columns.shape[1]
-        holder, place = (
-            np.full(count, -1, dtype=np.intp),
-            np.zeros(count, dtype=np.intp),
-        )
-        within: dict[int, tuple[int, Index]] = {}
-        largest = sorted(range(len(choices)), key=lambda k: -len(choices[k]))
-        for k in largest:
+    ) -> None:
+        """Whiten one choice at a time. Grams of choices within others are theirs."""
+        residual = metric.scores(problem.residual[:, None])[:, 0]
+        self.diagonal, self.b, self.whole = np.zeros((3, columns.shape[1]))
+        holder, place = np.full((2, columns.shape[1]), -1, dtype=np.intp)
+        found: dict[int, Array] = {}
+        for k in sorted(range(len(choices)), key=lambda k: -len(choices[k])):
             choice = choices[k]
             holders = np.unique(holder[choice])
             if len(holders) != 1 or holders[0] < 0:
                 holder[choice], place[choice] = k, np.arange(len(choice))
-            within[k] = int(holder[choice[0]]), place[choice]
-        most = max(VALUES_AT_ONCE // (4 * len(problem)), 1)
-        alone = [k for k in largest if within[k][0] == k]
-        ends = np.cumsum([len(choices[k]) for k in alone])
-        of_choice: dict[int, Array] = {}
-        diagonal, b, whole = np.zeros((3, count))
-        for batch in np.unique(ends // most):
-            some = [
-                k for k, end in zip(alone, ends, strict=True) if end // most == batch
-            ]
-            numbers = np.concatenate([choices[k] for k in some])
-            white = WhitenedColumns(problem, metric, columns.take(numbers))
-            b[numbers], whole[numbers] = white.b, white.whole
-            start = 0
-            for k in some:
-                stop = start + len(choices[k])
-                of_choice[k] = white.grams(slice(start, stop)).gram
-                diagonal[choices[k]] = of_choice[k].diagonal()
-                start = stop
-        places = [within[k] for k in range(len(choices))]
-        grams = [of_choice[k][np.ix_(rows, rows)] for k, rows in places]
-        return cls(grams, diagonal, b, whole)
+                forms = columns.take(choice)
+                own = WhitenedColumns(problem, metric, forms, residual).grams()
+                self.b[choice], self.whole[choice] = own.b, own.whole
+                self.diagonal[choice], found[k] = own.gram.diagonal(), own.gram
+            rows = place[choice]
+            found[k] = found[int(holder[choice[0]])][np.ix_(rows, rows)]
+        self.grams = [found[k] for k in range(len(choices))]
 
 
 def log_student(log_det: ArrayLike, energy: ArrayLike, size: int) -> Array:

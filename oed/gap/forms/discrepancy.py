@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base import Array, Index, Mask, field_modes
+from oed.base import Array, Index, field_modes
 from oed.gap.data.columns import Block, Columns
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import ALONE_SHARE, Atom, Library
@@ -404,21 +404,16 @@ class _Places:
         count = columns.shape[1]
         most = min(MAX_MODES, MAX_COLUMNS // count)
         acting = [np.asarray(columns[:, c].any(axis=1)) for c in range(count)]
-        form = np.zeros((*self._at.shape[:2], 0))
-        for c in range(count):
-            if c == 0 or self.by_column or (acting[c] != acting[c - 1]).any():
-                form = np.zeros((*self._at.shape[:2], 0))
-                if acting[c].any():
+        form = np.zeros((0, 0, 1))
+        for c, rows in enumerate(acting):
+            if c == 0 or self.by_column or (rows != acting[c - 1]).any():
+                values = np.zeros((0, columns.shape[2], 1))
+                if rows.any():
                     at = self._at[:, :, c, None] if self.by_column else self._at
-                    form = _fill_rows(acting[c], modes(at[acting[c]], reach, most))
+                    values = modes(at[rows], reach, most)
+                form = np.zeros((len(rows), *values.shape[1:]))
+                form[rows] = values
             yield form
-
-
-def _fill_rows(rows: Mask, values: Array) -> Array:
-    """Values at some rows, zeros at the others."""
-    every = np.zeros((len(rows), *values.shape[1:]))
-    every[rows] = values
-    return every
 
 
 def _with_both_ways(terms: Sequence[Term], steady: Sequence[Term]) -> list[Term]:

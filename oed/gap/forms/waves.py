@@ -306,7 +306,12 @@ class WavePrecision:
         for run in self._runs if self._shared.any() else ():
             taken = self._along(sums, weights[run], self._shared[run], run.start)
             gram -= taken @ taken.swapaxes(1, 2)
-        return _tails_of(gram, along[:, :, 0])
+        ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) + 1e-300
+        gram += ridge[:, None, None] * np.eye(gram.shape[1])
+        energy = np.vecdot(
+            along[:, :, 0], np.linalg.solve(gram, along[:, :, :1])[:, :, 0]
+        )
+        return log_tail(energy, gram.shape[1])
 
     def _along(
         self, sums: FourierSums, weights: Array, columns: Array, first: int = 0
@@ -346,16 +351,6 @@ class WavePrecision:
 def _columns(weights: Array, turns: Array) -> Array:
     """Waves (N, 2 c k) of weights (N, c, J) times cosines and sines (N, J, 2 k)."""
     return discrepancies.apply_carrier(weights, turns).reshape(len(weights), -1)
-
-
-def _tails_of(gram: Array, b: Array) -> Array:
-    """Log tail probability (k,) of what columns explain, of grams (k, c, c) and b (k, c)."""
-    size = b.shape[1]
-    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) + 1e-300
-    gram = gram + ridge[:, None, None] * np.eye(size)
-    solved = np.linalg.solve(gram, b[:, :, None])[:, :, 0]
-    energy = np.einsum("fi,fi->f", b, solved)
-    return log_tail(energy, size)
 
 
 # -- tail of the chi-square ------------------------------------------------------------

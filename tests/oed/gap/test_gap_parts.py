@@ -104,7 +104,7 @@ def test_products_are_those_in_the_dense_metric(
     cross = forms.products(known.precision(dense[:, [2]]))
     np.testing.assert_allclose(cross, gram[[2]], rtol=1e-7, atol=1e-9)
     choices = [np.array(choice) for choice in ([2, 0], [5, 1, 3], [3, 1], [4], [1, 4])]
-    products = evidence.ChoiceGrams.of(problem, known, forms, choices)
+    products = evidence.ChoiceGrams(problem, known, forms, choices)
     for choice, block in zip(choices, products.grams, strict=True):
         np.testing.assert_allclose(block, gram[np.ix_(choice, choice)], rtol=1e-7)
     np.testing.assert_allclose(products.b, b, atol=1e-9)
