@@ -270,8 +270,8 @@ class LogDensity:
         bend = np.asarray(np.linalg.lstsq(_products(w[assembled]), shifts)[0])
         w = rng.standard_normal((CHECKS, k))
         z = self.centre[:r] + rng.standard_normal((CHECKS, r)) @ self.root[:r, :r].T
-        left = self._excess(z, z - _products(w) @ bend, w)
-        return bend if np.mean(np.sum(left**2, axis=1)) <= MAX_LEFT**2 else None
+        remaining = self._excess(z, z - _products(w) @ bend, w)
+        return bend if np.mean(np.sum(remaining**2, axis=1)) <= MAX_LEFT**2 else None
 
     def _excess(self, before: Array, after: Array, w: Array) -> Array:
         """Whitened change (m, N) of readings from z (m, r) to another z at w (m, k)."""
