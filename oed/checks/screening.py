@@ -208,15 +208,15 @@ def log_density_of_one(slopes: Array, residual: Array, scales: Array) -> Array:
     Where rounding of the products exceeds s^2, the pivots are those of what it is.
     """
     both = np.column_stack([residual, slopes])
-    _, diagonal, beside, _, _ = scipy.linalg.lapack.dsytrd(both.T @ both, lower=1)
+    _, diagonal, off_diagonal, _, _ = scipy.linalg.lapack.dsytrd(both.T @ both, lower=1)
     squares = scales[:, None] ** 2
     rounding = both.shape[1] * np.finfo(float).eps * diagonal.max()
     # all scales one after the other, parted by 0
     shifted = diagonal[:0:-1] + np.maximum(squares, rounding)
-    linked = np.tile(np.append(beside[:0:-1], 0.0), len(scales))[:-1]
+    linked = np.tile(np.append(off_diagonal[:0:-1], 0.0), len(scales))[:-1]
     factored, _, _ = scipy.linalg.lapack.dpttrf(shifted.ravel(), linked)
     pivots = factored.reshape(shifted.shape)
-    remaining = diagonal[0] - beside[0] ** 2 / pivots[:, -1]
+    remaining = diagonal[0] - off_diagonal[0] ** 2 / pivots[:, -1]
     log_determinant = np.log(pivots / squares).sum(axis=1)
     return np.asarray(-0.5 * (log_determinant + remaining / squares[:, 0]))
 

@@ -395,7 +395,7 @@ class Whitening:
         if is_correlated:
             factor = self._factor(pairs)
             log_variances = factor.log_variances.reshape(len(pairs), -1).sum(axis=1)
-            chains = [values.reshape(-1, *values.shape[2:]) for values in both]
+            chains = [v.reshape(math.prod(v.shape[:2]), *v.shape[2:]) for v in both]
             both = [
                 factor.whiten_chains(c).reshape(*shape, c.shape[-1]) for c in chains
             ]
@@ -403,8 +403,8 @@ class Whitening:
         factors = self._factors(laws, count)[:, structure.group_of_chain]
         transposed = columns.swapaxes(2, 3)
         if len(pairs) == len(laws):
-            own = white if is_correlated else None
-            white = np.multiply(white, factors[:, :, None], out=own)
+            in_place = white if is_correlated else None
+            white = np.multiply(white, factors[:, :, None], out=in_place)
             rows = white.reshape(len(laws), -1, count)
             gram = rows.swapaxes(1, 2) @ rows
             across = transposed @ white
