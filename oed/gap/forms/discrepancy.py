@@ -390,7 +390,12 @@ class _Places:
         results = []
         for reach in reaches:
             if reach not in self._modes:
-                self._modes[reach] = list(self._forms(reach))
+                forms = list(self._forms(reach))
+                width = max(form.shape[2] for form in forms)
+                # parts as wide as one another: terms are compared by their width
+                pads = [((0, 0), (0, 0), (0, width - f.shape[2])) for f in forms]
+                pairs = zip(forms, pads, strict=True)
+                self._modes[reach] = [np.pad(f, p) if p[2][1] else f for f, p in pairs]
             parts = tuple(
                 Part(c, Block(weights[:, c], modes), sign)
                 for c, modes in enumerate(self._modes[reach])
