@@ -21,9 +21,7 @@ READINGS = 60
 
 
 def _study(
-    geometry: str,
-    setup: str = 'instrument = "redundancy"',
-    effects: str = '"none"',
+    geometry: str, setup: str = 'instrument = "redundancy"', effects: str = '"none"'
 ) -> str:
     return f"""\
 schema = 1

@@ -72,9 +72,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     ]
 
 
-def test_wheel_holds_exactly_the_packages_and_the_studies(
-    wheel: list[str],
-) -> None:
+def test_wheel_holds_exactly_the_packages_and_the_studies(wheel: list[str]) -> None:
     expected = {
         f"{name}/{path.relative_to(folder).as_posix()}"
         for name, folder in PACKAGES.items()

@@ -142,9 +142,7 @@ def test_the_d_optimal_30_readings(
     assert d_optimal.value == pytest.approx(2 * np.log(chosen).sum(), abs=1e-6)
 
 
-def test_the_d_value_does_not_depend_on_how_the_cup_is_known(
-    d_optimal: Choice,
-) -> None:
+def test_the_d_value_does_not_depend_on_how_the_cup_is_known(d_optimal: Choice) -> None:
     """A taught cup and a free one give the same log det, whatever the columns mean."""
     free = a3_plans.measurement(taught=False)
     rows = a3_plans.rows(

@@ -13,9 +13,7 @@ from oed.checks.mistakes.noise import _trend_p_value
 HALF, OTHER = np.arange(20), np.arange(20, 30)
 
 
-def test_residuals_that_follow_the_pose_are_no_noise(
-    rng: np.random.Generator,
-) -> None:
+def test_residuals_that_follow_the_pose_are_no_noise(rng: np.random.Generator) -> None:
     """By second-order polynomials; the level of the test is kept by noise alone."""
     commands = rng.uniform(-1.0, 1.0, (60, 3))
     bent = commands[:, 0] * commands[:, 1]

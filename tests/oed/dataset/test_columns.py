@@ -153,9 +153,7 @@ def test_a_pose_is_filled_whole_or_not_at_all() -> None:
         csv_input.filled_columns(rows, ["z", "length", "q"], first)
 
 
-def test_references_of_runs_are_rows_without_readings(
-    planar: Measurement,
-) -> None:
+def test_references_of_runs_are_rows_without_readings(planar: Measurement) -> None:
     command = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
     series = planar.series("ruler", command, run=["a"] * 3)
     readings = data.from_series([series], np.array([1e-6, 2e-6, np.nan, 4e-6]), planar)

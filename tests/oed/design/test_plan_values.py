@@ -13,13 +13,7 @@ from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 from oed.design.forms.variance import Variance
 from oed.design.rules import SetupLimit, TimeBudget
-from oed.design.search import (
-    _Exchange,
-    _Restarts,
-    improve,
-    search,
-    select_greedily,
-)
+from oed.design.search import _Exchange, _Restarts, improve, search, select_greedily
 
 COUNT, SIZE, N = 9, 4, 3
 CRITERIA: dict[str, Criterion] = {

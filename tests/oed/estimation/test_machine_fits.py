@@ -44,9 +44,7 @@ def test_machines_end_where_one_fit_after_the_other_does(
         assert change.max() < 1e-4
 
 
-def test_the_gradient_vanishes_by_the_oracle(
-    bar: tuple[Measurement, Series],
-) -> None:
+def test_the_gradient_vanishes_by_the_oracle(bar: tuple[Measurement, Series]) -> None:
     m, series = bar
     y = oracle_sessions(m, series, 2)
     joints = series.q[series.index[:, 0]]

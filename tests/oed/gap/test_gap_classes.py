@@ -140,10 +140,8 @@ def dense(
     """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that
     absorbs most.
     """
-    m, mine = (
-        metric(p),
-        search.library.columns.take(search.library.atoms[h.atoms[0]].columns),
-    )
+    m = metric(p)
+    mine = search.library.columns.take(search.library.atoms[h.atoms[0]].columns)
     inner = mine.T @ m @ mine + np.eye(mine.shape[1]) / h.sizes[0] ** 2
     y = mine @ np.linalg.solve(inner, mine.T @ m @ search.problem.residual)
     energies = [y @ m @ y]

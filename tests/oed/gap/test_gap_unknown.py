@@ -21,10 +21,8 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
     problem, rng = readings(seed), np.random.default_rng(seed)
     known, processes = library.build(problem, EFFECTS), smooth(problem)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
-    book, departure = (
-        known.columns.take(whole) @ np.array([1.0, -0.6]),
-        some(processes, "an error of the joints", rng),
-    )
+    book = known.columns.take(whole) @ np.array([1.0, -0.6])
+    departure = some(processes, "an error of the joints", rng)
     change = orthogonal_sum(
         problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2]
     )

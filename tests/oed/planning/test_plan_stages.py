@@ -77,9 +77,7 @@ def losing_options(rng: np.random.Generator) -> list[Option]:
     return options
 
 
-def test_rounding_does_not_decide_which_plan_is_found(
-    rng: np.random.Generator,
-) -> None:
+def test_rounding_does_not_decide_which_plan_is_found(rng: np.random.Generator) -> None:
     """Rows that differ in their last digit lead to the same plan."""
     options = losing_options(rng)
     factors = rng.standard_normal((2, 2, 4))

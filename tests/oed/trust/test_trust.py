@@ -75,9 +75,7 @@ def test_a_gap_bends_a_fit_without_it() -> None:
 def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
     gap = whole()["gap"]
     (first, *_) = gap["answers"]
-    unlikely = gap | {
-        "answers": [first | {"probability": 0.4, "unseen": 0.0}, NOTHING],
-    }
+    unlikely = gap | {"answers": [first | {"probability": 0.4, "unseen": 0.0}, NOTHING]}
     assert trust.objections(good(gap=unlikely)) == []
 
 

@@ -73,9 +73,7 @@ controller = ControllerFormat(
 )
 """
 SD = np.r_[np.full(3, 20e-6), np.zeros(21)]
-TABLE3 = a3.errors(
-    *(a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")),
-)
+TABLE3 = a3.errors(*(a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")))
 
 
 def errors(p: np.ndarray, q: np.ndarray, command: np.ndarray) -> np.ndarray:
