@@ -85,17 +85,13 @@ class PromisedAccuracy:
         machine = kinematics.machine
         used = StudyWorkspace(study, kinematics)
         workspace, reference = used.regular, used.reference
-        command = workspace
-        if reference != "best_fit":  # whose errors are those of the workspace alone
-            command = np.vstack([workspace, used.between(MAX_POSES_BETWEEN)])
+        command = _poses(used)
         maps = ErrorMaps.of(kinematics, command, reference)
         covariance, tolerance = covariances(machine, section)
         varying = _varying(maps, covariance)
         driven = [k for k in varying if machine.components[k].compensatable]
-        uncertainty_by_name = {
-            **_instrument_uncertainty(result, machine, reference),
-            **uncertainty,
-        }
+        uncertainty_by_name = _instrument_uncertainty(result, machine, reference)
+        uncertainty_by_name |= uncertainty
         zeroed = reference == "home"
         smooth = smooth_functions(command, machine.home_command if zeroed else None)
 
@@ -110,15 +106,13 @@ class PromisedAccuracy:
                 [promised.get(n, r) for n, r in zip(names, rms, strict=True)]
             )
             shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
-            uncertainty_shares = [
-                uncertainty_by_name.get(name, share) for name, share in shares
-            ]
+            sds = [uncertainty_by_name.get(name, share) for name, share in shares]
             return Promise(
                 names,
                 slope,
                 [covariance, tolerance],
                 rms,
-                np.array(uncertainty_shares),
+                np.array(sds),
                 zeroed=zeroed,
                 smooth=smooth,
                 workspace=len(workspace),
@@ -149,6 +143,16 @@ def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSect
             file=file,
         )
     return section
+
+
+def _poses(used: StudyWorkspace) -> Array:
+    """The workspace's commands (n, n_dof), and some between them, which no readings took.
+
+    Errors of a best fit are those of the workspace alone.
+    """
+    if used.reference == "best_fit":
+        return used.regular
+    return np.vstack([used.regular, used.between(MAX_POSES_BETWEEN)])
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:

@@ -1,5 +1,8 @@
 """Candidates of a plan: information of readings and of runs, and the rules over them."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -63,3 +66,10 @@ def test_readings_too_near_each_other_are_nearer_than_one() -> None:
     assert (distance.position[:, [0, 2]] == 0.0).all()
     time = candidates.rules(budget=100.0).time
     assert time.cost == pytest.approx(candidates.cost)
+
+
+def test_candidates_are_counted_through_their_series() -> None:
+    series = [["a", "b", "c"], ["d", "e"], ["f"]]
+    pool: Any = SimpleNamespace(members=np.arange(6)[:, None], series=series)
+    found = (Candidates.reading(pool, k) for k in range(6))
+    assert [rows[k] for rows, k in found] == list("abcdef")

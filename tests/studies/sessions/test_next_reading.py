@@ -3,8 +3,6 @@
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -26,15 +24,6 @@ STUDY = sample.changed(
 @pytest.fixture
 def blocks() -> np.ndarray:
     return np.random.default_rng(6).standard_normal((20, 2, 6))
-
-
-def test_candidates_are_counted_through_their_series() -> None:
-    series = [["a", "b", "c"], ["d", "e"], ["f"]]
-    pool = cast(
-        Candidates, SimpleNamespace(members=np.arange(6)[:, None], series=series)
-    )
-    found = (next_reading.reading_of(pool, k) for k in range(6))
-    assert [rows[k] for rows, k in found] == list("abcdef")
 
 
 # -- command ---------------------------------------------------------------------------
