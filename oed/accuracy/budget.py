@@ -184,7 +184,7 @@ MAX_POSES = 20_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Part:
+class CovariancePart:
     """A part of the covariance (k, k), SI, of the parameters that move the pose."""
 
     source: str
@@ -261,11 +261,11 @@ class BudgetModel:
         change = _posterior(self.information(), None) @ score
         return (self.root @ change)[self.used]
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[CovariancePart]:
         """Parts that add up to `covariance()`; those that are nothing are absent."""
         information = self.information()
         whole = _posterior(information, None)
-        parts: list[Part] = []
+        parts: list[CovariancePart] = []
         removed = np.zeros(len(self.names), dtype=bool)
         gone: dict[str, float] = {}
         for source, kind, members in self._steps():
@@ -275,7 +275,9 @@ class BudgetModel:
             else:
                 removed = removed | members
             rest = _posterior(information, removed)
-            parts.append(Part(source, kind, self._si_covariance(whole - rest)))
+            parts.append(
+                CovariancePart(source, kind, self._si_covariance(whole - rest))
+            )
             whole = rest
         parts += self._instrument_parts(whole, gone)
         return parts + self._prior_parts(information, removed)
@@ -294,17 +296,17 @@ class BudgetModel:
 
     def _instrument_parts(
         self, covariance: Array, gone: Mapping[str, float]
-    ) -> list[Part]:
+    ) -> list[CovariancePart]:
         """The stated noises through the estimate with this covariance (n, n)."""
         names = [n for n, kind in self.errors.items() if kind == "instrument"]
         weighed = self.readings.weigh(self.slopes, gone) @ covariance
         totals = [self.readings.between(name, weighed) for name in names]
         return [
-            Part(name, "instrument", self._si_covariance(total))
+            CovariancePart(name, "instrument", self._si_covariance(total))
             for name, total in zip(names, totals, strict=True)
         ]
 
-    def _prior_parts(self, information: Array, removed: Mask) -> list[Part]:
+    def _prior_parts(self, information: Array, removed: Mask) -> list[CovariancePart]:
         """The tolerances: what no reading determines, and their pull on the others."""
         free = np.flatnonzero(~removed)
         gain, vectors = np.linalg.eigh(information[np.ix_(free, free)])
@@ -319,7 +321,7 @@ class BudgetModel:
                 chosen = vectors[:, members]
                 inner = (chosen * weight[members]) @ chosen.T
                 part[np.ix_(free, free)] = inner
-                parts.append(Part(source, "prior", self._si_covariance(part)))
+                parts.append(CovariancePart(source, "prior", self._si_covariance(part)))
         return parts
 
     def budget(
@@ -483,7 +485,7 @@ def _add_remainder(lines: Sequence[Line], variance: Array) -> tuple[Line, ...]:
     )
 
 
-def _line(model: BudgetModel, products: Array, part: Part) -> Line:
+def _line(model: BudgetModel, products: Array, part: CovariancePart) -> Line:
     """A line with the rms errors of the linear model without it and with half."""
     variance = mean_variance(products, part.covariance)
 
@@ -497,7 +499,7 @@ def _line(model: BudgetModel, products: Array, part: Part) -> Line:
 
 
 def _alternatives(
-    model: BudgetModel, part: Part
+    model: BudgetModel, part: CovariancePart
 ) -> tuple[Callable[[], Array], Callable[[], Array] | None]:
     """Covariances without a source, and with half its standard deviation."""
     source = part.source

@@ -22,6 +22,7 @@ from oed.effect_model import Column, Effect, State
 from oed.effects.effect_maps import ActingForm, SessionStates, effect_maps, in_session
 from oed.estimation import Discrepancy
 from oed.gap import GapProblem, Signature
+from oed.linear_algebra import right_singular
 from oed.mechanism import NO_TOOL
 
 # Effects of no known form: smooth errors of the tool, of single joints and of the readings.
@@ -315,7 +316,7 @@ class _EffectGroup:
     def principal(self) -> Array:
         """Combinations (a, k) of the coefficients that hold the variance."""
         parts = [_unit(self.readings), _unit(self.tool)]
-        _, values, rows = np.linalg.svd(np.vstack(parts), full_matrices=False)
+        values, rows = right_singular(np.vstack(parts))
         squares = values**2
         before = np.cumsum(squares) - squares
         return np.asarray(rows[before <= VARIANCE_SHARE * squares.sum()].T)

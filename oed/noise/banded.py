@@ -97,7 +97,9 @@ class ChainFactor:
         """
         chains, length, count = values.shape
         if length > BLOCK_ROWS:
-            return self.whiten(values.reshape(-1, count)).reshape(values.shape)
+            return self.whiten(values.reshape(chains * length, count)).reshape(
+                values.shape
+            )
         decay, slope = np.zeros((2, chains, length, 1))
         decay.flat[1:], slope.flat[1:] = self._decay, self._slope
         white = values.copy()
