@@ -403,8 +403,8 @@ class Whitening:
         factors = self._factors(laws, count)[:, structure.group_of_chain]
         transposed = columns.swapaxes(2, 3)
         if len(pairs) == len(laws):
-            in_place = white if is_correlated else None
-            white = np.multiply(white, factors[:, :, None], out=in_place)
+            output = white if is_correlated else None
+            white = np.multiply(white, factors[:, :, None], out=output)
             rows = white.reshape(len(laws), -1, count)
             gram = rows.swapaxes(1, 2) @ rows
             across = transposed @ white

@@ -212,7 +212,7 @@ Values = Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Part:
+class TermPart:
     """Columns of one term on one column of its carrier.
 
     column  number of the carrier's column
@@ -240,7 +240,7 @@ class Term:
     name: str
     about: str
     carrier: Carrier
-    parts: tuple[Part, ...]
+    parts: tuple[TermPart, ...]
     reach: float
     timed: bool = False
 
@@ -273,7 +273,7 @@ def build(problem: GapProblem) -> Library:
     """The discrepancy's terms as atoms, with their prior probability within a kind."""
     atoms: list[Atom] = []
     labels: list[str] = []
-    columns_of: dict[Part, Index] = {}
+    columns_of: dict[TermPart, Index] = {}
     for kind in _terms_by_kind(problem):
         visible = [term for term in kind if term.is_visible]
         for term in visible:
@@ -378,7 +378,7 @@ class _Places:
 
     def parts(
         self, reaches: Sequence[float], factor: Array | None = None, sign: float = 1.0
-    ) -> list[tuple[float, tuple[Part, ...]]]:
+    ) -> list[tuple[float, tuple[TermPart, ...]]]:
         """Each reach with its forms, times a factor (N, J), or (N, J, c) of each column.
 
         sign  of the forms driven the other way
@@ -397,7 +397,7 @@ class _Places:
                 pairs = zip(forms, pads, strict=True)
                 self._modes[reach] = [np.pad(f, p) if p[2][1] else f for f, p in pairs]
             parts = tuple(
-                Part(c, Block(weights[:, c], modes), sign)
+                TermPart(c, Block(weights[:, c], modes), sign)
                 for c, modes in enumerate(self._modes[reach])
             )
             results.append((reach, parts))
