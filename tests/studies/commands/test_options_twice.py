@@ -1,6 +1,9 @@
 """Options that are given more than once: readings count all, others are refused."""
 
+import importlib
+import inspect
 import json
+import pkgutil
 from pathlib import Path
 
 import pytest
@@ -61,3 +64,20 @@ def test_readings_of_all_files_count(tmp_path: Path) -> None:
         result = json.loads((out / "result.json").read_text("utf-8"))
         counts.append(result["estimate"]["readings"])
     assert counts[1] == 2 * counts[0]
+
+
+def test_no_command_runs_code_unasked() -> None:
+    """Every command with `--allow-code` has it off, wherever the command comes from."""
+    room = importlib.import_module("pkm_studies.commands")
+    names = pkgutil.iter_modules(room.__path__, "pkm_studies.commands.")
+    modules = [importlib.import_module(module.name) for module in names]
+    leaves = ("pkm_campaign", "pkm_certificate", "pkm_page")
+    modules += [importlib.import_module(f"{leaf}.command") for leaf in leaves]
+    defaults = [
+        inspect.signature(function).parameters["allow_code"].default
+        for module in modules
+        for _, function in inspect.getmembers(module, inspect.isfunction)
+        if "allow_code" in inspect.signature(function).parameters
+    ]
+    assert len(defaults) >= 17
+    assert set(defaults) <= {False, inspect.Parameter.empty}
