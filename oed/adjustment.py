@@ -85,7 +85,8 @@ class StepProblem:
         limit = np.floor(self.most / self.step * (1.0 + 1e-12))
         steps = np.clip(np.rint(self.fit(chosen) / self.step), -limit, limit)
         columns = self.gradients * self.step
-        gram, moves = columns.T @ columns, _moves(chosen, len(steps))
+        gram = columns.T @ columns
+        moves = _moves(chosen, len(steps))
         curvature = np.einsum("ij,jk,ik->i", moves, gram, moves)
         least = -1e-9 * self.size(np.zeros(len(steps))) ** 2
         for _ in range(MAX_MOVES * len(chosen)):

@@ -269,7 +269,8 @@ def _is_own_group(number: int) -> bool:
     import pwd
 
     try:
-        group, user = grp.getgrgid(number), pwd.getpwuid(_user() or ROOT_USER).pw_name
+        group = grp.getgrgid(number)
+        user = pwd.getpwuid(_user() or ROOT_USER).pw_name
     except KeyError:
         return False
     return group.gr_name == user and set(group.gr_mem) <= {user}

@@ -80,7 +80,8 @@ def accuracy_verdicts(
     components, counted = section.judged_components, section.with_usual_effects
     scope = SCOPE_WORDS.get(section.mode, GEOMETRY_ALONE)
     added = added or {}
-    objection, verdicts = _objection(result), {}
+    objection = _objection(result)
+    verdicts = {}
     for name, limit in (section.wanted if wanted is None else wanted).items():
         spread = components[name].judged
         rms = math.hypot(spread.rms, added.get(name, 0.0))

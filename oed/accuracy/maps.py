@@ -109,7 +109,8 @@ def raw_maps_of_machines(
 
     Raises AssemblyError, with machine times (n + 1) plus pose, home the last.
     """
-    machine, count = kinematics.machine, len(parameters)
+    machine = kinematics.machine
+    count = len(parameters)
     poses = machine.and_home(command, tool)
     p = np.repeat(parameters, len(poses), axis=0)
     x, q = kinematics.inverse(np.tile(poses, (count, 1)), p, tool)

@@ -177,7 +177,8 @@ def _fit_scale(
     for _ in range(4):
         if fitted is None:
             return None
-        remains, factor = fitted.remaining(), fitted.scale
+        remains = fitted.remaining()
+        factor = fitted.scale
         if factor == 1.0 and remains <= SETTLED_RATIO:
             return fitted
         if factor / SETTLED_RATIO <= remains <= factor * SETTLED_RATIO:

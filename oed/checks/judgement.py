@@ -137,7 +137,8 @@ def estimated_law(solution: Fit) -> tuple[CheckedLaw, ResidualModel]:
     structure = linear.structure
     prior = NoisePrior.of(structure, len(structure) - linear.slopes.shape[1])
     laws: Laws = Laws.stated(structure)
-    z, mode = solution.departure, None
+    z = solution.departure
+    mode = None
     for _ in range(3):
         clean = robust_residuals(structure, laws, linear.residual, linear.slopes)
         model = ResidualModel(structure, clean - linear.slopes @ z, linear.slopes, z)

@@ -335,12 +335,14 @@ def best_set(prediction: LeaveOneOut, removed: list[int], limit: float) -> list[
     gain = float(
         gradient @ np.linalg.solve(prediction.columns(values)[values], gradient)
     )
-    best, best_value = removed, gain - limit**2 * len(removed)
+    best = removed
+    best_value = gain - limit**2 * len(removed)
     for solutions in solve_sets(prediction, removed):
         gains = solutions.gain - limit**2 * solutions.sets.shape[1]
         k = int(np.argmax(gains))
         if gains[k] > best_value + 1e-9:
-            best, best_value = [int(one) for one in solutions.sets[k]], float(gains[k])
+            best = [int(one) for one in solutions.sets[k]]
+            best_value = float(gains[k])
     return best
 
 
@@ -483,7 +485,8 @@ class OutlierOdds:
 
         It is -inf for the other members. The values of a reading count as independent.
         """
-        rest, prediction = [k for k in members if k != one], self.prediction
+        rest = [k for k in members if k != one]
+        prediction = self.prediction
         weights = np.zeros(prediction.count)
         by_value = log_weights_of_shifts(
             *prediction.without(rest), prediction.noise.sigma

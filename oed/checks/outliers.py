@@ -223,7 +223,8 @@ def _judged(
     setups = {s.setup for s in session.series}
     stated = {session.measurement.setups[n].statement.student_dof for n in setups}
     odds = OutlierOdds(search.prediction, stated.pop() if len(stated) == 1 else None)
-    fitted, start = goodness(search.solution), search.solution.theta
+    fitted = goodness(search.solution)
+    start = search.solution.theta
     far = measure(search.prediction, search.readings, search.readings)
     alike = alike_readings(session, far)
     suspects = [k for k in search.readings if k not in alike]
@@ -268,7 +269,9 @@ def _kinds(
 
     Readings that are no gross errors return to the others, whose odds they change.
     """
-    gross, doubtful, lost = suspects, [], []
+    gross = suspects
+    doubtful = []
+    lost = []
     while gross:
         where = odds.of_location(gross)
         what = odds.of_gross_error(gross, rest_fits=rest_fits)

@@ -114,7 +114,8 @@ class Screening:
 
     def _densities_by_scale(self, white: Array) -> Array:
         """Log evidences (S, m), by scale, of whitened residuals (N, m)."""
-        squares, energy = (white.T @ self._turned) ** 2, (white**2).sum(axis=0)
+        squares = (white.T @ self._turned) ** 2
+        energy = (white**2).sum(axis=0)
         density = log_density_by_scale(self._energies, squares, energy, self.scales)
         return np.asarray(density.T + self._weights(len(white))[:, None])
 

@@ -159,7 +159,8 @@ class SessionReadings:
 
     def rows(self, readings: Sequence[int] | Index) -> tuple[Row, ...]:
         """Rows of the files of readings, by number."""
-        row, reading = self.values["row"].to_numpy(), self.reading_of_value
+        row = self.values["row"].to_numpy()
+        reading = self.reading_of_value
         first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))
         return tuple(row[first].tolist())
 

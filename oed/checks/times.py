@@ -174,7 +174,8 @@ def first_run_fault(runs: Sequence[TimedRun], column: TimeColumn) -> list[CheckF
 
 
 def _first(some: Sequence[CheckFinding]) -> CheckFinding:
-    first, count = some[0], len(some) - 1
+    first = some[0]
+    count = len(some) - 1
     if not count:
         return first
     runs = "1 other run" if count == 1 else f"{count} other runs"
@@ -478,7 +479,8 @@ def _overlapping(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding |
     by_start = sorted(runs, key=lambda run: run.start)
     for one, other in itertools.pairwise(by_start):
         if other.start < one.end and not _share_poses(one, other):
-            begin, end = other.start, min(one.end, other.end)
+            begin = other.start
+            end = min(one.end, other.end)
             sentence = (
                 f"{capitalised(one.name)} and {other.name} overlap in time, by {column.name}"
                 f" from {column.written(begin)} to {column.written(end)}: a run is read"

@@ -103,7 +103,9 @@ class GridAxis:
         axes = []
         for k, c in enumerate(machine.command):
             positions = np.unique(command[:, k])
-            low, high, turn = float(positions[0]), float(positions[-1]), False
+            low = float(positions[0])
+            high = float(positions[-1])
+            turn = False
             if periodic[k] and len(positions) > 1:
                 over_end = low + FULL_TURN - high
                 turn = bool(

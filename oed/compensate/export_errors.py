@@ -69,7 +69,8 @@ def interpolation_errors(
 
     Raises AssemblyError.
     """
-    nominal, nq = kinematics.machine.nominal, len(kinematics.machine.joints)
+    nominal = kinematics.machine.nominal
+    nq = len(kinematics.machine.joints)
     values = [
         joint_corrections(kinematics, grid.commands, parameters),
         further.offsets(grid.commands, parameters),

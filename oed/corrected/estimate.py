@@ -163,7 +163,8 @@ def _predict(
     plain: Array | None,
 ) -> CorrectedAccuracy:
     machine = corrected.readings.measurement.machine
-    count, setups = len(machine.parameters), corrected.parameters
+    count = len(machine.parameters)
+    setups = corrected.parameters
     kinematics = corrected.readings.measurement.kinematics
     maps = ErrorMaps.of(kinematics, command, reference)
     theta = corrected.estimate.theta
@@ -206,7 +207,8 @@ def _predict(
     spreads = functools.partial(
         spread_after, both, covariance, rng, draws=changes, worth=worth
     )
-    parameters_only, of_plain = spreads(known_errors), {}
+    parameters_only = spreads(known_errors)
+    of_plain = {}
     if plain is not None:
         change = (maps.raw - maps.remaining) @ (theta[:count] - plain)
         of_plain = spreads(known_errors + change)

@@ -243,7 +243,8 @@ class _JointFit:
                 near=near,
                 max_iterations=self.max_iterations,
             )
-            patterns, near = [["*"]], estimate
+            patterns = [["*"]]
+            near = estimate
             moved = np.abs(estimate.theta - np.concatenate([theta, beta]))
             theta, beta = np.split(estimate.theta, [len(theta)])
             before = sizes

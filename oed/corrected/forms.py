@@ -84,7 +84,8 @@ def _best_form(
     fixed = np.hstack([np.zeros((len(problem), 0)), *parts])
     grid = effect.constant_grid()
     textbook = len(grid) > MAX_FULL_GRID
-    best, best_value = None, -np.inf
+    best = None
+    best_value = -np.inf
     for constants in grid:
         signature = problem.signature(effect, constants, textbook=textbook)
         if not signature.names:
@@ -145,7 +146,8 @@ def _log_evidence(products: Array, size: int) -> float:
 def _solve(products: Array) -> tuple[float, float]:
     """Log determinant of A, and sum of squares that the columns leave."""
     inner = products[:-1, :-1] + np.eye(len(products) - 1)
-    b, total = products[:-1, -1], float(products[-1, -1])
+    b = products[:-1, -1]
+    total = float(products[-1, -1])
     root = linalg.cholesky(inner, lower=True)
     explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
     log_det = 2.0 * float(np.log(np.diag(root)).sum())

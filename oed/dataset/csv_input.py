@@ -71,10 +71,8 @@ def check_columns(table: ReadingsFile, measurement: Measurement) -> None:
         if unit is None:
             names = [ReadingsColumn.of(n, u).name for n, u in expected.items()]
             names.append("temp_<body>_C")
-            problem, remedy = (
-                "unknown column",
-                suggest(column.name, names, "known", MAX_LISTED),
-            )
+            problem = "unknown column"
+            remedy = suggest(column.name, names, "known", MAX_LISTED)
         elif column.unit != unit:
             names = column_names(stem, unit) or [ReadingsColumn.of(stem, unit).name]
             problem, remedy = "the unit does not fit", f"write {', '.join(names)}"

@@ -274,7 +274,8 @@ def _distinct_runs(series: Sequence[Series]) -> tuple[Series, ...]:
     used: set[tuple[str, str]] = set()
     distinct = []
     for s in series:
-        number, run = 1, s.run
+        number = 1
+        run = s.run
         while used & _runs(s.setup, run):
             number += 1
             run = np.array([f"{name} ({number})" for name in s.run], dtype=np.str_)

@@ -66,10 +66,12 @@ class ReadingsFile:
     def error(self, problem: str, remedy: str, index: int, stem: str) -> ReadingsError:
         """The error to raise for row `index` of the frame (from 0) and a column."""
         row = self.frame.iloc[index]
-        name, value = stem, ""
+        name = stem
+        value = ""
         if stem in self.columns:
             column = self.columns[stem]
-            name, value = column.name, _written_cell(row[stem], column)
+            name = column.name
+            value = _written_cell(row[stem], column)
         return ReadingsError(
             problem,
             remedy,

@@ -187,7 +187,8 @@ def whiten(
     basis = directions[:, visible] / values[visible]
     r = basis.shape[1]
     if prior is None:
-        white_prior, prior_error = np.zeros((r, r)), 0.0
+        white_prior = np.zeros((r, r))
+        prior_error = 0.0
     else:
         white_prior = basis.T @ prior @ basis
         white_prior = 0.5 * (white_prior + white_prior.T)
@@ -199,7 +200,8 @@ def whiten(
 
 def _largest_error(blocks: Array, basis: Array) -> float:
     """Largest error of a block times the basis, in the Frobenius norm."""
-    sizes, largest = np.abs(basis), 0.0
+    sizes = np.abs(basis)
+    largest = 0.0
     for start in range(0, len(blocks), CANDIDATES_AT_ONCE):
         products = np.abs(blocks[start : start + CANDIDATES_AT_ONCE]) @ sizes
         squares = np.einsum("ckn,ckn->c", products, products)

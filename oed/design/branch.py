@@ -161,7 +161,8 @@ class _Tree:
         optimum = relaxation.solve(objective, float(missing), 1.0, NODE_TOLERANCE)
         active = np.flatnonzero(optimum.weights > 0)
         tangent = objective.tangent(active, optimum.weights[active])
-        caps, better = np.ones(len(node.open)), value + EQUAL_TOLERANCE - LOG_ROUNDING
+        caps = np.ones(len(node.open))
+        better = value + EQUAL_TOLERANCE - LOG_ROUNDING
         excluded = relaxation.eliminate(tangent, better, float(missing), caps)
         remaining = np.setdiff1d(np.arange(len(node.open)), excluded)
         if len(remaining) < missing:

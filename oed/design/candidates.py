@@ -290,7 +290,8 @@ class Candidates:
 
     def readings_of(self, chosen: Index) -> tuple[Series, ...]:
         """The chosen candidates' readings as series, in the order of the candidates."""
-        selected, start = [], 0
+        selected = []
+        start = 0
         for series in self.series:
             end = start + len(series)
             rows = [
@@ -340,7 +341,8 @@ def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
     n = int(free.sum())
     columns = n + _shared_columns_of(parts)
     most_rows = max(min(part.rows.shape[1], columns) for part in parts)
-    blocks, column = [], n
+    blocks = []
+    column = n
     for part in parts:
         shared_columns = part.shared.shape[2]
         wide = np.zeros((*part.rows.shape[:2], columns))

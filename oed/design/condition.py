@@ -193,7 +193,8 @@ def _evaluate(
     problem: InteriorProblem, path: InteriorPath, active: Index
 ) -> EigenvaluePoint:
     """The path's weights and duals, over all candidates."""
-    dual, weights = _dual_point(problem, path), path.iterate.w
+    dual = _dual_point(problem, path)
+    weights = path.iterate.w
     least, largest = problem.extreme_eigenvalues(active, weights)
     profit = dual.low - path.slope * dual.high
     base_profit = dual.base_low - path.slope * dual.base_high

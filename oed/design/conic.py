@@ -107,7 +107,8 @@ class ConicCriterion:
         return [cp.matrix_frac(scaled @ f.T * self.y, m) <= self.y for f in factors]
 
     def _power_mean(self, p: float, m: Any, turn: Array) -> list[Any]:
-        n, y = len(turn), self.y
+        n = len(turn)
+        y = self.y
         if p == 1.0:
             return [cp.matrix_frac(turn * y / np.sqrt(n), m) <= y]
         u = cp.Variable((n, n), symmetric=True)
@@ -188,7 +189,8 @@ class Polytope:
     def _fill_to_caps(self, gains: Array) -> Array:
         """Weights that fill the candidates with the largest gains to their caps."""
         order = np.argsort(-gains, kind="stable")
-        caps, weights = self.caps[order], np.zeros(len(gains))
+        caps = self.caps[order]
+        weights = np.zeros(len(gains))
         weights[order] = np.clip(self.size - (np.cumsum(caps) - caps), 0.0, caps)
         return weights
 
@@ -224,7 +226,8 @@ class Polytope:
 
     def _solve_linear(self, cost: Array, matrix: Any, upper: Array) -> Any:
         """Minimises cost^T x; the first variables are weights, others positive."""
-        count, extra = len(self.caps), len(cost) - len(self.caps)
+        count = len(self.caps)
+        extra = len(cost) - len(self.caps)
         sum_row = np.repeat([1.0, 0.0], [count, extra])[None]
         bounds = np.zeros((len(cost), 2))
         bounds[:, 1] = np.append(self.caps, np.full(extra, np.inf))
@@ -381,7 +384,8 @@ def _feasible_weights(problem: _ConicProblem, weights: Array | None) -> Array:
 
 def _join(supports: list[tuple[float, Support]], m: Array) -> tuple[float, Array]:
     """Offset and root of one line above a weighted sum of criteria."""
-    offset, roots = 0.0, []
+    offset = 0.0
+    roots = []
     for share, support in supports:
         size = float(np.sum((m @ support.root) * support.root))
         offset += share * (support.value + np.log(size))
@@ -403,7 +407,8 @@ def _relax_condition(
     tau, s = cp.Variable(nonneg=True), cp.Variable()
     identity = np.eye(len(problem.base))
     eigenvalues = np.linalg.eigvalsh(problem.typical)
-    u, turn = problem.weights(), problem.turn
+    u = problem.weights()
+    turn = problem.turn
     white = problem.matrix(u, turn, tau)
     plain = problem.matrix(u, identity, tau)
     lower = white >> eigenvalues[0] * turn @ turn.T

@@ -86,7 +86,8 @@ def _exchange_setups(
             ]
             candidate = max(exchanged, key=values.of, default=best)
             if values.of(candidate) > values.of(best) + RANKING_TOLERANCE:
-                best, improved = candidate, True
+                best = candidate
+                improved = True
                 break
     return best
 
@@ -290,7 +291,8 @@ class DesignProblem:
     @property
     def selects_setups(self) -> bool:
         """Whether the search has to find out which set-ups to mount."""
-        count, most = len(self.new_setups), self.setups.most
+        count = len(self.new_setups)
+        most = self.setups.most
         too_many = most is not None and most < count
         costly = self.rules.budget is not None and count > 1
         return self.candidates.prior is not None and (too_many or costly)
@@ -298,7 +300,8 @@ class DesignProblem:
     @property
     def bound_ignores_setups(self) -> bool:
         """Whether the bound allows any number of set-ups: too many combinations."""
-        count, most = len(self.new_setups), self.setups.most
+        count = len(self.new_setups)
+        most = self.setups.most
         if most is None:
             return False
         return sum(math.comb(count, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
@@ -463,8 +466,10 @@ class DesignProblem:
 
         Time and number of set-ups are no rules there.
         """
-        c, (pool, basis) = self.candidates, self.chosen_pool(choice)
-        rules, setups = self.rules.subset(pool), None
+        c = self.candidates
+        pool, basis = self.chosen_pool(choice)
+        rules = self.rules.subset(pool)
+        setups = None
         if rules.setups is not None:
             setups = dataclasses.replace(rules.setups, seconds=None, most=None)
         return SizeCurve(

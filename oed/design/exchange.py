@@ -60,7 +60,8 @@ def best_of_all(
     if math.comb(len(blocks), size) > MAX_ENUMERATED_PLANS:
         return None
     products = blocks.transpose(0, 2, 1) @ blocks
-    best, chosen = -np.inf, None
+    best = -np.inf
+    chosen = None
     for plans in _plans(len(blocks), size, max(NUMBERS_AT_ONCE // products[0].size, 1)):
         matrices = np.broadcast_to(base, (len(plans), *base.shape)).copy()
         for position in range(size):

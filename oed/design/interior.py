@@ -103,10 +103,12 @@ class StepSystem:
         self.problem, self.slope, self.iterate = problem, slope, iterate
         self.s1, self.s2 = s1, s2
         w, y, z = iterate.w, iterate.y, iterate.z
-        count, room = len(w), problem.caps - w
+        count = len(w)
+        room = problem.caps - w
         self.order = 2 * count + len(y) * (2 if slope else 1)
         half = np.linalg.inv(np.linalg.cholesky(s1))
-        self.inverse1, self.inverse2 = half.T @ half, np.zeros_like(y)
+        self.inverse1 = half.T @ half
+        self.inverse2 = np.zeros_like(y)
         turned = _symmetric(y @ problem.square @ self.inverse1)
         h = np.zeros((count + 2, count + 2))
         h[:count, :count] = pairwise_traces(problem.white, self.inverse1, y)
@@ -135,11 +137,14 @@ class StepSystem:
     def move(self, target: float, guess: Move | None) -> Move:
         """The step to complementarity `target`, corrected by a first guess."""
         iterate, problem = self.iterate, self.problem
-        w, room, count = iterate.w, problem.caps - iterate.w, len(iterate.w)
+        w = iterate.w
+        room = problem.caps - iterate.w
+        count = len(iterate.w)
         second = self._second_order(guess)
         x = self._solve(self._right_side(target, second))
         x -= x[:count].sum() / self.border[:count].sum() * self.border
-        dw, dt = x[:count], float(x[count])
+        dw = x[:count]
+        dt = float(x[count])
         dr = float(x[-1]) if self.slope else 0.0
         d1 = information(problem.white, dw) - dt * problem.square
         d2 = np.zeros_like(self.inverse1)
@@ -165,7 +170,8 @@ class StepSystem:
                 np.zeros(len(self.iterate.w)),
             )
             return _SecondOrder(no_matrix, no_matrix, no_vector, no_vector)
-        w, room = self.iterate.w, self.problem.caps - self.iterate.w
+        w = self.iterate.w
+        room = self.problem.caps - self.iterate.w
         return _SecondOrder(
             _symmetric(guess.y @ guess.s1 @ self.inverse1),
             _symmetric(guess.z @ guess.s2 @ self.inverse2),
@@ -174,7 +180,8 @@ class StepSystem:
         )
 
     def _right_side(self, target: float, second: _SecondOrder) -> Array:
-        problem, count = self.problem, len(self.iterate.w)
+        problem = self.problem
+        count = len(self.iterate.w)
         right = np.zeros(count + 2)
         right[:count] = (
             target * self.push
@@ -191,7 +198,8 @@ class StepSystem:
 
     def complementarity(self, move: Move | None, primal: float, dual: float) -> float:
         """Sum of the complementarities, now or after shares of a move."""
-        iterate, room = self.iterate, self.problem.caps - self.iterate.w
+        iterate = self.iterate
+        room = self.problem.caps - self.iterate.w
         if move is None:
             total = float(
                 np.sum(iterate.y * self.s1) + iterate.a @ iterate.w + iterate.b @ room
@@ -354,13 +362,16 @@ class InteriorPath:
         The distance to l_min is the same share of it. Without a slope z, it is that of
         the weights, or the `known_slope` of a better plan.
         """
-        self.problem, self.slope_is_free = problem, slope is None
-        caps, n = problem.caps, len(problem.base)
+        self.problem = problem
+        self.slope_is_free = slope is None
+        caps = problem.caps
+        n = len(problem.base)
         even = problem.size * caps / caps.sum()
         w = (1.0 - centre) * weights + centre * even
         least, largest = problem.extreme_eigenvalues(np.arange(len(caps)), w)
         self.slope = max(least / largest, known_slope) if slope is None else slope
-        t, r = (1.0 - centre) * least, 0.0
+        t = (1.0 - centre) * least
+        r = 0.0
         inverse = np.linalg.inv(self._low(w, t))
         mu = 1.0 / float(np.sum(inverse * problem.square))
         y: Array = np.asarray(mu * inverse)

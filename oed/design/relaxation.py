@@ -339,7 +339,8 @@ def _relax_determinant(
 
     The determinant changes by that of the coordinates.
     """
-    n, shift = blocks.shape[2], 0.0
+    n = blocks.shape[2]
+    shift = 0.0
     if is_ill_conditioned(base + information(blocks)):
         white = whiten(blocks, base if base.any() else None, 0.0)
         if white.basis.shape[1] == n:
@@ -371,7 +372,10 @@ def solve(
         bound = np.inf
         active = np.flatnonzero(start > 0)
         weights = scale_to_size(start[active], size, caps[active])
-    first_bound, best_value, last_bound, stagnant = bound, -np.inf, np.inf, 0
+    first_bound = bound
+    best_value = -np.inf
+    last_bound = np.inf
+    stagnant = 0
     for k in range(MAX_ROUNDS):
         weights = newton_steps(objective, active, weights, caps[active])
         tangent = objective.tangent(active, weights)
@@ -474,7 +478,8 @@ def _begin(
     weights = np.full(len(sample), size / len(sample))
     part = objective.subset(sample)
     part = part.regularised(weights)
-    everything, bound = np.arange(len(sample)), np.inf
+    everything = np.arange(len(sample))
+    bound = np.inf
     for _ in range(START_STEPS):
         tangent = part.tangent(everything, weights)
         if len(sample) == count:

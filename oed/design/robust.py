@@ -257,7 +257,9 @@ class RiskObjective:
         """The scenarios' lines joined by Jensen's inequality; its value is the risk."""
         values = self._values(active, weights)
         shares = self._shares(values)
-        offset, base_term, gradient = 0.0, 0.0, np.zeros(self.count)
+        offset = 0.0
+        base_term = 0.0
+        gradient = np.zeros(self.count)
         for scenario, share in zip(self.scenarios, shares, strict=True):
             tangent = scenario.tangent(active, weights)
             # <S, M> of a line that touches

@@ -380,7 +380,8 @@ class Rules:
 
         optima = []
         for total, cost in self.totals(count):
-            start, bound = None, np.inf
+            start = None
+            bound = np.inf
             for sharp in sharpness:
                 optimum = relaxation.solve(
                     objective(cost, sharp),
@@ -454,7 +455,8 @@ class Rules:
 
     def _combinations(self, count: int) -> Iterator[tuple[Index, float]]:
         """Candidates of each combination of set-ups, and its time to mount."""
-        everything, setups = np.arange(count), self.setups
+        everything = np.arange(count)
+        setups = self.setups
         if setups is None:
             yield everything, 0.0
             return

@@ -91,7 +91,8 @@ def select_greedily(
     """
     chosen = np.zeros(0, dtype=np.intp)
     level %= evaluator.levels
-    count, allocation = evaluator.count, rules.allocation(chosen, weights)
+    count = evaluator.count
+    allocation = rules.allocation(chosen, weights)
     while (allowed := rules.completions(chosen, count, allocation)).any():
         values = evaluator.values_after_adding(chosen, level, ridge)
         values = np.where(allowed, values, -np.inf)
@@ -243,7 +244,8 @@ class _Restarts:
         weights = weights + 1e-4 * weights.sum() / len(weights)
         if rounds and self.exchange.by_pairs:
             return self._search_pairs(weights, rounds, starts)
-        best, best_value = np.zeros(0, dtype=np.intp), -np.inf
+        best = np.zeros(0, dtype=np.intp)
+        best_value = -np.inf
         drawn = max(1, min(5, rounds // 4))
         for k in range(-len(starts), rounds):
             if k < 0:
@@ -262,7 +264,8 @@ class _Restarts:
         self, weights: Array, rounds: int, starts: Sequence[Index]
     ) -> Index:
         """The best plan of a tabu search from given and drawn plans."""
-        evaluator, places = self.exchange.evaluator, len(starts[0])
+        evaluator = self.exchange.evaluator
+        places = len(starts[0])
         steps = rounds * min(STEPS_PER_PLACE * places, MAX_STEPS_PER_ROUND)
         plans = min(tabu.MAX_PLANS, steps // (STEPS_OF_DESCENT * places))
         drawn = [self._draw(weights) for _ in range(len(starts), plans)]

@@ -201,7 +201,8 @@ class _Trail:
         m = problem.information(self.plan)
         value = problem.criterion.value(m)
         if value > self.best_value + MIN_GAIN:
-            self.best, self.best_value = self.plan.copy(), value
+            self.best = self.plan.copy()
+            self.best_value = value
         return m
 
     def step(

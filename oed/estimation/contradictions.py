@@ -96,7 +96,8 @@ def contradicted_parameters(
     tests = _tests(columns, residual, explained)
     while min((t.p_value for t in tests.values()), default=1.0) < FALSE_ALARM:
         names = min(tests, key=lambda key: tests[key].p_value)
-        column, test = columns.pop(names), tests[names]
+        column = columns.pop(names)
+        test = tests[names]
         change = test.change * np.isin(whole.names, names)
         taken = np.linalg.solve(
             over_free.T @ over_free + np.eye(over_free.shape[1]), over_free.T @ column
@@ -196,7 +197,8 @@ def _record(
     by_name = dict(zip(whole.names, change, strict=True))
     shifts = []
     for s in series:
-        x, p = whole.poses(s, theta), theta[: len(whole.machine.parameters)]
+        x = whole.poses(s, theta)
+        p = theta[: len(whole.machine.parameters)]
         dx = whole.kinematics.slopes.over_parameters(x, s.q, p) @ change[: len(p)]
         twist = whole.kinematics.frames(x, np.zeros(3))[2]
         shifts.append(np.einsum("nij,nj->ni", twist, dx)[:, :3])

@@ -63,7 +63,8 @@ class IdentifiableCoordinates:
         """
         scale = measurement.tolerance if tolerance is None else tolerance
         free = np.flatnonzero(scale > 0)
-        unit, root = scale[free], measurement.correlation_root(free)
+        unit = scale[free]
+        root = measurement.correlation_root(free)
         jacobian = measurement.jacobian(series, theta)
         whitened = Noise.of(noise).whiten(jacobian)[:, free] * unit
         whitened = whitened if root is None else whitened @ root
@@ -102,7 +103,8 @@ class IdentifiableCoordinates:
         the machine's own coordinates by micrometres, to second order, and its readings not
         at all. A fit in units of the stated noise, without a prior.
         """
-        noise, origin = Noise(measurement.sigma(series)), self.origin[None]
+        noise = Noise(measurement.sigma(series))
+        origin = self.origin[None]
         problem = ReadingsProblem(
             measurement, series, noise, exact[None], origin, self.basis
         )

@@ -193,11 +193,15 @@ def settle_law(
 
     near  (d,) coordinates of the law where they begin; the stated law by default
     """
-    theta, noise, law = first.theta, stated, Laws.stated(structure)
+    theta = first.theta
+    noise = stated
+    law = Laws.stated(structure)
     if near is not None:
         law = prior.laws(near[None])
         noise = law.noise(structure)
-    robust, mode, has_settled = fit, near, False
+    robust = fit
+    mode = near
+    has_settled = False
     for _ in range(MAX_ROUNDS):
         coordinates = fit.coordinates(theta, stated, first.prior_sd)
         z, iterations = robust.solve(noise, coordinates, theta)

@@ -461,7 +461,8 @@ def _fit_kernel(
         fit = 0.5 * float(whitened @ whitened) + float(np.log(np.diag(root)).sum())
         return fit + 0.5 * float(np.sum((point[1:] / LENGTH_SPREAD) ** 2))
 
-    best, best_value = expected_kernel(size, axes), np.inf
+    best = expected_kernel(size, axes)
+    best_value = np.inf
     for order in MATERN_ORDERS:
         for start in START_LENGTHS:
             solution = optimize.minimize(
@@ -472,7 +473,8 @@ def _fit_kernel(
                 bounds=[(-8.0, 8.0), *[(-3.0, 3.0)] * axes],
             )
             if solution.fun < best_value:
-                best, best_value = kernel_of(solution.x, order), solution.fun
+                best = kernel_of(solution.x, order)
+                best_value = solution.fun
     return best
 
 

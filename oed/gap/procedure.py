@@ -51,13 +51,18 @@ def explain(
     Effects that are not `named` count with what is unknown. `problem` has the
     residuals with their outliers, `search` without.
     """
-    metric, library = Metric(problem, search.law), search.library
-    residual, level = search.problem.residual, search.noise_level(h)
+    metric = Metric(problem, search.law)
+    library = search.library
+    residual = search.problem.residual
+    level = search.noise_level(h)
     columns = h.columns(library, search.processes)
     mean, precision = metric.posterior(columns, residual)
     sd = level * np.sqrt(np.diag(np.linalg.inv(precision)))
     by_effects = np.zeros(len(problem))
-    constants, coefficients, sizes, start = {}, [], [], 0
+    constants = {}
+    coefficients = []
+    sizes = []
+    start = 0
     stated = Metric(search.problem, search.problem.stated_law)
     for effect, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
         rows = library.atoms[atom].columns
@@ -239,12 +244,15 @@ def conclude(
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)
     ranked, leading = answers.rank(groups)
-    first, best, verdict = ranked[0], leading[0], answers.verdict(ranked[0])
+    first = ranked[0]
+    best = leading[0]
+    verdict = answers.verdict(ranked[0])
     is_rough = verdict == "unknown" and rough > 0.5
     if is_rough:
         best = next(h for h in hypotheses if not h.is_gap)
     search = searched[best.law]
-    law, untested = search.law_at(search.noise_level(best)), search.library.not_testable
+    law = search.law_at(search.noise_level(best))
+    untested = search.library.not_testable
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
         named = set(best.effects)

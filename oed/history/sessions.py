@@ -301,7 +301,8 @@ def combinations(
         return ()
     # one unit for all columns: the tolerance
     verdict = analyse(root, names, np.ones(len(names)))
-    scaled, inverse = verdict.combinations, np.linalg.pinv(root)
+    scaled = verdict.combinations
+    inverse = np.linalg.pinv(root)
     estimates = scaled @ inverse @ white
     deviations = np.linalg.norm(scaled @ inverse, axis=1)
     changes = []

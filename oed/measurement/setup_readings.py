@@ -197,7 +197,8 @@ class SetupReadings:
 
     def jacobian(self, series: Series, theta: Array) -> Array:
         """Jacobian (m, N, n) over theta (m, n). Raises AssemblyError."""
-        x, p = self.poses(series, theta, strict=True), theta[:, : self._count]
+        x = self.poses(series, theta, strict=True)
+        p = theta[:, : self._count]
         by_pose, by_setup, by_parameter = self._jacobians(series, x, theta)
         joints = self._joints(series, len(x))
         adjoints = self._kinematics.slopes.adjoints(x, joints, p)
@@ -217,7 +218,8 @@ class SetupReadings:
         At theta (n,). Raises AssemblyError.
         """
         vectors = theta[None]
-        x, p = self.poses(series, vectors, strict=True), theta[: self._count]
+        x = self.poses(series, vectors, strict=True)
+        p = theta[: self._count]
         by_pose, by_setup, by_parameter = self._jacobians(series, x, vectors)
         by_joint = self._kinematics.slopes.over_joints(x[0], series.q, p)
         sensitivity = self._kinematics.slopes.over_parameters(x[0], series.q, p)
@@ -248,7 +250,8 @@ class SetupReadings:
         Raises AssemblyError.
         """
         p, s = theta[: self._count] + parameters, theta[self._unknowns] + nuisances
-        q, indices = series.q + joints, series.pose_indices()
+        q = series.q + joints
+        indices = series.pose_indices()
         x = self._kinematics.forward_per_pose(q, p, series.start)
         inputs = [*(x[k] for k in indices), s]
         if self.model.uses_closure:
@@ -361,7 +364,8 @@ def _variances(readings: SetupReadings, series: Series) -> Array:
 def _errors(readings: SetupReadings, series: Series) -> Errors:
     """What the covariance of the readings of a series consists of, run by run."""
     setup = readings.setup
-    channels, share = len(setup.sigma), setup.statement.correlated_share
+    channels = len(setup.sigma)
+    share = setup.statement.correlated_share
     run = np.repeat(np.unique(series.run, return_inverse=True)[1], channels)
     channel = np.tile(np.arange(channels), len(series))
     order = np.lexsort((channel, run))

@@ -28,7 +28,8 @@ class ForwardKinematics:
 
     def __init__(self, machine: Machine, e: MachineExpressions) -> None:
         self.machine, self._expressions = machine, e
-        balance, inputs = e.balance, [e.x, e.q, e.p]
+        balance = e.balance
+        inputs = [e.x, e.q, e.p]
         by_x = ca.jacobian(balance, e.x)
         self.equations = BatchedFunction("forward", inputs, [balance, by_x])
 
@@ -36,7 +37,8 @@ class ForwardKinematics:
     def slopes(self) -> BatchedFunction:
         """Slopes (n, nx, ...) of the equations over pose, parameters and joints."""
         e = self._expressions
-        balance, inputs = e.balance, [e.x, e.q, e.p]
+        balance = e.balance
+        inputs = [e.x, e.q, e.p]
         slopes = [ca.jacobian(balance, over) for over in (e.x, e.p, e.q)]
         return BatchedFunction("slopes", inputs, slopes)
 
@@ -71,7 +73,8 @@ class ForwardKinematics:
         Starts are (n, nx) or (m, n, nx), and so can joints be. Poses that are not
         `wanted` (m, n) are not solved, and count as failed.
         """
-        m, n = len(vectors), q.shape[-2]
+        m = len(vectors)
+        n = q.shape[-2]
         starts = start if start.ndim == 3 else start[None]
         if len(starts) != m:
             starts = np.broadcast_to(starts, (m, *starts.shape[1:]))

@@ -107,7 +107,8 @@ class InverseKinematics:
         for steps in PATH_STEPS:
             if not lost.size:
                 break
-            lost_command, of_lost = command[lost], _rows_of(p, lost)
+            lost_command = command[lost]
+            of_lost = _rows_of(p, lost)
             end = lost_command, of_lost, tool
             z[lost], reached[lost] = self._follow(
                 (z[lost], reached[lost]), mode, begin, end, steps
@@ -206,7 +207,8 @@ class InverseKinematics:
         """Home, followed from that of the machine as drawn; None where the way ends."""
         z, drawn_command, drawn_p = drawn
         begin, end = (drawn_command, drawn_p, tool), (command, p, tool)
-        followed, reached = z[None], np.zeros(1)
+        followed = z[None]
+        reached = np.zeros(1)
         for steps in PATH_STEPS:
             followed, reached = self._follow(
                 (followed, reached), mode, begin, end, steps

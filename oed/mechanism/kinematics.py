@@ -84,7 +84,8 @@ def corrected_commands(
     missed = np.ones(len(x), dtype=bool)
     for steps in (1, *PATH_STEPS):
         rows = np.flatnonzero(missed)
-        followed, lost = start[rows], np.zeros(rows.size, dtype=bool)
+        followed = start[rows]
+        lost = np.zeros(rows.size, dtype=bool)
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             p = nominal + share * (parameters - nominal)
             followed, failed = solve(followed, p, rows)

@@ -94,7 +94,8 @@ class ArrayTape:
 
     def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate at points (n, entries); writes `outputs` in place."""
-        n, start = len(outputs[0]), 0
+        n = len(outputs[0])
+        start = 0
         while start < n:
             size = next((s for s in TAPE_SIZES if s >= n - start), TAPE_SIZES[-1])
             if size not in self._arrays:

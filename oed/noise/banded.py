@@ -116,7 +116,8 @@ class ChainFactor:
         """
         decay, slope = np.append(0.0, self._decay), np.append(0.0, self._slope)
         before, last = np.zeros((2, 1))
-        start, is_correlated = 0, bool(self._decay.any())
+        start = 0
+        is_correlated = bool(self._decay.any())
         for values in parts:
             rows = slice(start, start + len(values))
             start = rows.stop

@@ -349,7 +349,8 @@ class Chains:
         same = np.diff(self._chain[rows], prepend=0) == 0
         log_step = np.diff(self._log_steps[rows], prepend=0.0)
         step = np.exp(np.where(same, log_step, -np.inf))
-        decay, fresh = step * single, self._marginal[rows]
+        decay = step * single
+        fresh = self._marginal[rows]
         decay[1:] /= single[:-1]
         fresh[1:] -= step[1:] ** 2 * self._marginal[rows[:-1]]
         return ChainFactor(decay, single, -fresh * single**2)

@@ -97,7 +97,8 @@ class Laws:
         cls, structure: ReadingStructure, count: int = 1, scale: float = 1.0
     ) -> Laws:
         """The stated noise, `count` times, single readings with a scale."""
-        zero, statement = np.zeros(count), structure.statement
+        zero = np.zeros(count)
+        statement = structure.statement
         return cls(
             scale=np.full((count, len(structure.names)), scale),
             correlated=zero + statement.correlated_share,
@@ -484,7 +485,8 @@ class Whitening:
         estimated  whether the laws are estimates: these rest on pseudo-values, which are
                    as informative as errors of such tails (`oed.noise_law.outliers`)
         """
-        count, (chains, length) = len(self.laws), self.structure.shape
+        count = len(self.laws)
+        chains, length = self.structure.shape
         white = rng.standard_normal((2, count, chains, length))
         correlated = self._correlated_errors(white[0])
         share = self.laws.correlated[:, None, None]

@@ -93,7 +93,8 @@ def polish(cost: Cost, u: Array, farthest: float) -> Array:
         costs = cost(u + moves)
         if costs[0] > least + COST_TOLERANCE:
             break
-        lowest, least = u, float(costs[0])
+        lowest = u
+        least = float(costs[0])
         ahead, behind = np.split(costs[1:], 2)
         gradient = (ahead - behind) / (2.0 * NEWTON_GRADIENT_STEP)
         step = -root @ (root.T @ gradient)
@@ -208,7 +209,8 @@ class SplitStudent:
         """Points (count, d)."""
         uniform = _sobol(count, len(self.mode) + 1)
         share = self.behind / (self.behind + self.ahead)
-        level, chi2 = uniform[:, :-1], _chi2(uniform[:, -1:])
+        level = uniform[:, :-1]
+        chi2 = _chi2(uniform[:, -1:])
         below = 0.5 * level / share
         above = 1.0 - 0.5 * (1.0 - level) / (1.0 - share)
         normal = scipy.special.ndtri(np.where(level < share, below, above))

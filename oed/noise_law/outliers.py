@@ -190,7 +190,8 @@ def detect_outliers(
     densities = densities if stated is None else stated
     if not densities:
         return None
-    clean, diagonal = residual, covariance.precision_diagonal()
+    clean = residual
+    diagonal = covariance.precision_diagonal()
     root = np.sqrt(diagonal)
     for iteration in range(MAX_ITERATIONS):
         predicted = clean - covariance.precision(clean[:, None])[:, 0] / diagonal

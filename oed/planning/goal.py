@@ -68,9 +68,11 @@ class Goal:
     def criterion(self, setup_columns: int) -> Criterion:
         """The goal as a criterion of information matrices (n + setup_columns, ...)."""
         columns = self.parameters + setup_columns
-        factors, name = self._mean_factor[None], "I"
+        factors = self._mean_factor[None]
+        name = "I"
         if self.has_targets:
-            factors, name = self.factors, "G"
+            factors = self.factors
+            name = "G"
         zeros = np.zeros((*factors.shape[:2], setup_columns))
         return CRITERIA.build(name, columns, np.concatenate([factors, zeros], axis=2))
 
@@ -114,7 +116,8 @@ def workspace_goal(
     parameters = len(measurement.machine.parameters)
     free = measurement.free[:parameters]
     scaled = maps.raw * measurement.tolerance[:parameters]
-    jacobian, rest = scaled[:, :, free], np.zeros(len(maps.names))
+    jacobian = scaled[:, :, free]
+    rest = np.zeros(len(maps.names))
     if effects is not None:
         jacobian, rest = (
             np.concatenate([jacobian, effects.jacobian], axis=2),

@@ -189,10 +189,8 @@ def _machine_parameters(measurement: Measurement) -> int:
 def _effects_after_machine(pool: Candidates) -> Candidates:
     """Candidates whose nuisances come after the machine's columns."""
     total = pool.blocks.shape[2]
-    machine_count, first = (
-        _machine_parameters(pool.measurement),
-        total - pool.nuisance_columns,
-    )
+    machine_count = _machine_parameters(pool.measurement)
+    first = total - pool.nuisance_columns
     order = np.r_[:machine_count, first:total, machine_count:first]
     return dataclasses.replace(
         pool,

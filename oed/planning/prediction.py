@@ -176,7 +176,8 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
     Whole runs are whitened with the noise that their readings share, single readings
     with their independent noise.
     """
-    measurement, series = option.measurement, option.series_of(chosen)
+    measurement = option.measurement
+    series = option.series_of(chosen)
     weight = option.weight[option.numbers_of(chosen)]
     if (option.candidates.members[:, 1] > 1).any():
         return measurement.noise(series).whiten_last(values) * weight

@@ -224,7 +224,8 @@ def covariance_of_all(options: Sequence[Option], start: Array) -> Array:
     """Covariance (n, n) after all candidates of all options, none of them lost."""
     information = symmetric_inverse(start)
     for option in options:
-        blocks, every = option.candidates.blocks, np.ones(len(option.candidates))
+        blocks = option.candidates.blocks
+        every = np.ones(len(option.candidates))
         information = information + profiled_information(
             blocks, every, len(information)
         )
@@ -259,7 +260,8 @@ def select_readings(
     weights = np.sqrt(probability[pool])[:, None, None]
     blocks = option.candidates.blocks[pool] * weights
     time = option.candidate_seconds[pool]
-    rules, starts = Rules.build(size=count), []
+    rules = Rules.build(size=count)
+    starts = []
     if np.ptp(time) > 0.0:  # of equal readings the number limits the time
         rules = Rules.build(size=count, seconds=time, budget=seconds)
         starts.append(_shortest(time, count, seconds))

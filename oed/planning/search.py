@@ -451,7 +451,8 @@ def search_plan(
         if plan is not None:
             refined.append(verify_plan(problem, plan))
     most_accurate = best_plan(refined)
-    best, enough = most_accurate, list[StagePlan]()
+    best = most_accurate
+    enough = list[StagePlan]()
     if goal.has_targets:
         enough = _plans_on_target(problem, partial, refined)
         best = min(enough, key=lambda plan: plan.seconds, default=most_accurate)

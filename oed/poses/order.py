@@ -134,7 +134,8 @@ class _TimedPath:
 
     def _run_edges(self) -> Index:
         """First place of each run, and the number of places."""
-        run, count = self.path.run, len(self.reading)
+        run = self.path.run
+        count = len(self.reading)
         if not count:
             return np.zeros(1, np.intp)
         starts = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
@@ -437,7 +438,8 @@ def _state_costs(distance: Array, start: Array | None, members: list[Index]) -> 
 
 def shortest_path(states: RunStates) -> Index:
     """The shortest path, one state of each run."""
-    cost, bit = states.cost[1:, 1:], 1 << states.run[1:]
+    cost = states.cost[1:, 1:]
+    bit = 1 << states.run[1:]
     full = (1 << (states.run[-1] + 1)) - 1
     best = np.full((full + 1, len(cost)), np.inf)
     before = np.full((full + 1, len(cost)), -1)
@@ -452,7 +454,9 @@ def shortest_path(states: RunStates) -> Index:
     if not np.isfinite(total.min()):
         # no path is allowed: any one shows it, by its length
         return 1 + np.unique(states.run[1:], return_index=True)[1]
-    state, subset, tour = int(total.argmin()), full, []
+    state = int(total.argmin())
+    subset = full
+    tour = []
     while state >= 0:
         tour.append(state + 1)
         state, subset = int(before[subset, state]), int(subset ^ bit[state])
@@ -680,7 +684,8 @@ class ReadingOrder:
 
         Raises ValueError where a run alone takes longer.
         """
-        commands, setup = self.series.reading_commands(), self.series.setup
+        commands = self.series.reading_commands()
+        setup = self.series.setup
         if command is None:
             command = np.asarray(commands[self.path.indices[0]])
         reference = self.measurement.series(setup, command[None])

@@ -161,7 +161,8 @@ class PolishProgram:
 
     def _add_series(self, series: Series) -> _SymbolicSeries:
         """Variables of the poses of a series, tied by their equations."""
-        setup, tool = self.start.setup(series), self._setups[series.setup].tool
+        setup = self.start.setup(series)
+        tool = self._setups[series.setup].tool
         joints, command = self.machine.joints, self.machine.command
         count = len(series.q)
         # the last pose is fixed where it is the teach pose, but for the tool
@@ -397,7 +398,8 @@ def polish_readings(
             fault = find_fault(polished, variables, travel, clearance)
             after = evaluator.value(polished) if fault is None else -np.inf
         except AssemblyError as error:
-            fault, after = str(error), -np.inf
+            fault = str(error)
+            after = -np.inf
         if after > before + MIN_GAIN:
             summary = f"polishing gained {after - before:.4g} ({status})"
             return PolishResult(

@@ -292,7 +292,8 @@ def restore_hold(plan: ReadingPlan, travel: float | None) -> ReadingPlan:
 
 def _newton_step(plan: ReadingPlan, series: Series, travel: float | None) -> Array:
     """Commands after the least step that restores each reading's hold to first order."""
-    error, command = _hold_errors(plan, series, travel), series.command
+    error = _hold_errors(plan, series, travel)
+    command = series.command
     if error is None:
         return command
     box = plan.measurement.machine.workspace(plan.setup(series).tool)

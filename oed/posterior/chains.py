@@ -288,7 +288,8 @@ def run(
 
 def _checks(max_steps: int) -> list[int]:
     """Numbers of steps at which convergence is checked, the last one among them."""
-    checks, steps = [], 0
+    checks = []
+    steps = 0
     while steps < max_steps:
         apart = int(CHECK_SHARE * steps) // CHECK_STEPS * CHECK_STEPS
         steps = min(steps + max(apart, CHECK_STEPS), max_steps)

@@ -103,7 +103,8 @@ def proposal_of(target: LogDensity, rng: np.random.Generator) -> Proposal:
     """The proposal for a density; an estimated law takes some draws to place it."""
     if target.law is None:
         return StudentProposal(target.centre, target.root)
-    model, fitted = target.linear_model(), target.law
+    model = target.linear_model()
+    fitted = target.law
     return LawProposal(model, fitted, fitted.kernels(model, rng))
 
 
@@ -169,7 +170,8 @@ def draw_weighted(
     Draws are as many as are worth `ess` independent ones for every parameter, and `max_draws`
     at most. Raises KeyboardInterrupt.
     """
-    proposals, k = Proposals.empty(target), math.inf
+    proposals = Proposals.empty(target)
+    k = math.inf
     count = max(math.ceil(proposal.points_of_ess * ess), MIN_PROPOSALS)
     while proposals.drawn < max(MAX_PROPOSALS_PER_ESS * ess, MIN_PROPOSALS):
         for start in range(0, count, PROPOSALS_AT_ONCE):
@@ -235,8 +237,10 @@ def collect(
 
     Raises OutOfBoundsError where no draw is within bounds.
     """
-    theta, ess = proposals.theta[chosen], worth(proposals.theta, chosen)
-    z, laws = target.coordinates.from_theta(theta), proposals.points[chosen, target.r :]
+    theta = proposals.theta[chosen]
+    ess = worth(proposals.theta, chosen)
+    z = target.coordinates.from_theta(theta)
+    laws = proposals.points[chosen, target.r :]
     if target.bend is None:
         theta = target.draw_theta(rng, z)
         ess[np.isnan(ess) & (np.ptp(theta, axis=0) > 0)] = len(chosen)

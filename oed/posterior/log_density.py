@@ -233,7 +233,8 @@ class LogDensity:
         """
         if len(self._y) < MIN_READINGS:
             return self._exact
-        count, null = POINTS + CHECKS, self.coordinates.null_basis
+        count = POINTS + CHECKS
+        null = self.coordinates.null_basis
         # which points they are matters little: always the same
         rng = np.random.default_rng(0)
         normal = rng.standard_normal((count, self.r + null.shape[1])) * SPREAD_OF_POINTS
@@ -320,7 +321,8 @@ class LogDensity:
 
     def _part(self, points: Array, w: Array | None) -> Array:
         """Log density of points whose readings fit into memory."""
-        (z, theta), u = self.place(points, w), points[:, self.r :]
+        z, theta = self.place(points, w)
+        u = points[:, self.r :]
         bounded = self._bounded if w is None else self.measurement.bounded
         prior = np.sum(z**2, axis=1) + np.sum(u**2, axis=1)
         value = -0.5 * (self._misfit(self._readings(theta) - self._y, u) + prior)
@@ -525,7 +527,8 @@ def draw_coordinates(
 
     With effects, those that were drawn with them, in a drawn order.
     """
-    posterior, none = estimate.noise_posterior, np.zeros((count, 0))
+    posterior = estimate.noise_posterior
+    none = np.zeros((count, 0))
     if estimate.effects is not None and posterior is not None:
         sampled = estimate.effects
         number = rng.permutation(np.arange(count) % len(sampled.theta))

@@ -177,7 +177,8 @@ def sample(
     True
     """
     target = LogDensity(measurement, series, y, estimate)
-    proposals, k = importance.Proposals.empty(target), math.nan
+    proposals = importance.Proposals.empty(target)
+    k = math.nan
     if sampler == "auto" and ess <= importance.MAX_ESS:
         limit = math.inf if max_draws is None else max_draws
         drawn, proposals, k = importance.sample_independent(

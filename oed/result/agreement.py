@@ -197,12 +197,14 @@ def _rule_breaches(
     if not others or (other.endswith("?") and not any(others)):
         return
     if relation in ("length", "at_most", "one_more"):
-        size, expected = _count(value), _count(others[0]) + (relation == "one_more")
+        size = _count(value)
+        expected = _count(others[0]) + (relation == "one_more")
         if size > expected or (size < expected and relation != "at_most"):
             words = f"{size}, where {_field(steps)} has {expected}"
             yield Breach(_field(keys), words)
         return
-    names, allowed = _names([value]), compared.names
+    names = _names([value])
+    allowed = compared.names
     for name in names:
         if name not in allowed:
             of = _field(steps)

@@ -207,7 +207,8 @@ def split_unit(name: str) -> tuple[str, str]:
     try:
         stem, unit = units.split(name)
     except units.UnitError:
-        stem, unit = name, ""
+        stem = name
+        unit = ""
     return stem.replace("_", " "), unit
 
 

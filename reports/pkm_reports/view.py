@@ -349,7 +349,8 @@ def residuals_of_readings(
 
     A set-up has one noise for each channel, so that their number is known.
     """
-    estimate, count = result.estimate, len(drawing.tool_points)
+    estimate = result.estimate
+    count = len(drawing.tool_points)
     nothing: list[list[ReadingResiduals]] = [[] for _ in range(count)]
     channels_of = {setup.name: len(setup.sigma) for setup in result.setups}
     if estimate is None or not set(drawing.reading_of) <= set(channels_of):

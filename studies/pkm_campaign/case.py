@@ -72,7 +72,8 @@ def mean_interval(values: Sequence[float] | Array) -> tuple[float, float]:
     count = len(values)
     if count < 2:
         return math.nan, math.nan
-    mean, half = np.mean(values), HALF_WIDTH * np.std(values, ddof=1) / np.sqrt(count)
+    mean = np.mean(values)
+    half = HALF_WIDTH * np.std(values, ddof=1) / np.sqrt(count)
     return float(mean - half), float(mean + half)
 
 

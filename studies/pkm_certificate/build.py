@@ -159,7 +159,8 @@ def _predicted(
         root = covariance_root(promised.promise.covariances[0])
         for k, component in enumerate(promised.components):
             sd = np.linalg.norm(promised.promise.maps[:, k] @ root, axis=1)
-            rms, largest = promised.promise.rms[k], sd.max()
+            rms = promised.promise.rms[k]
+            largest = sd.max()
             yield CertifiedAccuracy(
                 component.name, float(rms), float(largest), component.unit
             )
@@ -334,7 +335,8 @@ def _measured_conformity(
     verified, plan = result.verification, result.acceptance
     if verified is None or plan is None or name not in verified.components:
         return
-    verdict, scale = verified.components[name], units.factor(plan.components[name].unit)
+    verdict = verified.components[name]
+    scale = units.factor(plan.components[name].unit)
     p = measured_rms_within(
         verdict.rms * scale,
         plan.components[name].uncertainty * scale,

@@ -224,7 +224,8 @@ class LineBuffer:
     """
 
     def __init__(self, *, begins: bool) -> None:
-        self._part, self._begins = b"", begins
+        self._part = b""
+        self._begins = begins
 
     def add(self, data: bytes) -> Iterator[str]:
         """The lines that end here, without blanks around; of longer ones the beginning."""

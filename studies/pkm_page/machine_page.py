@@ -159,7 +159,8 @@ class MachinePage:
 
     def arrived(self, offer: Offer) -> None:
         """Numbers from the line: shown in the entries, or taken at once where wanted."""
-        self.offer, self.doubt = offer, ""
+        self.offer = offer
+        self.doubt = ""
         offered = self._offered()
         if not self.take_at_once or offered is None:
             return

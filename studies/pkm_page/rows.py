@@ -286,7 +286,8 @@ def _is_at(cells: Mapping[str, str], pose: Mapping[str, float]) -> bool:
 
 def _free_run(content: FileContent, row: Mapping[str, str]) -> str:
     used = {_labels(content, k) for k in range(1, len(content.rows))}
-    name, number = row["run"], 1
+    name = row["run"]
+    number = 1
     while (row["setup"], name) in used:
         number += 1
         name = f"{row['run']} ({number})"

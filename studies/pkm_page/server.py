@@ -208,7 +208,8 @@ class MachineAddresses:
             while True:
                 token = self.page.token()
                 if token != before:
-                    before, silent = token, 0.0
+                    before = token
+                    silent = 0.0
                     yield "data: changed\n\n"
                 elif silent >= ALIVE:
                     silent = 0.0
@@ -326,7 +327,9 @@ class StudyAddresses:
     """Addresses of a folder of studies: a form for a new one, and one to go on with."""
 
     def __init__(self, folder: Path, switch: Switch) -> None:
-        self.folder, self.switch, self.form = folder, switch, StudyForm(folder)
+        self.folder = folder
+        self.switch = switch
+        self.form = StudyForm(folder)
         self.routes = [
             Route("/new", self.show),
             Route("/new", self._answering(NewStudy, self._write), methods=["POST"]),

@@ -303,7 +303,8 @@ class MachineSession:
         self, after: FileContent, values: Sequence[float], entries: Sequence[str]
     ) -> list[str]:
         """What speaks against the content's last reading."""
-        pose, fitted = self._pose(), self.state.fitted
+        pose = self._pose()
+        fitted = self.state.fitted
         series, row, y = self._read_values(pose, values)
         expected = doubts.interval(self.adviser, fitted, series, row)
         sentences = doubts.value_doubts(

@@ -421,7 +421,8 @@ def _last_setup(session: MachineSession, content: FileContent) -> str | None:
 def _last_readings(session: MachineSession, content: FileContent) -> list[LastReading]:
     """The last readings of the file, the latest first."""
     measurement = session.measurement
-    listed, number = [], 0
+    listed = []
+    number = 0
     for k in range(1, len(content.rows)):
         values = rows.reading_cells(content, k, measurement)
         if not values:

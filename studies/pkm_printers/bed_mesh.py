@@ -115,9 +115,11 @@ class BedMesh:
 
     def setup_table(self, *, is_reference: bool = False) -> str:
         """The table [[setup]] of a study; a reference states where the bed is."""
-        level, why = LEVEL_SD_MM, "the level of a mesh is its own"
+        level = LEVEL_SD_MM
+        why = "the level of a mesh is its own"
         if is_reference:
-            level, why = 0.0, EXACT_TRIGGER
+            level = 0.0
+            why = EXACT_TRIGGER
         return setup_table(self.setup, self.points[0].probe, level, why)
 
     def sentence(self, use: MeshUse) -> str:
@@ -150,7 +152,8 @@ def distinct(meshes: Sequence[BedMesh]) -> tuple[list[BedMesh], list[str]]:
 
 def _renamed(mesh: BedMesh, setups: Collection[str]) -> BedMesh:
     """The mesh, with a number behind its name where another set-up has that name."""
-    number, renamed = 1, mesh
+    number = 1
+    renamed = mesh
     while renamed.setup in setups:
         number += 1
         renamed = dataclasses.replace(mesh, name=f"{mesh.name} {number}")

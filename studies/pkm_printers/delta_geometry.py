@@ -197,7 +197,8 @@ def lower_heights(centres: Array, lengths: Array) -> Array:
     base = np.einsum("nij,nj->ni", inverse, size[:, 1:] - size[:, :1])
     slope = -np.einsum("nij,nj->ni", inverse, steps[:, :, 2])
     # t = (base + slope z, z) on the sphere of the first centre
-    offset, height = base - centres[:, 0, :2], centres[:, 0, 2]
+    offset = base - centres[:, 0, :2]
+    height = centres[:, 0, 2]
     a = (slope**2).sum(axis=1) + 1.0
     b = (slope * offset).sum(axis=1) - height
     c = (offset**2).sum(axis=1) + height**2 - lengths[0] ** 2

@@ -31,6 +31,7 @@ def rows(folder: Path) -> Iterator[Row]:
     for i, pose in enumerate(joints):
         setup, first = "known_lines", 0
         if i >= len(positions):
-            setup, first = "other_lines", len(positions)
+            setup = "other_lines"
+            first = len(positions)
         label = {"setup": setup, "run": "1", "order": str(i - first + 1)}
         yield label | pose | {"gap_mm": "0"}

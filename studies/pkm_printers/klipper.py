@@ -91,7 +91,8 @@ class KlipperImporter:
         read_geometry = klipper_rotary.rotary_geometry if is_rotary else linear_geometry
         geometry: PrinterGeometry = read_geometry(config)
         check_positions(_positions(config, steps), geometry)
-        count, height = len(distances) // 2, float(heights[0]["height_mm"])
+        count = len(distances) // 2
+        height = float(heights[0]["height_mm"])
         meshes, mesh_notes = distinct(klipper_config.meshes(config))
         mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
         mesh_notes += explanations(meshes, GEOMETRY_WORDS)

@@ -207,7 +207,8 @@ def _parse(text: str, file: str, parsed: _Parsed) -> None:
         heading = SECTION.match(content)
         if heading:
             parsed.sections[heading[1].strip()] = number
-            section, last = heading[1].strip().lower(), None
+            section = heading[1].strip().lower()
+            last = None
             continue
         option = OPTION.match(content)
         if option and section:

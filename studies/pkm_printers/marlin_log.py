@@ -271,7 +271,8 @@ class ReportScan:
             self._is_new = False
             return
         for command in gcode.commands([line], "G33"):
-            self._words, self._is_new = command.words, True
+            self._words = command.words
+            self._is_new = True
 
     def take(self, line: TextLine) -> bool:
         """Take a line of a report; whether it begins a new one."""
@@ -496,7 +497,8 @@ def probing(
                 " another geometry than the last one."
             )
     else:
-        used, settings = taken, scan.settings(lines[-1], len(lines))
+        used = taken
+        settings = scan.settings(lines[-1], len(lines))
     contacts = [one.contact for one in used]
     offset = _offset(settings, numbers, contacts, notes)
     of_nozzle = [contact.of_nozzle(offset) for contact in contacts]
@@ -613,7 +615,8 @@ def _offset(
     if not any(contact.is_probe for contact in contacts):
         notes.append("Places: those of the nozzle, which G33 puts there.")
         return 0.0, 0.0
-    probe, source = settings.command("M851"), "M851"
+    probe = settings.command("M851")
+    source = "M851"
     if "probe_offset_mm" in numbers:
         x, y = numbers["probe_offset_mm"]
         source = "probe_offset_mm"

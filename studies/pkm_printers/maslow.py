@@ -194,11 +194,14 @@ def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
 
 def _section_words(lines: Sequence[TextLine]) -> list[bool]:
     """Whether each line is of newer firmware: in its section, or a log's path of it."""
-    inside, depth, file = list[bool](), -1, ""
+    inside = list[bool]()
+    depth = -1
+    file = ""
     for line in lines:
         entry = ENTRY.match(line.text) if _is_yaml(line) else None
         if line.file != file or (entry and len(entry[1]) <= depth):
-            depth, file = -1, line.file
+            depth = -1
+            file = line.file
         inside.append(depth >= 0 or f"{SECTION}/" in line.text.lower())
         if entry and entry[2].lower() == SECTION:
             depth = len(entry[1])

@@ -88,13 +88,16 @@ def pooled(groups: Iterable[Sequence[float]]) -> PooledSpread | None:
 def repeated_in_log(lines: Sequence[TextLine]) -> list[list[float]]:
     """Readings of a log that were taken at one place, mm, a list for each."""
     groups: list[list[float]] = []
-    last, samples, singles = "", USUAL_SAMPLES, False
+    last = ""
+    samples = USUAL_SAMPLES
+    singles = False
     for line in lines:
         if any(gcode.commands([line], *MOVES)):
             last = ""
         for command in gcode.commands([line], "M48"):
             if not HEADING.search(line.text):
-                samples, singles = command.number("P", USUAL_SAMPLES), False
+                samples = command.number("P", USUAL_SAMPLES)
+                singles = False
         for kind, pattern in enumerate(READINGS):
             match = pattern.search(line.text)
             if match is None:
@@ -103,7 +106,8 @@ def repeated_in_log(lines: Sequence[TextLine]) -> list[list[float]]:
             if place != last:
                 groups.append([])
             groups[-1].append(gcode.finite(match["value"], line))
-            last, singles = place, True
+            last = place
+            singles = True
         summary = SUMMARY.search(line.text)
         if summary and not singles:
             groups.append(_add_deviation(gcode.finite(summary[1], line), samples))

@@ -28,7 +28,8 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     behind = -0.5 * state.motion_sign * unit
     fresh = np.exp(-state.travel_since_reversal / (distance * unit))
     for i in state.limbs:
-        leg, half = f"leg {i + 1}", behind[:, i]
+        leg = f"leg {i + 1}"
+        half = behind[:, i]
         yield Column(leg, PLAY, leg, {i: half})
         for name, form in (
             ("slope", position[:, i]),

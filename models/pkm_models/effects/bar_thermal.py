@@ -24,13 +24,15 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     two, a second time constant, and any smooth course where no temperature is recorded.
     """
     measured, warm, second = terms.warm_up(state, "bar", tau)
-    name, long = bar.label(state), bar.length(state) or bar.NOMINAL_LENGTH
+    name = bar.label(state)
+    long = bar.length(state) or bar.NOMINAL_LENGTH
     unit, scale = (
         ("per kelvin", terms.STEEL_EXPANSION)
         if measured
         else ("rise", TEMPERATURE_RISE * terms.STEEL_EXPANSION)
     )
-    hand, most = "held", TEMPERATURE_RISE * terms.STEEL_EXPANSION
+    hand = "held"
+    most = TEMPERATURE_RISE * terms.STEEL_EXPANSION
     forms = {
         unit: (scale, warm),
         f"{unit} second": (terms.SHAPE_SHARE * scale, second),

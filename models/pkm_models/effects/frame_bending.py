@@ -32,7 +32,8 @@ def columns(state: State, sag: float) -> Iterable[Column]:
     sag: how much more the frame bends under the session's heaviest payload than under
     none
     """
-    offset, load = _offset(state), sag * terms.payload_share(state)
+    offset = _offset(state)
+    load = sag * terms.payload_share(state)
     for degree, part in enumerate(PARTS if len(offset) < 3 else PARTS[:4]):
         for name, field in _products(offset, degree):
             bent = field * (load if degree < 2 else 1.0 + load)

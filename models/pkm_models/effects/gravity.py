@@ -18,11 +18,9 @@ def columns(state: State, ratio: float) -> Iterable[Column]:
     """Drives (c0) and struts (c1), alike in all legs; shape: more along the travel,
     less where the load is large, legs that differ, weights that act elsewhere.
     """
-    (load, extra), square, position = (
-        terms.joint_load(state, ratio),
-        terms.joint_per_metre(state) ** 2,
-        terms.travel_position(state),
-    )
+    load, extra = terms.joint_load(state, ratio)
+    square = terms.joint_per_metre(state) ** 2
+    position = terms.travel_position(state)
     drive = load * square
     strut = (
         load

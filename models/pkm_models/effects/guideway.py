@@ -22,7 +22,8 @@ def columns(state: State) -> Iterable[Column]:
     """Towards and from the middle (radial) and across, a leg: modes of a smooth random
     curve over the travel, of which those after the first two let the form adapt.
     """
-    guide, position = terms.travel(state.machine).guide, terms.travel_position(state)
+    guide = terms.travel(state.machine).guide
+    position = terms.travel_position(state)
     out = terms.radial_directions(state)
     out = out - np.einsum("mjk,jk->mj", out, guide)[..., None] * guide
     out /= np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)

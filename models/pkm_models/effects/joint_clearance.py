@@ -31,7 +31,8 @@ def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
     half = 0.5 * state.joint_per_length
     position = terms.travel_position(state)
     for i in state.limbs:
-        leg, side = f"leg {i + 1}", np.tanh(pull[:, i] / soft)
+        leg = f"leg {i + 1}"
+        side = np.tanh(pull[:, i] / soft)
         yield Column(leg, PLAY, leg, {i: half[:, i] * side})
         for name, form in (
             ("harder", np.tanh(pull[:, i] / (0.3 * soft))),

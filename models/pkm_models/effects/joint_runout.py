@@ -55,7 +55,8 @@ def columns(state: State, platform: float, across: float) -> Iterable[Column]:
                 ("cos", np.cos(order * angle[:, i])),
             ):
                 change = {i: amount[:, i] * value}
-                name, scale = f"{leg} {kind}{order} {part}", part_of * RUNOUT
+                name = f"{leg} {kind}{order} {part}"
+                scale = part_of * RUNOUT
                 yield Column(name, scale, leg, change, shape=bool(kind) or order != 2)
 
 

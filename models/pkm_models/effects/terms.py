@@ -77,7 +77,8 @@ def _remembered(key: _Key) -> Travel:
 
 
 def _travel(machine: Machine) -> Travel:
-    kinematics, p = Kinematics(machine), machine.nominal
+    kinematics = Kinematics(machine)
+    p = machine.nominal
     levels = 5 if len(machine.command) <= 3 else 3
     sides = [np.linspace(c.lower, c.upper, levels) for c in machine.workspace()]
     command = np.vstack([machine.home_command, *itertools.product(*sides)])
@@ -112,7 +113,8 @@ def travel_position(state: State) -> Array:
     Curves over the whole travel would tell nothing of what bends within a part of it.
     Errors that bend within less than a part of PART are smooth in what is read.
     """
-    known, (low, high) = travel(state.machine), state.joint_range
+    known = travel(state.machine)
+    low, high = state.joint_range
     half = 0.5 * np.maximum(high - low, MIN_TRAVEL_SHARE * (known.high - known.low))
     return np.asarray((state.joints - 0.5 * (low + high)) / half)
 
@@ -325,7 +327,8 @@ def _lag(value: Array, time: Array, tau: float) -> Array:
     ):
         step = time[now] - time[before] if k else 0.0
         if step > 0.0:
-            slope, keep = (value[now] - value[before]) / step, np.exp(-step / tau)
+            slope = (value[now] - value[before]) / step
+            keep = np.exp(-step / tau)
             last = (
                 value[now] - slope * tau + (last - value[before] + slope * tau) * keep
             )

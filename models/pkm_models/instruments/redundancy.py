@@ -94,7 +94,8 @@ def _unlike(machine: Machine, count: int) -> str | None:
 
 
 def _leg_channels(machine: Machine) -> Instrument:
-    legs, m = machine.joints, len(machine.joints)
+    legs = machine.joints
+    m = len(machine.joints)
     default = DEFAULT_SIGMA * math.sqrt(m)
 
     def sources(frames: Sequence[Frame], s: Values, k: Values) -> Expr:

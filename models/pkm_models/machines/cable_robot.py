@@ -105,7 +105,8 @@ class _Lines:
 
     def closure(self, x: Values, q: Values, p: Values) -> list[Expr]:
         """Line lengths; m."""
-        rows, buildup = [], p["buildup"] if self.zeroed else self.buildup
+        rows = []
+        buildup = p["buildup"] if self.zeroed else self.buildup
         for k, change in enumerate(self.changes(x, p)):
             turned = q[f"q{k + 1}"] / self.gear[k]
             paid_out = p[f"radius{k + 1}"] * turned - buildup * turned**2 / 4.0

@@ -66,7 +66,8 @@ def _effector_edges(p: Values) -> list[Expr]:
     edges = [_tangent(SIDES[i]) for i in TOWERS]
     normals, sides = [], []
     for i, edge in zip(TOWERS, edges, strict=True):
-        angle, radius = p[f"angle{i}"], p["radius"] + p[f"trim{i}"]
+        angle = p[f"angle{i}"]
+        radius = p["radius"] + p[f"trim{i}"]
         drop = ca.sqrt(p[f"arm{i}"] ** 2 - radius**2)
         rod = ca.vertcat(-radius * ca.cos(angle), -radius * ca.sin(angle), -drop)
         rod = rod / p[f"arm{i}"]

@@ -46,7 +46,8 @@ def platform(x: Values) -> tuple[Expr, Expr]:
 def leg(x: Values, p: Values, i: int) -> Strut:
     """Ends (3,) of a leg, at the base and at its collar."""
     rotation, tool = platform(x)
-    axis, foot = rotation[:, 2], point(p, "b", i)
+    axis = rotation[:, 2]
+    foot = point(p, "b", i)
     offset = foot - tool
     across = offset - ca.dot(offset, axis) * axis
     outward = across / ca.norm_2(across)

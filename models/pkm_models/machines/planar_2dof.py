@@ -40,7 +40,8 @@ TILT_SD = 0.3e-3  # rad
 
 def _slider(i: int, q: Values, p: Values) -> Expr:
     """Slider joint (3,) in the base frame."""
-    travel, tilt = q[f"q{i}"] + p[f"z{i}"], p[f"beta{i}"]
+    travel = q[f"q{i}"] + p[f"z{i}"]
+    tilt = p[f"beta{i}"]
     return ca.vertcat(
         0.0, SIDE[i] * p["D"] - travel * ca.sin(tilt), travel * ca.cos(tilt)
     )

@@ -38,7 +38,8 @@ LENGTH_SD = 1e-3  # m
 
 def _limb(x: Values, q: Values, p: Values, i: int) -> list[Expr]:
     """Shoulder, knee and tool (3,)."""
-    turn, angle = p[f"endstop{i}"] - q[f"q{i}"], p[f"angle{i}"]
+    turn = p[f"endstop{i}"] - q[f"q{i}"]
+    angle = p[f"angle{i}"]
     outward = ca.vertcat(ca.cos(angle), ca.sin(angle), 0.0)
     shoulder = p["radius"] * outward + ca.vertcat(0.0, 0.0, p["height"])
     arm = ca.cos(turn) * outward + ca.vertcat(0.0, 0.0, ca.sin(turn))

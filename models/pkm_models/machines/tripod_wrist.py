@@ -85,7 +85,8 @@ class Wrist:
         """Zeros, directions and places of the axes."""
         listed = []
         for i, point_, moved in zip(AXES, self.points, self.moved, strict=True):
-            rad, about = legs.DIRECTION_SD, f"of wrist axis {i}"
+            rad = legs.DIRECTION_SD
+            about = f"of wrist axis {i}"
             listed.append(Parameter(f"zero{i}", 0.0, rad, "rad", f"zero {about}"))
             for side in "ab":
                 name = f"tilt{i}{side}"
@@ -181,7 +182,8 @@ def _guess(c: Values, p: Values, wrist: Wrist, up: float) -> Start:
     """The platform's axis towards the pivot, the wrist towards the tool's direction."""
     tool = ca.vertcat(c["x"], c["y"], c["z"])
     tilted = tilt_torsion(c["rx"], c["ry"], 0.0)
-    origin, turns = tool, [0.0, 0.0]
+    origin = tool
+    turns = [0.0, 0.0]
     rotation, motion = ca.SX.eye(3), ca.SX.eye(3)
     for _ in range(N_ROUNDS):
         offset = up * (tripod.pivot(p) - origin)

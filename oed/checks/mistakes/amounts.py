@@ -91,7 +91,8 @@ def _shifted_values(
 def _offset(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     if not _has_one(data, scope, values):
         return None
-    session, channel = data.session, str(data.channel[values][0])
+    session = data.session
+    channel = str(data.channel[values][0])
     kind, cause = "offset", "the bar length or the zero of the instrument is wrong"
     if scope.is_part:
         kind, cause = "run", "the set-up moved or was zeroed again"
@@ -165,7 +166,8 @@ def _offsets_of_runs(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial 
 
 def _scale(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     """Values of one unit times 1 / (1 - a), with the amount a."""
-    session, count = data.session, int(values.sum())
+    session = data.session
+    count = int(values.sum())
     is_of_one = len(set(session.values["setup"][values])) == 1
     is_of_one &= len(set(data.unit[values])) == 1
     if not is_of_one and not _has_one(data, scope, values):
@@ -332,10 +334,8 @@ def _zero(
         kind, cause = "run", "the instrument was zeroed again"
 
     def text(amounts: Array, sd: Array) -> str:
-        unit, way = (
-            units.display(inner.unit),
-            SIZE_WORDS[inner.unit][int(amounts[0] > 0.0)],
-        )
+        unit = units.display(inner.unit)
+        way = SIZE_WORDS[inner.unit][int(amounts[0] > 0.0)]
         size = amount(abs(amounts[0]), sd[0], unit, with_sd=True)
         return f"every {inner.name}{scope.within} is {size} too {way}: {cause}"
 

@@ -105,7 +105,8 @@ def _fixed(data: Suspect, text: str, each: bool, scope: Scope) -> MistakeTrial |
 def _lagging(
     data: Suspect, shown_part: str, each: bool, scope: Scope
 ) -> MistakeTrial | None:
-    session, where = data.session, _where(data, scope, each=each)
+    session = data.session
+    where = _where(data, scope, each=each)
     groups = _groups(data, scope, each=each)
     if not groups:
         return None

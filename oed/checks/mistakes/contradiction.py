@@ -88,7 +88,8 @@ def _divisions(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 def _divided(data: Suspect, cut: int, count: int) -> MistakeTrial:
-    session, every = data.session, np.arange(count, dtype=np.intp)
+    session = data.session
+    every = np.arange(count, dtype=np.intp)
     last, first = session.rows(every[cut - 1 : cut + 1])
     before, after = (
         _run_in_brackets(data, part) for part in (every[:cut], every[cut:])

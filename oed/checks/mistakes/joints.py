@@ -62,7 +62,8 @@ def _stopped(data: Suspect, k: int, sign: float) -> Iterator[MistakeTrial]:
     text = partial(_stop_words, data, k, sign)
     for stop in _likely_stops(data, k, sign):
         sought = SoughtAmount(stop, spread=5e-3, step=1e-5)
-        family, scopes = f"stop {k} {sign:g}", [data.file]
+        family = f"stop {k} {sign:g}"
+        scopes = [data.file]
         yield from displaced_trials(
             data, "stop", text, moved, sought, family, scopes=scopes, is_blind=True
         )
@@ -89,7 +90,8 @@ def _stop_words(
     data: Suspect, k: int, sign: float, scope: Scope, amounts: Array, sd: Array
 ) -> str:
     joint = data.session.measurement.machine.joints[k]
-    unit, way = "mm", "longer" if sign > 0.0 else "shorter"
+    unit = "mm"
+    way = "longer" if sign > 0.0 else "shorter"
     if joint.unit == "rad":
         unit, way = "deg", "further"
     is_beyond = sign * data.session.joints[:, k] > sign * amounts[0]

@@ -40,7 +40,8 @@ def _clipped(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     session = data.session
     if len(set(data.channel[values])) > 1 or scope.level == "rows":
         return None
-    y, ends = session.y, []
+    y = session.y
+    ends = []
     missing = np.zeros(len(session), dtype=bool)
     for end in (y[values].min(), y[values].max()):
         at_end = values & (y == end)

@@ -189,7 +189,8 @@ def _relabelled_runs(
     data: Suspect, parts: Sequence[Scope], sources: Sequence[int]
 ) -> MistakeTrial | None:
     """Each run, or set-up, with the readings that stand under another one."""
-    count, level = len(parts), parts[0].level
+    count = len(parts)
+    level = parts[0].level
     moved = [k for k in range(count) if sources[k] != k]
     if not moved:
         return None

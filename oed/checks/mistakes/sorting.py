@@ -71,7 +71,8 @@ def _ordered(
 
     `is_alone` says whether they are all that their readings have.
     """
-    session, y = data.session, data.session.y.copy()
+    session = data.session
+    y = data.session.y.copy()
     for _ in range(6):
         predicted = _predicted(data, y, np.concatenate(tables).ravel())
         before = y.copy()
@@ -141,7 +142,8 @@ def _distribution_alone(
     missing = np.isin(np.arange(len(data.session)), np.concatenate(tables))
     log_density = 0.0
     for table in tables:
-        y, count = data.session.y[table], len(table)
+        y = data.session.y[table]
+        count = len(table)
         sd = max(float(np.std(y)), float(np.median(data.sigma[table])))
         log_density += float(scipy.special.gammaln(1.0 + count))
         log_density -= count * (np.log(sd) + 0.5 * np.log(2.0 * np.pi) + 0.5)

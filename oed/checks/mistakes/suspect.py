@@ -321,7 +321,8 @@ class Suspect:
 
     def values_in(self, scope: Scope, target: int) -> Mask | None:
         """Values (N,) of a target, by number, in a scope; None where another has the same."""
-        inside, targets = scope.values(self.session), self.targets
+        inside = scope.values(self.session)
+        targets = self.targets
         values = targets[target] & inside
         is_known = any(np.array_equal(values, t & inside) for t in targets[:target])
         if scope.level == "set-up":  # all that the file has of it

@@ -168,10 +168,12 @@ def _deviation(
     values: Mask,
 ) -> MistakeTrial | None:
     """Values that are deviations from `origin`, in fine units, with a sign."""
-    session, base = data.session, _base(data, values, origin)
+    session = data.session
+    base = _base(data, values, origin)
     if base is None:
         return None
-    factor, names = np.ones(len(session)), []
+    factor = np.ones(len(session))
+    names = []
     for channel in dict.fromkeys(data.channel[values & np.isfinite(base)]):
         column = session.column(str(channel))
         name, of_unit = fine.get(column.unit, ("", column.factor))
@@ -210,7 +212,8 @@ def _lost(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
 
     A reading has a sign to lose where its prediction is surely above or below zero.
     """
-    y, sign = data.session.y, np.sign(data.predicted)
+    y = data.session.y
+    sign = np.sign(data.predicted)
     if not (np.all(y[values] >= 0.0) or np.all(y[values] <= 0.0)):
         return None
     is_known = np.abs(data.predicted) > KNOWN_SIGN_SD * data.spread

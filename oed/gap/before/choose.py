@@ -195,7 +195,8 @@ def separation(
     rows   (C,) readings of each run
     taken  readings that any plan has
     """
-    n, values = problem.slopes.shape[1], np.hstack([problem.slopes, columns])
+    n = problem.slopes.shape[1]
+    values = np.hstack([problem.slopes, columns])
     prior = np.eye(n, values.shape[1])
     white = [law.factor(problem.structure, members).whiten(values) for members in rows]
     base_rows = prior
@@ -231,7 +232,8 @@ def _convenient_coordinates(whole: Array, n: int) -> tuple[Array, float]:
 
 def _targets(forms: Sequence[Form], rivals: Sequence[Form]) -> list[Target]:
     """Combinations of an effect's coefficients, each from each form of a rival."""
-    middle, targets = forms[len(forms) // 2], []
+    middle = forms[len(forms) // 2]
+    targets = []
     signature = middle.signature
     kinds: dict[str, list[str]] = {}
     for k in np.flatnonzero(~signature.shape):

@@ -95,7 +95,8 @@ def effect_forms(
     """
     by_effect: dict[str, list[Form]] = {}
     reasons: dict[str, str] = {}
-    blocks, start = [np.zeros((len(problem), 0))], 0
+    blocks = [np.zeros((len(problem), 0))]
+    start = 0
     for effect in effects:
         reason = untestable(effect, problem.states)
         grid = effect.constant_grid() if reason is None else []
@@ -329,7 +330,8 @@ def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
     They are visible and not distinguished from it, or the same as its.
     """
     angles, vectors = _principal_angles(gram, form, rival)
-    columns, block = form.at[form.textbook], np.ix_(form.textbook, form.textbook)
+    columns = form.at[form.textbook]
+    block = np.ix_(form.textbook, form.textbook)
     inner = gram[np.ix_(columns, columns)]
     left = separated(gram, form.at, rival.at, rival.precision)[block]
     names = [form.signature.names[k] for k in form.textbook]
@@ -599,7 +601,8 @@ def _least_sizes(
     for form, gram in zip(forms, grams, strict=True):
         signature = form.signature
         for k in np.flatnonzero(~signature.shape):
-            name, lam = signature.names[k], float(gram[k, k])
+            name = signature.names[k]
+            lam = float(gram[k, k])
             size = float("inf")
             if lam > 1e-12:
                 size = (needed / lam) ** 0.5 * float(signature.scales[k])

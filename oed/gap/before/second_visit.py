@@ -77,7 +77,8 @@ def candidate_runs(
             if len(poses) >= 5 or step == 1:
                 parts = [f"{path.name} again", *_words(stated)]
                 parts += ["every second pose"] if step > 1 else []
-                name, condition = ", ".join(parts), stated | clock
+                name = ", ".join(parts)
+                condition = stated | clock
                 runs.append(
                     dataclasses.replace(
                         path, name=name, command=poses, condition=condition
@@ -496,7 +497,8 @@ def _parts(
         likeliest.setdefault(form.effects, form)
     whiten = law.factor(both.structure, first).whiten
     residual = whiten(both.residual[:, None])[:, 0]
-    start, parts = 0, []
+    start = 0
+    parts = []
     for form in likeliest.values():
         numbers = np.arange(start, start + form.columns.shape[1])
         start += len(numbers)

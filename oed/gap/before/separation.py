@@ -152,7 +152,8 @@ class Separation(Objective):
         Each combination at one prior standard deviation of each coefficient in it, from
         each rival at its most absorbing constants.
         """
-        n, m = self.size, self.of(chosen)
+        n = self.size
+        m = self.of(chosen)
         profiled = m[n:, n:] - m[n:, :n] @ np.linalg.solve(m[:n, :n], m[:n, n:])
         lambdas = self.lambdas(m)
         records = []
@@ -204,7 +205,8 @@ class Separation(Objective):
         self, active: Index, weights: Array
     ) -> tuple[Array, Array]:
         """Slopes and curvature of the smoothed compound."""
-        m, grams = self.at(active, weights), self.grams[active]
+        m = self.at(active, weights)
+        grams = self.grams[active]
         logs, table, curvatures = self._log_lambdas(m, grams)
         shares = special.softmax(-self.sharp * logs)
         mean = shares @ table
@@ -225,7 +227,10 @@ class Separation(Objective):
 
     def _log_lambdas(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
         """log lambda (T,), its slopes (T, C) and curvatures (T, C, C)."""
-        n, logs, slopes, curvatures = self.size, [], [], []
+        n = self.size
+        logs = []
+        slopes = []
+        curvatures = []
         for t in self.targets:
             nuisance = np.concatenate([np.arange(n), n + t.rival.at])
             precision = np.concatenate([np.zeros(n), t.rival.precision])

@@ -201,7 +201,8 @@ def closure(
     """
     several = [columns] if isinstance(columns, np.ndarray) else list(columns)
     models = [np.hstack([problem.slopes, model]) for model in several]
-    noise, n = RunNoise(problem, law), problem.slopes.shape[1]
+    noise = RunNoise(problem, law)
+    n = problem.slopes.shape[1]
     residual = problem.residual
     scored = [noise.score(np.column_stack([model, residual])) for model in models]
     pairs = zip(models, scored, strict=True)

@@ -107,7 +107,8 @@ def _class_of(
     search: Search, h: Hypothesis, i: int, scores: Mapping[Key, float], alive: float
 ) -> tuple[str, ...]:
     """The names indistinguishable from the i-th effect of a hypothesis, itself first."""
-    effect, (others, sizes) = h.effects[i], h.without(i)
+    effect = h.effects[i]
+    others, sizes = h.without(i)
     beside = [name for name in h.effects if name != effect]
     selected = [np.empty(0, dtype=np.intp), *map(search.columns_of, others)]
     grams = search.grams.project_out(np.concatenate(selected))
@@ -136,7 +137,8 @@ def _class_of(
         distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
         exact = distinct < EXACT_SHARE * whole and log_odds(rival) > -PRIOR_LOG_ODDS
         score = scores.get((frozenset({rival, *beside}), h.unknown), -np.inf)
-        of_form, behind = 0.0, alive
+        of_form = 0.0
+        behind = alive
         is_usual = size < MAX_USUAL_COEFFICIENT * MAX_RIVAL_SIZE
         if is_usual and search.library.differ_by_form(effect, rival):
             # what a form can make that departs from its textbook, and its prior
@@ -164,7 +166,8 @@ def _distinct_energy(
     columns = search.columns_of(h.atoms[i])
     beta = posterior_mean(grams, columns, h.sizes[i])
     whole = float(beta @ grams.gram[np.ix_(columns, columns)] @ beta)
-    least, size = whole, 0.0
+    least = whole
+    size = 0.0
     for atom in search.library.atoms_of(rival):
         form = search.columns_of(atom)
         cross = grams.gram[np.ix_(form, columns)] @ beta
@@ -173,7 +176,8 @@ def _distinct_energy(
         coefficients = np.linalg.solve(inner, cross)
         left = whole - float(cross @ coefficients)
         if left < least:
-            least, size = left, float(np.abs(coefficients).max())
+            least = left
+            size = float(np.abs(coefficients).max())
     return max(least, 0.0), whole, size
 
 
@@ -202,7 +206,8 @@ def without_implausible(
     No machine has them, or they are beyond MAX_UNCONFIRMED and withheld runs are
     predicted better by an unknown. That one takes over the probability.
     """
-    results, left_out = {h.key: h for h in hypotheses}, []
+    results = {h.key: h for h in hypotheses}
+    left_out = []
     shares = probabilities(hypotheses)
     likely = [
         k for k, h in enumerate(hypotheses) if h.effects and shares[k] > MIN_ASKED
@@ -259,7 +264,8 @@ def _sizes(search: Search, h: Hypothesis) -> tuple[Array, Array, Array]:
     forms = [search.columns_of(k) for k in h.atoms]
     counts = [len(form) for form in forms]
     columns = h.columns(search.library, search.processes)
-    metric, residual = Metric(search.problem, search.law), search.problem.residual
+    metric = Metric(search.problem, search.law)
+    residual = search.problem.residual
     mean = metric.posterior(columns, residual)[0][: sum(counts)]
     sizes = np.abs(np.repeat(h.sizes, counts) * mean)
     limits = np.array(search.library.limits)[np.concatenate(forms)]
@@ -319,7 +325,8 @@ def acting_forms(
     search: Search, h: Hypothesis, effects: Sequence[Effect]
 ) -> list[ActingEffectForm]:
     """The forms of a hypothesis' effects."""
-    by_name, library = {effect.name: effect for effect in effects}, search.library
+    by_name = {effect.name: effect for effect in effects}
+    library = search.library
     return [
         ActingEffectForm(
             by_name[name],

@@ -118,7 +118,8 @@ def with_roughness(
     if problem.statement.is_assumed and not len(again.rows):
         ratio = -np.inf  # nothing measures the noise, and nothing states it
     recurring = nothing.log_evidence + ratio + float(np.log(ROUGH_SHARE))
-    share, results = 0.0, []
+    share = 0.0
+    results = []
     for h in hypotheses:
         if h.unknown and not h.effects:
             total = float(np.logaddexp(h.log_evidence, recurring))

@@ -450,7 +450,8 @@ class Search:
         """The same search with another log prior of its noise law."""
         other = copy.copy(self)
         change = log_prior - self.log_prior
-        other.log_prior, other._log_law = log_prior, self._log_law + change
+        other.log_prior = log_prior
+        other._log_law = self._log_law + change
         other._hypotheses = [
             dataclasses.replace(h, log_evidence=h.log_evidence + change)
             for h in self._hypotheses
@@ -466,7 +467,8 @@ class Search:
     def grams_with(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
         """Grams of the columns of forms alone, these in the model one after the other."""
         columns = [self.columns_of(k) for k in atoms]
-        grams, start = self._forms.grams_of(np.concatenate([_NONE, *columns])), 0
+        grams = self._forms.grams_of(np.concatenate([_NONE, *columns]))
+        start = 0
         for form, size in zip(columns, sizes, strict=True):
             grams = grams.select(np.arange(start, start + len(form)), size)
             start += len(form)
@@ -491,7 +493,8 @@ class Search:
         """
         if part == len(h.effects):
             table = self._forms.log_remainders(*self._selected(h))
-            numbers, sizes = np.arange(len(table)), REMAINDER_SIZES
+            numbers = np.arange(len(table))
+            sizes = REMAINDER_SIZES
         else:
             table = self._log_posterior(h.effects[part], *h.without(part))
             numbers, sizes = self._atoms_of[h.effects[part]], EFFECT_SIZE_VALUES
@@ -570,7 +573,8 @@ class Search:
         )
         further_forms = 0.0
         for _ in range(MAX_ROUNDS):
-            before, further_forms = h, 0.0
+            before = h
+            further_forms = 0.0
             for i, effect in enumerate(effects):
                 table = self._log_posterior(effect, *h.without(i))
                 best = self._best(self._atoms_of[effect], table)

@@ -75,12 +75,14 @@ class Columns:
 
     def some(self, numbers: Index, factor: float) -> list[Block]:
         """Some columns times a factor, in this order; whole blocks share their values."""
-        owner, blocks = self._owners(numbers), []
+        owner = self._owners(numbers)
+        blocks = []
         for own in np.split(
             np.arange(len(numbers)), np.flatnonzero(np.diff(owner)) + 1
         ):
             k = int(owner[own[0]])
-            block, within = self.blocks[k], numbers[own] - self._ends[k]
+            block = self.blocks[k]
+            within = numbers[own] - self._ends[k]
             is_whole = np.array_equal(within, np.arange(block.width))
             values = block.values if is_whole else block.values[:, :, within]
             blocks.append(Block(factor * block.weights, values))

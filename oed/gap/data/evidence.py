@@ -97,7 +97,9 @@ class Grams:
         """
         rows = np.concatenate([np.empty(0, dtype=np.intp), *forms])
         gram, b = self.gram[rows], self.b[rows]
-        taken, projected, start = [gram[:0]], [b[:0]], 0
+        taken = [gram[:0]]
+        projected = [b[:0]]
+        start = 0
         for form, size in zip(forms, sizes, strict=True):
             own = slice(start, start + len(form))
             start = own.stop
@@ -161,7 +163,8 @@ class Grams:
 
         beside  what forms in the model take (`taken_by`); none by default
         """
-        alone, table = self, np.zeros((len(choices), len(sizes)))
+        alone = self
+        table = np.zeros((len(choices), len(sizes)))
         if beside is not None:
             energy = self.energy - float(beside[1] @ beside[1])
             alone = dataclasses.replace(self, energy=energy)
@@ -549,6 +552,7 @@ def linear_model(problem: GapProblem, columns: Array) -> ResidualModel:
 
 def log_evidences(model: ResidualModel, laws: Laws) -> Array:
     """Log evidences (L,) of a problem's model under each law, the level integrated out."""
-    solved, structure = model.solve(laws), model.structure
+    solved = model.solve(laws)
+    structure = model.structure
     log_det = solved.log_size + 2.0 * structure.log_unit
     return log_student(log_det, solved.energy, len(structure))

@@ -66,7 +66,8 @@ def settle(
     Where the steps lead nowhere, the problem as it was, with a departure of infinity.
     """
     fit = _PointFit(problem, forms, law, outlying)
-    point, departure = fit.start(), None
+    point = fit.start()
+    departure = None
     try:
         for _ in range(16):
             reached = fit.at(fit.most_probable(point))
@@ -144,7 +145,8 @@ class _PointFit:
         problem, split = self._problem, self.parameters
         theta = problem.measurement.nominal + self._root @ values[:split]
         moved = problem.about(theta)
-        factors, acting = iter((self.sizes * values[split:]).tolist()), []
+        factors = iter((self.sizes * values[split:]).tolist())
+        acting = []
         for form in self._forms:
             of_form = dict(zip(form.names, factors, strict=False))
             acting.append((form.effect, form.constants, of_form))

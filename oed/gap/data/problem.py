@@ -502,7 +502,8 @@ def _rows(
     states: Sequence[State],
 ) -> pd.DataFrame:
     """One row a reading of a channel, in the order of y."""
-    parts, start = [], 0
+    parts = []
+    start = 0
     for s, state in zip(series, states, strict=True):
         stop = start + len(s)
         rows = covariates.iloc[start:stop].reset_index(drop=True)

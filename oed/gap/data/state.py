@@ -134,10 +134,12 @@ def _run_motion(q: Array, point: Array) -> Motion:
     pieces = np.split(np.arange(len(q)), far)
     for points in pieces:
         inside = corners[np.isin(corners, points[1:-1])]
-        start, rolling = int(points[0]), True
+        start = int(points[0])
+        rolling = True
         for stop in (*inside, points[-1]):
             _lay_path(along, q, point, np.arange(start, stop + 1), rolling)
-            start, rolling = int(stop), False
+            start = int(stop)
+            rolling = False
     return along
 
 
@@ -321,7 +323,8 @@ def states(
     covariates = covariates.assign(session_progress=_progress(times))
     down = np.array(gravity, dtype=float)
     down = down / np.linalg.norm(down)
-    by_series, start = [], 0
+    by_series = []
+    start = 0
     for s in series:
         stop = start + len(s)
         rows = covariates.iloc[start:stop]

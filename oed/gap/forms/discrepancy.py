@@ -128,7 +128,8 @@ def _scaled(columns: Array) -> Array:
 
 def _joint_slopes(problem: GapProblem) -> Array:
     """Slopes (N, nq, J) of the readings over the joints, over the noise, per SI unit."""
-    parts, most = [], _most_poses(problem)
+    parts = []
+    most = _most_poses(problem)
     for series, response in zip(problem.series, problem.responses, strict=True):
         at_pose = response.joints
         count, width = at_pose[0][..., 0].size, at_pose[0].shape[-1]
@@ -145,7 +146,8 @@ def values_of_poses(problem: GapProblem, values: Sequence[Array]) -> Array:
     First comes the pose read, then what it is read against. The last repeats where a
     reading sees fewer poses than others.
     """
-    parts, most = [], _most_poses(problem)
+    parts = []
+    most = _most_poses(problem)
     sources = zip(values, problem.series, problem.responses, strict=True)
     for value, series, response in sources:
         moving = _moving_poses(series)
@@ -500,7 +502,8 @@ def _run_terms(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
         if carrier.name == JOINTS:
             continue
         about = f"an error of {carrier.name} along the runs"
-        places, reaches = _Places(carrier, circle), REACHES["phase"]
+        places = _Places(carrier, circle)
+        reaches = REACHES["phase"]
         turned = places.parts(reaches, sense, sign=-1.0)
         for (reach, parts), (_, others) in zip(
             places.parts(reaches), turned, strict=True

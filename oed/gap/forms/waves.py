@@ -113,7 +113,8 @@ def _joined(
         period = 1.0 / wave.frequency
         constants = {f"period_{wave.band.unit}": period}
         about = _wave_words(wave.carrier.name, wave.band.unit, period)
-        even, timed = np.ones(len(columns_of_atom)), kind == IN_TIME
+        even = np.ones(len(columns_of_atom))
+        timed = kind == IN_TIME
         atoms.append(
             Atom(kind, constants, columns_of_atom, log_weight, about, timed, even)
         )
@@ -154,7 +155,8 @@ def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band
             problem, [s.session_progress for s in problem.states]
         )
         readings = sum(len(series) for series in problem.series)
-        unit, times = "readings", number * max(readings - 1, 1)
+        unit = "readings"
+        times = number * max(readings - 1, 1)
     clock = times - times.min()
     frequencies = _frequencies(clock[:, 0], 1.0)
     if not frequencies.size:
@@ -235,12 +237,14 @@ class FourierSums:
 
     def __init__(self, clock: Array, frequencies: Array) -> None:
         """Lay out the grid for clocks (N, J) and frequencies (k,)."""
-        self._poses, count = clock.shape[1], len(frequencies)
+        self._poses = clock.shape[1]
+        count = len(frequencies)
         clock, self._grid = clock.reshape(-1, 1), None
         if count < 2 * SPREAD:  # so few sums cost less without a grid
             self._turns = np.exp(2j * np.pi * clock * frequencies)
             return
-        size, number = scipy.fft.next_fast_len(2 * count), np.arange(count) - count // 2
+        size = scipy.fft.next_fast_len(2 * count)
+        number = np.arange(count) - count // 2
         ratio, step = size / count, np.ptp(frequencies) / (count - 1)
         width = np.pi * SPREAD / (count**2 * ratio * (ratio - 0.5))
         place = np.mod(step * clock, 1.0) * size

@@ -361,7 +361,8 @@ class _Writer:
     """
 
     def __init__(self, graph: Graph, varying: Collection[int]) -> None:
-        self._graph, self._varied = graph, graph.varying(varying)
+        self._graph = graph
+        self._varied = graph.varying(varying)
         self._starts = np.cumsum([0, *graph.inputs]).tolist()
         nodes = graph.nodes
         self.constants = [n.constant for n in nodes if n.constant is not None]
@@ -500,7 +501,8 @@ class _Lanes:
 class Evaluation(_Lanes):
     """Values of a function's outputs."""
 
-    name, types = "pkm_evaluate", (ctypes.c_int64, ctypes.c_void_p)
+    name = "pkm_evaluate"
+    types = (ctypes.c_int64, ctypes.c_void_p)
 
     @staticmethod
     def job(graph: Graph) -> LaneJob:
@@ -524,7 +526,8 @@ class Evaluation(_Lanes):
 class Newton(_Lanes):
     """Newton's method for value = 0, over the first input."""
 
-    name, types = "pkm_newton", (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+    name = "pkm_newton"
+    types = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
     @staticmethod
     def job(graph: Graph) -> LaneJob:

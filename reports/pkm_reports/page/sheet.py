@@ -126,7 +126,9 @@ def write_sheet(
 def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:
     """The sheet as text: stages of tables."""
     settings = {setup.name: _settings(setup) for setup in result.setups}
-    stages, room, also = [], MAX_ROWS, _covariates(result)
+    stages = []
+    room = MAX_ROWS
+    also = _covariates(result)
     for title, setups in _stages(result, poses):
         tables = []
         for name in setups:

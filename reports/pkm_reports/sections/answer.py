@@ -321,9 +321,11 @@ def number_blocks(result: StudyResult) -> list[Block]:
     for name, p in section.parameters.items():
         if "." in name:  # of a set-up
             continue
-        unit, factor = p.unit, 1.0
+        unit = p.unit
+        factor = 1.0
         if unit == "mrad":  # as firmware has angles
-            unit, factor = "deg", float(units.to_si(1.0, "mrad")) / units.DEG
+            unit = "deg"
+            factor = float(units.to_si(1.0, "mrad")) / units.DEG
         new = sent[name] * factor
         old = p.nominal * factor
         decimals = text.decimals_for(p.sd * factor)
@@ -709,7 +711,8 @@ def _predicted_accuracy(
     ]
     rows, marks = [], []
     for name, error in errors.items():
-        before, unit = components[name].before.rms, text.unit_symbol(error.unit)
+        before = components[name].before.rms
+        unit = text.unit_symbol(error.unit)
         cells = [f"{name} [{unit}]", text.number(before), text.number(error.rms)]
         cells.append(_span(components[name].judged, error.rms))
         rows.append([*cells, *_limit_cells(name, judged)])

@@ -41,7 +41,8 @@ def draw_singular_values(section: IdentifiabilitySection) -> Figure:
     largest = float(np.nanmax(values, initial=0.0))
     if not largest > 0.0:
         return style.empty("No singular values are stored in this result.")
-    rank, n = section.rank, max(section.n, len(values))
+    rank = section.rank
+    n = max(section.n, len(values))
     limit = section.tolerance * largest
     determined = np.arange(1, len(values) + 1) <= rank
     # Round-off says nothing: all zeros stand on one line, a little below the tolerance.

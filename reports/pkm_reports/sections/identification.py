@@ -257,7 +257,8 @@ def _interval(
 ) -> None:
     deviation = (estimate.value - estimate.nominal) / estimate.prior_sd
     truth = (or_nan(estimate.truth) - estimate.nominal) / estimate.prior_sd
-    sd, verdict = shrinkage(estimate), estimate.identified
+    sd = shrinkage(estimate)
+    verdict = estimate.identified
     colour = TYPE_COLOURS.get(verdict, style.BLUE)
     half = HALF_WIDTH_95 * sd
     bar: Any = {"color": colour, "lw": 2.2, "solid_capstyle": "butt"}

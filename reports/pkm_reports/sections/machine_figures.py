@@ -197,7 +197,8 @@ def draw_machine(drawing: Drawing) -> Figure:
     legend_height = 0.1 + LEGEND_LINE * math.ceil(len(entries) / columns)
     figure = style.placed_figure(PANEL_HEIGHT + legend_height)
     foot = legend_height / (PANEL_HEIGHT + legend_height)
-    whole, close = shown.whole_box(), shown.readings_box() if len(shown.tips) else None
+    whole = shown.whole_box()
+    close = shown.readings_box() if len(shown.tips) else None
     titles = ("The machine at home and all readings", "The readings, enlarged")
     if drawing.labels:
         titles = ("The machine at home: where its parameters act", titles[1])
@@ -417,7 +418,8 @@ def _drawing(figure: Figure, closure: ClosestClosure, joints: list[str]) -> None
     _struts(axes, closure, joints)
     size = float((box[1] - box[0]).max())
     _frame(axes, np.zeros(3), np.eye(3), FRAME_AXIS_SHARE * size, BASE)
-    tool, turned = units.from_si(closure.nearest.tool, "mm"), closure.nearest.axes
+    tool = units.from_si(closure.nearest.tool, "mm")
+    turned = closure.nearest.axes
     _frame(axes, tool, turned, FRAME_AXIS_SHARE * size, "tool point")
     set_axes(axes, box, azimuth)
     fit_to(figure, axes, box, DRAWING)

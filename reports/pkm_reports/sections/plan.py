@@ -177,7 +177,8 @@ def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
     widest = sorted(table, key=lambda name: -spread[name])[:2]
     if len(widest) == 1 or spread[widest[1]] == 0.0:
         table["reading"] = np.arange(1.0, len(poses) + 1.0)
-        first, second = "reading", widest[0]
+        first = "reading"
+        second = widest[0]
     else:
         first, second = sorted(widest, key=names.index)
     return _plane((first, second), np.column_stack([table[first], table[second]]))
@@ -289,7 +290,8 @@ def _free_centre(
     point: Array, half: Array, corners: Array, taken: Sequence[tuple[Array, Array]]
 ) -> Array | None:
     """The first centre about a place where a label covers no other, in points."""
-    middle, room = corners.mean(axis=0), np.ptp(corners, axis=0) / 2.0
+    middle = corners.mean(axis=0)
+    room = np.ptp(corners, axis=0) / 2.0
     for offset in OFFSETS:
         centre = point + LABEL_DISTANCE * half * offset
         outside = offset.any() and (np.abs(centre - middle) > room).any()

@@ -849,7 +849,8 @@ def points(plans: Sequence[AlternativePlan]) -> Array:
 
 def _points(pairs: Sequence[tuple[float, float]]) -> Array:
     table = np.array(pairs, dtype=float).reshape(-1, 2)
-    finite, positive = np.isfinite(table).all(axis=1), table[:, 1] > 0.0
+    finite = np.isfinite(table).all(axis=1)
+    positive = table[:, 1] > 0.0
     return np.asarray(table[finite & positive])
 
 

@@ -181,7 +181,8 @@ def check_sentences(check: RunCheck) -> Iterator[str]:
         inside += int((error <= curve.half_widths).sum())
         count += len(error)
         if error.max() > largest:
-            largest, unit = float(error.max()), curve.unit
+            largest = float(error.max())
+            unit = curve.unit
     if count:
         yield (
             f"{inside} of {count} readings along {len(check.curves)} runs lie inside their"

@@ -55,7 +55,8 @@ def build_compensation(
 
     Raises InputError where nothing was identified, and where `largest` is too small.
     """
-    kinematics, tables = study_kinematics(study), controller.tables
+    kinematics = study_kinematics(study)
+    tables = controller.tables
     machine = kinematics.machine
     parameters = identified.identified_parameters(result, machine, tables=tables)
     measured = result.forecast is not None and bool(result.forecast.corrections)

@@ -110,10 +110,8 @@ def identified_parameters(
     conditions: tuple[str, ...] = ()
     mixture = result.controller_mixture
     if mixture is not None and not with_effects:
-        origin, conditions = (
-            "gap.mixture",
-            _mixture_parameters(mixture, corrected, tables),
-        )
+        origin = "gap.mixture"
+        conditions = _mixture_parameters(mixture, corrected, tables)
     elif corrected is not None:
         conditions = (*_effect_parameters(corrected, tables), *_if_not_best(mixture))
         if corrected.controller and not with_effects:
@@ -159,7 +157,8 @@ def adjusted_result(result: StudyResult) -> StudyResult:
     parameters = dict(section.parameters)
     for line in adjustment.lines:
         p = parameters[line.parameter]
-        value, sd = p.value + line.amount, float(np.hypot(p.sd, line.sd))
+        value = p.value + line.amount
+        sd = float(np.hypot(p.sd, line.sd))
         parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
     result = _adjusted_mixture(result, adjustment)
     part = "estimate" if result.corrected is None else "corrected"

@@ -61,7 +61,8 @@ class StartingModel:
         It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
         Raises InputError where none can read it.
         """
-        model, location = self.machine, Location("oed new")
+        model = self.machine
+        location = Location("oed new")
         names = [entry.name for entry in catalogue.listing("instruments")]
         tools = {
             name: catalogue.instrument(name, origin, location).for_machine(model)

@@ -214,7 +214,10 @@ def _angle_of_time(time: Array, circle: CircleFacts) -> Array:
 def _runs(angle: Array) -> list[tuple[int, int]]:
     """First and last-but-one index of each stretch of angles that go one way."""
     jitter = float(units.to_si(ANGLE_JITTER_DEG, "deg"))
-    bounds, start, turn, sense = [], 0, 0, 0
+    bounds = []
+    start = 0
+    turn = 0
+    sense = 0
     for k in range(1, len(angle)):
         ahead = angle[k] - angle[turn]
         if sense == 0 and abs(ahead) > jitter:
@@ -623,7 +626,8 @@ def _name(stem: str, mounting: object, mounted: dict[str, object]) -> str:
     for name, other in mounted.items():
         if other == mounting:
             return name
-    number, name = len(mounted) + 1, stem
+    number = len(mounted) + 1
+    name = stem
     while name in mounted:
         name = f"{stem.rstrip('0123456789')}{number}"
         number += 1

@@ -71,7 +71,8 @@ def model(request: ImportRequest, column_map: ColumnMap, location: Location) -> 
     described: str | MachineTable | None = request.machine
     origin, field = Origin.command(request.consent), Location("--machine")
     if described is None:
-        described, field = column_map.machine, location.key("machine")
+        described = column_map.machine
+        field = location.key("machine")
         origin = _map_origin(request)
     if described is None:
         raise field.error("missing", "give --machine, or machine in the map")

@@ -268,9 +268,11 @@ def rows(
 
 def _check_sizes(values: Array, name: str, column: str, table: CsvTable) -> None:
     """Raises InputError for values (n,) that a readings file could not have."""
-    problem, bad = "no number of a session is so large", np.abs(values) > MAX_NUMBER
+    problem = "no number of a session is so large"
+    bad = np.abs(values) > MAX_NUMBER
     if name.startswith(SIGMA) and not bad.any():
-        problem, bad = "a standard deviation is above 0", values <= 0
+        problem = "a standard deviation is above 0"
+        bad = values <= 0
     if bad.any():
         remedy = "correct the cell, or leave its line out"
         raise table.error(int(np.argmax(bad)), column, problem, remedy)

@@ -146,7 +146,8 @@ def check_sense(
     used = np.isfinite(read[:, 0, 0]) & np.isfinite(wanted[:, 0, 0])
     if used.sum() < MIN_ORIENTATIONS:
         return
-    commanded, stated = Rotation.from_matrix(wanted[used]), read[used]
+    commanded = Rotation.from_matrix(wanted[used])
+    stated = read[used]
     spread, _ = _turns_about_mean(commanded, is_whole=is_whole)
 
     def misfit(candidate: Rotation) -> tuple[float, float]:

@@ -394,7 +394,9 @@ def write_compensation(
 
     permission = view.state.study.consent
     controller = named_format(to, Origin.command(permission))
-    result, study, folder = result_so_far(view.state), view.state.study, Path(out)
+    result = result_so_far(view.state)
+    study = view.state.study
+    folder = Path(out)
     return export_result(
         result, study, controller, folder, force=force, commands=commands
     ).paths

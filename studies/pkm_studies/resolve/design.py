@@ -401,7 +401,8 @@ def quota_set(
         return None
     size = _checked_size(table, location)
     groups = _groups(candidates, table.whole_runs)
-    quota_set, places = QuotaSet((), size), []
+    quota_set = QuotaSet((), size)
+    places = []
     for i, quota in enumerate(table.quota):
         field_location = location.key("quota").item(i)
         members = _members(quota, measurement, candidates, groups, field_location)
@@ -418,7 +419,8 @@ def quota_set(
 
 
 def _groups(candidates: Sequence[Series], whole_runs: bool) -> list[_Group]:
-    groups, start = [], 0
+    groups = []
+    start = 0
     for series in candidates:
         if whole_runs:
             for run in dict.fromkeys(series.run):

@@ -272,7 +272,9 @@ class GapRequest:
 
         table = self.conditions
         frames: list[pd.DataFrame] = []
-        clock, number, mounted = table.start_min * MINUTE, 0, ""
+        clock = table.start_min * MINUTE
+        number = 0
+        mounted = ""
         for s in series:
             setup = measurement.setups[s.setup]
             if s.setup != mounted:
@@ -653,8 +655,10 @@ def gap_design_request(
     """
     if study.gap is None or study.gap.design is None:
         return None
-    table, location = study.gap.design, study.location.key("gap").key("design")
-    timing, plans = study.gap.conditions, {plan.name: plan for plan in references}
+    table = study.gap.design
+    location = study.location.key("gap").key("design")
+    timing = study.gap.conditions
+    plans = {plan.name: plan for plan in references}
     wanted = _effects(study, table.find, measurement, location.key("find"))
     rivals = _effects(study, table.rivals, measurement, location.key("rivals"))
     if len({e.name for e in (*wanted, *rivals)}) < 2:

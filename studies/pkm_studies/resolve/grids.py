@@ -53,7 +53,8 @@ def check_workspace(
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
-        unit, key = command_units(machine)[name], keys.get(name, name)
+        unit = command_units(machine)[name]
+        key = keys.get(name, name)
         stated, low, high = (
             quantities.format_as(v, unit, key) for v in (value, lower, upper)
         )
@@ -126,7 +127,8 @@ def given_poses(
     location: Location,
 ) -> Poses:
     """The commands of a table in one of FORMS. Raises InputError."""
-    machine, field = kinematics.machine, location.key(kind)
+    machine = kinematics.machine
+    field = location.key(kind)
     if kind in POINT_FORMS:
         fixed = _single_values(table, machine, location)
         points, run = _points(table, kind)
@@ -637,7 +639,8 @@ def reference_command(
         )
     if not table.reference:
         return None
-    field, machine = location.key("reference"), measurement.machine
+    field = location.key("reference")
+    machine = measurement.machine
     command, hold, keys = grid_commands(table.reference, machine, field)
     if len(command) != 1:
         raise field.error(

@@ -110,7 +110,8 @@ def request_of_table(
     machine = measurement_with(()).machine
     components = {c.name: c.unit for c in machine.components}
     effects = _effects(table, study, open_tables, measurement_with, prediction)
-    options, first = [], 0
+    options = []
+    first = 0
     for measured, field in open_tables.values():
         nuisances = None if effects is None else effects.readings.after(first)
         option = _option(measured, measurement_with, field, nuisances)

@@ -69,7 +69,8 @@ def check_reach(
     study: Study, request: PredictionRequest, kinematics: Kinematics
 ) -> None:
     """Raises InputError where the nominal machine cannot reach what is predicted."""
-    machine, location = kinematics.machine, study.location.key("prediction")
+    machine = kinematics.machine
+    location = study.location.key("prediction")
     for number, length in enumerate([0.0, *request.table.tools]):
         tool = np.array([0.0, 0.0, length * units.MM])
         field = location.key("tools_mm").item(number - 1) if number else location

@@ -167,7 +167,8 @@ def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
 
     Raises InputError.
     """
-    prior, location = study.prior, study.location.key("prior")
+    prior = study.prior
+    location = study.location.key("prior")
     named = [(location.key("from").item(i), name) for i, name in enumerate(prior.from_)]
     if prior.earlier is not None:
         named.append((location.key("earlier"), prior.earlier))
@@ -372,7 +373,8 @@ def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
     if name is None:
         return kinematics
     location = study.location.key("machine").key("controller")
-    path, machine = study.folder / name, kinematics.machine
+    path = study.folder / name
+    machine = kinematics.machine
     if not path.is_file():
         if path.suffix in (".json", ".csv"):
             raise location.error(f"there is no file {path}", REMEDY, name)
@@ -430,10 +432,8 @@ def _csv_rows(path: Path, location: Location, name: str) -> Rows | None:
 
 def _parameters(rows: Rows, machine: Machine, location: Location, name: str) -> Array:
     """Parameters (np,), SI; those without a row are nominal. Raises InputError."""
-    values, names_of_machine = (
-        machine.nominal.copy(),
-        [p.name for p in machine.parameters],
-    )
+    values = machine.nominal.copy()
+    names_of_machine = [p.name for p in machine.parameters]
     for parameter, row in rows.items():
         if parameter not in names_of_machine:
             problem = f"{machine.name} has no parameter {parameter}"
@@ -649,7 +649,8 @@ class ResolvedStudy:
         """The recorded readings of files, or of those that the study names; None: none."""
         from pkm_studies import sources  # loads what reads files
 
-        table, everything = self.study.readings, self.measurement_with(self.setups)
+        table = self.study.readings
+        everything = self.measurement_with(self.setups)
         if readings:
             return sources.read_files(readings, everything)
         if readings is not None or table is None or table.simulate:

@@ -524,7 +524,8 @@ def add_earlier(study: Study, machine: Machine) -> Machine:
 
     Raises InputError where a result does not fit.
     """
-    prior, location = study.prior, study.location.key("prior")
+    prior = study.prior
+    location = study.location.key("prior")
     if prior.earlier is None and not prior.from_:
         return machine
     if prior.earlier is not None and prior.from_:

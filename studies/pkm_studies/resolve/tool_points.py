@@ -158,7 +158,8 @@ def ranges(machine: Machine, tool: Sequence[float]) -> tuple[Array, Array]:
     reach = {"m": machine.lever, "rad": np.pi}
     lower, upper = [], []
     for coordinate in machine.workspace((tool[0], tool[1], tool[2])):
-        home, half = machine.home[coordinate.name], reach.get(coordinate.unit, 1.0)
+        home = machine.home[coordinate.name]
+        half = reach.get(coordinate.unit, 1.0)
         low, high = coordinate.lower, coordinate.upper
         lower.append(low if np.isfinite(low) else home - half)
         upper.append(high if np.isfinite(high) else home + half)

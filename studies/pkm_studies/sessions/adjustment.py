@@ -59,7 +59,8 @@ def adjust_folder(
     section = _section(result, machine, wanted)
     result = msgspec.structs.replace(result, adjustment=section)
     earlier_files = list(result.written.values())
-    written, paths = dict(result.written), []
+    written = dict(result.written)
+    paths = []
     texts = {CSV: _csv_text(section), NOMINAL: _nominal_table(result)}
     for name, text in texts.items():
         path = safe_files.write_own(folder / name, text.encode(), earlier_files)
@@ -81,7 +82,8 @@ def adjustable_machine(
 
     wanted  rms errors by which the components count; by their lengths where it is empty
     """
-    section, file = result.final_estimate, str(folder / "result.json")
+    section = result.final_estimate
+    file = str(folder / "result.json")
     if section is None or not section.covariance:
         raise InputError(
             "this result has no estimate with its covariance",
@@ -195,7 +197,8 @@ def _total(adjustable: AdjustableMachine, wanted: str) -> tuple[str, str]:
 def _section(
     result: StudyResult, adjustable: AdjustableMachine, wanted: str
 ) -> AdjustmentSection:
-    machine, plan = adjustable.kinematics.machine, adjustable.plan()
+    machine = adjustable.kinematics.machine
+    plan = adjustable.plan()
     about, total_unit = _total(adjustable, wanted)
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
 

@@ -270,7 +270,8 @@ def _sessions(folders: Sequence[Path]) -> Sessions:
     else:
         days = np.array([date.toordinal() for date in dated], dtype=float)
         order = np.argsort(days, kind="stable")
-        times, unit = days[order], "day"
+        times = days[order]
+        unit = "day"
         if np.ptp(times) == 0.0:
             raise InputError(
                 "all sessions have one date", "name the folders by their dates"

@@ -163,10 +163,8 @@ def outlook_with_effects(
     )
     pool = pool.add_prior(prior_information(measurement))
     count = sum(map(len, taken))
-    total, information_so_far = (
-        pool.prior_information,
-        pool.information(np.arange(count)),
-    )
+    total = pool.prior_information
+    information_so_far = pool.information(np.arange(count))
     factors = pool.pose_error_slopes(raw, effects.tool)
     by_component = factors.swapaxes(0, 1) / np.sqrt(len(raw))
     before, now = (

@@ -454,7 +454,8 @@ def _doubtful_sizes(components: dict[str, ForecastComponent]) -> Iterator[str]:
     for name, c in components.items():
         if not c.measured or c.predicted is None:
             continue
-        size, unit = f"{c.measured:.3g} {c.unit}", c.unit
+        size = f"{c.measured:.3g} {c.unit}"
+        unit = c.unit
         if not 1.0 / WRONG_UNIT < c.measured / c.expected < WRONG_UNIT:
             yield (
                 f"{name}: the nodes have errors of {size} rms, and {c.expected:.3g} {unit}"
@@ -659,7 +660,8 @@ def forecast_errors(
     Raises InputError for what [forecast] misstates.
     """
     state.progress.stage("forecast")
-    study, rng = state.study, state.rng(Stream.FORECAST)
+    study = state.study
+    rng = state.rng(Stream.FORECAST)
     if knowledge is None and isinstance(state, Fitted):
         count = len(state.resolved.machine.parameters)
         estimate = state.estimate

@@ -46,7 +46,8 @@ def gain_sentences(section: DesignSection | None) -> list[str]:
     """How much more accurate the machine becomes than with the first reference plan."""
     if section is None or len(section.plans) < 2 or not section.plans[0].gain:
         return []
-    gains, reference = section.plans[0].gain.values(), section.plans[1]
+    gains = section.plans[0].gain.values()
+    reference = section.plans[1]
     readings = f"{section.n} readings in {', '.join(section.setups)}"
     return [
         f"With the {readings}, the pose is {min(gains):.2g} to {max(gains):.2g} times as"

@@ -225,7 +225,8 @@ def result_so_far(state: Scheduled) -> StudyResult:
 
 def assemble_result(state: RunState) -> StudyResult:
     """The result of the steps so far; without claims."""
-    machine, setups = state.resolved.machine, state.measurement.setups.values()
+    machine = state.resolved.machine
+    setups = state.measurement.setups.values()
     info = describe.add_earlier_sessions(
         describe.machine_info(machine), state.study, state.resolved.measurement
     )

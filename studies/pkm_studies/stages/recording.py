@@ -134,7 +134,8 @@ def _recorded(
     columns: ExpectedColumns,
     session: SessionStates,
 ) -> RecordedCase:
-    where, rng = plan.prediction, np.random.default_rng(plan.seed)
+    where = plan.prediction
+    rng = np.random.default_rng(plan.seed)
     reference, known = where.table.reference, plan.information
     return RecordedCase.of(
         problem, courses, columns, session, where.command, reference, rng, known

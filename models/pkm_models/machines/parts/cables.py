@@ -84,7 +84,8 @@ def build(name: str, source: str, table: Geometry, axes: int) -> dict[str, Any]:
     anchors = np.asarray(table["anchor"], dtype=float)
     attach = table["attach"]
     body = attach is not None and bool(np.any(np.asarray(attach) != 0.0))
-    count, turns = len(anchors), TURNS[axes] if body else ()
+    count = len(anchors)
+    turns = TURNS[axes] if body else ()
     if body and np.shape(attach) != anchors.shape:
         raise ValueError("attach must have one point for each anchor")
     if count < axes + len(turns):
@@ -173,7 +174,8 @@ class _Mover:
     """A point or a body on cables: axes `x`, `y`, ..., and the turns of a body."""
 
     def __init__(self, axes: str, turns: Sequence[str], count: int) -> None:
-        self.axes, self.turns = axes, tuple(turns)
+        self.axes = axes
+        self.turns = tuple(turns)
         self.cables = range(1, count + 1)
 
     def platform(self, x: Values) -> tuple[Expr, Expr]:

@@ -76,7 +76,8 @@ class ExtensibleLegs:
 
     def parameters(self) -> list[Parameter]:
         """Joints at base and platform, and zeros."""
-        sd, zeros = self.tolerance, [0.0] * len(self.base)
+        sd = self.tolerance
+        zeros = [0.0] * len(self.base)
         return [
             *families.places("b", self.base, sd, "base joint"),
             *families.places("a", self.platform, sd, "platform joint"),

@@ -64,7 +64,8 @@ def universals(
 
 def _swing(i: int, strut: Strut, axis: Expr, upright: Array) -> PassiveJoint:
     base, platform = strut
-    v, t = platform - base, _vector(axis)
+    v = platform - base
+    t = _vector(axis)
     r = _vector(upright)
     r = r - ca.dot(r, t) * t
     r = r / ca.norm_2(r)

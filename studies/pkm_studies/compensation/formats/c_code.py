@@ -17,7 +17,8 @@ from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 #: SI units in one of LinuxCNC's units of a metric machine
 LINUXCNC_UNITS = {"m": "1e-3", "rad": "(3.14159265358979323846 / 180.0)"}
 #: LinuxCNC's axes of lengths by name, and of angles in their order
-LENGTHS, ANGLES = {n: f"tran.{n}" for n in "xyz"}, ("a", "b", "c")
+LENGTHS = {n: f"tran.{n}" for n in "xyz"}
+ANGLES = ("a", "b", "c")
 #: functions of the C file that CasADi offers and nobody calls stay out of the way
 LOCAL = """#if defined(__GNUC__)
 #define CASADI_SYMBOL_EXPORT static __attribute__((unused))
@@ -120,7 +121,8 @@ def _array(head: str, values: Array) -> str:
 
 def linuxcnc_axes(command: Sequence[Coordinate]) -> list[str] | None:
     """Member of LinuxCNC's pose for each coordinate; None where there are too few."""
-    angles, axes = iter(ANGLES), []
+    angles = iter(ANGLES)
+    axes = []
     for coordinate in command:
         length = coordinate.unit == "m"
         axis = LENGTHS.get(coordinate.name) if length else next(angles, None)

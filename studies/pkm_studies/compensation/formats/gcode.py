@@ -25,7 +25,8 @@ TURNS = "ABC"
 
 def letters(machine: Machine) -> dict[str, str]:
     """Axis letter of each command coordinate: X, Y, Z by name, then A, B, C."""
-    axes, turns = {}, iter(TURNS)
+    axes = {}
+    turns = iter(TURNS)
     for c in machine.command:
         axes[c.name] = c.name.upper() if c.name in "xyz" else next(turns)
     return axes

@@ -137,7 +137,8 @@ def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
     """
     if compensation.grid is None:
         return []
-    grid, rows = compensation.grid, []
+    grid = compensation.grid
+    rows = []
     for axis, knots in zip(grid.axes, grid.knots, strict=True):
         places = _displayed(knots, axis.unit)
         rows.append(

@@ -131,9 +131,11 @@ def _limb(world: ET.Element, limb: Limb, joint: Coordinate, k: int) -> str:
     first, second = f"{limb.kind}{k}", f"strut{k}"
     outer = ET.SubElement(world, "body", name=first, pos=text_of(limb.centre))
     location = text_of(limb.start - limb.centre)
-    inner_joints, outer_joints = (swing, [drive])
+    inner_joints = swing
+    outer_joints = [drive]
     if limb.kind == LEG:
-        inner_joints, outer_joints = [drive], swing
+        inner_joints = [drive]
+        outer_joints = swing
     for joint_attributes in outer_joints:
         ET.SubElement(outer, "joint", joint_attributes)
     if limb.kind == CRANK:

@@ -474,7 +474,8 @@ def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
             )
         level = np.array([axis[0], axis[1], 0.0]) / math.hypot(axis[0], axis[1])
         tilts = across(level[None])[0] @ axis / (axis @ level)
-        outward, shoulder = np.cross(level, UPWARD), centre - limb.local
+        outward = np.cross(level, UPWARD)
+        shoulder = centre - limb.local
         first = outward - outward @ axis * axis
         first = first / np.linalg.norm(first)
         down = np.cross(axis, first)

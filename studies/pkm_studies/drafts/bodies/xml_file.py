@@ -167,7 +167,8 @@ def _check_parents(bodies: dict[str, Body], location: Location) -> None:
     """Raises InputError unless each link leads to the base, over a few others."""
     depth = {WORLD: 0}
     for name in bodies:
-        chain, link = dict[str, None](), name
+        chain = dict[str, None]()
+        link = name
         while link not in depth:
             if link not in bodies:
                 problem = f"link {link!r} is a parent, but no <link>"
@@ -190,7 +191,8 @@ def _text(element: ET.Element, tag: str, attribute: str, default: str = "0 0 0")
 
 
 def _loops(path: Path, bodies: dict[str, Body]) -> tuple[BodyLoop, ...]:
-    location, loops = Location(str(path)), []
+    location = Location(str(path))
+    loops = []
     text = files.read_text(path, limit=MAX_BYTES, what="table of loops")
     for row in csv.DictReader(text.splitlines()):
         ends: list[tuple[str, Array]] = []

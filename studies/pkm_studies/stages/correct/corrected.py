@@ -64,7 +64,8 @@ from pkm_studies.stages.run_state import Fitted, Measured
 
 def coefficient_records(corrected: CorrectedEstimate) -> Iterator[CoefficientRecord]:
     """Each coefficient, SI."""
-    estimate, k = corrected.estimate, 0
+    estimate = corrected.estimate
+    k = 0
     start = corrected.parameters
     for form in corrected.forms:
         signature = form.signature
@@ -331,7 +332,8 @@ def _marginals(
     corrected: CorrectedEstimate, draws: Posterior
 ) -> Iterator[tuple[str, Marginal]]:
     """Posterior of every parameter that is free, and of every coefficient."""
-    coefficients, parameters = dict(_coefficients(corrected)), corrected.parameters
+    coefficients = dict(_coefficients(corrected))
+    parameters = corrected.parameters
     for k, p in enumerate(corrected.measurement.parameters):
         if corrected.estimate.prior_sd[k] == 0.0:
             continue
@@ -564,7 +566,8 @@ def _add_section(
     state: Fitted, corrected: CorrectedEstimate, gap: GapSection | None
 ) -> Fitted:
     """The state with the section `corrected`: estimates, conditions, prediction."""
-    study, rng = state.study, state.rng(Stream.CORRECTED)
+    study = state.study
+    rng = state.rng(Stream.CORRECTED)
     draws = None
     if study.posterior.enabled and (state.posterior or state.with_effects):
         draws = _sample(state, corrected, rng)

@@ -215,10 +215,8 @@ def _add_accuracy(
         np.random.default_rng(seed),
     )
     predicted = {name: result.prediction for name, result in judged.items()}
-    before, after = (
-        predicted[CompensationName.BEST].before,
-        {n: p.after for n, p in predicted.items()},
-    )
+    before = predicted[CompensationName.BEST].before
+    after = {n: p.after for n, p in predicted.items()}
     geometry = least_error(before, {name: after[name] for name in sent}, machine.driven)
     sections, choices = {}, []
     for name, prediction in predicted.items():

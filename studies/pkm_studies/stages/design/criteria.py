@@ -175,7 +175,8 @@ class StudyCriteria:
         maps = self.error_maps
         if maps is None:
             return {}
-        count, nominal = len(measurement.machine.parameters), measurement.nominal
+        count = len(measurement.machine.parameters)
+        nominal = measurement.nominal
         whole = parameter_covariance(measurement, series, nominal)
         covariance = whole[:count, :count]
         total = np.einsum(

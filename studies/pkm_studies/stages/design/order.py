@@ -143,7 +143,8 @@ def _order_setup(
     location: Location,
 ) -> _SetupOrder:
     """The readings of one set-up by short joint travel, with thermal references."""
-    whole, setup = _joined(measurement, name, parts), measurement.setups[name]
+    whole = _joined(measurement, name, parts)
+    setup = measurement.setups[name]
     speeds = _joint_speeds(measurement.machine, table.order)
     passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
@@ -214,7 +215,8 @@ def _add_references(
 
     Raises InputError where the set-up has a reference of its own, or time is too short.
     """
-    every, setup = table.reference_every_min or 0.0, order.series.setup
+    every = table.reference_every_min or 0.0
+    setup = order.series.setup
     command = reference_command(order.measurement, setup, table, every, location)
     try:
         return order.add_references(command, 60.0 * every)

@@ -325,7 +325,8 @@ def _directions(chosen: ChosenDesign, shared: int) -> str:
 
 def _shortfall(chosen: ChosenDesign) -> str:
     """A remark where the rules do not allow as many readings as the study asks for."""
-    table, count = chosen.criteria.table, len(chosen.choice.indices)
+    table = chosen.criteria.table
+    count = len(chosen.choice.indices)
     wanted = table.size
     if wanted is None or count >= wanted or table.budget_min is not None:
         return ""

@@ -495,7 +495,8 @@ def select_design(
         problem, study_criteria, choice, rng, location
     )
     size_summary = accuracy_by_size(problem, study_criteria, choice, location)
-    series, retained = problem.candidates.readings_of(choice.indices), request.retained
+    series = problem.candidates.readings_of(choice.indices)
+    retained = request.retained
     measurement = _mounted(resolved, [*retained, *series])
     polished = polish_plan(study_criteria, measurement, series, retained)
     measurement, series = polished.measurement, polished.series

@@ -239,7 +239,8 @@ def states_in_use(state: Fitted) -> SessionStates:
 
     Raises InputError for a covariate that no reading has.
     """
-    problem, resolved = _problem(state), state.resolved
+    problem = _problem(state)
+    resolved = state.resolved
     used = {} if resolved.prediction is None else resolved.prediction.states
     if not used:
         used = recorded_states(state.readings.covariates)
@@ -606,7 +607,8 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         section = msgspec.structs.replace(section, combinations=combinations)
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
     runs = predict_runs(measurement, readings.series, estimate)
-    warnings, goodness = section.warnings, _goodness(state, estimate)
+    warnings = section.warnings
+    goodness = _goodness(state, estimate)
     if runs is not None:
         warnings, goodness = [*warnings, *runs.warnings], runs.add_to(goodness)
     section = msgspec.structs.replace(section, runs=curves, warnings=warnings)

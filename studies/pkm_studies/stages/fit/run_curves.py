@@ -91,7 +91,9 @@ def _trace(
     run = str(names[0]) if len(names) == 1 else f"{len(names)} runs"
     kind, along, radius = run_shape(tips[members], rows["phase"].to_numpy(dtype=float))
     if len(names) > 1:
-        kind, along, radius = "points", np.arange(1.0, len(members) + 1.0), None
+        kind = "points"
+        along = np.arange(1.0, len(members) + 1.0)
+        radius = None
     order = np.argsort(along, kind="stable")
     unit = units.FINE[_channel_unit(diagnosis, setup, channel)]
 
@@ -150,7 +152,8 @@ def _channel_unit(diagnosis: Diagnosis, setup: str, channel: str) -> str:
 
 def _tool_points(diagnosis: Diagnosis) -> Array:
     """Tool point (N, 3) of the pose of each reading, m."""
-    problem, points = diagnosis.problem, []
+    problem = diagnosis.problem
+    points = []
     for state, s in zip(problem.states, problem.series, strict=True):
         channels = len(problem.measurement.setups[s.setup].instrument.channels)
         points.append(np.repeat(state.tool[s.index[:, 0]], channels, axis=0))

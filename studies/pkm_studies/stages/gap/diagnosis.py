@@ -259,7 +259,9 @@ def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> 
     if rules.setups is not None and rules.setups.seconds is not None:
         mounting = dict(zip(mounting, rules.setups.seconds.tolist(), strict=True))
     seconds = {(run.setup, run.name): run.seconds for run in design.runs}
-    clock, mounted, times = 0.0, "", []
+    clock = 0.0
+    mounted = ""
+    times = []
     for (setup, name), rows in covariates.groupby(["setup", "run"], sort=False):
         clock += mounting[setup] if setup != mounted else 0.0
         mounted = setup

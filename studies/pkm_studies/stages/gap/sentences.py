@@ -245,7 +245,8 @@ def second_explanation(gap: GapSection) -> list[str]:
             *phrases,
             "Noise alone is more likely, but not enough to exclude an effect.",
         ]
-    causes, chance = _spoken(second) or "noise alone", chance_of(second.visible)
+    causes = _spoken(second) or "noise alone"
+    chance = chance_of(second.visible)
     if gap.verdict == "none" and second.visible > best.probability:
         phrases.append(
             f"More likely than noise alone is {causes}{chance}, but not than noise and what"

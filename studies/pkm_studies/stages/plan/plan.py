@@ -127,7 +127,8 @@ def compare_sequence(
     sequence = predict_sequence(task, names)
     seconds = sequence.seconds
     if seconds > task.budget * (1.0 + SAME_VALUE):
-        sequence, seconds = _keep_within_budget(task, names, search), task.budget
+        sequence = _keep_within_budget(task, names, search)
+        seconds = task.budget
     best, bound = _best_plan(task, sequence, search, seconds)
     readings = [s for stage in sequence.stages for s in stage.series]
     measurement = task.resolved.measurement_with({s.setup for s in readings})

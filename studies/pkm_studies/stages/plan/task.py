@@ -71,7 +71,9 @@ def build_task(
     earlier: EarlierSession | None,
 ) -> PlanTask:
     """The task of a study, after an earlier session where there is one."""
-    where, known, budget = request.prediction, None, request.budget
+    where = request.prediction
+    known = None
+    budget = request.budget
     if earlier is not None:
         known = earlier.covariance
         budget -= earlier.seconds

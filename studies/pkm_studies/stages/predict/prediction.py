@@ -351,7 +351,8 @@ def held_out_sections(
     drawn  by each hypothesis, as many as its share
     """
     mean = np.vstack([machines.theta for machines in drawn]).mean(axis=0)
-    sections, start = [], 0
+    sections = []
+    start = 0
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
         readings = y[start : start + len(s) * len(channels)]
@@ -707,7 +708,8 @@ def _section(
     state: Scheduled, parameter_knowledge: ParameterKnowledge, main: Accuracy
 ) -> PredictionSection:
     """The section with its budget."""
-    machine, planned = state.measurement.machine, parameter_knowledge.mean is None
+    machine = state.measurement.machine
+    planned = parameter_knowledge.mean is None
     budget = parameter_knowledge.model.budget(
         main.maps, estimated=parameter_knowledge.estimated, predicted=main.variance
     )
