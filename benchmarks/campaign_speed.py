@@ -80,8 +80,7 @@ def measured(run: Callable[[], None], times: Callable[[], list[float]]) -> Measu
 def in_one_process(campaign: Campaign, out: Path) -> Measured:
     """All cases in this process."""
     return measured(
-        lambda: run_cases(campaign, out, workers=1),
-        lambda: [time.process_time()],
+        lambda: run_cases(campaign, out, workers=1), lambda: [time.process_time()]
     )
 
 
@@ -110,8 +109,7 @@ def on_cluster(campaign: Campaign, out: Path) -> Measured:
             return [*(workers[key] for key in sorted(workers)), time.process_time()]
 
         return measured(
-            lambda: run_cases(campaign, out, workers=1, scheduler=address),
-            times,
+            lambda: run_cases(campaign, out, workers=1, scheduler=address), times
         )
 
 

@@ -34,9 +34,7 @@ def run_relaxations() -> list[Row]:
     return rows
 
 
-def _own_methods(
-    study: StudyCandidates,
-) -> Iterator[tuple[str, Callable[[], Answer]]]:
+def _own_methods(study: StudyCandidates) -> Iterator[tuple[str, Callable[[], Answer]]]:
     blocks, size = study.blocks, study.size
     columns = blocks.shape[2]
     for name in SMOOTH:

@@ -185,11 +185,7 @@ def _information(bench: Bench, full: Any, y: Array) -> MachineInformation:
 
 
 def _line(
-    name: str,
-    bench: Bench,
-    theta: Array,
-    y: Array,
-    priors: Sequence[FleetPrior | None],
+    name: str, bench: Bench, theta: Array, y: Array, priors: Sequence[FleetPrior | None]
 ) -> str:
     """A row: readings needed, errors predicted and reached, coverage of the tool's errors."""
     needed, at_nine, inside = [], [], []

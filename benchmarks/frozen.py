@@ -248,9 +248,7 @@ def _print_differences(label: str, apart: list[Difference], count: int) -> None:
         print(f"    {difference.path}: {before} -> {after}", flush=True)
 
 
-def _computed(
-    options: argparse.Namespace,
-) -> Iterator[tuple[Source, dict[str, float]]]:
+def _computed(options: argparse.Namespace) -> Iterator[tuple[Source, dict[str, float]]]:
     kinds = tuple(options.kinds)
     prepare(kinds)
     wanted = listing(kinds)

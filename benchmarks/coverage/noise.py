@@ -26,17 +26,7 @@ import numpy as np
 OFFSET, DECAY, OUTLIERS, FAR = 2.0, 0.9, 0.02, (5.0, 50.0)
 #: size of what moves through a session, and periods of a saw-tooth
 COURSE, PERIODS = 4.0, (3.0, 8.0)
-LAWS = (
-    "white",
-    "t4",
-    "offsets",
-    "ar1",
-    "all",
-    "outliers",
-    "drift",
-    "walk",
-    "sawtooth",
-)
+LAWS = ("white", "t4", "offsets", "ar1", "all", "outliers", "drift", "walk", "sawtooth")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -86,10 +86,7 @@ def _gains(gram: Array, b: Array, choices: Sequence[Index]) -> Array:
 
 
 def _project_out(
-    gram: Array,
-    b: Array,
-    squares: float,
-    columns: Index,
+    gram: Array, b: Array, squares: float, columns: Index
 ) -> tuple[Array, Array, float]:
     """Gram matrix, projections and residual sum of squares without some columns."""
     values, vectors = np.linalg.eigh(gram[np.ix_(columns, columns)])

@@ -275,11 +275,7 @@ class _Session:
         return path
 
     def _pass(
-        self,
-        mounted: Mounted,
-        label: str,
-        commands: Array,
-        said: Mapping[str, Any],
+        self, mounted: Mounted, label: str, commands: Array, said: Mapping[str, Any]
     ) -> pd.DataFrame:
         """Rows of one pass of a path."""
         rng, count = self.bench.rng, len(commands)

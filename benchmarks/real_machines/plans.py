@@ -124,13 +124,7 @@ def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
     )
     request = GapRequest(tuple(bench.effects), bench.gravity, (), ConditionsTable())
     effects = request.planned_effects(
-        bench.measurement,
-        bench.series,
-        "catalogue",
-        Location(""),
-        place,
-        rng,
-        UNKNOWNS,
+        bench.measurement, bench.series, "catalogue", Location(""), place, rng, UNKNOWNS
     )
     assert effects is not None  # every machine of the generator has some
     return effects

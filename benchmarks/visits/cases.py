@@ -231,10 +231,7 @@ def _rows(words: str, records: Sequence[Record]) -> list[str]:
 
 
 def _row(
-    title: str,
-    records: Sequence[Record],
-    check: Callable[[Record], bool],
-    bar: str,
+    title: str, records: Sequence[Record], check: Callable[[Record], bool], bar: str
 ) -> str:
     before = [check(r["first"]) for r in records]
     after = [check(_last(r)) for r in records]

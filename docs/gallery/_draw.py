@@ -36,11 +36,7 @@ class Picture:
             self.figure = Figure(figsize=(style.FIGURE_WIDTH, HEIGHT))
             self.figure.set_layout_engine("none")
             place, solid = (0.0, 0.12, 0.5, 0.8), {"projection": "3d"}
-            self.scene: Any = self.figure.add_axes(
-                place,
-                proj_type="ortho",
-                **solid,
-            )
+            self.scene: Any = self.figure.add_axes(place, proj_type="ortho", **solid)
             self.plot: Axes = self.figure.add_axes((0.62, 0.15, 0.36, 0.76))
             for x, title in ((0.02, left), (0.53, right)):
                 self.figure.text(x, 0.945, title, fontsize=8.5, fontweight="bold")
@@ -62,20 +58,10 @@ class Picture:
 
     def points(self, places: Array, **look: Any) -> None:
         """Draw points (n, 3), m, as marks."""
-        mark = {
-            "color": style.BLUE,
-            "marker": "o",
-            "ms": 3.0,
-            "mew": 0.0,
-            "ls": "",
-        }
+        mark = {"color": style.BLUE, "marker": "o", "ms": 3.0, "mew": 0.0, "ls": ""}
         self.scene.plot(*self._in_mm(places).T, **{**mark, **look})
 
-    def save(
-        self,
-        example: str,
-        findings: Sequence[str] = (),
-    ) -> Path:
+    def save(self, example: str, findings: Sequence[str] = ()) -> Path:
         """Write NAME.png for the example NAME.py, and print its findings.
 
         The folder is the one on the command line, or docs/img/gallery.

@@ -261,10 +261,7 @@ class AnswerFits:
         share = 0.0
         if with_others is not None:
             share = _share_beside(candidate, with_others.estimate)
-        parts = (
-            (1.0 - share, fit, False),
-            (share, with_others, not candidate.unknown),
-        )
+        parts = ((1.0 - share, fit, False), (share, with_others, not candidate.unknown))
         for part, which, unseen in parts:
             probability = part * candidate.probability
             if which is not None and probability >= MIN_PROBABILITY:

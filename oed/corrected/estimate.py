@@ -370,10 +370,7 @@ def _late(state: State) -> State:
 
 
 def _tables_of(
-    corrected: CorrectedEstimate,
-    form: ChosenForm,
-    neutral: State,
-    model: ErrorModel,
+    corrected: CorrectedEstimate, form: ChosenForm, neutral: State, model: ErrorModel
 ) -> Iterator[StateTable | None]:
     """The tables of one effect over each state that it depends on."""
     rest = _correction(corrected, form, neutral, model)

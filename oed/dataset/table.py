@@ -175,11 +175,7 @@ def _blocks(rows: Iterable[Row]) -> Iterator[list[Row]]:
 
 
 def numbers_of(
-    column: ReadingsColumn,
-    text: Sequence[str],
-    rows: Index,
-    file: str,
-    remedy: str,
+    column: ReadingsColumn, text: Sequence[str], rows: Index, file: str, remedy: str
 ) -> Array:
     """SI values (n,) of a column, NaN where the cell is empty. Raises ReadingsError."""
     import pandas as pd  # names and limits of columns need no tables

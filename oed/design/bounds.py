@@ -93,11 +93,7 @@ def _relax(
 
 
 def _relax_counted(
-    blocks: Array,
-    criterion: Criterion,
-    total: float,
-    prior: Array,
-    rounding: Rounding,
+    blocks: Array, criterion: Criterion, total: float, prior: Array, rounding: Rounding
 ) -> Relaxation:
     """The relaxation over weights of at most 1, which equal candidates share evenly."""
     copies = find_copies(blocks)

@@ -432,11 +432,7 @@ def o4(
 
 
 def relax_criterion(
-    criterion: Criterion,
-    blocks: Array,
-    size: float,
-    prior: Array,
-    cap: Array | float,
+    criterion: Criterion, blocks: Array, size: float, prior: Array, cap: Array | float
 ) -> Relaxation | None:
     """Weights and bound of a criterion of the extreme eigenvalues; None for another.
 

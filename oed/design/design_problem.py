@@ -370,11 +370,7 @@ class DesignProblem:
         return self._certified(criterion, best)
 
     def tighten(
-        self,
-        criterion: Criterion,
-        choice: Choice,
-        nodes: int,
-        rng: np.random.Generator,
+        self, criterion: Criterion, choice: Choice, nodes: int, rng: np.random.Generator
     ) -> Choice:
         """A choice with the bound, and perhaps the better plan, of a tree of `nodes`."""
         c = self.candidates
@@ -497,10 +493,7 @@ class DesignProblem:
         return combinations
 
     def _best_within(
-        self,
-        criterion: Criterion,
-        setup_indices: Index,
-        rng: np.random.Generator,
+        self, criterion: Criterion, setup_indices: Index, rng: np.random.Generator
     ) -> Index:
         """The best plan with a combination of set-ups and those mounted already."""
         c = self.candidates

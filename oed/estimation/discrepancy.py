@@ -45,11 +45,7 @@ class EffectDraws:
 
 
 def sample_effects(
-    information: Array,
-    score: Array,
-    sizes: Array,
-    rng: np.random.Generator,
-    count: int,
+    information: Array, score: Array, sizes: Array, rng: np.random.Generator, count: int
 ) -> EffectDraws:
     """Draw `count` sets of coefficients, each with its common size.
 

@@ -8,10 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base import Array
-from oed.estimation.coordinates import (
-    IdentifiableCoordinates,
-    ReadingsProblem,
-)
+from oed.estimation.coordinates import IdentifiableCoordinates, ReadingsProblem
 from oed.estimation.estimate import Estimate, FitStage
 from oed.estimation.fitter import MAX_TRIALS, minimise
 from oed.identifiability import posterior_covariance

@@ -385,9 +385,7 @@ def identify(
             " tolerances, or free fewer parameters in a stage before"
         ) from error
     estimate = dataclasses.replace(
-        estimate,
-        residuals_before=residuals_before,
-        stages=(*done, *estimate.stages),
+        estimate, residuals_before=residuals_before, stages=(*done, *estimate.stages)
     )
     return add_warnings(measurement, estimate)
 

@@ -188,12 +188,7 @@ class JointErrors:
         return ErrorField(self, rows, read, node.ravel(), values, noise, kernel, prior)
 
     def plan_nodes(
-        self,
-        candidates: Array,
-        most: int,
-        expected: Array,
-        sigma: Array,
-        target: Array,
+        self, candidates: Array, most: int, expected: Array, sigma: Array, target: Array
     ) -> NodeDesign:
         """`design_nodes` for expected rms errors (k,), SI; NaN where none is stated."""
         rows = self.rows(self.command)

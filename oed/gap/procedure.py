@@ -203,10 +203,7 @@ def diagnose(
 
 
 def explain_residuals(
-    problem: GapProblem,
-    effects: Sequence[Effect],
-    *,
-    law: NoiseLaw | None = None,
+    problem: GapProblem, effects: Sequence[Effect], *, law: NoiseLaw | None = None
 ) -> Diagnosis:
     """As `diagnose`, without places and closure: which effects act."""
     comparison = _compare(problem, effects, law)

@@ -51,11 +51,7 @@ class AssemblyError(RuntimeError):
     """
 
     def __init__(
-        self,
-        message: str,
-        indices: Index,
-        first: Array | None = None,
-        reason: str = "",
+        self, message: str, indices: Index, first: Array | None = None, reason: str = ""
     ) -> None:
         super().__init__(message)
         self.indices = indices

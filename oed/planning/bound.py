@@ -75,11 +75,7 @@ class CombinationBound:
 
     @classmethod
     def of(
-        cls,
-        options: Sequence[Option],
-        goal: Goal,
-        information: Array,
-        budget: float,
+        cls, options: Sequence[Option], goal: Goal, information: Array, budget: float
     ) -> CombinationBound:
         """The bound for a catalogue of options."""
         return cls(

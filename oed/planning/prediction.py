@@ -529,11 +529,7 @@ def _residual(
 
 
 def _information_with_residual(
-    option: Option,
-    chosen: Index,
-    patterns: Array,
-    rms: Array,
-    columns: Array,
+    option: Option, chosen: Index, patterns: Array, rms: Array, columns: Array
 ) -> Array:
     """Information (G, w + m, w + m) with the residual's columns (G, readings, m).
 

@@ -165,8 +165,7 @@ def trim_plan(problem: PlanProblem, plan: StagePlan) -> StagePlan:
     first = evaluate_steps(problem, steps)
     best = min(first, evaluate_steps(problem, steps, first), key=lambda p: p.value)
     slowest_first = sorted(
-        range(len(steps)),
-        key=lambda k: -float(steps[k][0].candidate_seconds.mean()),
+        range(len(steps)), key=lambda k: -float(steps[k][0].candidate_seconds.mean())
     )
     for k in slowest_first:
         option, most = steps[k]
@@ -511,9 +510,7 @@ def _refine(
 
 
 def _plans_on_target(
-    problem: PlanProblem,
-    partial: Sequence[StagePlan],
-    refined: Sequence[StagePlan],
+    problem: PlanProblem, partial: Sequence[StagePlan], refined: Sequence[StagePlan]
 ) -> list[StagePlan]:
     """Plans that reach the targets, among them trimmed ones.
 

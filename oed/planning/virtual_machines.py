@@ -79,11 +79,7 @@ class VirtualStage:
     travel: float
 
     def read(
-        self,
-        truth: Array,
-        expected: Array,
-        controller: Array | None,
-        normals: Array,
+        self, truth: Array, expected: Array, controller: Array | None, normals: Array
     ) -> VirtualReadings:
         """Readings of machines with parameters `truth` (m, n).
 

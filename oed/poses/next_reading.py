@@ -98,10 +98,7 @@ class Belief:
         return int(np.argmin(_scores(self.variances_after(blocks), limits)))
 
     def best_remaining(
-        self,
-        blocks: Array,
-        count: int,
-        limits: Array | None = None,
+        self, blocks: Array, count: int, limits: Array | None = None
     ) -> list[int]:
         """`count` candidates, planned together by exchange, the best by itself first.
 
@@ -122,10 +119,7 @@ class Belief:
         return _best_first(self, blocks, chosen, limits)
 
     def fewest_remaining(
-        self,
-        blocks: Array,
-        most: int,
-        limits: Array,
+        self, blocks: Array, most: int, limits: Array
     ) -> tuple[list[int], int] | None:
         """A plan for the fewest readings that reach all limits, and their number n.
 

@@ -352,11 +352,7 @@ def order_setups(
     return order_poses(costs, rng, start=first)
 
 
-def _check(
-    distance: Array,
-    start: Array | None,
-    members: list[list[int]],
-) -> None:
+def _check(distance: Array, start: Array | None, members: list[list[int]]) -> None:
     n = len(distance)
     if np.shape(distance) != (n, n):
         raise ValueError(f"distances must be square, not of shape {np.shape(distance)}")

@@ -222,11 +222,7 @@ class PolishProgram:
         self._constrain(y[0, :] - instrument.fixed_reading(by_name), -slack, slack)
 
     def set_objective(
-        self,
-        basis: Array,
-        prior: Array,
-        criterion: Criterion,
-        scaling: Scaling,
+        self, basis: Array, prior: Array, criterion: Criterion, scaling: Scaling
     ) -> None:
         """The criterion over the columns of `basis`, and the held readings."""
         m = ca.MX(ca.DM(prior))
@@ -484,10 +480,7 @@ class _PolishEvaluator:
 
 
 def _evaluator(
-    start: ReadingPlan,
-    criterion: Criterion,
-    scaling: Scaling,
-    prior: Array | None,
+    start: ReadingPlan, criterion: Criterion, scaling: Scaling, prior: Array | None
 ) -> _PolishEvaluator:
     """Over all free parameters with a prior, else over what the start determines."""
     m = start.measurement

@@ -90,10 +90,7 @@ class InterpolatedReadings:
 
 
 def interpolate(
-    exact: Readings,
-    some: Callable[[Index], Readings],
-    points: Array,
-    sigma: Array,
+    exact: Readings, some: Callable[[Index], Readings], points: Array, sigma: Array
 ) -> Readings:
     """Interpolated readings for parameters like `points`; exact ones where they are few.
 

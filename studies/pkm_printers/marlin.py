@@ -273,10 +273,7 @@ def word_table(b: MeaningOfB | None, *, has_height: bool) -> WordTable:
     return {
         "M665": {**M665, **trims},
         "M666": M666,
-        "M851": {
-            **same(READ, "XY"),
-            "Z": READ,
-        },
+        "M851": {**same(READ, "XY"), "Z": READ},
         "M206": {
             **same(READ, "XY"),
             "Z": height,

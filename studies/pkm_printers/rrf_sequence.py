@@ -249,10 +249,7 @@ M665: Final[dict[str, Word]] = {
     **same(RADII, "ACDEFIJK"),
     "S": HARMLESS,
 }
-M666: Final[dict[str, Word]] = {
-    **same(READ, "XYZAB"),
-    **same(MORE_TOWERS, "UVW"),
-}
+M666: Final[dict[str, Word]] = {**same(READ, "XYZAB"), **same(MORE_TOWERS, "UVW")}
 G30: Final[dict[str, Word]] = {
     **same(READ, "PXYZK"),
     "H": costs("the heights of the log are without it already"),
@@ -273,11 +270,7 @@ G31: Final[dict[str, Word]] = {
 WORDS: Final[WordTable] = {
     "M665": M665,
     "M666": M666,
-    "M669": {
-        "K": READ,
-        **same(HARMLESS, "ST"),
-        **same(MORE_TOWERS, "XY"),
-    },
+    "M669": {"K": READ, **same(HARMLESS, "ST"), **same(MORE_TOWERS, "XY")},
     "M557": same(
         costs("it is the grid of G29; the points of G30 are read"), "XYRSPABCUVW"
     ),

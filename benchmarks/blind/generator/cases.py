@@ -28,10 +28,7 @@ from benchmarks.blind.generator.scene import Scene
 
 SETS = {"dev": 1, "blind": 2}
 #: machines of each set: the hexapod is kept from whoever develops a diagnosis
-ON = {
-    "dev": ("a3", "planar", "delta"),
-    "blind": ("a3", "planar", "delta", "hexapod"),
-}
+ON = {"dev": ("a3", "planar", "delta"), "blind": ("a3", "planar", "delta", "hexapod")}
 KINDS = ("null", "single", "pair", "exact", "unknown", "known_unknown")
 #: (kind, number in a stretch of 200); null: that number for each noise law
 SCHEDULE = tuple(zip(KINDS, (15, 55, 25, 10, 20, 15), strict=True))

@@ -72,10 +72,7 @@ def distance(vector: Array, columns: Array) -> float:
 
 
 def amplitude(
-    change: Callable[[float], Array],
-    size: Size,
-    target: float,
-    start: float,
+    change: Callable[[float], Array], size: Size, target: float, start: float
 ) -> float:
     """The amplitude a at which `size(change(a))` is the target.
 

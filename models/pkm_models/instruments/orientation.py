@@ -77,10 +77,7 @@ def _with_spin(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 def _normal(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     """Directions of a mirror's normal along the platform's w axis."""
     w = frames[0].rotation[:, W]
-    return [
-        ca.atan2(-w[1], w[2]) + s["zero_x"],
-        ca.atan2(w[0], w[2]) + s["zero_y"],
-    ]
+    return [ca.atan2(-w[1], w[2]) + s["zero_x"], ca.atan2(w[0], w[2]) + s["zero_y"]]
 
 
 def _zeros(axes: str) -> tuple[Parameter, ...]:

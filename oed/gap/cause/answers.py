@@ -21,12 +21,7 @@ from oed.gap.cause.compare import equivalent_effects
 from oed.gap.cause.search import UNSEEN_SHARE, Hypothesis, Search
 from oed.gap.data.diagnosis import AGAIN, ExcessScatter, Verdict
 from oed.gap.data.problem import LACKING, covariate
-from oed.result import (
-    UNKNOWN,
-    AnswerRecord,
-    GapSection,
-    probability_of,
-)
+from oed.result import UNKNOWN, AnswerRecord, GapSection, probability_of
 from oed.text import join_words
 
 # Advice: the physical remedy, or the reading that distinguishes the members of a class.
@@ -215,9 +210,7 @@ def _class_advice(members: Sequence[str], by_name: Mapping[str, Effect]) -> str:
 
 
 def _distinction(
-    first: AnswerRecord,
-    second: AnswerRecord,
-    by_name: Mapping[str, Effect],
+    first: AnswerRecord, second: AnswerRecord, by_name: Mapping[str, Effect]
 ) -> list[str]:
     """What would distinguish the leading answer from the second."""
     if not second.effects:
@@ -278,9 +271,7 @@ class AnswerGroup:
 
 
 def group(
-    searches: Sequence[Search],
-    hypotheses: Sequence[Hypothesis],
-    shares: Array,
+    searches: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array
 ) -> list[AnswerGroup]:
     """Hypotheses, best first, each with those that it stands for.
 

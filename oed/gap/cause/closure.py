@@ -320,10 +320,7 @@ def learn(information: Information, white: Array) -> tuple[Array, float]:
 
 
 def standardise(
-    information: Information,
-    n: int,
-    white: Array,
-    after: Array,
+    information: Information, n: int, white: Array, after: Array
 ) -> tuple[Array, Array]:
     """Held-out residuals (m,) without and with the effects, standardised.
 

@@ -90,10 +90,7 @@ def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:
 
 
 def equivalent_effects(
-    search: Search,
-    h: Hypothesis,
-    scores: Mapping[Key, float],
-    alive: float,
+    search: Search, h: Hypothesis, scores: Mapping[Key, float], alive: float
 ) -> list[tuple[str, ...]]:
     """For each effect of a hypothesis the names indistinguishable from it, itself first.
 
@@ -153,11 +150,7 @@ def _class_of(
 
 
 def _distinct_energy(
-    search: Search,
-    grams: Grams,
-    h: Hypothesis,
-    i: int,
-    rival: str,
+    search: Search, grams: Grams, h: Hypothesis, i: int, rival: str
 ) -> tuple[float, float, float]:
     """lambda_{k|j} and lambda_k of the i-th effect of h, and the rival's largest coefficient.
 

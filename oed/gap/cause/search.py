@@ -307,10 +307,7 @@ class Remainders:
     """The processes that an unknown remainder may be, under one noise law."""
 
     def __init__(
-        self,
-        products: ChoiceGrams,
-        processes: Library,
-        log_kinds: Array,
+        self, products: ChoiceGrams, processes: Library, log_kinds: Array
     ) -> None:
         """Lay out the processes, those with as many columns together.
 
@@ -551,10 +548,7 @@ class Search:
         )
 
     def fit(
-        self,
-        effects: Sequence[str],
-        atoms: Sequence[int],
-        sizes: Sequence[float],
+        self, effects: Sequence[str], atoms: Sequence[int], sizes: Sequence[float]
     ) -> Hypothesis:
         """Hypothesis of a set of effects: best forms by turns, evidence over all forms.
 

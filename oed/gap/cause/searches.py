@@ -87,9 +87,7 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
 
 
 def searches_under(
-    problem: GapProblem,
-    effects: Sequence[Effect],
-    law: NoiseLaw,
+    problem: GapProblem, effects: Sequence[Effect], law: NoiseLaw
 ) -> list[Search]:
     """The search under a noise law that is known, with and without outliers."""
     library = libraries.build(problem, effects, Metric(problem, law))

@@ -137,10 +137,7 @@ def signature(
 
 
 def _read(
-    column: Column,
-    response: Response,
-    measurement: Measurement,
-    series: Series,
+    column: Column, response: Response, measurement: Measurement, series: Series
 ) -> Array:
     """Change (n channels,) of a series' readings per unit of a coefficient."""
     setup = measurement.setups[series.setup]
@@ -165,8 +162,7 @@ def _read(
 
 
 def _known_parameters(
-    column: Column,
-    measurement: Measurement,
+    column: Column, measurement: Measurement
 ) -> list[tuple[str, Array]]:
     """Names and changes of the column's parameters that this machine has."""
     if not column.parameters:
@@ -176,9 +172,7 @@ def _known_parameters(
 
 
 def _direct_changes(
-    column: Column,
-    measurement: Measurement,
-    series: Series,
+    column: Column, measurement: Measurement, series: Series
 ) -> Iterator[tuple[int, Array]]:
     """Numbers of the channels that a column changes directly, and the changes (m,)."""
     channels = measurement.setups[series.setup].instrument.channels
@@ -349,11 +343,7 @@ class GapProblem:
         return NoiseLaw(Laws.stated(self.structure))
 
     def signature(
-        self,
-        effect: Effect,
-        constants: Mapping[str, float],
-        *,
-        textbook: bool = False,
+        self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False
     ) -> Signature:
         """An effect's signature in these readings at its constants, SI.
 

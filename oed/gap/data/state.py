@@ -256,10 +256,7 @@ def _sense(moved: Array) -> Array:
 
 
 def _since_reversal(
-    path: scipy.interpolate.CubicSpline,
-    length: Array,
-    arrival: Array,
-    closed: bool,
+    path: scipy.interpolate.CubicSpline, length: Array, arrival: Array, closed: bool
 ) -> Array:
     """Distance (k, nq) since the path last turned back, before it arrives at k poses.
 
@@ -336,9 +333,7 @@ def states(
 
 
 def _session(
-    covariates: pd.DataFrame,
-    times: Array,
-    series: tuple[Series, ...],
+    covariates: pd.DataFrame, times: Array, series: tuple[Series, ...]
 ) -> dict[str, Any]:
     """Fields of a State that hold for the whole session."""
     session = np.unique(times[np.isfinite(times)])
@@ -371,10 +366,7 @@ def _progress(times: Array) -> Array:
     return np.asarray(elapsed / max(span, 1e-12))
 
 
-def _first_temperatures(
-    covariates: pd.DataFrame,
-    times: Array,
-) -> dict[str, float]:
+def _first_temperatures(covariates: pd.DataFrame, times: Array) -> dict[str, float]:
     """Temperature of each body at the session's first reading that has one."""
     in_time = covariates.iloc[np.argsort(times, kind="stable")]
     return {
@@ -443,11 +435,7 @@ def _state(
 
 
 def _geometry(
-    measurement: Measurement,
-    series: Series,
-    theta: Array,
-    down: Array,
-    tool: Array,
+    measurement: Measurement, series: Series, theta: Array, down: Array, tool: Array
 ) -> dict[str, Any]:
     """Fields of a State that follow from the poses: tool, forces, struts.
 
@@ -481,12 +469,7 @@ def _geometry(
     }
 
 
-def _order(
-    series: Series,
-    rows: pd.DataFrame,
-    owner: Index,
-    referred: Index,
-) -> Array:
+def _order(series: Series, rows: pd.DataFrame, owner: Index, referred: Index) -> Array:
     """Number (m,) of each pose in its run.
 
     A pose that readings only refer to comes right before the first reading that does.
@@ -499,10 +482,7 @@ def _order(
 
 
 def _struts(
-    measurement: Measurement,
-    x: Array,
-    q: Array,
-    p: Array,
+    measurement: Measurement, x: Array, q: Array, p: Array
 ) -> tuple[Array, Array, Array]:
     """As `Kinematics.struts`; NaN for a machine that does not state its struts."""
     if measurement.machine.struts is None:

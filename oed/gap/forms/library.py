@@ -20,13 +20,7 @@ from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, Effect
 from oed.gap.data import evidence
 from oed.gap.data.columns import Block, Columns
-from oed.gap.data.problem import (
-    GapProblem,
-    Metric,
-    Signature,
-    covariate,
-    untestable,
-)
+from oed.gap.data.problem import GapProblem, Metric, Signature, covariate, untestable
 
 # Errors of references that these readings can tell from the free parameters.
 
@@ -159,9 +153,7 @@ class Library:
 
 
 def build(
-    problem: GapProblem,
-    effects: Sequence[Effect],
-    metric: Metric | None = None,
+    problem: GapProblem, effects: Sequence[Effect], metric: Metric | None = None
 ) -> Library:
     """Library of all atoms of the effects that these readings can test.
 
@@ -221,9 +213,7 @@ Weighted = tuple[Signature, float]
 
 
 def _forms(
-    problem: GapProblem,
-    effect: Effect,
-    metric: Metric | None,
+    problem: GapProblem, effect: Effect, metric: Metric | None
 ) -> list[Weighted]:
     """The effect's signatures over its grid of constants, with log prior weights.
 
@@ -281,9 +271,7 @@ def _signatures(
 
 
 def _best(
-    problem: GapProblem,
-    metric: Metric | None,
-    forms: Iterable[Weighted],
+    problem: GapProblem, metric: Metric | None, forms: Iterable[Weighted]
 ) -> tuple[list[Weighted], int]:
     """The forms that explain most of the residual, where there are many and a metric.
 
@@ -338,8 +326,7 @@ def _scores(
 
 
 def _add_alike(
-    forms: Sequence[Weighted],
-    alike: bool,
+    forms: Sequence[Weighted], alike: bool
 ) -> Iterator[tuple[Signature, float, bool]]:
     """Forms with their log weights, each followed by its form for limbs built alike.
 
@@ -420,9 +407,7 @@ def _atoms(
 
 
 def _choices(
-    form: Signature,
-    limbs: Sequence[str],
-    halved: bool,
+    form: Signature, limbs: Sequence[str], halved: bool
 ) -> list[tuple[Index, float]]:
     """Columns of all limbs together and of each limb alone, with their prior shares."""
     everything = np.arange(len(form.names), dtype=np.intp)
@@ -438,10 +423,7 @@ def _choices(
     return choices
 
 
-def _textbook_and_adapted(
-    form: Signature,
-    rows: Index,
-) -> list[tuple[Index, float]]:
+def _textbook_and_adapted(form: Signature, rows: Index) -> list[tuple[Index, float]]:
     """Columns without and with those that adapt, where there are any, with shares."""
     plain = rows[~form.shape[rows]]
     if plain.size in (0, rows.size):

@@ -398,11 +398,7 @@ class _Writer:
             yield self._function(name, results, self.slots, "const vec *fixed")
 
     def _function(
-        self,
-        name: str,
-        results: dict[str, int],
-        computed: Collection[int],
-        fixed: str,
+        self, name: str, results: dict[str, int], computed: Collection[int], fixed: str
     ) -> str:
         """A function that writes results, by variable, from inputs and computed nodes."""
         lines = [

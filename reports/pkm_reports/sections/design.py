@@ -54,12 +54,7 @@ def draw_robust(robust: RobustSummary) -> Figure:
     axes = figure.subplots()
     if robust.risk == "cvar" and 0.0 < robust.level < 1.0:
         label = f"the worst {text.percent(robust.level)}: their mean counts"
-        shade: Any = {
-            "color": style.SHADE,
-            "lw": 0,
-            "zorder": 0,
-            "label": label,
-        }
+        shade: Any = {"color": style.SHADE, "lw": 0, "zorder": 0, "label": label}
         axes.axhspan(0.0, 100.0 * robust.level, **shade)
     _distribution(axes, nominal, robust.nominal, best, "nominal plan", 1)
     _distribution(axes, values, robust.value, best, "robust plan", 0)
@@ -83,11 +78,7 @@ def _distribution(
     colour = style.CYCLE[k]
     worth = 100.0 * np.exp(values - best)
     share = 100.0 * np.arange(1, len(values) + 1) / len(values)
-    look: Any = {
-        "marker": style.marker(k),
-        "ms": 3.5,
-        "drawstyle": "steps-post",
-    }
+    look: Any = {"marker": style.marker(k), "ms": 3.5, "drawstyle": "steps-post"}
     axes.plot(worth, share, color=colour, label=f"{label}, each scenario", **look)
     dashed: Any = {"color": colour, "ls": "--", "lw": 1.0}
     if np.isfinite(by_risk):
@@ -572,12 +563,7 @@ def draw_efficiencies(design: DesignSection) -> Figure:
     figure = style.figure(0.75 + 0.3 * len(names), width)
     axes = figure.subplots()
     low = min(0.5, math.floor(10.0 * float(np.nanmin(table))) / 10.0)
-    shade: Any = {
-        "cmap": style.AMOUNT,
-        "vmin": low,
-        "vmax": 1.0,
-        "aspect": "auto",
-    }
+    shade: Any = {"cmap": style.AMOUNT, "vmin": low, "vmax": 1.0, "aspect": "auto"}
     image = axes.imshow(np.ma.masked_invalid(np.minimum(table, 1.0)), **shade)
     _write_percentages(axes, table, low)
     style.fixed_ticks(axes, "x", range(len(names)), names)

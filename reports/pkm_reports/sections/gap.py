@@ -53,10 +53,7 @@ SWING = 0.45
 #: outer radius over the drawn one
 OUTER = 1.6
 #: label, line and colour of a direction of travel
-DIRECTIONS: Final = {
-    1: ("forward", "-", style.BLUE),
-    -1: ("backward", "--", style.RED),
-}
+DIRECTIONS: Final = {1: ("forward", "-", style.BLUE), -1: ("backward", "--", style.RED)}
 NO_DIRECTION: Final = ("direction unknown", "-", style.GREY)
 QUARTERS: Final = np.radians([0.0, 90.0, 180.0, 270.0]).tolist()
 #: set-up, name without its pass, channel, payload (N) of a circle
@@ -144,12 +141,7 @@ def _circle_panel(axes: Any, runs: Sequence[Trace], when: When, largest: float) 
             order = np.append(order, 0)
         radius = np.clip(1.0 + SWING * residuals[order] / largest, 0.05, OUTER)
         label, line, colour = DIRECTIONS.get(run.direction or 0, NO_DIRECTION)
-        look: Any = {
-            "color": colour,
-            "lw": 0.9,
-            "marker": "o",
-            "ms": 1.4,
-        }
+        look: Any = {"color": colour, "lw": 0.9, "marker": "o", "ms": 1.4}
         axes.plot(angle[order], radius, line, label=label, **look)
     axes.set_rlim(0.0, OUTER)
     style.ticks_at(axes.yaxis, [1.0 - SWING, 1.0, 1.0 + SWING])
@@ -268,12 +260,7 @@ def _panel(
 ) -> Any:
     order = np.argsort(values)  # large residuals on top
     across, up = places[order, view[0]], places[order, view[1]]
-    look: Any = {
-        "cmap": style.AMOUNT,
-        "norm": norm,
-        "ec": style.GREY,
-        "lw": 0.3,
-    }
+    look: Any = {"cmap": style.AMOUNT, "norm": norm, "ec": style.GREY, "lw": 0.3}
     look["s"] = float(np.clip(3000.0 / len(places), 6.0, 30.0))
     image = axes.scatter(across, up, c=values[order], **look)
     axes.set(xlabel=f"{AXES[view[0]]} [mm]", ylabel=f"{AXES[view[1]]} [mm]")

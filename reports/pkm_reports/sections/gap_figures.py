@@ -116,11 +116,7 @@ def _panel(axes: Axes, trace: Trace, limit: float) -> None:
         "ms": 2.6 if len(along) <= FULL_SIZE_MAX_READINGS else 1.5,
     }
     joined = trace.kind != "points"
-    lines: Any = {
-        "ls": "-" if joined else "",
-        "marker": "" if joined else "_",
-        "ms": 5,
-    }
+    lines: Any = {"ls": "-" if joined else "", "marker": "" if joined else "_", "ms": 5}
 
     def plot(values: Array, label: str, **look: Any) -> None:
         axes.plot(along, np.clip(values, -limit, limit), label=label, **look)

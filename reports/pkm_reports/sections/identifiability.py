@@ -295,12 +295,7 @@ def _kappa_panel(axes: Axes, entry: KappaMap) -> None:
         axes.plot(n, kappa, marker=style.marker(k), ms=3, color=colour, label=label)
         if np.isfinite(kappa).any():
             smallest = int(np.nanargmin(kappa))
-            ring: Any = {
-                "ms": 9,
-                "mfc": "none",
-                "mec": colour,
-                "mew": 1.2,
-            }
+            ring: Any = {"ms": 9, "mfc": "none", "mec": colour, "mew": 1.2}
             axes.plot(n[smallest], kappa[smallest], "o", **ring)
     low, high = float(np.nanmin(table)), float(np.nanmax(table))
     axes.set_ylim(0.8 * low, min(MAX_KAPPA_RATIO * low, 1.25 * high))

@@ -218,11 +218,7 @@ def _panel(axes: Axes, title: str, values: Array, colour: str) -> None:
 
 # Identified parameters against their tolerances: value, interval, improvement.
 
-TYPE_COLOURS: Final = {
-    "seen": style.BLUE,
-    "weak": style.ORANGE,
-    "prior": style.GREY,
-}
+TYPE_COLOURS: Final = {"seen": style.BLUE, "weak": style.ORANGE, "prior": style.GREY}
 #: what `identified` of a parameter means
 TYPE_MEANINGS: Final = {
     "seen": "determined",
@@ -266,12 +262,7 @@ def _interval(
     label = text.meaning(verdict, TYPE_MEANINGS)
     deviations.plot(deviation, k, "o", color=colour, ms=3.5, label=label)
     if math.isfinite(truth):
-        cross: Any = {
-            "color": style.INK,
-            "ms": 5,
-            "mew": 1.1,
-            "zorder": 4,
-        }
+        cross: Any = {"color": style.INK, "ms": 5, "mew": 1.1, "zorder": 4}
         deviations.plot(truth, k, "x", label="truth (virtual machine)", **cross)
     ratios.plot(sd, k, "o", color=colour, ms=4)
 

@@ -279,12 +279,7 @@ def panel(
         _line(axes, kind, line, box)
     for k, (setup, colour) in enumerate(colours.items()):
         tips = shown.tips[[name == setup for name in shown.setups]]
-        look: Any = {
-            "s": 16,
-            "depthshade": False,
-            "lw": 0.3,
-            "ec": "white",
-        }
+        look: Any = {"s": 16, "depthshade": False, "lw": 0.3, "ec": "white"}
         axes.scatter(*tips.T, color=colour, marker=style.marker(k), **look)
     set_axes(axes, box, azimuth)
     fit_to(figure, axes, box, room)
@@ -322,11 +317,7 @@ def legend_entries(shown: Scene) -> list[Line2D]:
     colours = list(style.colours(shown.setups).items())
     entries = []
     for k, (setup, colour) in enumerate(colours[:MAX_NAMES]):
-        look: Any = {
-            "ls": "",
-            "marker": style.marker(k),
-            "color": colour,
-        }
+        look: Any = {"ls": "", "marker": style.marker(k), "color": colour}
         entries.append(Line2D([], [], label=style.label(setup, 24), **look))
     more = len(colours) - MAX_NAMES
     if more > 0:

@@ -310,12 +310,7 @@ def _covered(centre: Array, half: Array, taken: Sequence[tuple[Array, Array]]) -
 def _annotate(
     axes: Axes, phrase: str, point: tuple[float, float], shift: Array, colour: str
 ) -> None:
-    frame: Any = {
-        "boxstyle": "round,pad=0.18",
-        "fc": "white",
-        "ec": colour,
-        "lw": 0.7,
-    }
+    frame: Any = {"boxstyle": "round,pad=0.18", "fc": "white", "ec": colour, "lw": 0.7}
     look: Any = {"fontsize": LETTER_SIZE, "annotation_clip": False, "zorder": 3}
     look |= {"ha": "center", "va": "center", "bbox": frame}
     offset: Any = tuple(shift)

@@ -823,12 +823,7 @@ def draw_front(plan: PlanSection) -> Figure:
         axes.plot(*front.T, "o-", label="best plan found for the time", **line)
     _draw_sequences(axes, plan)
     if len(chosen):
-        star: Any = {
-            "color": style.ORANGE,
-            "mec": style.INK,
-            "mew": 0.6,
-            "ms": 12,
-        }
+        star: Any = {"color": style.ORANGE, "mec": style.INK, "mew": 0.6, "ms": 12}
         axes.plot(*chosen.T, "*", label="the plan", zorder=5, **star)
     style.log_axis(axes, "y")
     axes.set(xlabel="minutes", ylabel=GOAL_LABEL if plan.goal else NO_GOAL_LABEL)
@@ -895,12 +890,7 @@ def _draw_sequences(axes: Axes, plan: PlanSection) -> None:
     compared = placed[:MAX_PARETO_PLANS]
     for k, record in enumerate(compared):
         point = points([record.sequence])
-        look: Any = {
-            "marker": "DsP^vX"[k % 6],
-            "ls": "",
-            "ms": 6,
-            "mew": 0.5,
-        }
+        look: Any = {"marker": "DsP^vX"[k % 6], "ls": "", "ms": 6, "mew": 0.5}
         look |= {"color": style.CYCLE[(k + 2) % len(style.CYCLE)], "mec": style.INK}
         axes.plot(*point.T, label=style.label(f"sequence {record.name}", 48), **look)
         if record.bound > 0.0:

@@ -35,9 +35,7 @@ MAX_REASON_LENGTH = 120
 KINDS = ("machines", "instruments", "effects", "criteria", "formats")
 #: packages with the shipped ones of a kind, and attribute that may be left out, where
 #: these are not `pkm_models.KIND` and the kind's singular
-PACKAGES = {
-    "formats": "pkm_studies.compensation.formats",
-}
+PACKAGES = {"formats": "pkm_studies.compensation.formats"}
 ATTRIBUTES = {"formats": "controller"}
 #: module and name of the class of a kind's items
 CLASSES = {

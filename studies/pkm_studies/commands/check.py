@@ -9,9 +9,7 @@ import typer
 
 from pkm_studies import console
 from pkm_studies.base import InputError
-from pkm_studies.commands.options import (
-    AllowCode,
-)
+from pkm_studies.commands.options import AllowCode
 from pkm_studies.console import BAD_INPUT, DONE, FAILED
 
 

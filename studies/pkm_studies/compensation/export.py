@@ -359,10 +359,7 @@ def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
 
 
 def _component_errors(
-    kinematics: Kinematics,
-    command: Array,
-    joints: Array,
-    parameters: Array,
+    kinematics: Kinematics, command: Array, joints: Array, parameters: Array
 ) -> Array:
     """Exact errors (n, k) of the machine's pose components, SI, as in `pose_error`."""
     twist = pose_error(kinematics, command, joints, parameters)

@@ -58,9 +58,7 @@ if TYPE_CHECKING:
         unreachable,
     )
     from pkm_studies.resolve.resolved import ResolvedStudy, resolve
-    from pkm_studies.resolve.tolerances import (
-        replace_mean_and_covariance,
-    )
+    from pkm_studies.resolve.tolerances import replace_mean_and_covariance
     from pkm_studies.resolve.tool_points import ToolPoints
 else:
     __getattr__ = door(__name__)

@@ -302,11 +302,7 @@ REPEATS = (
 def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
     """The section with the nodes (n, n_dof), SI, to measure."""
     design = task.model.plan_nodes(
-        task.candidates,
-        task.table.nodes,
-        task.expected,
-        task.sigma,
-        task.wanted,
+        task.candidates, task.table.nodes, task.expected, task.sigma, task.wanted
     )
     nodes = task.candidates[design.indices]
     machine = task.kinematics.machine

@@ -143,11 +143,7 @@ def _check_tables(study: StudyFile, location: Location) -> None:
 
 
 def _check_readings(table: ReadingsTable, location: Location) -> None:
-    stated = {
-        "files": table.files,
-        "source": table.source,
-        "simulate": table.simulate,
-    }
+    stated = {"files": table.files, "source": table.source, "simulate": table.simulate}
     sources = [name for name, value in stated.items() if value]
     if len(sources) != 1:
         problem = "it does not say where readings come from"

@@ -87,8 +87,7 @@ def greedy(p: Problem) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "batch",
-    [0, *(pytest.param(b, marks=pytest.mark.slow) for b in range(1, 20))],
+    "batch", [0, *(pytest.param(b, marks=pytest.mark.slow) for b in range(1, 20))]
 )
 def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
     for seed in range(25 * batch, 25 * batch + 25):

@@ -36,8 +36,7 @@ def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
         if p.tolerance > 0.0 and p.name not in head.frame
     ]
     text = sample.changed(
-        bad_fit_sample.WITHOUT_REPORT,
-        ("[posterior]", "".join(lines) + "\n[posterior]"),
+        bad_fit_sample.WITHOUT_REPORT, ("[posterior]", "".join(lines) + "\n[posterior]")
     )
     study, readings = bad_fit_sample.write(folder, bar_readings.a3_readings(3), text)
     out = folder / "out"

@@ -211,8 +211,7 @@ def test_two_known_tools_tell_scale_from_bar(
 
 @SLOW
 @pytest.mark.parametrize(
-    ("truth", "seed"),
-    [("encoder_scale", 5), ("encoder_scale", 8), ("bar_length", 5)],
+    ("truth", "seed"), [("encoder_scale", 5), ("encoder_scale", 8), ("bar_length", 5)]
 )
 def test_two_tools_do_not_misname_what_is_small(
     blind: SimpleNamespace, tmp_path: Path, truth: str, seed: int

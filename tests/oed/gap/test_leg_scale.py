@@ -31,8 +31,7 @@ def _session(folder: Path, scale: float) -> tuple[Measurement, Dataset]:
 
 
 @pytest.mark.parametrize(
-    "scale",
-    [-0.1, *(pytest.param(k, marks=pytest.mark.slow) for k in (0.001, 0.03))],
+    "scale", [-0.1, *(pytest.param(k, marks=pytest.mark.slow) for k in (0.001, 0.03))]
 )
 def test_the_joint_estimate_is_that_of_least_squares(
     tmp_path: Path, scale: float

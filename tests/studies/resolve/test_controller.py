@@ -108,8 +108,7 @@ def commands() -> Array:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["first", "first/compensation.json", "first/compensation_parameters.csv"],
+    "name", ["first", "first/compensation.json", "first/compensation_parameters.csv"]
 )
 def test_joints_are_those_of_the_controllers_parameters(
     folder: Path, name: str

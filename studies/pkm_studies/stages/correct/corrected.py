@@ -582,9 +582,7 @@ def _add_section(
         plain = state.estimate.theta[: len(kinematics.machine.parameters)]
         accuracy = corrected.predict(command, reference, rng, theta, worth, plain)
     workspace = Workspace(
-        command=command,
-        axes=used.axes,
-        wanted=state.resolved.wanted_accuracy,
+        command=command, axes=used.axes, wanted=state.resolved.wanted_accuracy
     )
     goodness = goodness_of_delivered(
         corrected.measurement,

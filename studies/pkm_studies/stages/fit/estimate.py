@@ -54,10 +54,7 @@ from pkm_studies.base import Stream
 from pkm_studies.describe import displayed_command
 from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.fit import run_curves
-from pkm_studies.stages.fit.goodness import (
-    add_delivered,
-    check_dataset,
-)
+from pkm_studies.stages.fit.goodness import add_delivered, check_dataset
 from pkm_studies.stages.gap.diagnosis import covariates_of, rms_by_channel
 from pkm_studies.stages.run_state import Fitted, Measured, MeasuredReadings, promote
 

@@ -283,10 +283,7 @@ def _spoken(answer: AnswerRecord) -> str:
 
 # States how far the gap shrinks on held-out readings, or by how much it grows.
 
-SPLITS = {
-    "within": "on held-out stretches of runs",
-    "whole": "on whole held-out runs",
-}
+SPLITS = {"within": "on held-out stretches of runs", "whole": "on whole held-out runs"}
 
 
 def closure_sentences(gap: GapSection) -> list[str]:

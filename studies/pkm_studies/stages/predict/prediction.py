@@ -111,9 +111,7 @@ def accuracy_section(
 
 
 def component_accuracies(
-    machine: Machine,
-    prediction: Prediction,
-    of_sources: Mapping[str, dict[str, float]],
+    machine: Machine, prediction: Prediction, of_sources: Mapping[str, dict[str, float]]
 ) -> dict[str, ComponentAccuracy]:
     """A prediction by component, in its fine unit.
 
