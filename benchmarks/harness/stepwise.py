@@ -43,10 +43,10 @@ def stepwise(problem: GapProblem, library: Library) -> list[str]:
     constants.
     """
     metric = Metric(problem, problem.stated_law)
-    values = np.column_stack([problem.residual, library.columns])
-    white, absorbed = metric.parts(values)
-    full = white.T @ white - absorbed.T @ absorbed
-    raw = np.sqrt((library.columns**2).sum(axis=0))
+    columns = library.columns.all()
+    scores = metric.scores(np.column_stack([problem.residual, columns]))
+    full = scores.T @ scores
+    raw = np.sqrt((columns**2).sum(axis=0))
     size = np.sqrt(np.maximum(np.diag(full)[1:], 0.0))
     scale = np.where(size > LEAST * raw, 1.0 / np.maximum(size, 1e-300), 0.0)
     gram, b = full[1:, 1:] * np.outer(scale, scale), full[1:, 0] * scale

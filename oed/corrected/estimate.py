@@ -162,10 +162,9 @@ def _predict(
     worth: float | None,
     plain: Array | None,
 ) -> CorrectedAccuracy:
-    machine = corrected.readings.measurement.machine
-    count = len(machine.parameters)
-    setups = corrected.parameters
     kinematics = corrected.readings.measurement.kinematics
+    count = len(kinematics.machine.parameters)
+    setups = corrected.parameters
     maps = ErrorMaps.of(kinematics, command, reference)
     theta = corrected.estimate.theta
     of_effects = corrected.columns.workspace_maps(

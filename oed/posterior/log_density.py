@@ -125,10 +125,11 @@ def interpolate(
     return InterpolatedReadings(some(rows), middle, rows, matrix)
 
 
-#: degrees of freedom of the independent proposals' Student tails: at least, and over the
-#: coordinates. Against a normal density 95 % of proposals count in any dimension; with 20
-#: degrees it would be 76 % of 36 coordinates
-MIN_DOF, DOF_PER_COORDINATE = 20.0, 2.5
+#: degrees of freedom of the independent proposals' Student tails, at least
+MIN_DOF = 20.0
+#: of these over the coordinates. Against a normal density 95 % of proposals count in any
+#: dimension; with 20 degrees it would be 76 % of 36 coordinates
+DOF_PER_COORDINATE = 2.5
 #: draws of the parameters: their covariance is known to 2 %
 N_DRAWS = 2000
 #: rounds of draws until enough keep to the bounds
@@ -139,9 +140,10 @@ MAX_EXCESS = 5e-4
 CORRECTED_AT_ONCE = 100
 #: readings of draws that are predicted at once: 2 MB
 BATCH_READINGS = 200_000
-#: points that b(w) is fitted at, over its coefficients, and at most: beyond, to follow each
-#: draw costs as much
-POINTS_PER_COEFFICIENT, MAX_BEND_POINTS = 2, 1000
+#: points that b(w) is fitted at, over its coefficients
+POINTS_PER_COEFFICIENT = 2
+#: such points at most: beyond, to follow each draw costs as much
+MAX_BEND_POINTS = 1000
 #: change of all readings together, over the noise, that b(w) may leave (root mean square):
 #: with 0.45 weights scatter so much that to follow each draw is as fast
 MAX_LEFT = 0.3

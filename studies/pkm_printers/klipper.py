@@ -96,6 +96,7 @@ class KlipperImporter:
         meshes, mesh_notes = distinct(klipper_config.meshes(config))
         mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
         mesh_notes += explanations(meshes, GEOMETRY_WORDS)
+        mesh_rows = [row for mesh in meshes for row in mesh.rows_at(height)]
         noise_notes = [ASSUMED if spread is None else spread.sentence()]
         setups = {row["setup"] for row in heights}
         offsets = {PROBE: klipper_config.probe_offset(config), NOZZLE: (0.0, 0.0)}
@@ -121,11 +122,7 @@ class KlipperImporter:
         )
         return ImportedSession(
             study=study.text(),
-            rows=[
-                *heights,
-                *distances,
-                *(row for mesh in meshes for row in mesh.rows_at(height)),
-            ],
+            rows=[*heights, *distances, *mesh_rows],
             statements=[
                 *_statements(config, geometry, steps, len(heights), count),
                 *noise_notes,
