@@ -47,7 +47,7 @@ PAGES = [
     *((page, LONG_COMMANDS.get(page, "")) for page in EXECUTED if page not in AT_NIGHT),
     *(
         pytest.param(page, "", marks=pytest.mark.slow)
-        for page in [*LONG_COMMANDS, *AT_NIGHT]
+        for page in [*LONG_COMMANDS, *sorted(AT_NIGHT)]
     ),
 ]
 GALLERY = sorted(
