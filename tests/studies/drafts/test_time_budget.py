@@ -21,6 +21,8 @@ from pkm_studies.user_code import Origin
         ("2d", 16.0),
         ("half a day", 4.0),
         ("a week", 40.0),
+        ("two and a half hours", 2.5),
+        ("half an hour", 0.5),
         ("One Hour", 1.0),
     ],
 )

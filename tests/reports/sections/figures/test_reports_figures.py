@@ -83,6 +83,12 @@ def test_each_map_and_each_set_of_held_out_readings_has_a_panel(number: int) -> 
         assert sum(axes.get_visible() for axes in figure.axes) == number
 
 
+def test_a_condition_number_is_of_determined_directions() -> None:
+    section = result_of(report_fixture.sample()).identifiability
+    some = msgspec.structs.replace(section, singular_values=[8.0, 2.0, 0.0], rank=2)
+    assert identifiability.condition(some) == 4.0
+
+
 @pytest.mark.parametrize("draw", _empty_figures())
 def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
     with style.applied():
