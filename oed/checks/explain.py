@@ -520,8 +520,9 @@ def _log_of_poses_read(
     smaller unit, that of the poses which change is as much smaller.
     """
     total = 0.0
-    # machines apart have fewer series, of poses that do not change
-    pairs = zip(session.series, sessions[0].series, session.spans, strict=False)
+    # machines apart have fewer series, of poses that do not change; none: no reading stays
+    others = sessions[0].series if sessions else ()
+    pairs = zip(session.series, others, session.spans, strict=False)
     for before, after, span in pairs:
         if len(before) != len(after) or np.ptp(session.y[span]) > 0.0:
             continue

@@ -89,6 +89,12 @@ def test_readings_left_out_are_anywhere_about_nominal() -> None:
     assert log_density == pytest.approx(exact, rel=1e-12)
 
 
+def test_a_mistake_that_leaves_no_reading_is_judged() -> None:
+    """As of a sorted file, whose readings say nothing of their rows."""
+    session = machines.session("a3", machines.readings("a3", 3))
+    assert explain._log_of_poses_read(session, []) == 0.0
+
+
 @pytest.mark.parametrize("most", [5, 24, 48, 60])
 def test_a_sample_has_the_first_and_the_last_reading(
     monkeypatch: pytest.MonkeyPatch, most: int
