@@ -90,7 +90,6 @@ def test_readings_left_out_are_anywhere_about_nominal() -> None:
 
 
 def test_a_mistake_that_leaves_no_reading_is_judged() -> None:
-    """As of a sorted file, whose readings say nothing of their rows."""
     session = machines.session("a3", machines.readings("a3", 3))
     assert explain._log_of_poses_read(session, []) == 0.0
 

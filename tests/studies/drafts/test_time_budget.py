@@ -22,7 +22,6 @@ from pkm_studies.user_code import Origin
         ("half a day", 4.0),
         ("a week", 40.0),
         ("two and a half hours", 2.5),
-        ("half an hour", 0.5),
         ("One Hour", 1.0),
     ],
 )
