@@ -97,9 +97,8 @@ class ChainFactor:
         """
         chains, length, count = values.shape
         if length > BLOCK_ROWS:
-            return self.whiten(values.reshape(chains * length, count)).reshape(
-                values.shape
-            )
+            rows = values.reshape(chains * length, count)
+            return self.whiten(rows).reshape(values.shape)
         decay, slope = np.zeros((2, chains, length, 1))
         decay.flat[1:], slope.flat[1:] = self._decay, self._slope
         white = values.copy()
@@ -301,28 +300,15 @@ def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, Arr
 
     The first result is (..., m, m), to be subtracted from Y^T Y; the second (...).
     """
-    size: Array = amounts[..., None, :, None]
+    size = amounts[..., None, :, None]
     covariance = np.eye(inner.shape[-1]) + size * inner * np.swapaxes(size, -1, -2)
-    roots: Array = np.asarray(np.linalg.cholesky(covariance), float)
-    half = _substituted(roots, size * products)
+    roots = np.linalg.cholesky(covariance)
+    half = np.linalg.solve(roots, size * products)
     *rest, segments, columns, count = half.shape
     flat = half.reshape(*rest, segments * columns, count)
     diagonals = np.diagonal(roots, axis1=-2, axis2=-1)
     removed = np.swapaxes(flat, -1, -2) @ flat
     return removed, 2.0 * np.log(diagonals).sum(axis=(-2, -1))
-
-
-def _substituted(triangle: Array, values: Array) -> Array:
-    """L^-1 Y (..., K, m) of lower triangular L (..., K, K), in the memory of Y."""
-    size = triangle.shape[-1]
-    half = size // 2
-    if size > 1:
-        upper = _substituted(triangle[..., :half, :half], values[..., :half, :])
-        values[..., half:, :] -= triangle[..., half:, :half] @ upper
-        _substituted(triangle[..., half:, half:], values[..., half:, :])
-    elif size:
-        values /= triangle
-    return values
 
 
 def _sums_before(values: Array, starts: Index) -> Array:

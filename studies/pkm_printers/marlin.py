@@ -325,7 +325,7 @@ def mesh_grids(
     if None in ends:
         return [], [GRID_WITHOUT_PLACE.format(line=lines[start_line].number)]
     count_y, count_x = heights.shape
-    (x_ends, y_ends) = (end for end in ends if end is not None)
+    x_ends, y_ends = (end for end in ends if end is not None)
     x, y = np.linspace(*x_ends, count_x), np.linspace(*y_ends, count_y)
     middle = np.array([x.mean(), y.mean()])
     reach = settings.get("mesh_radius_mm", (min(np.ptp(x), np.ptp(y)) / 2.0,))[0]

@@ -406,9 +406,8 @@ def _readings_of_places(problem: GapProblem) -> dict[str, Mask]:
     names = "run " + prefix.where(ambiguous, "") + names
     for name, members in zip(names, problem.members, strict=True):
         masks[name] = np.isin(np.arange(len(problem)), members)
-    joints = discrepancy.values_of_poses(problem, [s.joints for s in problem.states])[
-        :, 0
-    ]
+    driven = [state.joints for state in problem.states]
+    joints = discrepancy.values_of_poses(problem, driven)[:, 0]
     off = np.abs(joints - np.median(joints, axis=0))
     moved = off > STILL_SHARE * np.ptp(joints, axis=0)
     return masks | {f"leg {i + 1}": moved[:, i] for i in problem.states[0].limbs}
