@@ -33,11 +33,6 @@ from oed.result import CompensationName, SpreadRecord
 N_MACHINES = 2000
 #: errors of all machines, poses and components, at most
 MAX_ERRORS = 12_000_000
-#: the tail that is sorted for a quantile and its error, over what lies beyond the quantile:
-#: both are in it where machines are many
-TAIL = 2.0
-#: every so-manieth machine says where the tail begins
-TAIL_STEP = 16
 #: ends of the interval that holds 95 % of the machines
 INTERVAL = (0.025, 0.975)
 
@@ -82,13 +77,10 @@ class Spread:
         worth  number of independent machines that these are worth; all by default
         """
         size = np.abs(errors)
-        place = 0.95 * (size.shape[1] - 1)
-        largest_of_each = np.partition(size, int(place), axis=1)[:, int(place) :]
-        largest_of_each.sort(axis=1)
         of_machine = {
             "rms": np.sqrt(np.mean(size**2, axis=1)),
-            "p95": _interpolated(largest_of_each, place % 1.0),
-            "largest": largest_of_each[:, -1],
+            "p95": np.quantile(size, 0.95, axis=1),
+            "largest": size.max(axis=1),
         }
         rms = root_mean_square(size, worth)
         p95 = pooled_quantile(size, 0.95, worth)
@@ -366,29 +358,8 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
     the quantile differs between machines.
     """
     machines = len(values) if worth is None else worth
-    end = float(np.quantile(values[::TAIL_STEP], 1.0 - TAIL * (1.0 - share)))
-    tail = np.sort(values[values >= end])
-    value = _tail_quantile(tail, share, values)
-    beyond = (values > value).mean(axis=1)
-    step = beyond.std() / np.sqrt(machines)
-    low, high = np.clip([share - step, share + step], 0.0, 1.0)
-    below, above = _tail_quantile(tail, low, values), _tail_quantile(tail, high, values)
-    return Drawn(float(value), float(0.5 * (above - below)))
-
-
-def _tail_quantile(tail: Array, share: float, values: Array) -> Array:
-    """A quantile of values, of which the largest are given in order."""
-    place = share * (values.size - 1) - (values.size - tail.size)
-    if place < 0.0:
-        return np.asarray(np.quantile(values, share))
-    return _interpolated(tail, place)
-
-
-def _interpolated(ordered: Array, place: float) -> Array:
-    """What stands at a place, from 0 on and between two, of the ordered values (..., n)."""
-    number = int(place)
-    pair = ordered[..., number : number + 2]
-    return np.asarray(np.quantile(pair, place - number, axis=-1))
+    beyond = (values > np.quantile(values, share)).mean(axis=1)
+    return _quantile(values, share, beyond.std() / np.sqrt(machines))
 
 
 def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
