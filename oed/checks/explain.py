@@ -44,10 +44,14 @@ from oed.measurement import Measurement
 
 #: prior probability that readings have a usual mistake
 MISTAKE_PROBABILITY = 0.1
-#: trials of one kind that are fitted, at most
-MAX_OF_KIND = 4
+#: trials of one kind that are fitted, at most: three legs, or six in pairs, have six images,
+#: turned by thirds and mirrored
+MAX_OF_KIND = 6
 #: log evidence, in the linear model, below which a trial is not fitted
 MAX_LOG_DEFICIT = 50.0
+#: factor between the misfits that the linear model gives two mistakes of a kind which fit
+#: alike: by far poses that a mistake moves, its residuals are known to no better
+LINEAR_MISFIT_FACTOR = 10.0
 #: log evidence by which trials differ that are alike in the linear model
 ALIKE_LOG_EVIDENCE = 3.0
 
@@ -90,7 +94,7 @@ def candidates(
         for one, prior in zip(every, priors, strict=True)
     ]
     as_given = screening.as_given().log_evidence
-    first, then = _chosen(_drop_same(every), as_given)
+    first, then = _chosen(_drop_same(every), as_given, len(data.session))
     if not thorough:
         first = [one for one in first if one.log_posterior > as_given]
         then = [one for one in then if _is_unseen(one, as_given)]
@@ -134,20 +138,24 @@ def log_priors(every: Sequence[MistakeTrial]) -> Array:
 
 
 def _chosen(
-    every: Sequence[Candidate], as_given: float
+    every: Sequence[Candidate], as_given: float, count: int
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """Mistakes to fit first, and then."""
+    """Mistakes of `count` values to fit first, and then."""
     of_kind = _rank_by_kind(every)
     ranked = [one for members in of_kind.values() for one in members[:MAX_OF_KIND]]
     ranked = _likeliest_first(ranked)
-    first = [
-        one
-        for one in ranked[:8]
-        if one.log_posterior > ranked[0].log_posterior - MAX_LOG_DEFICIT
-    ]
+    first = [one for one in ranked[:8] if _may_be_as_good(one, ranked[0], count)]
     likely = [one for members in of_kind.values() for one in _alike(members)]
     least = as_given - MAX_LOG_DEFICIT
     return first, [c for c in likely if c not in first and c.log_posterior > least]
+
+
+def _may_be_as_good(one: Candidate, best: Candidate, count: int) -> bool:
+    """Whether a mistake may explain `count` values as well as the likeliest one does."""
+    margin = MAX_LOG_DEFICIT
+    if one.trial.kind == best.trial.kind and one.trial.scope.level == "file":
+        margin = max(margin, count * np.log(LINEAR_MISFIT_FACTOR))
+    return bool(one.log_posterior > best.log_posterior - margin)
 
 
 def _likeliest_first(some: Sequence[Candidate]) -> list[Candidate]:

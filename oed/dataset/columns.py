@@ -72,6 +72,11 @@ def _angle_meanings(values: Array) -> dict[str, Notation]:
         "{} is counted from the other axis, as 90 deg less it": partial(
             np.subtract, RIGHT_ANGLE
         ),
+        "{} is 90 deg too high, counted from another axis": partial(
+            np.add, -RIGHT_ANGLE
+        ),
+        "{} is 90 deg too low, counted from another axis": partial(np.add, RIGHT_ANGLE),
+        "{} is 180 deg off, counted from the opposite axis": partial(np.add, np.pi),
         "{} is in rad, not in deg": partial(np.multiply, 1.0 / units.DEG),
         "{} is in deg of a sheet in rad": partial(np.multiply, units.DEG),
         "{} is in grad, not in deg": partial(np.multiply, TURN_DEG / TURN_GRAD),
