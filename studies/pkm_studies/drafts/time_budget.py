@@ -18,7 +18,7 @@ SECONDS: Final = {"m": units.MINUTE, "h": units.HOUR, "d": SHIFT, "w": 5.0 * SHI
 #: numbers that one writes as words
 WORDS: Final = ("a", "one", "two", "three", "four", "five", "six")
 TIME: Final = re.compile(
-    r"(?P<size>\d+(?:[.,]\d+)?|[a-z]+)"
+    r"(?:a\s+(?=half))?(?P<size>\d+(?:[.,]\d+)?|[a-z]+)"
     r"(?:\s+(?P<half>and\s+a\s+half))?"
     r"(?:(?<=half)\s+an?)?\s*(?P<unit>min(?:utes?)?|h(?:ours?)?|d(?:ays?)?|weeks?)?"
 )

@@ -20,6 +20,7 @@ from pkm_studies.user_code import Origin
         ("1,5 h", 1.5),
         ("2d", 16.0),
         ("half a day", 4.0),
+        ("a half hour", 0.5),
         ("a week", 40.0),
         ("two and a half hours", 2.5),
         ("One Hour", 1.0),
