@@ -27,6 +27,10 @@ MARKS: Final[dict[Judgement, str]] = {
 MINUS: Final = "\N{MINUS SIGN}"
 #: no line breaks between a number and its unit
 NO_BREAK: Final = "\N{NO-BREAK SPACE}"
+#: the space between a number and its unit in a sentence
+BEFORE_UNIT: Final = re.compile(
+    r"(?<=\d) (?=%|(?:mm|um|nm|rad|mrad|urad|deg|arcsec|min|ppm)\b)"
+)
 SUPERSCRIPT: Final = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 SYMBOLS: Final = {"um": "µm", "urad": "µrad", "deg": "°", "C": "°C", "1": ""}
 #: control characters that neither HTML nor typst can show
@@ -239,8 +243,9 @@ def channel_value(
 
 
 def replace_symbols(phrase: str) -> str:
-    """Text of a study with 5 um written as 5 µm."""
-    return re.sub(r"(?<=\d) um\b", f"{NO_BREAK}µm", phrase)
+    """Text of a study with 5 um written as 5 µm, and no line break before a unit."""
+    bound = BEFORE_UNIT.sub(NO_BREAK, phrase)
+    return re.sub(rf"(?<=\d{NO_BREAK})um\b", "µm", bound)
 
 
 # -- words -----------------------------------------------------------------------------
