@@ -35,6 +35,8 @@ from oed.base import Array, Index
 
 #: rows of a block that are whitened by one product
 BLOCK_ROWS = 32
+#: columns up to which LAPACK, column after column, takes less time than blocks
+MAX_SINGLE_COLUMNS = 8
 
 
 class ChainFactor:
@@ -78,6 +80,10 @@ class ChainFactor:
         """
         if not self._decay.any():
             return np.asarray(values / self._root)
+        if values.shape[1] <= MAX_SINGLE_COLUMNS:
+            changed = values.copy()
+            changed[1:] -= self._decay[:, None] * values[:-1]
+            return np.asarray(_solved(self._slope, changed, "N") / self._root)
         white = np.empty(values.shape)
         # values of a block, then the value before it as it was and whitened
         stack = np.zeros((BLOCK_ROWS + 2, values.shape[1]))
