@@ -1,6 +1,6 @@
 """Microseconds a call of the generated C kinematics, machine by machine.
 
-    python benchmarks/c_kinematics.py [MACHINE ...]
+    python -m benchmarks.c_kinematics [MACHINE ...]
 
 Each machine has nominal parameters. The C compiler of the system (`cc -O2`) builds the
 text of `oed compensate --to c` with a loop over random commands inside the workspace, on

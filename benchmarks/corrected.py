@@ -1,6 +1,6 @@
 """Corrected compensation on machines of the oracles: bands and rms, predicted and realised.
 
-    python benchmarks/corrected.py --machines 300
+    python -m benchmarks.corrected --machines 300
 
 Each machine has geometry of its own, readings with noise, and one to three effects on
 all joints (growth by temperature, play, scale). Parameters and effects are estimated
@@ -13,10 +13,6 @@ have the textbook's form, and the estimate knows that; with `--free-form` it dou
 
 from __future__ import annotations
 
-import os
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
-
 import argparse
 import sys
 import time
@@ -25,7 +21,7 @@ from pathlib import Path
 TESTS = Path(__file__).parent.parent / "tests"
 sys.path[:0] = [str(TESTS), str(TESTS / "fixtures")]
 
-from kernel import corrected_cases, corrected_machines
+from kernel import corrected_cases, corrected_machines  # noqa: E402
 
 
 def main() -> None:

@@ -1,39 +1,26 @@
 """Design of experiments beside other packages and solvers: value, bound and time.
 
-    python benchmarks/design.py                              # this project and general solvers
-    python benchmarks/design.py --install-peers DIR          # one environment for each other package, in DIR
-    python benchmarks/design.py --peers DIR [--markdown FILE]
-    python benchmarks/design.py --relaxations                # each relaxation, cvxpy, studies' candidates
+    python -m benchmarks.design                      # this project and a general solver
+    python -m benchmarks.design --install-peers DIR  # one environment for each package
+    python -m benchmarks.design --peers DIR          # these packages as well
+    python -m benchmarks.design --relaxations        # each relaxation, cvxpy, studies' candidates
 
-Problem A is in `peers.py`, with the other packages' adapters. Values are
-computed here, from the rows that a package returns. Seconds are processor time on one
-thread, of the choice alone, without imports: medians of three runs for this project,
-one run for the others. A ratio is to this project's best row of the problem.
-docs/benchmarks/design.md has the best row of each package.
+Problem A is in `peers.py`, with the other packages' adapters. Values are computed here, from
+the rows that a package returns. Seconds are processor time on one thread, of the choice
+alone, without imports: medians of three runs for this project, one run for the others. Of
+each other package the best row of a problem is printed.
 
-Problems C0 to C2 (`hexapod.py`, three instances) choose 10 of 2000 poses of a hexapod
-with 42 parameters by D, without a prior. A pose gives six correlated readings. The 60
-readings for 42 unknowns leave 10 to 13 % between plan and bound. More rounds and wider
-pools do not find a better plan, and branching lowers the bound. The packages' row
-exchanges take no blocks, so only cvxpy is compared. Its columns are transformed so that
-equal weights give the identity: Clarabel fails on the original columns.
+Problem C0 (`hexapod.py`) chooses 10 of 2000 poses of a hexapod with 42 parameters by D,
+without a prior. A pose gives six correlated readings. The 60 readings for 42 unknowns leave
+10 to 13 % between plan and bound. The packages' row exchanges take no blocks, so only cvxpy
+is compared. Its columns are transformed so that equal weights give the identity: Clarabel
+fails on the original columns.
 """
 
 from __future__ import annotations
 
-import os
-
-THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "RAYON_NUM_THREADS",
-)
-for _name in THREADS:
-    os.environ[_name] = "1"  # before NumPy is loaded
-
 import argparse
+import os
 import statistics
 import sys
 from collections.abc import Callable
@@ -43,22 +30,23 @@ from typing import TypeVar
 import cvxpy as cp
 import numpy as np
 
-import design_relaxations
-import hexapod
-import peer_runs
-from design_table import Row, format_markdown, format_text, sort
-from oed.design import branch, condition, exchange, relaxation
-from oed.design.blocks import block_array, information
-from peers import COLUMNS, PEERS, SIZE, candidates, processor_seconds, value
+from benchmarks import design_relaxations, hexapod, peer_runs
+from benchmarks.harness.tables import head, row
+from benchmarks.peer_runs import Result
+from benchmarks.peers import SIZE, candidates, processor_seconds, value
+from oed.design import condition, exchange, relaxation
+from oed.design.blocks import information
 
-RELAXED_D, EXACT_D, RELAXED_E = "A, D relaxed", "A, D", "A, E relaxed"
-RELAXED_POSES, POSES = "C0, D relaxed", ("C0, D", "C1, D", "C2, D")
-SOLVERS = ("SCS", "CLARABEL")
+#: variables that limit libraries to one thread
+THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
+POSES, RELAXED_POSES = "C0, D", "C0, D relaxed"
+#: seconds that a package or solver may take
+TIME_LIMIT_S = 120.0
 
-Result = TypeVar("Result")
+Answer = TypeVar("Answer")
 
 
-def time_median(work: Callable[[], Result], repeats: int = 3) -> tuple[float, Result]:
+def time_median(work: Callable[[], Answer], repeats: int = 3) -> tuple[float, Answer]:
     """Median processor seconds, and the result of the last run."""
     times = []
     for _ in range(repeats):
@@ -71,108 +59,73 @@ def time_median(work: Callable[[], Result], repeats: int = 3) -> tuple[float, Re
 # -- this project ----------------------------------------------------------------------
 
 
-def relax(rows: np.ndarray, size: int = SIZE, problem: str = RELAXED_D) -> Row:
-    """Relaxed D: the value at the optimal weights, and its certified bound."""
-    seconds, optimum = time_median(lambda: relaxation.relax(rows, size))
-    # log phi is a mean over the columns
-    columns = rows.shape[-1]
-    reached, bound = columns * optimum.value, columns * optimum.bound
-    note = f"duality gap {abs(bound - reached):.0e}"
-    return Row(problem, "this project", reached, seconds, bound, note, True)
+def choose_rows(rows: np.ndarray, criterion: str, rounds: int) -> Result:
+    """This project's choice, with its bound where it comes at no cost."""
+    problem = f"A, {criterion}"
+    seconds, choice = _chosen(rows, SIZE, criterion, rounds)
+    reached = value(problem, choice.indices)[0]
+    return _own(problem, reached, seconds, choice.bound, f", {rounds} rounds")
 
 
-def relax_e(rows: np.ndarray) -> Row:
+def relax_e(rows: np.ndarray) -> Result:
     """Relaxed least eigenvalue, its bound checked at the repaired dual."""
     seconds, optimum = time_median(lambda: condition.e_optimal(rows, SIZE), 1)
-    return Row(
-        RELAXED_E, "this project", optimum.value, seconds, optimum.bound, ours=True
-    )
+    return _own("A, E relaxed", optimum.value, seconds, optimum.bound)
 
 
-def choose_greedily(rows: np.ndarray) -> Row:
-    """Greedy choice by D."""
-    nothing_known = np.zeros((COLUMNS, COLUMNS))
-    seconds, indices = time_median(
-        lambda: exchange.greedy_d(block_array(rows), SIZE, nothing_known)
-    )
-    reached = value(EXACT_D, indices)[0]
-    return Row(EXACT_D, "this project, greedy", reached, seconds, ours=True)
-
-
-def choose_rows(rows: np.ndarray, criterion: str, rounds: int) -> Row:
-    """This project's choice, with its bound where it comes at no cost."""
-
-    def work() -> exchange.Choice:
-        rng = np.random.default_rng(1)
-        return exchange.choose(rows, SIZE, rng, criterion, rounds=rounds, certify=False)
-
-    seconds, choice = time_median(work)
-    problem = f"A, {criterion}"
-    reached = value(problem, choice.indices)[0]
-    note = "" if choice.efficiency is None else _certified(choice.efficiency)
-    method = f"this project, {rounds} rounds"
-    return Row(problem, method, reached, seconds, choice.bound, note, True)
-
-
-def choose_poses(instance: int, rounds: int) -> Row:
+def choose_poses(blocks: np.ndarray, rounds: int) -> Result:
     """This project's choice of poses."""
-    blocks = hexapod.blocks(instance)
+    seconds, choice = _chosen(blocks, hexapod.SIZE, "D", rounds)
+    reached = hexapod.log_det(blocks, choice.indices)
+    return _own(POSES, reached, seconds, choice.bound, f", {rounds} rounds")
 
+
+def relax_poses(blocks: np.ndarray) -> Result:
+    """Relaxed D: the value at the optimal weights, and its certified bound."""
+    seconds, optimum = time_median(lambda: relaxation.relax(blocks, hexapod.SIZE))
+    # log phi is a mean over the columns
+    columns = blocks.shape[-1]
+    return _own(
+        RELAXED_POSES, columns * optimum.value, seconds, columns * optimum.bound
+    )
+
+
+def _chosen(
+    rows: np.ndarray, size: int, criterion: str, rounds: int
+) -> tuple[float, exchange.Choice]:
     def work() -> exchange.Choice:
         rng = np.random.default_rng(1)
-        return exchange.choose(blocks, hexapod.SIZE, rng, rounds=rounds, certify=False)
+        return exchange.choose(rows, size, rng, criterion, rounds=rounds, certify=False)
 
-    seconds, choice = time_median(work)
-    reached = hexapod.log_det(blocks, choice.indices)
-    note = "" if choice.efficiency is None else _certified(choice.efficiency)
-    method = f"this project, {rounds} rounds"
-    return Row(POSES[instance], method, reached, seconds, choice.bound, note, True)
+    return time_median(work)
 
 
-def branch_poses(instance: int, nodes: int) -> Row:
-    """The same choice, with a bound that branching lowers."""
-    blocks = hexapod.blocks(instance)
-
-    def work() -> branch.BranchResult:
-        rng = np.random.default_rng(1)
-        return branch.solve(blocks, hexapod.SIZE, rng, nodes=nodes)
-
-    seconds, result = time_median(work, 1)
-    reached = hexapod.log_det(blocks, result.indices)
-    bound = hexapod.COLUMNS * result.bound
-    note = _certified(float(np.exp(result.value - result.bound)))
-    method = f"this project, {nodes} nodes of a tree"
-    return Row(POSES[instance], method, reached, seconds, bound, note, True)
+def _own(
+    problem: str, value: float, seconds: float, bound: float | None, how: str = ""
+) -> Result:
+    return Result(problem, f"this project{how}", value, seconds, bound)
 
 
-def _certified(efficiency: float) -> str:
-    return f"certified {100 * efficiency:.1f} % efficient"
+# -- a general solver ------------------------------------------------------------------
 
 
-# -- general solvers -------------------------------------------------------------------
-
-
-def solve(rows: np.ndarray, size: int, problem: str, solver: str, limit: float) -> Row:
-    """The same relaxation by a general convex solver; it gives no certificate."""
-    blocks = block_array(rows)
-    count = len(blocks)
+def solve_poses(blocks: np.ndarray) -> Result:
+    """The relaxation of C0 by a general convex solver; it gives no certificate."""
+    count, size = len(blocks), hexapod.SIZE
     at_equal_weights = information(blocks, np.full(count, size / count))
     whitened = blocks @ np.linalg.inv(np.linalg.cholesky(at_equal_weights)).T
-    seconds, weights = time_median(
-        lambda: _solve_by_cvxpy(whitened, size, solver, limit), 1
-    )
-    method = f"cvxpy + {solver}"
+    seconds, weights = time_median(lambda: _solve_by_clarabel(whitened, size), 1)
+    method = "cvxpy + Clarabel"
     if weights is None:
-        return Row(problem, method, note=f"no answer within {limit:.0f} s")
+        note = f"no answer within {TIME_LIMIT_S:.0f} s"
+        return Result(RELAXED_POSES, method, note=note)
     weights = np.clip(weights, 0.0, 1.0)
     weights *= size / weights.sum()
     reached = float(np.linalg.slogdet(information(blocks, weights))[1])
-    return Row(problem, method, reached, seconds)
+    return Result(RELAXED_POSES, method, reached, seconds)
 
 
-def _solve_by_cvxpy(
-    blocks: np.ndarray, size: int, solver: str, limit: float
-) -> np.ndarray | None:
+def _solve_by_clarabel(blocks: np.ndarray, size: int) -> np.ndarray | None:
     count, _, columns = blocks.shape
     weights = cp.Variable(count, nonneg=True)
     # one sparse product: far quicker to compile than a sum of matrices or diag(w)
@@ -180,9 +133,8 @@ def _solve_by_cvxpy(
     m = cp.reshape(products.T @ weights, (columns, columns), order="C")
     limits = [cp.sum(weights) == size, weights <= 1]
     problem = cp.Problem(cp.Maximize(cp.log_det(m)), limits)
-    limit_name = "time_limit" if solver == "CLARABEL" else "time_limit_secs"
     try:
-        problem.solve(solver=solver, **{limit_name: limit})
+        problem.solve(solver="CLARABEL", time_limit=TIME_LIMIT_S)
     except cp.SolverError:
         return None
     return weights.value
@@ -191,73 +143,62 @@ def _solve_by_cvxpy(
 # -- the table -------------------------------------------------------------------------
 
 
-def run_problem_a(rows: np.ndarray, limit: float) -> list[Row]:
-    """Problem A by this project and general solvers."""
-    return [
-        relax(rows),
-        *(solve(rows, SIZE, RELAXED_D, name, limit) for name in SOLVERS),
-        choose_rows(rows, "D", 5),
-        choose_rows(rows, "D", 20),
-        choose_greedily(rows),
-        relax_e(rows),
-        choose_rows(rows, "E", 3),
-        choose_rows(rows, "E", 20),
-    ]
-
-
-def run_problem_c(limit: float) -> list[Row]:
-    """Problem C by this project and general solvers."""
-    blocks = hexapod.blocks(0)
-    return [
-        relax(blocks, hexapod.SIZE, RELAXED_POSES),
-        *(solve(blocks, hexapod.SIZE, RELAXED_POSES, name, limit) for name in SOLVERS),
-        *(choose_poses(instance, 20) for instance in range(len(POSES))),
-        branch_poses(1, 30),
-    ]
-
-
-def parse_arguments() -> argparse.Namespace:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add = parser.add_argument
-    add("--peers", type=Path, metavar="DIR", help="folder of the environments")
-    add("--install-peers", type=Path, metavar="DIR", help="create them, and stop")
-    add("--only", nargs="*", default=[], choices=PEERS, help="packages")
-    add("--timeout", type=float, default=120.0, help="seconds for one task or solver")
-    add("--markdown", type=Path, metavar="FILE", help="write the best rows there too")
-    add("--relaxations", action="store_true", help="each relaxation beside cvxpy")
-    return parser.parse_args()
-
-
-def run(arguments: argparse.Namespace) -> list[Row]:
-    """The rows that the command line asks for."""
-    relaxation.relax(candidates(), SIZE)  # warm-up
-    if arguments.relaxations:
-        return design_relaxations.run_relaxations()
-    rows = run_problem_a(candidates(), arguments.timeout)
-    rows += run_problem_c(arguments.timeout)
-    if arguments.peers is None:
+def run(peers: Path | None) -> list[Result]:
+    """Results of both problems; of other packages where their folder is named."""
+    rows, blocks = candidates(), hexapod.blocks(0)
+    relaxation.relax(rows, SIZE)  # warm-up
+    results = [choose_rows(rows, "D", rounds) for rounds in (5, 20)]
+    results += [relax_e(rows), choose_rows(rows, "E", 20)]
+    results += [choose_poses(blocks, 20), relax_poses(blocks), solve_poses(blocks)]
+    if peers is None:
         advice = "name their folder with --peers, created by --install-peers"
         print(f"other packages skipped: {advice}", file=sys.stderr)
-        return rows
-    names = arguments.only or PEERS
-    folder = arguments.peers.absolute()
-    return rows + peer_runs.run_all(folder, arguments.timeout, names)
+        return results
+    return results + peer_runs.run_all(peers.absolute(), TIME_LIMIT_S)
+
+
+def select_best(results: list[Result]) -> list[Result]:
+    """Every result of this project, and of each package the best one of a problem."""
+    best: dict[tuple[str, str], Result] = {}
+    for result in results:
+        package = result.method
+        if not package.startswith("this project"):
+            package = package.split(",")[0]
+        key = result.problem, package
+        if key not in best or result.rank_value > best[key].rank_value:
+            best[key] = result
+    return sorted(best.values(), key=lambda result: result.problem)
+
+
+def line(result: Result) -> str:
+    """A line of the table."""
+    numbers = ((result.value, ".4f"), (result.seconds, ".3g"), (result.bound, ".4f"))
+    cells = ["-" if number is None else format(number, f) for number, f in numbers]
+    return row(result.problem, result.method, *cells, result.note or "-")
 
 
 def main() -> None:
-    """Print one table."""
-    arguments = parse_arguments()
+    """Print the table."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    add = parser.add_argument
+    add("--peers", type=Path, metavar="DIR", help="folder of the environments")
+    add("--install-peers", type=Path, metavar="DIR", help="create them, and stop")
+    add("--relaxations", action="store_true", help="each relaxation beside cvxpy")
+    arguments = parser.parse_args()
+    os.environ.update(dict.fromkeys((f"{name}_NUM_THREADS" for name in THREADS), "1"))
     if arguments.install_peers:
-        names = arguments.only or PEERS
-        peer_runs.install(arguments.install_peers.absolute(), names)
+        peer_runs.install(arguments.install_peers.absolute())
         return
-    rows = sort(run(arguments))
-    print(format_text(rows))
-    if arguments.markdown:
-        arguments.markdown.write_text(format_markdown(rows), encoding="utf-8")
+    if arguments.relaxations:
+        _print(design_relaxations.run_relaxations())
+        return
+    _print(select_best(run(arguments.peers)))
+
+
+def _print(results: list[Result]) -> None:
+    print(head("problem", "method", "value", "seconds", "bound", "note"))
+    print("\n".join(map(line, results)))
 
 
 if __name__ == "__main__":

@@ -11,27 +11,29 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from design_table import Row
+from benchmarks.peer_runs import Result
+from benchmarks.peers import processor_seconds
+from benchmarks.study_candidates import StudyCandidates, of_studies
 from oed.design import CRITERIA, condition, conic, relaxation
 from oed.design.condition import EigenvalueRelaxation
 from oed.design.relaxation import Relaxation
-from peers import processor_seconds
-from study_candidates import StudyCandidates, of_studies
 
 Answer = Relaxation | EigenvalueRelaxation
 SMOOTH = ("D", "A", "O5")
 
 
-def run_relaxations() -> list[Row]:
-    """Rows of all studies and criteria."""
-    rows = []
+def run_relaxations() -> list[Result]:
+    """Results of all studies and criteria."""
+    results = []
     for study in of_studies():
         for name, own in _own_methods(study):
             problem = f"{study.name}, {name} relaxed"
-            rows.append(_row(problem, "this project", own, name, True))
+            results.append(_result(problem, "this project", own, name))
             if name != "O4":
-                rows.append(_row(problem, "cvxpy + CLARABEL", _conic(study, name)))
-    return rows
+                results.append(
+                    _result(problem, "cvxpy + Clarabel", _conic(study, name))
+                )
+    return results
 
 
 def _own_methods(study: StudyCandidates) -> Iterator[tuple[str, Callable[[], Answer]]]:
@@ -50,23 +52,20 @@ def _conic(study: StudyCandidates, name: str) -> Callable[[], Answer]:
     return lambda: conic.relax(study.blocks, study.size, criterion)
 
 
-def _row(
-    problem: str,
-    method: str,
-    work: Callable[[], Answer],
-    name: str = "",
-    ours: bool = False,
-) -> Row:
-    """A row of one run; an answer of eigenvalues becomes log phi."""
+def _result(
+    problem: str, method: str, work: Callable[[], Answer], name: str = ""
+) -> Result:
+    """Result of one run; an answer of eigenvalues becomes log phi."""
     start = processor_seconds()
     try:
         optimum = work()
     except conic.NoConicAnswerError:
-        return Row(problem, method, None, processor_seconds() - start, note="no answer")
+        seconds = processor_seconds() - start
+        return Result(problem, method, None, seconds, note="no answer")
     seconds = processor_seconds() - start
     value, bound = optimum.value, optimum.bound
     if isinstance(optimum, EigenvalueRelaxation):
         sign = -1.0 if name == "kappa" else 1.0
         value, bound = sign * float(np.log(value)), sign * float(np.log(bound))
     note = f"duality gap {optimum.duality_gap:.0e}"
-    return Row(problem, method, value, seconds, bound, note, ours)
+    return Result(problem, method, value, seconds, bound, note)

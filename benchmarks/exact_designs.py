@@ -1,17 +1,12 @@
 """Proven optima of small and middle designs, and how far this project's plans are from them.
 
-    python benchmarks/exact_designs.py [--seed N]
+    python -m benchmarks.exact_designs [--seed N]
 
-Ten small instances (3 columns) by A, I and G are closed by a mixed-integer linear program
-with HiGHS (Harman and Rosa 2025): with the covariance S = M^-1 as variables,
-
-    sum_i w_i x_i x_i^T S = 1,    z_i = w_i S  by McCormick's inequalities,
-
-within bounds of S that every plan as good as the known one keeps. Twenty others are closed
-by branch and bound on the relaxation (Ahipasaoglu 2021), whose bounds rest on dual points:
-D, A and I by `oed.design.branch`, E (more plans than are all tried) by a tree of its own. The
-gap is the relative excess of the plan's phi^-1: variance, det M^(-1/n) or 1 / l_min. Seeds are
-drawn at run time, and printed.
+Of ten small instances (3 columns) by A, I and G all 2002 plans are valued. Twenty others are
+closed by branch and bound on the relaxation (Ahipasaoglu 2021), whose bounds rest on dual
+points: D, A and I by `oed.design.branch`, E (more plans than are all tried) by a tree of its
+own. The gap is the relative excess of the plan's phi^-1: variance, det M^(-1/n) or 1 / l_min.
+Seeds are drawn at run time, and printed.
 
 `weights` is how many times the optimum's l_min the relaxation's weights reach. No bound by this
 relaxation can be lower, whatever the solver, so that it is what whole rows cost: where the
@@ -21,30 +16,31 @@ for E on 30 of 2000 rows with 21 columns, over the best plan known.
 
 from __future__ import annotations
 
-import os
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
-
 import argparse
 import heapq
 import itertools
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, sparse
 
+from benchmarks.harness.tables import head, row
+from benchmarks.peers import processor_seconds
 from oed.design import CRITERIA, Criterion, branch, choose, condition
-from peers import processor_seconds
 
 #: candidates, columns and readings of the small and of the middle instances, and those of E
-SMALL, MIDDLE, OF_E = (14, 3, 5), ((40, 5, 9), (40, 6, 10)), ((30, 4, 6), (24, 5, 7))
+SMALL = (14, 3, 5)
+MIDDLE = ((40, 5, 9), (40, 6, 10))
+OF_E = ((30, 4, 6), (24, 5, 7))
 #: E without a proven optimum
 LARGE = (2000, 21, 30)
-#: seconds for a program of HiGHS, and nodes of a tree
-TIME_LIMIT, MAX_NODES = 120.0, 4000
+#: nodes of a tree
+MAX_NODES = 4000
 #: relative difference of variances that counts as none
 EQUAL = 1e-6
+COLUMNS = (
+    *("by", "criterion", "candidates", "columns", "readings"),
+    *("plan", "optimum", "gap", "weights", "s"),
+)
 
 
 class Instance(NamedTuple):
@@ -84,96 +80,10 @@ def draw(criterion: str, shape: tuple[int, int, int], seed: int) -> Instance:
     return Instance(criterion, rows, size, rng.standard_normal((4, 2, n)))
 
 
-def covariance_bounds(instance: Instance, known: float) -> np.ndarray:
-    """|S_ab| (n, n), at the most, of every plan with at most the variance `known`.
-
-    tr S <= tr(W S) / lambda_min(W) for the mean W of the W_j.
-    """
-    mean = instance.weights.mean(axis=0)
-    most = known / np.linalg.eigvalsh(mean)[0]
-    squares = np.sort(instance.rows**2, axis=0)[-instance.size :].sum(axis=0)
-    least = 1.0 / squares  # of each variance: S_aa >= 1 / M_aa
-    largest = np.minimum(most, most - least.sum() + least)
-    # |S_ab|^2 <= S_aa S_bb, and S_aa + S_bb is at most the trace
-    bounds = np.minimum(np.sqrt(np.outer(largest, largest)), most / 2.0)
-    np.fill_diagonal(bounds, largest)
-    return bounds
-
-
-def mixed_integer_optimum(instance: Instance, known: float) -> float:
-    """The least variance by HiGHS; NaN where its time ends first.
-
-    Variables: w (C,), t, S (n (n + 1) / 2), z (C, n (n + 1) / 2).
-    """
-    rows, weights = instance.rows, instance.weights
-    count, n = rows.shape
-    first, second = np.triu_indices(n)
-    entries = len(first)
-    place = np.zeros((n, n), dtype=int)
-    place[first, second] = place[second, first] = np.arange(entries)
-    s0, z0 = count + 1, count + 1 + entries
-    total = z0 + count * entries
-    bounds = covariance_bounds(instance, known * (1.0 + EQUAL))
-    upper = bounds[first, second]
-    lower = np.where(first == second, 0.0, -upper)
-    matrix, low, high = [], [], []
-
-    def add(terms: dict[int, float], least: float, most: float) -> None:
-        line = np.zeros(total)
-        for column, value in terms.items():
-            line[column] += value
-        matrix.append(sparse.csr_array(line[None]))
-        low.append(least)
-        high.append(most)
-
-    for line, right in _identity(rows, place, z0, total):
-        matrix.append(sparse.csr_array(line[None]))
-        low.append(right)
-        high.append(right)
-    for weight in weights:
-        multiplicity = np.where(first == second, 1.0, 2.0) * weight[first, second]
-        add(
-            {count: 1.0} | {s0 + e: -multiplicity[e] for e in range(entries)}, 0, np.inf
-        )
-    for i in range(count):
-        for e in range(entries):
-            z, s, up, down = z0 + i * entries + e, s0 + e, upper[e], lower[e]
-            add({z: 1.0, i: -up}, -np.inf, 0.0)
-            add({z: 1.0, i: -down}, 0.0, np.inf)
-            add({z: 1.0, s: -1.0, i: -down}, -np.inf, -down)
-            add({z: 1.0, s: -1.0, i: -up}, -up, np.inf)
-    add({i: 1.0 for i in range(count)}, instance.size, instance.size)
-    integrality = np.zeros(total)
-    integrality[:count] = 1
-    ends = np.full(total, np.inf)
-    ends[:count] = 1.0
-    begins = np.where(integrality > 0, 0.0, -np.inf)
-    begins[s0:z0], ends[s0:z0] = lower, upper
-    cost = np.zeros(total)
-    cost[count] = 1.0
-    solution = optimize.milp(
-        cost,
-        constraints=optimize.LinearConstraint(sparse.vstack(matrix), low, high),
-        integrality=integrality,
-        bounds=optimize.Bounds(begins, ends),
-        options={"time_limit": TIME_LIMIT, "mip_rel_gap": EQUAL / 10},
-    )
-    if solution.status != 0:
-        return np.nan
-    return instance.variance(np.flatnonzero(solution.x[:count] > 0.5))
-
-
-def _identity(
-    rows: np.ndarray, place: np.ndarray, z0: int, total: int
-) -> Iterator[tuple[np.ndarray, float]]:
-    """Coefficients (total,) and right side of each entry of sum_i x_i x_i^T z_i = 1."""
-    count, n = rows.shape
-    entries = n * (n + 1) // 2
-    for a, b in np.ndindex(n, n):
-        line = np.zeros(total)
-        for i in range(count):
-            np.add.at(line, z0 + i * entries + place[:, b], rows[i, a] * rows[i])
-        yield line, float(a == b)
+def optimum_of_all_plans(instance: Instance, known: float) -> float:
+    """The least variance of all plans, one of which has the variance `known`."""
+    plans = itertools.combinations(range(len(instance.rows)), instance.size)
+    return min(known, *(instance.variance(np.array(plan)) for plan in plans))
 
 
 def e_optimum(instance: Instance, known: float) -> float:
@@ -216,8 +126,8 @@ def branched_optimum(instance: Instance, known: float) -> float:
     """The least variance by branch and bound; NaN where its nodes end first."""
     if instance.criterion == "E":
         return e_optimum(instance, known)
-    criterion = _criterion(instance)
     rng = np.random.default_rng(2)
+    criterion = _criterion(instance)
     result = branch.solve(instance.rows, instance.size, rng, criterion, nodes=MAX_NODES)
     if result.bound - result.value > EQUAL:
         return np.nan
@@ -245,28 +155,29 @@ def main() -> None:
     if seed is None:
         seed = int(np.random.SeedSequence().generate_state(1)[0])
     seeds = np.random.SeedSequence(seed).generate_state(31)
-    shapes = [("MILP", c, SMALL) for c in "AAAIIIGGGG"]
+    shapes = [("all plans", c, SMALL) for c in "AAAIIIGGGG"]
     shapes += [("tree", c, shape) for c in "DAI" for shape in MIDDLE for _ in range(2)]
     shapes += [("tree", "E", shape) for shape in OF_E for _ in range(4)]
     print(f"seed {seed}")
-    print(
-        "| by | criterion | candidates | columns | readings | plan | optimum | gap |"
-        " weights | s |"
-    )
-    print("|" + " --- |" * 10)
+    print(head(*COLUMNS))
     gaps = []
     for (method, criterion, shape), drawn in zip(shapes, seeds, strict=False):
         instance = draw(criterion, shape, int(drawn))
         plan = chosen_variance(instance)
         start = processor_seconds()
-        solve = mixed_integer_optimum if method == "MILP" else branched_optimum
+        solve = branched_optimum if method == "tree" else optimum_of_all_plans
         optimum = solve(instance, plan)
         gap, seconds = plan / optimum - 1.0, processor_seconds() - start
         gaps.append(gap)
-        size = " | ".join(map(str, shape))
         ratio = f"{weights_reach(instance, optimum):.2f}" if criterion == "E" else "-"
-        values = f"{plan:.5f} | {optimum:.5f} | {gap:.1e} | {ratio} | {seconds:.1f}"
-        print(f"| {method} | {criterion} | {size} | {values} |", flush=True)
+        values = (
+            f"{plan:.5f}",
+            f"{optimum:.5f}",
+            f"{gap:.1e}",
+            ratio,
+            f"{seconds:.1f}",
+        )
+        print(row(method, criterion, *shape, *values), flush=True)
     closed = np.array([g for g in gaps if np.isfinite(g)])
     print(f"closed: {len(closed)} of {len(gaps)}; largest gap {closed.max():.1e}")
     large = draw("E", LARGE, int(seeds[-1]))

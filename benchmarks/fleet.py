@@ -10,10 +10,6 @@ of the other.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import argparse
 import csv
 import json

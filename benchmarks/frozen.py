@@ -12,10 +12,6 @@ Numbers are made from a named commit, whose name they hold.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import argparse
 import dataclasses
 import gzip

@@ -1,13 +1,12 @@
 """Time and memory of a diagnosis of long traces, with a gap and without one.
 
     python -m benchmarks.long_traces                      # 720, 5000, 20000 readings
-    python -m benchmarks.long_traces --readings 5000 --law known
+    python -m benchmarks.long_traces --readings 5000
 
 Readings: the A3 head with a ball bar, two circles both ways (four runs), ten readings a
-second, all covariates. The bar's noise of 0.5 um has a share of 0.3 that is carried
-along over 8 readings, which no study states; each run's level repeats to 0.2 um. The gap
-is 2 um of backlash in one leg. The diagnosis estimates the noise law, or knows it
-(`--law known`).
+second, all covariates. The bar's noise of 0.5 um has a share of 0.3 that is correlated over
+8 readings, which no study states; each run's level repeats to 0.2 um. The gap is 2 um of
+backlash in one leg.
 
 Each row is a process of its own. The fit reads the file and identifies. Seconds are
 processor time on one BLAS thread; memory is the process' peak, with all libraries.
@@ -16,27 +15,26 @@ processor time on one BLAS thread; memory is the process' peak, with all librari
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import os
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from benchmarks.harness import tables
 from benchmarks.harness.diagnosis import prepare
-from benchmarks.memory import peak
-from oed.gap import GapProblem, diagnose
-from oed.noise import NoiseLaw
+from benchmarks.harness.noise import autoregression
+from benchmarks.harness.processes import alone, peak
+from oed.gap import diagnose
 from pkm_studies import stages, study
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
-
-
-RUNS, NOISE, CARRIED, REACH, LEVEL = 4, 0.5, 0.3, 8.0, 0.2
+RUNS = 4
+#: standard deviations of a reading and of a run's level, um
+NOISE, LEVEL = 0.5, 0.2
+#: share of the variance that is correlated, and over how many readings
+CORRELATED, LENGTH = 0.3, 8.0
 STUDY = """\
 schema = 1
 name = "long_traces"
@@ -89,11 +87,19 @@ coefficients = { "leg 3" = 0.4 }
 """
 
 
+class Diagnosed(NamedTuple):
+    """Seconds of the fit and of the diagnosis, peak memory (MiB), and the answer."""
+
+    fit: float
+    seconds: float
+    memory: float
+    answer: str
+
+
 def write_study(folder: Path, readings: int, gap: bool, noise: float) -> Path:
     """The study of so many readings, with a noise in um, in a folder."""
-    text = STUDY.format(
-        count=readings // RUNS, noise=noise, acting=ACTING if gap else ""
-    )
+    acting = ACTING if gap else ""
+    text = STUDY.format(count=readings // RUNS, noise=noise, acting=acting)
     path = folder / "long_traces.study.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -101,82 +107,48 @@ def write_study(folder: Path, readings: int, gap: bool, noise: float) -> Path:
 
 def write_readings(folder: Path, readings: int, gap: bool) -> Path:
     """Readings of the virtual head with correlated noise, as a CSV in a folder."""
-    single = NOISE * np.sqrt(1.0 - CARRIED)
+    white = NOISE * np.sqrt(1.0 - CORRELATED)
     path = folder / "long_traces.csv"
-    stages.simulate_study(
-        study.Study.load(write_study(folder, readings, gap, single)), path
-    )
+    simulated = study.Study.load(write_study(folder, readings, gap, white))
+    stages.simulate_study(simulated, path)
     table, rng = pd.read_csv(path), np.random.default_rng(5)
     for members in table.groupby("run", sort=False).indices.values():
-        error = NOISE * np.sqrt(CARRIED) * carried_along(len(members), rng)
+        normal = rng.standard_normal(len(members))
+        correlated = autoregression(normal, np.exp(-1.0 / LENGTH))
+        error = NOISE * np.sqrt(CORRELATED) * correlated
         error += LEVEL * rng.standard_normal()
         table.loc[members, "length_mm"] += 1e-3 * error
     table.to_csv(path, index=False)
     return path
 
 
-def carried_along(count: int, rng: np.random.Generator) -> np.ndarray:
-    """An error (count,) of standard deviation 1 that is carried along a run."""
-    white, decay = rng.standard_normal(count), np.exp(-1.0 / REACH)
-    error = white.copy()
-    for k in range(1, count):
-        error[k] = decay * error[k - 1] + np.sqrt(1.0 - decay**2) * white[k]
-    return error
-
-
-def known_law(problem: GapProblem) -> NoiseLaw:
-    """The law that the readings were drawn with."""
-    parts = {"correlated": CARRIED, "reach": REACH, "level": LEVEL / NOISE}
-    arrays = {name: np.array([size]) for name, size in parts.items()}
-    return NoiseLaw(dataclasses.replace(problem.stated_law.law, **arrays))
-
-
-def diagnose_once(readings: int, gap: bool, law: str) -> tuple[float, float, str]:
-    """Processor seconds of reading and fit, and of the diagnosis; its answer in words."""
+def diagnose_once(readings: int, gap: bool) -> Diagnosed:
+    """The diagnosis of a session, with or without a gap."""
     with tempfile.TemporaryDirectory() as folder:
         csv = write_readings(Path(folder), readings, gap)
         stated = write_study(Path(folder), readings, False, NOISE)
         start = time.process_time()
         problem, effects = prepare(stated, csv)
-    fit, start = time.process_time() - start, time.process_time()
-    known = known_law(problem) if law == "known" else None
-    result = diagnose(problem, effects, np.random.default_rng(1), law=known)
-    seconds = time.process_time() - start
+    middle = time.process_time()
+    result = diagnose(problem, effects, np.random.default_rng(1))
+    seconds = time.process_time() - middle
     first = result.answers[0]
     answer = " + ".join(first.effects) or "no gap"
-    return fit, seconds, f"{answer} ({first.probability:.2f})"
-
-
-def row(readings: int, gap: bool, law: str) -> str:
-    """One row of the table."""
-    fit, seconds, answer = diagnose_once(readings, gap, law)
-    acts, memory = "backlash" if gap else "nothing", peak() / 2**20
-    figures = f"{fit:.1f} | {seconds:.1f} | {memory:.0f}"
-    return f"| {readings} | {acts} | {figures} | {answer} |"
+    answer = f"{answer} ({first.probability:.2f})"
+    return Diagnosed(middle - start, seconds, peak() / 2**20, answer)
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.long_traces")
     parser.add_argument("--readings", type=int, nargs="+", default=[720, 5000, 20000])
-    parser.add_argument("--law", choices=("estimated", "known"), default="estimated")
-    parser.add_argument("--row", choices=("gap", "none"), help="in this process")
-    options = parser.parse_args()
-    if options.row is not None:
-        gap = options.row == "gap"
-        print(row(options.readings[0], gap, options.law))
-        return
-    print("| readings | acts | fit, s | diagnosis, s | MiB | answer |")
-    print("| --: | --- | --: | --: | --: | --- |")
-    sys.stdout.flush()
-    for readings in options.readings:
-        for case in ("gap", "none"):
-            arguments = ["--readings", str(readings), "--law", options.law]
-            module = ["-m", "benchmarks.long_traces"]
-            command = [sys.executable, *module, *arguments, "--row", case]
-            subprocess.run(command, check=True)
+    columns = ("readings", "acts", "fit, s", "diagnosis, s", "MiB", "answer")
+    print(tables.head(*columns), flush=True)
+    for readings in parser.parse_args().readings:
+        for acts, gap in (("backlash", True), ("nothing", False)):
+            one = alone(diagnose_once, readings, gap)
+            figures = (f"{one.fit:.1f}", f"{one.seconds:.1f}", f"{one.memory:.0f}")
+            print(tables.row(readings, acts, *figures, one.answer), flush=True)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,6 @@ accuracy of both at the machine's true parameters, which the advice never knows.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence

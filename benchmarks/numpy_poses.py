@@ -1,4 +1,4 @@
-"""Vectorised NumPy written by hand for three machines: poses, readings and slopes.
+"""Vectorised NumPy written by hand for three machines: poses, and readings of one.
 
 Newton's method over a twist of the platform, with exact slopes and all systems in one
 call of `numpy.linalg.solve`. Rotations are matrices, updated by Rodrigues' formula. It
@@ -101,56 +101,28 @@ def delta_poses(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def a3_poses(q: np.ndarray, p: np.ndarray, start: Poses) -> Poses:
     """Poses of the A3 head at joints (n, 3) and parameters (n, 24)."""
-    return solve(lambda *pose: _a3_equations(q, p, *pose)[:2], *start)
-
-
-def _a3_equations(
-    q: np.ndarray, p: np.ndarray, point: np.ndarray, rotation: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residuals, slopes over the twist and unit vectors of the limbs (n, 3, 3)."""
     count = len(q)
     length = q + p[:, :3]
     base = A3_BASE + p[:, 3:12].reshape(count, 3, 3)
     platform = A3_PLATFORM + p[:, 12:21].reshape(count, 3, 3)
-    arms = platform @ rotation.transpose(0, 2, 1)
-    limbs = point[:, None, :] + arms - base
-    actual = np.sqrt(np.einsum("nik,nik->ni", limbs, limbs))
-    unit = limbs / actual[:, :, None]
-    across = np.einsum("nik,ik->ni", limbs, AXES) - length * np.sin(p[:, 21:])
-    normals = np.concatenate([unit, np.broadcast_to(AXES, unit.shape)], axis=1)
-    arms = np.concatenate([arms, arms], axis=1)
-    slopes = np.concatenate([normals, np.cross(arms, normals)], axis=2)
-    return np.concatenate([actual - length, across], axis=1), slopes, unit
+    lean = length * np.sin(p[:, 21:])
+
+    def equations(point: np.ndarray, rotation: np.ndarray) -> Poses:
+        arms = platform @ rotation.transpose(0, 2, 1)
+        limbs = point[:, None, :] + arms - base
+        actual = np.sqrt(np.einsum("nik,nik->ni", limbs, limbs))
+        unit = limbs / actual[:, :, None]
+        across = np.einsum("nik,ik->ni", limbs, AXES) - lean
+        normals = np.concatenate([unit, np.broadcast_to(AXES, unit.shape)], axis=1)
+        arms = np.concatenate([arms, arms], axis=1)
+        slopes = np.concatenate([normals, np.cross(arms, normals)], axis=2)
+        return np.concatenate([actual - length, across], axis=1), slopes
+
+    return solve(equations, *start)
 
 
-def _a3_point_slopes(
-    q: np.ndarray, p: np.ndarray, point: np.ndarray, rotation: np.ndarray
-) -> np.ndarray:
-    """Slopes (n, 3, 24) of tool points over parameters, by adjoints."""
-    count = len(q)
-    _, slopes, unit = _a3_equations(q, p, point, rotation)
-    by_parameter = np.zeros((count, 6, 24))
-    for i in range(3):
-        base, platform = slice(3 + 3 * i, 6 + 3 * i), slice(12 + 3 * i, 15 + 3 * i)
-        sine, cosine = np.sin(p[:, 21 + i]), np.cos(p[:, 21 + i])
-        by_parameter[:, i, i] = -1.0
-        by_parameter[:, 3 + i, i] = -sine
-        by_parameter[:, 3 + i, 21 + i] = -(q[:, i] + p[:, i]) * cosine
-        for row, normal in ((i, unit[:, i]), (3 + i, AXES[i])):
-            by_parameter[:, row, base] = -normal
-            by_parameter[:, row, platform] = (
-                rotation.transpose(0, 2, 1)
-                @ np.broadcast_to(normal, (count, 3))[..., None]
-            )[..., 0]
-    sides = np.broadcast_to(np.eye(6)[:, :3], (count, 6, 3))
-    adjoint = np.linalg.solve(slopes.transpose(0, 2, 1), sides)
-    return -adjoint.transpose(0, 2, 1) @ by_parameter
-
-
-def a3_readings(
-    q: np.ndarray, theta: np.ndarray, start: Poses, slopes: bool
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Ball-bar lengths (m, n - 1) and slopes (m, n - 1, 27) at theta (m, 27).
+def a3_readings(q: np.ndarray, theta: np.ndarray, start: Poses) -> np.ndarray:
+    """Ball-bar lengths (m, n - 1) at theta (m, 27).
 
     q      (n, 3) joints of the readings, the taught cup's last
     start  poses of the n joints
@@ -158,14 +130,6 @@ def a3_readings(
     m, n = len(theta), len(q)
     all_q, all_p = np.tile(q, (m, 1)), np.repeat(theta[:, :24], n, axis=0)
     first = np.tile(start[0], (m, 1)), np.tile(start[1], (m, 1, 1))
-    poses = a3_poses(all_q, all_p, first)
-    points = poses[0].reshape(m, n, 3)
+    points = a3_poses(all_q, all_p, first)[0].reshape(m, n, 3)
     bars = points[:, :-1] - points[:, -1:] - theta[:, None, 24:]
-    lengths = np.sqrt(np.einsum("mnk,mnk->mn", bars, bars))
-    if not slopes:
-        return lengths, None
-    unit = bars / lengths[..., None]
-    by_parameter = _a3_point_slopes(all_q, all_p, *poses).reshape(m, n, 3, 24)
-    change = by_parameter[:, :-1] - by_parameter[:, -1:]
-    rows = np.concatenate([(unit[:, :, None, :] @ change)[:, :, 0], -unit], axis=2)
-    return lengths, rows
+    return np.sqrt(np.einsum("mnk,mnk->mn", bars, bars))

@@ -1,48 +1,52 @@
-"""Poses, readings and slopes in a loop, beside vectorised NumPy written by hand.
+"""Poses and readings in a loop, beside NumPy written by hand and beside solvers.
 
-    python benchmarks/poses.py
+    python -m benchmarks.poses
 
 The first column is this project as it comes, in a loop as a notebook's: its functions are
 compiled beside the first calls, or found from an earlier run. The second has no compiler.
 The alternatives (`numpy_poses`) are written for one machine each. Poses have parameters of
-their own. Those of the A3 head are of 31 poses, ball-bar readings on two circles and the
-taught cup, at each of several parameter vectors. All but the delta's closed form start at
-the nominal poses and stop after a step below 1e-8. Times are processor seconds on one
-thread: medians of rounds in which each takes its turn.
+their own. Readings of the A3 head are those of a ball bar on two circles of fifteen points
+and the taught cup, at each of several parameter vectors. All but the delta's closed form
+start at the nominal poses and stop after a step below 1e-8. Times are processor seconds on
+one thread: medians of rounds in which each takes its turn.
+
+The second table has solvers that take one pose of the A3 head after the other, as a script
+would: `casadi.rootfinder` and `scipy.optimize.root` with the exact Jacobian.
 """
 
 from __future__ import annotations
 
 import os
-
-from oed.mechanism import Kinematics
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
-
 import statistics
 import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, TypeVar
 
+import casadi as ca
 import numpy as np
+from scipy import optimize
 
-from numpy_poses import a3_poses, a3_readings, delta_poses, hexapod_poses
-from oed.measurement import Measurement, Series
+from benchmarks.harness.tables import head, row
+from benchmarks.numpy_poses import a3_readings, delta_poses, hexapod_poses
+from oed.instrument import mount
+from oed.measurement import Measurement, Series, commands_at_fixed_reading
+from oed.mechanism import Kinematics, symbols
 from oed.model import Machine
-from pkm_models.machines import delta, hexapod
-from readings import plan
+from pkm_models.instruments import ball_bar
+from pkm_models.machines import a3_head, delta, hexapod
 
 COUNTS, ROUNDS = (1, 10, 100, 1000, 10_000, 100_000), 11
 #: processor time of a round, s
 ROUND_SECONDS = 0.01
 #: time after which a function is compiled, in a loop of calls, s
 LOOP_SECONDS = 4.0
-CORES = "OMP_NUM_THREADS"
 #: when functions are compiled: never, or as it comes
 VARIABLE = "OED_COMPILE"
 NEVER = "0"
 BY_DEFAULT = ""
 NO_TOOL = np.zeros(3)
+#: parameter vectors of a solver's loop, and of this project beside it
+LOOP_VECTORS, VECTORS = 20, 1000
 
 Work = Callable[[], np.ndarray]
 Result = TypeVar("Result")
@@ -71,78 +75,41 @@ def pose_cases(machine: Machine, by_hand: Callable[..., np.ndarray]) -> Iterator
         x, q = plain.inverse(rng.uniform(lower, upper, (count, len(lower))))
         p = machine.nominal + tolerance * rng.standard_normal((count, len(tolerance)))
         rotation, point, _ = plain.frames(x, NO_TOOL)
-
-        def poses(
-            kinematics: Kinematics,
-            q: np.ndarray = q,
-            p: np.ndarray = p,
-            x: np.ndarray = x,
-        ) -> np.ndarray:
-            return kinematics.forward_per_pose(q, p, x)
-
-        def by_numpy(
-            q: np.ndarray = q,
-            p: np.ndarray = p,
-            start: tuple[np.ndarray, np.ndarray] = (point, rotation),
-        ) -> np.ndarray:
-            return by_hand(q, p, start)
-
+        given, start = (q, p, x), (point, rotation)
         ways = (
-            ready(BY_DEFAULT, lambda f=poses: f(kinematics)),
-            ready(NEVER, lambda f=poses: f(plain)),
-            by_numpy,
+            ready(BY_DEFAULT, lambda a=given: kinematics.forward_per_pose(*a)),
+            ready(NEVER, lambda a=given: plain.forward_per_pose(*a)),
+            lambda a=given, start=start: by_hand(*a[:2], start),
         )
         yield Case(f"{machine.name}, poses", count, ways)
 
 
+def a3_plan() -> tuple[Measurement, Series]:
+    """The A3 head on two circles of fifteen points."""
+    cup = mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0))
+    measurement = Measurement(a3_head.machine, [cup])
+    angles = 2.0 * np.pi * np.arange(15) / 15
+    command = np.array([[z, psi, 0.0] for z in (1.146, 1.266) for psi in angles])
+    command, _ = commands_at_fixed_reading(measurement, "cup", command, "theta")
+    return measurement, measurement.series("cup", command)
+
+
 def a3_cases() -> Iterator[Case]:
-    """Poses, readings and slopes of the A3 head."""
-    plain, series = as_set(NEVER, plan)
-    default, _ = as_set(BY_DEFAULT, plan)
+    """Readings of the A3 head."""
+    plain, series = as_set(NEVER, a3_plan)
+    default, _ = as_set(BY_DEFAULT, a3_plan)
     n, rng = len(series.q), np.random.default_rng(0)
     rotation, point, _ = plain.kinematics.frames(series.start, NO_TOOL)
     for count in COUNTS[2:]:
         vectors = -(-count // n)
         spread = plain.tolerance * rng.standard_normal((vectors, len(plain.nominal)))
         theta = plain.nominal + spread
-        by_numpy = a3_by_numpy(series, theta, (point, rotation))
-        for name, by_project in a3_by_project(series, theta).items():
-            ways = (
-                ready(BY_DEFAULT, lambda f=by_project: f(default)),
-                ready(NEVER, lambda f=by_project: f(plain)),
-                by_numpy[name],
-            )
-            yield Case(f"A3 head, {name}", vectors * n, ways)
-
-
-def a3_by_project(
-    series: Series, theta: np.ndarray
-) -> dict[str, Callable[[Measurement], np.ndarray]]:
-    """What is computed of the A3 head at parameters theta (m, 27)."""
-
-    def poses(measurement: Measurement) -> np.ndarray:
-        kinematics = measurement.kinematics
-        return kinematics.forward(series.q, theta[:, :24], series.start).reshape(-1, 6)
-
-    return {
-        "poses": poses,
-        "readings": lambda measurement: measurement.readings([series], theta),
-        "slopes": lambda measurement: measurement.jacobian([series], theta),
-    }
-
-
-def a3_by_numpy(
-    series: Series, theta: np.ndarray, start: tuple[np.ndarray, np.ndarray]
-) -> dict[str, Work]:
-    """The same by hand, from points (n, 3) and rotations (n, 3, 3)."""
-    m, (n, _) = len(theta), series.q.shape
-    q, p = np.tile(series.q, (m, 1)), np.repeat(theta[:, :24], n, axis=0)
-    tiled = np.tile(start[0], (m, 1)), np.tile(start[1], (m, 1, 1))
-    return {
-        "poses": lambda: a3_poses(q, p, tiled)[0],
-        "readings": lambda: a3_readings(series.q, theta, start, slopes=False)[0],
-        "slopes": lambda: a3_readings(series.q, theta, start, slopes=True)[1],
-    }
+        ways = (
+            ready(BY_DEFAULT, lambda theta=theta: default.readings([series], theta)),
+            ready(NEVER, lambda theta=theta: plain.readings([series], theta)),
+            lambda theta=theta: a3_readings(series.q, theta, (point, rotation)),
+        )
+        yield Case("A3 head, readings", vectors * n, ways)
 
 
 def as_set(setting: str, build: Callable[[], Result]) -> Result:
@@ -177,37 +144,87 @@ def difference(ours: np.ndarray, others: np.ndarray) -> float:
     return float(np.abs(ours[..., : others.shape[-1]] - others).max())
 
 
-def main() -> None:
-    """Print one row a case: times a pose, ratios to NumPy, differences from it."""
-    os.environ[CORES] = "1"
-    cases = [
-        *pose_cases(hexapod.machine, lambda q, p, start: hexapod_poses(q, p, start)[0]),
-        *pose_cases(delta.machine, lambda q, p, _: delta_poses(q, p)),
-        *a3_cases(),
-    ]
-    print(
-        "| computed | poses | default, us | no compiler, us | NumPy, us |"
-        " NumPy / default | NumPy / no compiler | differences |"
-    )
-    print("| --- | --: | --: | --: | --: | --: | --: | --: |")
-    for case in cases:
-        print(row(case), flush=True)
-
-
-def row(case: Case) -> str:
-    """Processor time of the three ways on one thread."""
+def line(case: Case) -> str:
+    """A line of the first table."""
     *ours, others = [work() for work in case.ways]
     errors = ", ".join(f"{difference(values, others):.0e}" for values in ours)
     rounds = [[seconds(work) for work in case.ways] for _ in range(ROUNDS)]
-    by_way = [
-        1e6 * statistics.median(times) / case.count
-        for times in zip(*rounds, strict=True)
-    ]
-    ratios = [
-        statistics.median(times[2] / times[k] for times in rounds) for k in (0, 1)
-    ]
-    cells = [f"{t:.2f}" for t in by_way] + [f"{ratio:.1f}" for ratio in ratios]
-    return f"| {case.name} | {case.count} | {' | '.join(cells)} | {errors} |"
+    medians = [statistics.median(times) for times in zip(*rounds, strict=True)]
+    times = [f"{1e6 * median / case.count:.2f}" for median in medians]
+    return row(case.name, case.count, *times, errors)
+
+
+# -- solvers in a loop -----------------------------------------------------------------
+
+
+def solvers() -> dict[str, Callable[..., np.ndarray]]:
+    """Functions of start, joints and parameters that solve one pose of the A3 head."""
+    x, xs = symbols("x", a3_head.machine.pose)
+    q, qs = symbols("q", a3_head.machine.joints)
+    p, ps = symbols("p", a3_head.machine.parameters)
+    phi = ca.vertcat(*a3_head.machine.closure(xs, qs, ps))
+    problem = {"x": x, "p": ca.vertcat(q, p), "g": phi}
+    finder = ca.rootfinder("finder", "newton", problem, {"abstol": 1e-14})
+    value = ca.Function("value", [x, q, p], [phi])
+    slope = ca.Function("slope", [x, q, p], [ca.densify(ca.jacobian(phi, x))])
+
+    def by_casadi(start: np.ndarray, *given: np.ndarray) -> np.ndarray:
+        return np.asarray(finder(start, np.concatenate(given))).ravel()
+
+    def by_scipy(start: np.ndarray, *given: np.ndarray) -> np.ndarray:
+        return optimize.root(
+            lambda z: np.asarray(value(z, *given)).ravel(),
+            start,
+            jac=lambda z: np.asarray(slope(z, *given)),
+            tol=1e-13,
+        ).x
+
+    return {"casadi.rootfinder": by_casadi, "scipy.optimize.root": by_scipy}
+
+
+def solver_lines() -> Iterator[str]:
+    """Lines of the second table."""
+    measurement, series = a3_plan()
+    rng = np.random.default_rng(0)
+    size = (VECTORS, len(measurement.nominal))
+    spread = 0.3 * measurement.tolerance * rng.standard_normal(size)
+    theta = (measurement.nominal + spread)[:, : len(a3_head.machine.parameters)]
+
+    def ours() -> np.ndarray:
+        return measurement.kinematics.forward(series.q, theta, series.start)
+
+    poses = ours()
+    yield row(
+        "this project", f"{1e6 * seconds(ours) / (VECTORS * len(series.q)):.2f}", "-"
+    )
+    for name, solver in solvers().items():
+
+        def loop(solver: Callable[..., np.ndarray] = solver) -> np.ndarray:
+            pairs = list(zip(series.start, series.q, strict=True))
+            few = theta[:LOOP_VECTORS]
+            return np.array([[solver(s, q, p) for s, q in pairs] for p in few])
+
+        error = np.abs(loop() - poses[:LOOP_VECTORS]).max()
+        time_a_pose = 1e6 * seconds(loop) / (LOOP_VECTORS * len(series.q))
+        yield row(name, f"{time_a_pose:.2f}", f"{error:.0e}")
+
+
+def main() -> None:
+    """Print both tables: times a pose, and differences."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+    ways = ("default, us", "no compiler, us", "NumPy, us")
+    print(head("computed", "poses", *ways, "differences"))
+    cases = (
+        pose_cases(hexapod.machine, lambda q, p, start: hexapod_poses(q, p, start)[0]),
+        pose_cases(delta.machine, lambda q, p, _: delta_poses(q, p)),
+        a3_cases(),
+    )
+    for some in cases:
+        for case in some:
+            print(line(case), flush=True)
+    print("\n" + head("solver, in a loop", "us a pose", "difference, m"))
+    for text in solver_lines():
+        print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,33 +1,29 @@
 """A board of real machines: what a calibration predicts of readings that it did not see.
 
-    python -m benchmarks.real_data --data ../shared/data --out out/real_data.md
+    python -m benchmarks.real_data --data ../shared/data
 
 Plain least squares, beside it, is that of SciPy: the same parameters, readings over their
 stated noise, no tolerances, from nominal. Of held-out readings each set-up's own unknowns
-are adjusted, also without tolerances, for both.
+are adjusted, also without tolerances, for both. docs/benchmarks/real_data.md says where the
+data come from.
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import argparse
 import dataclasses
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from scipy.optimize import least_squares
 
+from benchmarks.harness import tables
 from oed import units
 from oed.base import Array, Mask
 from oed.dataset import Dataset
-from oed.estimation import identify
 from oed.measurement import Measurement, Series
 from oed.result import HeldOutSection, StudyResult
 from pkm_studies import stages
@@ -40,9 +36,6 @@ from pkm_studies.resolve import resolve
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ROOT / "studies"
-V400 = "https://github.com/fzechert/FLSun-V400"
-SR = "https://github.com/danorder/Flsun-super-racer-Full-klipper-config-"
-HANGPRINTER = "https://github.com/tobbelobb/auto-calibration-simulation-for-hangprinter"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,18 +43,14 @@ class Entry:
     """A machine with readings of its own.
 
     name     of the row
-    source   repository and licence
-    fetch    how a user gets the files
-    folder   of them, in the data folder
-    study    name of a shipped study; "" where `file` is imported
-    file     configuration with readings, for `oed import klipper`
+    folder   of its files, in the data folder
     fitted   what is fitted, in words
     blind    what is predicted, in words
+    study    name of a shipped study; "" where `file` is imported
+    file     configuration with readings, for `oed import klipper`
     """
 
     name: str
-    source: str
-    fetch: str
     folder: str
     fitted: str
     blind: str
@@ -69,90 +58,36 @@ class Entry:
     file: str = ""
 
 
-def _printer(
-    name: str, file: str, source: str, fetch: str, fitted: str, blind: str
-) -> Entry:
-    return Entry(name, source, fetch, "klipper_delta", fitted, blind, file=file)
+def _printer(name: str, file: str, fitted: str) -> Entry:
+    blind = "bed meshes of the same file"
+    return Entry(name, "klipper_delta", fitted, blind, file=f"{file}.cfg")
 
 
-SEVEN, MESH = "7 heights", "bed meshes of the same file"
+HEIGHTS, DISTANCES = "7 heights", "heights and 12 distances"
+SESSION, OTHER = f"{DISTANCES} of a session", "those of another session"
+LINES = "whether the lines meet at 35 others"
 ENTRIES = (
-    Entry(
-        "FLSun V400, S04 to S03",
-        f"{V400} at 221f53d, CC0",
-        f"`git clone {V400}`; readings of all versions of `printer-config/printer*.cfg`",
-        "delta_v400",
-        "heights and 12 distances of a session",
-        "those of another session",
-        study="delta_v400",
-    ),
-    Entry(
-        "FLSun V400, S03 to S04",
-        f"{V400} at 221f53d, CC0",
-        "as above",
-        "delta_v400",
-        "heights and 12 distances of a session",
-        "those of another session",
-        study="delta_v400_reverse",
-    ),
+    Entry("FLSun V400, S04 to S03", "delta_v400", SESSION, OTHER, "delta_v400"),
+    Entry("FLSun V400, S03 to S04", "delta_v400", SESSION, OTHER, "delta_v400_reverse"),
     Entry(
         "Hangprinter HP4",
-        f"{HANGPRINTER} at 790dca2, MIT",
-        f"`git clone -b hp_mark_adjusted {HANGPRINTER}`; tables of `simulation.py`",
         "hangprinter_hp4",
         "9 poses seen by a camera",
-        "whether the lines meet at 35 others",
-        study="hangprinter_hp4",
+        LINES,
+        "hangprinter_hp4",
     ),
     Entry(
         "Jugglebot",
-        "https://github.com/Project-DeepBlue-Juggling/Jugglebot at 553f1a7, MIT",
-        "`git clone`; `experimenting/platform_calibration/zOld/108_calibration_poses.csv`",
         "jugglebot",
         "54 poses by motion capture",
         "the other 54",
-        study="jugglebot",
+        "jugglebot",
     ),
-    _printer(
-        "FLSun SR, danorder",
-        "flsun_sr_danorder_mesh.cfg",
-        f"{SR} at 5694c06, CC0",
-        f"`git clone {SR}`; `printer.cfg`",
-        SEVEN,
-        MESH,
-    ),
-    _printer(
-        "FLSun SR, danorder, earlier",
-        "flsun_sr_danorder_mesh_2.cfg",
-        f"{SR} before 5694c06, CC0",
-        "as above, an earlier version",
-        SEVEN,
-        MESH,
-    ),
-    _printer(
-        "FLSun SR, cupsster",
-        "flsun_sr_cupsster.cfg",
-        "https://github.com/cupsster/FLSUN-SR---Klipper-Config at 684183a, CC0",
-        "`git clone`; `printer.cfg`",
-        SEVEN,
-        MESH,
-    ),
-    _printer(
-        "FLSun V400, phnxdrgn",
-        "flsun_v400_phnxdrgn.cfg",
-        "https://github.com/phnxdrgn536/FLSun-v400 of 2023-01-04, CC0",
-        "`git clone`; `printer.cfg`",
-        "heights and 12 distances",
-        MESH,
-    ),
-    _printer(
-        "FLSun V400, fzechert",
-        "flsun_v400_fzechert.cfg",
-        f"{V400} at 221f53d, CC0",
-        "as above; `printer.cfg`",
-        "heights",
-        MESH,
-    ),
+    _printer("FLSun SR, danorder", "flsun_sr_danorder_mesh", HEIGHTS),
+    _printer("FLSun SR, danorder, earlier", "flsun_sr_danorder_mesh_2", HEIGHTS),
+    _printer("FLSun SR, cupsster", "flsun_sr_cupsster", HEIGHTS),
+    _printer("FLSun V400, phnxdrgn", "flsun_v400_phnxdrgn", DISTANCES),
+    _printer("FLSun V400, fzechert", "flsun_v400_fzechert", "heights"),
 )
 
 
@@ -230,36 +165,20 @@ def _adjusted(
 # -- an entry --------------------------------------------------------------------------
 
 
-#: shares of the fitted readings that are tried, and the loss that counts as none
-SHARES, LOSS = (0.25, 0.5, 0.75), 1.1
-
-
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """A kind of held-out readings, in their fine unit; `needed` of `fitted` readings."""
+    """A kind of held-out readings, in their fine unit."""
 
     blind: HeldOutSection
     nominal: float
     least_squares: float
-    fitted: int
-    needed: int
 
 
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """An entry that ran. Without held-out readings it has no rows."""
-
-    entry: Entry
-    result: StudyResult
-    rows: list[Row]
-
-
-def run(entry: Entry, data: Path, work: Path) -> Outcome:
+def run(entry: Entry, data: Path, work: Path) -> list[Row]:
     """Run an entry with the data folder; files go to `work`."""
     study = _study(entry, data, work)
     result = stages.run_study(study, work / "out")
-    rows = list(_rows(study, result)) if result.held_out else []
-    return Outcome(entry, result, rows)
+    return list(_rows(study, result)) if result.held_out else []
 
 
 def _study(entry: Entry, data: Path, work: Path) -> studies.Study:
@@ -286,172 +205,50 @@ def _rows(study: studies.Study, result: StudyResult) -> Iterator[Row]:
     assert data is not None
     blind = list(dict.fromkeys(section.name for section in result.held_out))
     held_out = data.take(blind)
-    fitted = data.take([name for name in _fitted(study, data) if name not in blind])
+    chosen = data.setups if study.readings.fit is None else study.readings.fit
+    fitted = data.take([name for name in chosen if name not in blind])
     nominal = held_out_rms(measurement, held_out, measurement.nominal)
     plain = plain_least_squares(measurement, fitted)
     squares = held_out_rms(measurement, held_out, plain)
-    needed = _needed(study, measurement, fitted, held_out)
     for section in result.held_out:
         key = (section.name, section.channel)
-        count = len(fitted.y)
-        yield Row(section, nominal[key], squares[key], count, needed[key])
+        yield Row(section, nominal[key], squares[key])
 
 
-def _fitted(study: studies.Study, data: Dataset) -> list[str]:
-    """Set-ups whose readings are fitted."""
-    chosen = study.readings.fit
-    return list(data.setups) if chosen is None else list(chosen)
+# -- table -----------------------------------------------------------------------------
 
 
-def _needed(
-    study: studies.Study, measurement: Measurement, fitted: Dataset, held_out: Dataset
-) -> dict[tuple[str, str], int]:
-    """Readings with which the prediction is as good as with all, by kind of reading.
-
-    The smallest of some shares of each set-up's runs or rows, evenly chosen.
-    """
-    estimated = bool(study.noise.estimate)
-    figures: dict[int, Figures] = {}
-    for share in (*SHARES, 1.0):
-        series, y = [], []
-        for part in _each(measurement, fitted):
-            taken, values = _share(part, share)
-            series.append(taken)
-            y.append(values)
-        fit = identify(measurement, series, np.concatenate(y), estimate_noise=estimated)
-        figures[len(fit.residuals)] = held_out_rms(measurement, held_out, fit.theta)
-    best = figures[max(figures)]
-    return {
-        key: min(n for n, f in figures.items() if f[key] <= LOSS * best[key])
-        for key in best
-    }
+COLUMNS = ("machine", "fitted", "predicted blind", "readings", "predicted", "inside")
 
 
-class _Part(NamedTuple):
-    """A series with its readings (n, channels)."""
-
-    series: Series
-    y: Array
-
-
-def _each(measurement: Measurement, data: Dataset) -> Iterator[_Part]:
-    start = 0
-    for series in data.series:
-        channels = len(measurement.setups[series.setup].instrument.channels)
-        stop = start + len(series) * channels
-        yield _Part(series, data.y[start:stop].reshape(-1, channels))
-        start = stop
-
-
-def _share(part: _Part, share: float) -> tuple[Series, Array]:
-    """Evenly chosen readings of a series, at least one."""
-    count = len(part.series)
-    most = max(1, round(share * count))
-    rows = np.unique(np.linspace(0, count - 1, most).round().astype(int))
-    return part.series.take(rows), part.y[rows].ravel()
-
-
-# -- page ------------------------------------------------------------------------------
-
-
-HEAD = """\
-# Real machines
-
-What does a calibration predict of readings of a real machine that it did not see? This page is written by
-
-```console
-$ python -m benchmarks.real_data --data ../shared/data --out out/real_data.md
-```
-
-No data are in the project: fetch them as the second table says, and name their folder. An entry whose data are absent
-is left out. The studies `delta_v400`, `delta_v400_reverse`, `hangprinter_hp4` and `jugglebot` are shipped; the others
-are what `oed import klipper` makes of a `printer.cfg`.
-
-- *predicted*: rms of the held-out readings against the prediction; *inside*: share inside their 95 % intervals.
-- *least squares*: what plain least squares of SciPy leaves of them, with the same parameters and no tolerances;
-  *nominal*: what the nominal numbers leave. Unknowns of the held-out set-up itself, such as a probe's offset, are
-  adjusted in all three.
-- *needed*: readings, of all that were fitted, with which the prediction is within 10 % of that with all. A quarter, a
-  half, three quarters and all of each set-up were tried.
-
-| machine | fitted | predicted blind | readings | predicted | inside | least squares | nominal | needed |
-|---|---|---|---|---|---|---|---|---|
-"""
-SOURCES = """
-## Data
-
-| machine | source and licence | fetch | fit |
-|---|---|---|---|
-"""
-
-
-def markdown(outcomes: Sequence[Outcome]) -> str:
-    """The whole page."""
-    lines = [line for outcome in outcomes for line in _lines(outcome)]
-    sources = [_source(outcome) for outcome in outcomes]
-    return HEAD + "\n".join(lines) + "\n" + SOURCES + "\n".join(sources) + "\n"
-
-
-def _lines(outcome: Outcome) -> list[str]:
-    entry = outcome.entry
-    if not outcome.rows:
-        cells = [entry.name, entry.fitted, "nothing", *["–"] * 6]
-        return [_joined(cells)]
-    return [_joined(_cells(outcome, row)) for row in outcome.rows]
-
-
-def _cells(outcome: Outcome, row: Row) -> list[str]:
-    blind, entry = row.blind, outcome.entry
-    return [
+def line(entry: Entry, row: Row) -> str:
+    """A line of the table."""
+    blind = row.blind
+    return tables.row(
         entry.name,
         entry.fitted,
         f"{entry.blind}: {blind.name}, {blind.channel}",
-        str(blind.n),
+        blind.n,
         f"{blind.rms:.3g} {blind.unit}",
         f"{100 * blind.coverage:.0f} %",
         f"{row.least_squares:.3g}",
         f"{row.nominal:.3g}",
-        f"{row.needed} of {row.fitted}",
-    ]
-
-
-def _source(outcome: Outcome) -> str:
-    entry, estimate = outcome.entry, outcome.result.estimate
-    fit = ""
-    if estimate is not None:
-        fit = "; ".join(
-            f"{channel} {rms:.3g} {estimate.units[channel]} rms"
-            for channel, rms in estimate.rms_after.items()
-        )
-    return _joined([entry.name, entry.source, entry.fetch, fit])
-
-
-def _joined(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-# -- command ---------------------------------------------------------------------------
+    )
 
 
 def main() -> None:
-    """Run the entries whose data are there, and write the page."""
+    """Run the entries whose data are there, and print their table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="folder of the data")
-    parser.add_argument("--out", type=Path, help="page to write; printed without")
-    given = parser.parse_args()
-    outcomes: list[Outcome] = []
+    data = parser.parse_args().data
+    print(tables.head(*COLUMNS, "least squares", "nominal"), flush=True)
     for entry in ENTRIES:
-        if not (given.data / entry.folder).is_dir():
-            print(f"{entry.name}: no data in {given.data / entry.folder}")
+        if not (data / entry.folder).is_dir():
+            print(tables.row(entry.name, f"no data in {data / entry.folder}"))
             continue
         with tempfile.TemporaryDirectory() as work:
-            outcomes.append(run(entry, given.data, Path(work)))
-        print(f"{entry.name}: {len(outcomes[-1].rows)} predicted channels", flush=True)
-    text = markdown(outcomes)
-    if given.out is None:
-        print(text)
-    else:
-        given.out.write_text(text, encoding="utf-8")
+            for row in run(entry, data, Path(work)):
+                print(line(entry, row), flush=True)
 
 
 if __name__ == "__main__":

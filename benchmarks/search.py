@@ -1,13 +1,12 @@
 """Plans of fresh instances beside a plain NumPy exchange of 60 starts, and a long run.
 
-    python benchmarks/search.py                     # 30 instances, seeds drawn at run time
-    python benchmarks/search.py --seed 7            # the instances of a printed seed
-    python benchmarks/search.py --only ties         # one kind
-    python benchmarks/search.py --kinds saturated --each 8
+    python -m benchmarks.search                 # 36 instances, seeds drawn at run time
+    python -m benchmarks.search --seed 7        # the instances of a printed seed
+    python -m benchmarks.search --only ties near --each 8
 
 The best known value of an instance is the best of this run: this project's choice at its
-default, the same with ten times the rounds, and the NumPy exchange (`peers.py`: pairs for
-D, each candidate in turn for blocks and for A and I). Values are computed from the chosen
+default, the same with ten times the rounds, and the NumPy exchange (`numpy_designs.py`: pairs
+for D, each candidate in turn for blocks and for A and I). Values are computed from the chosen
 rows by one formula for all; they are log det, or -log of the variance, so that a
 difference is a relative one. Seconds are processor time on one thread; for this project
 with the relaxation and its bound.
@@ -28,36 +27,38 @@ kinds
 
 from __future__ import annotations
 
-import os
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
-
 import argparse
 import itertools
-import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-import hexapod
-import peers
-import study_candidates
+from benchmarks import hexapod, numpy_designs, study_candidates
+from benchmarks.harness.tables import head, row
+from benchmarks.peers import processor_seconds
 from oed import design
 from oed.design import CRITERIA
-from peers import processor_seconds
 
 #: values that differ by less are equally good
 EQUAL = 1e-6
 DEFAULT_ROUNDS, LONG_FACTOR = 20, 10
-#: all kinds, and the groups of `--kinds`
-KINDS = "A I normal mixed copies heavy ties near quadratic blocks poses studies"
-GROUPS = {
-    "all": tuple(KINDS.split()),
-    "variance": ("A", "I"),
-    "saturated": ("ties", "near", "quadratic"),
-    "blocks": ("blocks", "poses"),
-}
+#: random starts of the NumPy exchange
+STARTS = 60
+KINDS = [
+    "A",
+    "I",
+    "normal",
+    "mixed",
+    "copies",
+    "heavy",
+    "ties",
+    "near",
+    "quadratic",
+    "blocks",
+    "poses",
+    "studies",
+]
 COLUMNS = ("kind", "seed", "default", "s", "long run", "NumPy", "s", "behind best")
 
 
@@ -86,8 +87,9 @@ class Instance(NamedTuple):
     def value(self, chosen: np.ndarray) -> float:
         """log det, or -log tr(W M^-1)."""
         if self.weight is None:
-            return peers.log_det(self.blocks, chosen)
-        return -float(np.log(peers.variance(self.blocks[:, 0], chosen, self.weight)))
+            return numpy_designs.log_det(self.blocks, chosen)
+        rows = self.blocks[:, 0]
+        return -float(np.log(numpy_designs.variance(rows, chosen, self.weight)))
 
 
 def draw(kind: str, seed: int) -> Instance:
@@ -125,16 +127,14 @@ def _quadratic() -> np.ndarray:
     return np.column_stack([np.ones(len(x)), x, *products])[:, None]
 
 
-def instances(
-    kinds: tuple[str, ...], each: int, seed: int
-) -> Iterator[tuple[int, Instance]]:
+def instances(kinds: list[str], each: int, seed: int) -> Iterator[tuple[int, Instance]]:
     """So many instances of each kind with their seeds; the studies once."""
     for kind in kinds:
         if kind == "studies":
             for name, blocks, size in study_candidates.of_studies():
                 yield 0, Instance(name, blocks, size)
             continue
-        number = GROUPS["all"].index(kind)
+        number = KINDS.index(kind)
         for drawn in np.random.SeedSequence([seed, number]).generate_state(each):
             yield int(drawn), draw(kind, int(drawn))
 
@@ -152,12 +152,12 @@ def choose(instance: Instance, rounds: int) -> tuple[float, float]:
     return instance.value(choice.indices), seconds
 
 
-def choose_by_numpy(instance: Instance, starts: int) -> tuple[float, float]:
+def choose_by_numpy(instance: Instance) -> tuple[float, float]:
     """Value and seconds of the NumPy exchange."""
     start = processor_seconds()
     rng = np.random.default_rng(1)
-    chosen = peers.exchange(
-        instance.blocks, instance.size, starts, rng, instance.weight
+    chosen = numpy_designs.exchange(
+        instance.blocks, instance.size, STARTS, rng, instance.weight
     )
     seconds = processor_seconds() - start
     return instance.value(chosen), seconds
@@ -177,44 +177,37 @@ class Comparison(NamedTuple):
         """How far the default is behind the best value."""
         return max(self.value, self.long_value, self.numpy_value) - self.value
 
-    def row(self, kind: str, seed: int) -> str:
-        """Its row of the table."""
-        values = f"{self.value:.4f} | {self.seconds:.2f} | {self.long_value:.4f}"
-        by_numpy = f"{self.numpy_value:.4f} | {self.numpy_seconds:.2f}"
-        return f"| {kind} | {seed} | {values} | {by_numpy} | {self.behind:.4f} |"
+    def line(self, kind: str, seed: int) -> str:
+        """Its line of the table."""
+        values = (f"{self.value:.4f}", f"{self.seconds:.2f}", f"{self.long_value:.4f}")
+        by_numpy = (f"{self.numpy_value:.4f}", f"{self.numpy_seconds:.2f}")
+        return row(kind, seed, *values, *by_numpy, f"{self.behind:.4f}")
 
 
-def compare(instance: Instance, starts: int) -> Comparison:
+def compare(instance: Instance) -> Comparison:
     """All methods on one instance."""
     value, seconds = choose(instance, DEFAULT_ROUNDS)
     long_value, _ = choose(instance, LONG_FACTOR * DEFAULT_ROUNDS)
-    return Comparison(value, seconds, long_value, *choose_by_numpy(instance, starts))
+    return Comparison(value, seconds, long_value, *choose_by_numpy(instance))
 
 
 def main() -> None:
     """Print one row an instance, and what holds for all of them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
     add = parser.add_argument
-    add("--kinds", default="all", choices=GROUPS, help="group of kinds")
-    add("--only", choices=GROUPS["all"], help="one kind")
+    add("--only", nargs="+", choices=KINDS, default=KINDS, help="these kinds")
     add("--each", type=int, default=3, help="instances of each kind")
-    add("--starts", type=int, default=60, help="of the NumPy exchange")
     add("--seed", type=int, help="of the instances; drawn where it is left out")
     arguments = parser.parse_args()
     seed = arguments.seed
     if seed is None:
         seed = int(np.random.SeedSequence().generate_state(1)[0])
-    kinds = (arguments.only,) if arguments.only else GROUPS[arguments.kinds]
-    print(f"seed {seed}")
-    print(f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}")
+    print(f"seed {seed}\n{head(*COLUMNS)}")
     comparisons = []
-    for drawn, instance in instances(kinds, arguments.each, seed):
-        comparison = compare(instance, arguments.starts)
-        comparisons.append(comparison)
-        print(comparison.row(instance.kind, drawn))
-        sys.stdout.flush()
+    for drawn, instance in instances(arguments.only, arguments.each, seed):
+        comparisons.append(compare(instance))
+        print(comparisons[-1].line(instance.kind, drawn), flush=True)
     _summarise(comparisons)
 
 

@@ -6,11 +6,8 @@ positions in its workspace (blocks of three rows); the others read one distance.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from typing import NamedTuple
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
 import numpy as np
 

@@ -11,10 +11,6 @@ moves a combination by micrometres, to second order.)
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import dataclasses
 import zlib
 from collections.abc import Mapping, Sequence

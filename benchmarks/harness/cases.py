@@ -7,10 +7,6 @@ with the true law, which costs what not knowing it does; and stepwise regression
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path

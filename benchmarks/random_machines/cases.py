@@ -8,10 +8,6 @@ A case is a random machine with its study and its readings, in files as a user h
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import dataclasses
 import math
 import tempfile

@@ -13,10 +13,6 @@ of a diagnosis, and by the mixture over all hypotheses.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -19,7 +19,6 @@ allowed. Judged is the true error of the tool point once the parameters are comp
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -38,9 +37,6 @@ from oed.identifiability import prior_information
 from pkm_studies.base import Location
 from pkm_studies.resolve import GapRequest
 from pkm_studies.tables import ConditionsTable
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 
 #: sizes of effects that a plan is made for, and that a machine has; all readings
 SIZES, ALL = ("rigid", "typical", "full"), "all readings"

@@ -60,11 +60,10 @@ def draw(machine: str, size: float, level: str, seed: int) -> Bench:
 def _draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     sys.path.insert(0, str(GENERATOR))
     import make  # the generator's own modules
+    from design import design
     from effects import LAWS, LISTED, noise
     from oracle import Oracle
     from truth import Pert
-
-    from design import design
 
     key = [seed, MACHINES.index(machine), round(size), LEVELS.index(level)]
     rng = np.random.default_rng(key)

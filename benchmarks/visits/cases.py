@@ -9,10 +9,6 @@ both visits.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
-
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
