@@ -1,4 +1,4 @@
-"""Mutate single lines of the packages; name the mutants that their room's tests miss.
+"""Mutate single expressions of the packages; name the mutants that their room's tests miss.
 
     python -m benchmarks.mutants --seed 1
     python -m benchmarks.mutants --seed 1 --count 20 --rooms oed/noise page
@@ -20,10 +20,10 @@ import argparse
 import ast
 import compileall
 import contextlib
+import copy
 import dataclasses
 import itertools
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -32,21 +32,17 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 # -- mutations of a module, by its syntax tree -----------------------------------------
 
 
-SIGNS = {ast.Add: "+-", ast.Sub: "-+", ast.Mult: "*/", ast.Div: "/*"}
-TURNED = {
-    ast.Lt: ("<", "<="),
-    ast.LtE: ("<=", "<"),
-    ast.Gt: (">", ">="),
-    ast.GtE: (">=", ">"),
-    ast.Eq: ("==", "!="),
-    ast.NotEq: ("!=", "=="),
+OPPOSITE = {
+    **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult},
+    **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt},
+    **{ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
 }
 EXTREMA = (("min", "max"), ("minimum", "maximum"), ("argmin", "argmax"))
 EXCHANGED = dict(EXTREMA) | {most: least for least, most in EXTREMA}
@@ -57,103 +53,54 @@ SYMMETRIC = {
 }
 #: fields of a node that compute nothing
 PASSIVE = {"annotation", "returns", "decorator_list"}
+#: a node that lies in the text, and what stands in its place
+Change = tuple[ast.expr | ast.stmt, ast.expr | ast.stmt]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Mutation:
-    """A line of a module and what stands in its place.
+    """A piece of a module and what stands in its place.
 
-    kind      name of its rule in RULES
-    line      number of the line, from 1
-    before    text of the line
-    after     mutated text
+    kind           name of its rule in RULES
+    line           number of the line where the piece begins, from 1
+    start, stop    bytes of the text that are replaced
+    after          text in their place
     """
 
     kind: str
     line: int
-    before: str
-    after: str
-
-
-class Edit(NamedTuple):
-    """Text in place of the characters from start to stop of a line (from 1)."""
-
-    line: int
     start: int
     stop: int
-    text: str
+    after: str
 
+    def applied(self, text: str) -> str:
+        """The module's text with the mutation."""
+        whole = text.encode()
+        parts = (whole[: self.start], self.after.encode(), whole[self.stop :])
+        return b"".join(parts).decode()
 
-class Source:
-    """The lines of a module; columns count characters, not bytes."""
-
-    def __init__(self, text: str) -> None:
-        self.lines = text.split("\n")
-
-    def start(self, node: ast.expr) -> int:
-        return self._column(node.lineno, node.col_offset)
-
-    def stop(self, node: ast.expr) -> int:
-        return self._column(node.end_lineno or node.lineno, node.end_col_offset or 0)
-
-    def text(self, node: ast.expr) -> str:
-        return self.lines[node.lineno - 1][self.start(node) : self.stop(node)]
-
-    def replaced(self, edit: Edit) -> str:
-        line = self.lines[edit.line - 1]
-        return line[: edit.start] + edit.text + line[edit.stop :]
-
-    def replace(self, node: ast.expr, text: str) -> Iterator[Edit]:
-        if _on_one_line(node):
-            yield Edit(node.lineno, self.start(node), self.stop(node), text)
-
-    def replace_operator(
-        self, left: ast.expr, right: ast.expr, old: str, new: str
-    ) -> Iterator[Edit]:
-        """Exchange the operator between two operands, where they share its line."""
-        if left.end_lineno != right.lineno:
-            return
-        stop = self.stop(left)
-        between = self.lines[right.lineno - 1][stop : self.start(right)]
-        if between.strip("() ") == old:
-            place = stop + between.index(old)
-            yield Edit(right.lineno, place, place + len(old), new)
-
-    def _column(self, line: int, offset: int) -> int:
-        return len(self.lines[line - 1].encode()[:offset].decode())
+    def before(self, text: str) -> str:
+        """The piece of the text that is replaced."""
+        return text.encode()[self.start : self.stop].decode()
 
 
 def mutations(text: str) -> list[Mutation]:
-    """All mutations of a module; some may not compile (`is_valid`)."""
-    source = Source(text)
+    """All mutations of a module."""
     tree = ast.parse(text)
-    indices = _constants_of_indices(tree)
-    distinct: dict[tuple[int, str], Mutation] = {}
+    lengths = [len(line.encode()) for line in text.split("\n")]
+    starts = [0, *itertools.accumulate(length + 1 for length in lengths)]
+    found: dict[tuple[int, str], Mutation] = {}
     for node, (kind, rule) in itertools.product(active_nodes(tree), RULES.items()):
-        if kind == "factor" and id(node) in indices:
-            continue
-        for edit in rule(node, source):
-            before = source.lines[edit.line - 1]
-            mutation = Mutation(kind, edit.line, before, source.replaced(edit))
-            distinct.setdefault((edit.line, mutation.after), mutation)
-    return list(distinct.values())
-
-
-def is_valid(text: str, mutation: Mutation) -> bool:
-    """Whether the mutated module compiles and its syntax tree is another one."""
-    try:
-        tree = ast.parse(applied(text, mutation))
-        compile(tree, "mutant", "exec")
-    except (SyntaxError, ValueError):
-        return False
-    return ast.dump(tree) != ast.dump(ast.parse(text))
-
-
-def applied(text: str, mutation: Mutation) -> str:
-    """The module's text with the mutated line."""
-    lines = text.split("\n")
-    lines[mutation.line - 1] = mutation.after
-    return "\n".join(lines)
+        for old, new in rule(node):
+            if ast.dump(old) == ast.dump(new):
+                continue
+            after = ast.unparse(new)
+            after = f"({after})" if isinstance(new, ast.expr) else after
+            start = starts[old.lineno - 1] + old.col_offset
+            stop = starts[old.end_lineno - 1] + old.end_col_offset
+            mutation = Mutation(kind, old.lineno, start, stop, after)
+            found.setdefault((start, after), mutation)
+    return list(found.values())
 
 
 def active_nodes(node: ast.AST) -> Iterator[ast.AST]:
@@ -174,107 +121,86 @@ def code_lines(text: str) -> set[int]:
     return {n.lineno for n in nodes if isinstance(n, ast.expr) and not _is_text(n)}
 
 
-def _constants_of_indices(tree: ast.AST) -> set[int]:
-    subscripts = (n for n in active_nodes(tree) if isinstance(n, ast.Subscript))
-    inner = itertools.chain.from_iterable(active_nodes(s.slice) for s in subscripts)
-    return {id(node) for node in inner if isinstance(node, ast.Constant)}
+def _default(node: ast.AST) -> Iterator[Change]:
+    if isinstance(node, ast.arguments):
+        for value in (*node.defaults, *node.kw_defaults):
+            if isinstance(value, ast.Constant) and isinstance(value.value, bool):
+                yield value, ast.Constant(not value.value)
+            elif value is not None:
+                yield from _factor(value)
 
 
-def _sign(node: ast.AST, source: Source) -> Iterator[Edit]:
-    if isinstance(node, ast.BinOp) and type(node.op) in SIGNS:
-        if not (_is_text(node.left) or _is_text(node.right)):
-            operands = (node.left, node.right)
-            yield from source.replace_operator(*operands, *SIGNS[type(node.op)])
-    elif isinstance(node, ast.AugAssign) and type(node.op) in SIGNS:
-        old, new = SIGNS[type(node.op)]
-        pair = (f"{old}=", f"{new}=")
-        yield from source.replace_operator(node.target, node.value, *pair)
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-        start = source.start(node)
-        yield Edit(node.lineno, start, start + 1, "")
-
-
-def _factor(node: ast.AST, source: Source) -> Iterator[Edit]:
-    if isinstance(node, ast.Constant):
-        for value in _other_factors(node.value):
-            yield from source.replace(node, repr(value))
-
-
-def _index(node: ast.AST, source: Source) -> Iterator[Edit]:
+def _index(node: ast.AST) -> Iterator[Change]:
     """Off by one: constants of an index, bounds of a slice, the end of a range."""
+    bounds: list[ast.expr | None] = []
     if isinstance(node, ast.Subscript):
-        for inner in active_nodes(node.slice):
-            if isinstance(inner, ast.Constant) and type(inner.value) is int:
-                yield from source.replace(inner, str(inner.value + 1))
-                yield from source.replace(inner, str(inner.value - 1))
+        inner = (n for n in active_nodes(node.slice) if isinstance(n, ast.Constant))
+        bounds = [n for n in inner if type(n.value) is int]
     elif isinstance(node, ast.Slice):
-        for bound in (node.lower, node.upper):
-            yield from _shifted(bound, source)
-    elif _called(node) == "range":
-        arguments = node.args  # type: ignore[attr-defined]
-        yield from _shifted(arguments[min(1, len(arguments) - 1)], source)
+        bounds = [
+            n for n in (node.lower, node.upper) if not isinstance(n, ast.Constant)
+        ]
+    elif isinstance(node, ast.Call) and _called(node) == "range":
+        bounds = node.args[:2][-1:]
+    for bound in bounds:
+        if bound is not None:
+            yield bound, ast.BinOp(bound, ast.Add(), ast.Constant(1))
+            yield bound, ast.BinOp(bound, ast.Sub(), ast.Constant(1))
 
 
-def _shifted(bound: ast.expr | None, source: Source) -> Iterator[Edit]:
-    if bound is None or isinstance(bound, ast.Constant) or not _on_one_line(bound):
+def _sign(node: ast.AST) -> Iterator[Change]:
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        yield node, node.operand
+    if not isinstance(node, ast.AugAssign | ast.BinOp) or type(node.op) not in OPPOSITE:
         return
-    text = source.text(bound)
-    yield from source.replace(bound, f"({text}) + 1")
-    yield from source.replace(bound, f"({text}) - 1")
+    if not any(map(_is_text, ast.iter_child_nodes(node))):
+        yield node, _changed(node, op=OPPOSITE[type(node.op)]())
 
 
-def _swap(node: ast.AST, source: Source) -> Iterator[Edit]:
+def _factor(node: ast.AST) -> Iterator[Change]:
+    """Twice and half a number; 0 and 1 exchange; an odd integer is only doubled."""
+    if not isinstance(node, ast.Constant) or type(node.value) not in (int, float):
+        return
+    number = node.value
+    if number in (0, 1):
+        yield node, ast.Constant(type(number)(1 - number))
+        return
+    yield node, ast.Constant(2 * number)
+    if isinstance(number, float) or number % 2 == 0:
+        yield node, ast.Constant(type(number)(number / 2))
+
+
+def _swap(node: ast.AST) -> Iterator[Change]:
     if not isinstance(node, ast.Call) or _called(node) in SYMMETRIC:
         return
-    for first, second in itertools.pairwise(node.args):
-        if isinstance(first, ast.Starred) or isinstance(second, ast.Starred):
-            continue
-        if first.lineno != second.end_lineno:
-            continue
-        line = source.lines[first.lineno - 1]
-        between = line[source.stop(first) : source.start(second)]
-        text = source.text(second) + between + source.text(first)
-        yield Edit(first.lineno, source.start(first), source.stop(second), text)
+    for k, pair in enumerate(itertools.pairwise(node.args)):
+        if not any(isinstance(argument, ast.Starred) for argument in pair):
+            swapped = [*node.args[:k], *pair[::-1], *node.args[k + 2 :]]
+            yield node, _changed(node, args=swapped)
 
 
-def _comparison(node: ast.AST, source: Source) -> Iterator[Edit]:
-    if not isinstance(node, ast.Compare):
-        return
-    sides = itertools.pairwise([node.left, *node.comparators])
-    for operator, (left, right) in zip(node.ops, sides, strict=True):
-        if type(operator) in TURNED:
-            pair = TURNED[type(operator)]
-            yield from source.replace_operator(left, right, *pair)
+def _comparison(node: ast.AST) -> Iterator[Change]:
+    if isinstance(node, ast.Compare):
+        for k, operator in enumerate(node.ops):
+            if type(operator) in OPPOSITE:
+                turned = [*node.ops[:k], OPPOSITE[type(operator)](), *node.ops[k + 1 :]]
+                yield node, _changed(node, ops=turned)
 
 
-def _extremum(node: ast.AST, source: Source) -> Iterator[Edit]:
-    name = _called(node)
-    if name in EXCHANGED:
-        function = node.func  # type: ignore[attr-defined]
-        text = re.sub(rf"{name}$", EXCHANGED[name], source.text(function))
-        yield from source.replace(function, text)
+def _extremum(node: ast.AST) -> Iterator[Change]:
+    if isinstance(node, ast.Call) and _called(node) in EXCHANGED:
+        name = EXCHANGED[_called(node)]
+        field = "id" if isinstance(node.func, ast.Name) else "attr"
+        yield node.func, _changed(node.func, **{field: name})
 
 
-def _negation(node: ast.AST, source: Source) -> Iterator[Edit]:
+def _negation(node: ast.AST) -> Iterator[Change]:
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-        start = source.start(node)
-        yield Edit(node.lineno, start, start + len("not"), "")
+        yield node, node.operand
 
 
-def _default(node: ast.AST, source: Source) -> Iterator[Edit]:
-    if not isinstance(node, ast.arguments):
-        return
-    for value in (*node.defaults, *node.kw_defaults):
-        if not isinstance(value, ast.Constant):
-            continue
-        if isinstance(value.value, bool):
-            yield from source.replace(value, repr(not value.value))
-        for other in _other_factors(value.value):
-            yield from source.replace(value, repr(other))
-
-
-#: the first rule that gives a mutated line names its kind
-RULES: dict[str, Callable[[ast.AST, Source], Iterator[Edit]]] = {
+#: the first rule that gives a mutated text names its kind
+RULES: dict[str, Callable[[ast.AST], Iterator[Change]]] = {
     "default": _default,
     "index": _index,
     "sign": _sign,
@@ -286,34 +212,22 @@ RULES: dict[str, Callable[[ast.AST, Source], Iterator[Edit]]] = {
 }
 
 
-def _other_factors(value: object) -> list[float]:
-    """Twice and half a number; 0 and 1 exchange; an odd integer is only doubled."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return []
-    if value in (0, 1):
-        return [type(value)(1 - value)]
-    if isinstance(value, float):
-        return [2.0 * value, value / 2.0]
-    return [2 * value] if value % 2 else [2 * value, value // 2]
+def _changed(node: Any, **fields: Any) -> Any:
+    """A node with other fields."""
+    new = copy.copy(node)
+    for name, value in fields.items():
+        setattr(new, name, value)
+    return new
 
 
-def _called(node: ast.AST) -> str:
-    """Last name of the function that a node calls; empty where it calls none."""
-    if not isinstance(node, ast.Call) or not _on_one_line(node.func):
-        return ""
-    if isinstance(node.func, ast.Name):
-        return node.func.id
-    return node.func.attr if isinstance(node.func, ast.Attribute) else ""
+def _called(node: ast.Call) -> str:
+    """Last name of the function that a node calls; empty where it has none."""
+    return getattr(node.func, "id", getattr(node.func, "attr", ""))
 
 
-def _is_text(node: ast.expr) -> bool:
-    if isinstance(node, ast.JoinedStr):
-        return True
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
-
-
-def _on_one_line(node: ast.expr) -> bool:
-    return node.lineno == node.end_lineno
+def _is_text(node: ast.AST) -> bool:
+    is_text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return is_text or isinstance(node, ast.JoinedStr)
 
 
 # -- mutants over the rooms ------------------------------------------------------------
@@ -332,7 +246,7 @@ class Mutant:
 
     room        folder of its tests, from `tests`
     path        of the module, from the root of the tree
-    mutation    the changed line
+    mutation    the change
     """
 
     room: str
@@ -398,8 +312,7 @@ def _draw_in_room(
         kind = kinds[rng.integers(len(kinds))]
         of_kind = [choice for choice in choices if choice.kind == kind]
         mutation = of_kind[rng.integers(len(of_kind))]
-        if is_valid(texts[path], mutation):
-            yield path, mutation
+        yield path, mutation
 
 
 # -- the tests that reach a statement --------------------------------------------------
@@ -507,7 +420,7 @@ def baseline(
 
 def try_mutant(tree: Path, mutant: Mutant, first: list[str], limit: float) -> str:
     """KILLED, TIMED_OUT or SURVIVED; the tests that reach the statement run first."""
-    text = applied((tree / mutant.path).read_text("utf-8"), mutant.mutation)
+    text = mutant.mutation.applied((tree / mutant.path).read_text("utf-8"))
     (tree / "reaching.txt").write_text("\n".join(first), "utf-8")
     try:
         with replaced(tree, {mutant.path: text}):
@@ -578,17 +491,18 @@ def _trials(tree: Path, share: int, candidates: list[Mutant]) -> Iterator[Trial]
         if passes and k in reaching:
             verdict = try_mutant(tree, mutant, reaching[k], limit)
         judged += verdict != NOT_REACHED
-        _print_trial(mutant, verdict)
+        _print_trial(tree, mutant, verdict)
         yield mutant, verdict
 
 
-def _print_trial(mutant: Mutant, verdict: str) -> None:
+def _print_trial(tree: Path, mutant: Mutant, verdict: str) -> None:
     mutation = mutant.mutation
     line = f"{mutant.path}:{mutation.line}"
     print(f"{verdict:11s}  {mutation.kind:10s}  {line}", flush=True)
     if verdict not in DETECTED:
-        print(f"    - {mutation.before.strip()}", flush=True)
-        print(f"    + {mutation.after.strip()}", flush=True)
+        text = (tree / mutant.path).read_text("utf-8")
+        print(f"    - {mutation.before(text)}", flush=True)
+        print(f"    + {mutation.after}", flush=True)
 
 
 def _print_summary(trials: list[Trial]) -> None:

@@ -14,20 +14,18 @@ from __future__ import annotations
 import dataclasses
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from benchmarks.coverage.machines import Bench, configuration
 from benchmarks.coverage.noise import draw as draw_noise
+from benchmarks.harness import tables
 from benchmarks.harness.statistics import half_width
 from oed import posterior
 from oed.accuracy import driven_errors
 from oed.estimation import Estimate, identify
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: posterior draws for intervals, those for bands, share that an interval holds
 DRAWS, BAND_DRAWS, LEVEL = 2000, 200, 0.95
@@ -136,100 +134,11 @@ def _holds(draws: np.ndarray, true: np.ndarray) -> np.ndarray:
     return (low - ROUNDING <= true) & (true <= high + ROUNDING)
 
 
-# -- cells of the table ----------------------------------------------------------------
+# -- the case and its table ------------------------------------------------------------
 
-#: what the intervals promise, and the limits of the targets
-PROMISE = 0.95
-MEAN_LIMITS, NEES_LIMITS = (0.93, 0.97), (0.9, 1.15)
 #: of the band of the worst share
 WORST_BAND = 0.999
-
-
-@dataclasses.dataclass(frozen=True)
-class Share:
-    """Share of intervals that hold the truth.
-
-    mean    over machines and quantities
-    half    half its 95 % interval; machines are independent, quantities are not
-    worst   of one quantity over machines
-    lowest  lower end of the 99.9 % band of a share that is truly 0.95
-    """
-
-    mean: float
-    half: float
-    worst: float
-    lowest: float
-
-    @property
-    def mean_holds(self) -> bool:
-        """Whether the mean is within its limits."""
-        return MEAN_LIMITS[0] <= self.mean <= MEAN_LIMITS[1]
-
-    @property
-    def mean_may_hold(self) -> bool:
-        """Whether the mean's interval reaches into its limits."""
-        return _reaches(self.mean, self.half, MEAN_LIMITS)
-
-    @property
-    def worst_holds(self) -> bool:
-        """Whether the worst share is within its band."""
-        return self.worst >= self.lowest
-
-
-@dataclasses.dataclass(frozen=True)
-class Cell:
-    """Figures of the machines of one cell.
-
-    machines      how many
-    combinations  of identifiable parameters
-    bands         of pose components over the workspace
-    nees          mean squared error over all combinations, over their number
-    nees_half     half its 95 % interval
-    """
-
-    machines: int
-    combinations: Share
-    bands: Share
-    nees: float
-    nees_half: float
-
-    @property
-    def nees_holds(self) -> bool:
-        """Whether the joint error is within its limits."""
-        return NEES_LIMITS[0] <= self.nees <= NEES_LIMITS[1]
-
-    @property
-    def nees_may_hold(self) -> bool:
-        """Whether the joint error's interval reaches into its limits."""
-        return _reaches(self.nees, self.nees_half, NEES_LIMITS)
-
-
-def _reaches(value: float, half: float, limits: tuple[float, float]) -> bool:
-    return value - half <= limits[1] and value + half >= limits[0]
-
-
-def summarise(results: Sequence[Mapping[str, Any]]) -> Cell:
-    """The figures of machines' results."""
-    nees = np.array([r["nees"] for r in results])
-    return Cell(
-        machines=len(results),
-        combinations=_share([r["combinations"] for r in results]),
-        bands=_share([r["bands"] for r in results]),
-        nees=float(nees.mean()),
-        nees_half=half_width(nees),
-    )
-
-
-def _share(texts: Sequence[str]) -> Share:
-    inside = np.array([[mark == "1" for mark in text] for text in texts])
-    count = len(inside)
-    tail = 0.5 * (1.0 - WORST_BAND)
-    return Share(
-        mean=float(inside.mean()),
-        half=half_width(inside.mean(axis=1)),
-        worst=float(inside.mean(axis=0).min()),
-        lowest=float(stats.binom.ppf(tail, count, PROMISE)) / count,
-    )
+HEAD = ("readings", "noise", "machines", "combinations: mean", "worst")
 
 
 def intervals(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -242,60 +151,33 @@ def intervals(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     return outcome.as_json()
 
 
-def coverage(cases: pd.DataFrame, setting: Mapping[str, Any]) -> dict[str, Any]:
-    """Shares of intervals that hold the truth, of one cell of the table."""
-    figures = summarise(cases.to_dict("records"))
-    shares = {"combinations": figures.combinations, "bands": figures.bands}
-    row: dict[str, Any] = {}
-    for name, share in shares.items():
-        row |= {f"{name} mean": share.mean, f"{name} half": share.half}
-        row |= {f"{name} worst": share.worst, f"{name} lowest": share.lowest}
-    return {**row, "nees": figures.nees, "nees half": figures.nees_half}
-
-
-HEAD = (
-    "| readings | noise | machines | combinations: mean | worst | pose bands: mean |"
-    " worst | NEES/n |"
-)
-
-
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """One row a configuration and law.
+    """One row a configuration and law: shares that hold the truth, and the joint error.
 
-    What misses its target is bold, or italic where it may hold.
+    A mean share is over machines and quantities; a worst one is of one quantity, with the
+    lower end of the 99.9 % band of a share that is truly 0.95.
     """
-    cells: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
-        cells.setdefault((row["configuration"], row["law"]), []).append(row)
-    lines = [HEAD, "| --- | --- | --: | --: | --: | --: | --: | --: |"]
-    lines += [_row(*key, summarise(machines)) for key, machines in cells.items()]
+        groups.setdefault((row["configuration"], row["law"]), []).append(row)
+    lines = [tables.head(*HEAD, "pose bands: mean", "worst", "NEES/n")]
+    for key, machines in groups.items():
+        nees = [row["nees"] for row in machines]
+        cells = [
+            *share_cells([row["combinations"] for row in machines]),
+            *share_cells([row["bands"] for row in machines]),
+            f"{np.mean(nees):.2f} ± {half_width(nees):.2f}",
+        ]
+        lines.append(tables.row(*key, len(machines), *cells))
     return "\n".join(lines)
 
 
-def _row(name: str, law: str, cell: Cell) -> str:
-    nees = _mark(
-        f"{cell.nees:.2f} ± {cell.nees_half:.2f}", cell.nees_holds, cell.nees_may_hold
-    )
-    columns = [
-        name,
-        law,
-        str(cell.machines),
-        *_columns(cell.combinations),
-        *_columns(cell.bands),
-        nees,
-    ]
-    return f"| {' | '.join(columns)} |"
-
-
-def _columns(share: Share) -> list[str]:
-    mean = _mark(
-        f"{share.mean:.3f} ± {share.half:.3f}", share.mean_holds, share.mean_may_hold
-    )
-    worst = _mark(f"{share.worst:.2f} ({share.lowest:.2f})", share.worst_holds, False)
-    return [mean, worst]
-
-
-def _mark(text: str, holds: bool, may_hold: bool) -> str:
-    if holds:
-        return text
-    return f"*{text}*" if may_hold else f"**{text}**"
+def share_cells(texts: Sequence[str]) -> list[str]:
+    """Mean share of intervals that hold the truth, and that of the worst quantity."""
+    inside = np.array([[mark == "1" for mark in text] for text in texts])
+    # machines are independent, quantities are not
+    half = half_width(inside.mean(axis=1))
+    worst = inside.mean(axis=0).min()
+    count = len(inside)
+    lowest = stats.binom.ppf(0.5 * (1.0 - WORST_BAND), count, LEVEL) / count
+    return [f"{inside.mean():.3f} ± {half:.3f}", f"{worst:.2f} ({lowest:.2f})"]

@@ -21,7 +21,6 @@ from oed.estimation import IdentifiableCoordinates
 from oed.instrument import mount
 from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.mechanism import Kinematics
-from oed.noise import NoiseStatement
 from pkm_models.instruments import ball_bar, calliper, height_probe, relative
 from pkm_models.machines import a3_head, linear_delta, planar_2dof
 from pkm_models.machines import hexapod as model
@@ -54,13 +53,6 @@ class Bench:
     command: np.ndarray
     read: Callable[[np.ndarray], np.ndarray]
     errors: Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-    def stating(self, statement: NoiseStatement) -> Bench:
-        """The same machines with the same errors, of which the study states something."""
-        mounted = self.measurement.setups.values()
-        setups = [dataclasses.replace(s, statement=statement) for s in mounted]
-        stated = self.measurement.with_setups(setups)
-        return dataclasses.replace(self, measurement=stated)
 
     @functools.cached_property
     def coordinates(self) -> IdentifiableCoordinates:
@@ -389,8 +381,6 @@ def _hexapod_errors(
 # -- by name ---------------------------------------------------------------------------
 
 
-#: that the cup stays where it is: no law of the noise seats it anew
-STAYS = NoiseStatement(seating=0.0)
 A3_PLANS = {
     "a3_30": (TWO, ("cup",)),
     "a3_60": (TWO, ("cup", "long_tool")),
@@ -401,7 +391,5 @@ OTHERS = {"planar": planar, "delta": delta, "hexapod": hexapod}
 
 @functools.cache
 def configuration(name: str) -> Bench:
-    """A configuration, compiled once; `_stated` where the study says that the cup stays."""
-    plan = name.removesuffix("_stated")
-    bench = OTHERS[plan]() if plan in OTHERS else a3(plan, *A3_PLANS[plan])
-    return bench.stating(STAYS) if name.endswith("_stated") else bench
+    """A configuration, compiled once."""
+    return OTHERS[name]() if name in OTHERS else a3(name, *A3_PLANS[name])

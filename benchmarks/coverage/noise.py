@@ -23,6 +23,8 @@ import dataclasses
 
 import numpy as np
 
+from benchmarks.harness.noise import autoregression
+
 OFFSET, DECAY, OUTLIERS, FAR = 2.0, 0.9, 0.02, (5.0, 50.0)
 #: size of what moves through a session, and periods of a saw-tooth
 COURSE, PERIODS = 4.0, (3.0, 8.0)
@@ -90,13 +92,9 @@ def _student(size: int, rng: np.random.Generator) -> np.ndarray:
 
 def _autoregression(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     """Stationary errors (N,) of unit variance."""
-    step = rng.standard_normal(len(layout.chain))
-    error = np.empty_like(step)
+    white = rng.standard_normal(len(layout.chain))
+    error = np.empty_like(white)
     for number in range(layout.chain.max() + 1):
-        members = np.flatnonzero(layout.chain == number)
-        value = step[members[0]]
-        error[members[0]] = value
-        for k in members[1:]:
-            value = DECAY * value + np.sqrt(1.0 - DECAY**2) * step[k]
-            error[k] = value
+        members = layout.chain == number
+        error[members] = autoregression(white[members], DECAY)
     return error

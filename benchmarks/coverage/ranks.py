@@ -11,63 +11,36 @@ identifiable combination, and of every coordinate of the noise law.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from benchmarks.coverage.intervals import generator, true_coordinates
 from benchmarks.coverage.machines import Bench, configuration
+from benchmarks.harness import tables
 from oed import posterior
 from oed.estimation import identify
 from oed.measurement import reading_structure
 from oed.noise_law import NoisePrior
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 #: columns of a row that are no ranks
 NO_RANKS = ("configuration", "stream", "seed", "error", "cpu_s")
 #: draws that a rank is among
 DRAWS = 99
-BINS = 10
-#: probability below which ranks count as not uniform
-MIN_PROBABILITY = 0.01
 
 
-@dataclasses.dataclass(frozen=True)
-class Calibration:
-    """Ranks of q quantities over machines.
+def joint_probability(ranks: np.ndarray, seed: int) -> float:
+    """Probability of the farthest from uniform of ranks (machines, q), from 0 to DRAWS.
 
-    names          of the quantities
-    ranks          (machines, q) from 0 to DRAWS
-    probabilities  (q,) of ranks as far from uniform, by Kolmogorov and Smirnov
+    By Kolmogorov and Smirnov, for all q quantities together (Bonferroni). Each rank stands
+    for its bin, evenly.
     """
-
-    names: tuple[str, ...]
-    ranks: np.ndarray
-    probabilities: np.ndarray
-
-    @property
-    def joint(self) -> float:
-        """Probability of the farthest, for all quantities together (Bonferroni)."""
-        return min(1.0, len(self.names) * float(self.probabilities.min()))
-
-    @property
-    def counts(self) -> np.ndarray:
-        """Ranks of all quantities in bins of equal width (BINS,)."""
-        edges = np.linspace(0.0, DRAWS + 1.0, BINS + 1)
-        return np.histogram(self.ranks, edges)[0]
-
-
-def calibration(names: Sequence[str], ranks: np.ndarray, seed: int) -> Calibration:
-    """Test of ranks (machines, q). Each rank stands for its bin, evenly."""
     rng = np.random.default_rng(seed)
     even = (ranks + rng.uniform(size=ranks.shape)) / (DRAWS + 1.0)
     probabilities = [stats.kstest(values, "uniform").pvalue for values in even.T]
-    return Calibration(tuple(names), ranks, np.array(probabilities))
+    return min(1.0, len(probabilities) * float(min(probabilities)))
 
 
 def one_machine(bench: Bench, number: int, seed: int) -> dict[str, int]:
@@ -104,35 +77,15 @@ def truth_ranks(setting: Mapping[str, Any], seed: int) -> dict[str, int]:
     return one_machine(bench, seed, setting["stream"])
 
 
-def calibration_of_rows(rows: Sequence[Mapping[str, Any]]) -> Calibration:
-    """The test of the ranks of one configuration's machines."""
-    names = [n for n, v in rows[0].items() if n not in NO_RANKS and v is not None]
-    values = np.array([[int(row[n]) for n in names] for row in rows])
-    return calibration(names, values, rows[0]["stream"])
-
-
-def uniformity(cases: pd.DataFrame, setting: Mapping[str, Any]) -> dict[str, Any]:
-    """Probability that all ranks are uniform, and their counts in bins."""
-    ranks = cases.dropna(axis="columns").to_dict("records")
-    result = calibration_of_rows([{**setting, **row} for row in ranks])
-    row: dict[str, Any] = {"quantities": len(result.names), "joint p": result.joint}
-    return row | {f"bin {k + 1}": int(n) for k, n in enumerate(result.counts)}
-
-
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """One row a configuration: what the ranks are of, and how uniform they are."""
-    machines: dict[str, list[Mapping[str, Any]]] = {}
+    groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        machines.setdefault(row["configuration"], []).append(row)
-    bins = " | ".join(str(k + 1) for k in range(BINS))
-    lines = [f"| readings | machines | quantities | joint p | {bins} |"]
-    lines.append(f"| --- | --: | --: | --: |{' --: |' * BINS}")
-    for name, some in machines.items():
-        result = calibration_of_rows(some)
-        joint = f"{result.joint:.2g}"
-        if result.joint < MIN_PROBABILITY:
-            joint = f"**{joint}**"
-        count, quantities = result.ranks.shape
-        counts = " | ".join(str(number) for number in result.counts)
-        lines.append(f"| {name} | {count} | {quantities} | {joint} | {counts} |")
+        groups.setdefault(row["configuration"], []).append(row)
+    lines = [tables.head("readings", "machines", "quantities", "joint p")]
+    for name, some in groups.items():
+        names = [n for n, v in some[0].items() if n not in NO_RANKS and v is not None]
+        ranks = np.array([[int(row[n]) for n in names] for row in some])
+        joint = joint_probability(ranks, some[0]["stream"])
+        lines.append(tables.row(name, *ranks.shape, f"{joint:.2g}"))
     return "\n".join(lines)

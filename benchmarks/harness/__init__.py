@@ -6,5 +6,5 @@ campaign NAME runs its cases and goes on where it was interrupted:
     PYTHONPATH=. oed campaign --allow-code benchmarks/NAME.campaign.toml
     python -m benchmarks.harness NAME
 
-The second command prints the table, or writes it into a page.
+The second command prints the table.
 """

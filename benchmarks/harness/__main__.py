@@ -1,7 +1,6 @@
-"""The table of a campaign, printed or written into a page.
+"""The table of a campaign.
 
     python -m benchmarks.harness NAME
-    python -m benchmarks.harness NAME --page PAGE.md  # between its marks
 
 The campaign `benchmarks/NAME.campaign.toml` comes first, see `benchmarks.harness`.
 """
@@ -15,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import pages
+from pkm_campaign import read_row
 
 Table = Callable[[Sequence[Mapping[str, Any]]], str]
 #: where the table of a campaign's rows is made: the judge's, unless it asks otherwise
@@ -30,41 +29,40 @@ TABLES = {
     "random_machines": "random_machines.cases:table",
     "real_machines": "real_machines.cases:accuracy_table",
     "real_answers": "real_machines.cases:answers_table",
-    "real_plans": "real_machines.plans:realised_table",
     "attainable": "real_machines.plans:attainable_table",
 }
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done, 2 bad input."""
-    options = _parser().parse_args(arguments)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.harness", description=__doc__
+    )
+    parser.add_argument("name", choices=TABLES, help="of the campaign")
+    parser.add_argument("--campaign", type=Path, help="its folder; out/NAME")
+    options = parser.parse_args(arguments)
     folder = options.campaign or Path("out") / options.name
+    module, _, function = TABLES[options.name].partition(":")
+    table: Table = getattr(importlib.import_module(f"benchmarks.{module}"), function)
     try:
-        text = _table(options.name)(pages.rows(folder))
-        if options.page is None:
-            print(text)
-        else:
-            pages.write_block(options.page, f"{options.name} table", text)
+        print(table(rows(folder)))
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0
 
 
-def _table(name: str) -> Table:
-    module, _, function = TABLES[name].partition(":")
-    table: Table = getattr(importlib.import_module(f"benchmarks.{module}"), function)
-    return table
+def rows(folder: Path) -> list[dict[str, Any]]:
+    """The rows without an error that a campaign has in its folder, done or not.
 
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.harness", description=__doc__
-    )
-    parser.add_argument("name", choices=TABLES, help="of the campaign")
-    parser.add_argument("--campaign", type=Path, help="its folder; out/NAME")
-    parser.add_argument("--page", type=Path, help="page to write the table into")
-    return parser
+    Raises ValueError where there are none.
+    """
+    every = [read_row(path) for path in sorted((folder / "cases").glob("*.json"))]
+    valid = [row for row in every if not row.get("error")]
+    if not valid:
+        file = f"benchmarks/{folder.name}.campaign.toml"
+        raise ValueError(f"{folder}: no case; run `oed campaign {file}` first")
+    return valid
 
 
 if __name__ == "__main__":

@@ -30,7 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness.statistics import Measure, average, middle, share
+from benchmarks.harness import tables
+from benchmarks.harness.statistics import Measure, middle, share
 
 UNKNOWN = "unknown"
 #: machine and name of a case
@@ -43,7 +44,6 @@ GAIN = 36.0
 TOO_WIDE = 1.5
 #: bins of the probability of the answer
 BINS = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-NONE_BINS = ((0.0, 0.6), (0.6, 0.7), (0.7, 0.8), (0.8, 0.9), (0.9, 1.0))
 
 
 class Scored:
@@ -123,7 +123,6 @@ def rows(scored: Sequence[Scored]) -> list[Measure]:
         *_closures(full),
         *_places(full),
         *_calibration(full),
-        *_noise_alone(full),
     ]
 
 
@@ -156,11 +155,6 @@ def _names(full: Sequence[Scored]) -> list[Measure]:
     outside = [s for s in full if s.kind == "unknown" and s.names_count]
     return [
         _share("right class", clear, _right_class),
-        *_by_machine("right class", clear, _right_class),
-        average(
-            "mean probability of the true class",
-            [_true_class_probability(s) for s in clear],
-        ),
         _share("both of two", pairs, lambda s: s.names_are_right(s.names)),
         _share("unknown flagged", outside, lambda s: UNKNOWN in s.first),
         _share("known called unknown", clear, lambda s: s.verdict == UNKNOWN),
@@ -169,14 +163,6 @@ def _names(full: Sequence[Scored]) -> list[Measure]:
 
 def _right_class(s: Scored) -> bool:
     return s.detected and bool(s.names) and s.names <= s.classes[0]
-
-
-def _true_class_probability(s: Scored) -> float:
-    return sum(
-        probability
-        for effects, probability in s.answers
-        if effects - {UNKNOWN} and effects - {UNKNOWN} <= s.classes[0]
-    )
 
 
 def _coverage(full: Sequence[Scored]) -> list[Measure]:
@@ -193,8 +179,6 @@ def _coverage(full: Sequence[Scored]) -> list[Measure]:
     for kind, words in kinds.items():
         part = [s for s in full if s.kind == kind]
         rows_of.append(_share(f"95 % set covers, {words}", part, _covers))
-    sizes = [float(len(s.result.get("set95", []))) for s in full if s.is_clear]
-    rows_of.append(average("mean size of the 95 % set", sizes))
     return rows_of
 
 
@@ -272,31 +256,7 @@ def _calibration(full: Sequence[Scored]) -> list[Measure]:
         part = [s for s in judged if low <= s.probability < high + 1e-9 * (high == 1)]
         title = f"answers of probability {low:g} to {high:g} that are right"
         found.append(_share(title, part, lambda s: s.is_right))
-    none = [s for s in judged if not s.detected and s.probability >= 0.9]
-    found.append(_share("no gap at 0.9 and more is right", none, lambda s: s.is_right))
     return found
-
-
-def _noise_alone(full: Sequence[Scored]) -> list[Measure]:
-    """Answers of no gap by their probability, and how often scatter is the verdict."""
-    none = [s for s in full if not s.detected]
-    measures = []
-    for low, high in NONE_BINS:
-        part = [s for s in none if low <= s.probability < high + 1e-9 * (high == 1)]
-        title = f"noise alone, given with {low:g} to {high:g}, that is right"
-        measures.append(_share(title, part, lambda s: not s.effects))
-    scatter = "verdict scatter, of all cases"
-    return [*measures, _share(scatter, full, lambda s: s.verdict == "scatter")]
-
-
-def _by_machine(
-    title: str, scored: Sequence[Scored], check: Callable[[Scored], bool]
-) -> list[Measure]:
-    machines = dict.fromkeys(s.label["machine"] for s in scored)
-    return [
-        _share(f"{title}, {m}", [s for s in scored if s.label["machine"] == m], check)
-        for m in machines
-    ]
 
 
 def _share(
@@ -328,28 +288,18 @@ def table(rows_of: Sequence[Mapping[str, Any]]) -> str:
         )
     failed = sum("failure" in first[key].result for key in whole)
     seconds = statistics.median(first[key].result["cpu_s"] for key in whole)
-    columns = [
-        {m.title: m for m in rows([scored[key] for key in whole])}
-        for scored in by_observer.values()
-    ]
+    columns = [rows([scored[key] for key in whole]) for scored in by_observer.values()]
     lines = [
         f"{len(whole)} cases, {failed} of which the diagnosis could not read;"
         f" {seconds:.1f} s of processor time a case in the middle.",
         "",
-        "| measure | " + " | ".join(by_observer) + " |",
-        "|---" * (len(by_observer) + 1) + "|",
+        tables.head("measure", *by_observer),
     ]
-    for title in dict.fromkeys(title for column in columns for title in column):
-        measures = [column.get(title) for column in columns]
-        if any(m is not None and m.count for m in measures):
-            cells = ["-" if m is None else m.cell for m in measures]
-            lines.append(f"| {formula(title)} | " + " | ".join(cells) + " |")
+    for measures in zip(*columns, strict=True):
+        if any(m.count for m in measures):
+            title = measures[0].title.replace("sqrt(lambda)", "$\\sqrt\\lambda$")
+            lines.append(tables.row(title, *(m.cell for m in measures)))
     return "\n".join([*lines, "", *_by_effect([first[key] for key in whole])])
-
-
-def formula(title: str) -> str:
-    """A title as pages have it."""
-    return title.replace("sqrt(lambda)", "$\\sqrt\\lambda$")
 
 
 def _by_effect(scored: Sequence[Scored]) -> list[str]:
@@ -358,10 +308,7 @@ def _by_effect(scored: Sequence[Scored]) -> list[str]:
     for s in scored:
         if s.kind in ("single", "unknown") and s.total >= SIX:
             groups[s.kind == "unknown", s.effects[0]["effect"]].append(s)
-    lines = [
-        "| effect | cases | detected | right | other answers |",
-        "|---|---|---|---|---|",
-    ]
+    lines = [tables.head("effect", "cases", "detected", "right", "other answers")]
     for (never_listed, name), group in sorted(groups.items()):
         right = [s for s in group if _is_named(s)]
         others = collections.Counter(
@@ -370,9 +317,7 @@ def _by_effect(scored: Sequence[Scored]) -> list[str]:
         words = ", ".join(f"{what} {n}" for what, n in others.most_common())
         detected = sum(s.detected for s in group)
         title = f"{name} (never listed)" if never_listed else name
-        lines.append(
-            f"| {title} | {len(group)} | {detected} | {len(right)} | {words or '-'} |"
-        )
+        lines.append(tables.row(title, len(group), detected, len(right), words or "-"))
     return lines
 
 

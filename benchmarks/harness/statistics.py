@@ -38,11 +38,6 @@ def share(title: str, tests: Sequence[bool]) -> Measure:
     return Measure(title, value, *wilson(hits, count), count)
 
 
-def average(title: str, values: Sequence[float]) -> Measure:
-    """A mean with the interval of Student's t."""
-    return Measure(title, *mean(values), len(values))
-
-
 def middle(title: str, values: Sequence[float]) -> Measure:
     """A median with its distribution-free interval."""
     return Measure(title, *median(values), len(values))

@@ -136,7 +136,7 @@ def _case(
     free = np.array([p.name not in machine.frame for p in machine.parameters])
     tolerance = np.array([p.tolerance for p in machine.parameters]) * free
     errors = machines.parameter_errors(tolerance, rng, rng.uniform(0.3, 1.0))
-    truth = machines.Truth(drawn.model, machine, machine.nominal + errors)
+    truth = machines.Truth(machine, machine.nominal + errors)
     sigma = _sigma(drawn.size, rng)
     centre = truth.nominal(machine.home_command[None])[0][0]
     bench = Bench(centre, drawn.size, sigma, rng)

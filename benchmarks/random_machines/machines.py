@@ -1,15 +1,16 @@
 """Random machines: their tables of a study, and where their tool stands in truth.
 
-Five kinds are plain closures too, solved by Newton's method in NumPy. Nothing of these is
-shared with the toolkit but the names of the parameters. A machine reads its joints from
-the controller, which believes in the drawing, and stands where the true closure holds.
+A machine reads its joints from the controller, which believes in the drawing, and stands
+where the closure with its true parameters holds. Poses are by the toolkit's kinematics:
+what is asked here is what noise and plans do to a diagnosis (`benchmarks.coverage` and
+`benchmarks.blind` have closures of their own).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -112,44 +113,6 @@ def parameter_errors(
     return np.asarray(share * tolerance * normal)
 
 
-# -- plain closures -----------------------------------------------------------------------
-
-Numbers = Mapping[str, float]
-#: closure rows (n, k) at poses (n, k) and joints (n, k)
-Closure = Callable[[Array, Array, Numbers], Array]
-#: joints (n, k) that hold poses (n, k)
-Inverse = Callable[[Array, Numbers], Array]
-#: steps of Newton's method, and of its differences as a share of the machine's size
-STEPS, DIFFERENCE = 30, 1e-6
-
-
-@dataclasses.dataclass(frozen=True)
-class PlainMachine:
-    """A machine whose pose is its command.
-
-    closure, inverse    as above
-    turns               whether the pose has three turns, rad, after x, y, z
-    planar              whether the pose is y and z
-    """
-
-    closure: Closure
-    inverse: Inverse
-    turns: bool = False
-    planar: bool = False
-
-    def tool(
-        self, command: Array, nominal: Numbers, true: Numbers
-    ) -> tuple[Array, Array]:
-        """Tool points (n, 3) and rotations (n, 3, 3) of the true machine at commands."""
-        joints = self.inverse(command, nominal)
-        pose = _solve(lambda x: self.closure(x, joints, true), command)
-        point = pose[:, :3]
-        if self.planar:
-            point = np.column_stack([np.zeros(len(pose)), pose])
-        turns = pose[:, 3:] if self.turns else np.zeros((len(pose), 3))
-        return point, rotations(turns)
-
-
 def rotations(turns: Array) -> Array:
     """Rotations (n, 3, 3): a spin about the tool's axis, then a tilt (rx, ry, 0)."""
     tilt = np.column_stack([turns[:, :2], np.zeros(len(turns))])
@@ -157,125 +120,14 @@ def rotations(turns: Array) -> Array:
     return (Rotation.from_rotvec(tilt) * spin).as_matrix()
 
 
-def _solve(residual: Callable[[Array], Array], start: Array) -> Array:
-    """Poses (n, k) where the residual (n, k) is zero, from a start. Raises ValueError."""
-    pose = start.copy()
-    for _ in range(STEPS):
-        value = residual(pose)
-        columns = []
-        for k in range(pose.shape[1]):
-            step = np.zeros(pose.shape[1])
-            step[k] = DIFFERENCE
-            ahead, behind = residual(pose + step), residual(pose - step)
-            columns.append((ahead - behind) / (2.0 * DIFFERENCE))
-        slope = np.stack(columns, axis=2)
-        change = np.linalg.solve(slope, value[:, :, None])[:, :, 0]
-        pose = pose - change
-        if np.abs(change).max() < 1e-13 * max(1.0, float(np.abs(pose).max())):
-            return pose
-    raise ValueError("Newton's method does not converge")
-
-
-def _each(p: Numbers, stem: str, count: int) -> Array:
-    return np.array([p[f"{stem}{i + 1}"] for i in range(count)])
-
-
-def _points(p: Numbers, stem: str, count: int) -> Array:
-    return np.array([[p[f"{stem}{i + 1}{k}"] for k in "xyz"] for i in range(count)])
-
-
-# -- deltas ----------------------------------------------------------------------------
-
-
-def _towers(p: Numbers) -> tuple[Array, Array, Array, Array]:
-    """Feet (3, 3), directions (3, 3), heights at travel 0 (3,), and arms (3,)."""
-    angle, arm = _each(p, "angle", 3), _each(p, "arm", 3)
-    radius = np.full(3, p["radius"]) if "radius" in p else _each(p, "radius", 3)
-    tilted = "lean1" in p
-    lean = _each(p, "lean", 3) if tilted else np.zeros(3)
-    tip = _each(p, "tip", 3) if tilted else np.zeros(3)
-    out = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
-    side = np.column_stack([-np.sin(angle), np.cos(angle), np.zeros(3)])
-    axis = lean[:, None] * out + tip[:, None] * side + np.array([0.0, 0.0, 1.0])
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    top = _each(p, "endstop", 3) + np.sqrt(arm**2 - radius**2)
-    return radius[:, None] * out, axis, top, arm
-
-
-def _delta_closure(x: Array, q: Array, p: Numbers) -> Array:
-    foot, axis, top, arm = _towers(p)
-    carriage = foot + (top - q)[:, :, None] * axis
-    return np.asarray(np.linalg.norm(x[:, None] - carriage, axis=2) - arm)
-
-
-def _delta_inverse(x: Array, p: Numbers) -> Array:
-    foot, axis, top, arm = _towers(p)
-    offset = x[:, None] - foot
-    along = np.einsum("nik,ik->ni", offset, axis)
-    across = (offset**2).sum(axis=2) - along**2
-    return np.asarray(top - along - np.sqrt(arm**2 - across))
-
-
-# -- extensible legs -------------------------------------------------------------------
-
-
-def _hexapod_lengths(x: Array, p: Numbers) -> Array:
-    foot, joint = _points(p, "b", 6), _points(p, "a", 6)
-    turned = np.einsum("nkl,il->nik", rotations(x[:, 3:]), joint)
-    strut = x[:, None, :3] + turned - foot
-    return np.asarray(np.linalg.norm(strut, axis=2) - _each(p, "l", 6))
-
-
-def _cmm_lengths(x: Array, p: Numbers) -> Array:
-    ends = []
-    for part in "fp":
-        radius, angle = _each(p, f"r{part}", 3), _each(p, f"theta{part}", 3)
-        flat = [radius * np.cos(angle), radius * np.sin(angle), np.zeros(3)]
-        ends.append(np.column_stack(flat))
-    strut = x[:, None] + ends[1] - ends[0]
-    return np.asarray(np.linalg.norm(strut, axis=2) - _each(p, "dl", 3))
-
-
-# -- two sliders in a plane ------------------------------------------------------------
-
-
-def _sliders_closure(x: Array, q: Array, p: Numbers) -> Array:
-    travel, tilt = q + _each(p, "z", 2), _each(p, "beta", 2)
-    side = np.array([-0.5, 0.5]) * p["D"]
-    across = x[:, :1] - side + travel * np.sin(tilt)
-    up = x[:, 1:] - travel * np.cos(tilt)
-    return np.asarray(np.hypot(across, up) - _each(p, "l", 2))
-
-
-def _sliders_inverse(x: Array, p: Numbers) -> Array:
-    """Of the drawing, whose guides are upright and whose zeros are right."""
-    across = x[:, :1] - np.array([-0.5, 0.5]) * p["D"]
-    return np.asarray(x[:, 1:] + np.sqrt(_each(p, "l", 2) ** 2 - across**2))
-
-
-PLAIN = {
-    "delta": PlainMachine(_delta_closure, _delta_inverse),
-    "linear_delta": PlainMachine(_delta_closure, _delta_inverse),
-    "hexapod_ups": PlainMachine(
-        lambda x, q, p: _hexapod_lengths(x, p) - q, _hexapod_lengths, turns=True
-    ),
-    "micro_cmm": PlainMachine(lambda x, q, p: _cmm_lengths(x, p) - q, _cmm_lengths),
-    "planar_2dof": PlainMachine(_sliders_closure, _sliders_inverse, planar=True),
-}
-
-
 # -- the true machine ---------------------------------------------------------------------
 
 
 class Truth:
-    """Where the tool of the true machine stands: `true` (np,) are its parameters.
+    """Where the tool of the true machine stands: `true` (np,) are its parameters."""
 
-    Five models have closures of their own; the others use the toolkit's kinematics.
-    """
-
-    def __init__(self, model: str, machine: Machine, true: Array) -> None:
-        self.machine, self.true = machine, true
-        self._plain = PLAIN.get(model)
+    def __init__(self, machine: Machine, true: Array) -> None:
+        self.true = true
         self.kinematics = Kinematics(machine)
 
     def joints(self, command: Array) -> Array:
@@ -284,18 +136,13 @@ class Truth:
 
     def nominal(self, command: Array) -> tuple[Array, Array]:
         """Tool points (n, 3) and rotations (n, 3, 3) where the drawing has them."""
-        pose, _ = self.kinematics.inverse(command)
-        rotation, point, _ = self.kinematics.frames(pose, np.zeros(3))
-        return point, rotation
+        return self._frames(self.kinematics.inverse(command)[0])
 
     def tool(self, command: Array) -> tuple[Array, Array]:
         """Tool points (n, 3) and rotations (n, 3, 3) of the true machine."""
-        if self._plain is None:
-            pose, joints = self.kinematics.inverse(command)
-            pose = self.kinematics.forward(joints, self.true, pose)
-            rotation, point, _ = self.kinematics.frames(pose, np.zeros(3))
-            return point, rotation
-        names = [p.name for p in self.machine.parameters]
-        nominal = dict(zip(names, self.machine.nominal, strict=True))
-        true = dict(zip(names, self.true, strict=True))
-        return self._plain.tool(command, nominal, true)
+        pose, joints = self.kinematics.inverse(command)
+        return self._frames(self.kinematics.forward(joints, self.true, pose))
+
+    def _frames(self, pose: Array) -> tuple[Array, Array]:
+        rotation, point, _ = self.kinematics.frames(pose, np.zeros(3))
+        return point, rotation

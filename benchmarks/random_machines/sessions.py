@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness.noise import autoregression
 from benchmarks.random_machines.machines import parameter_errors, rotations
 from oed.mechanism import AssemblyError
 from oed.model import Coordinate, Machine
@@ -49,13 +50,10 @@ class Law:
             return np.asarray(rng.standard_t(4.0, count) / math.sqrt(2.0))
         if self.name == "offsets":
             return np.asarray(normal + self.offset * rng.standard_normal())
-        keep = math.exp(-1.0 / self.reach)
-        carried = rng.standard_normal(count)
-        for k in range(1, count):
-            fresh = math.sqrt(1.0 - keep**2) * carried[k]
-            carried[k] = keep * carried[k - 1] + fresh
+        decay = math.exp(-1.0 / self.reach)
+        correlated = autoregression(rng.standard_normal(count), decay)
         slow, fast = math.sqrt(self.share), math.sqrt(1.0 - self.share)
-        return np.asarray(slow * carried + fast * normal)
+        return np.asarray(slow * correlated + fast * normal)
 
 
 def draw_law(name: str, rng: np.random.Generator) -> Law:

@@ -1,19 +1,13 @@
-"""Plans for real machines beside plans for rigid ones: by the criterion, and as realised.
+"""What plans for real machines can gain over plans for rigid ones, by the criterion.
 
     PYTHONPATH=. oed campaign --allow-code benchmarks/attainable.campaign.toml --seeds 4
     python -m benchmarks.harness attainable
-    PYTHONPATH=. oed campaign --allow-code benchmarks/real_plans.campaign.toml --seeds 8
-    python -m benchmarks.harness real_plans
 
-From the poses of one session each plan takes some. `attainable`: for a rigid machine, for
-effects of the typical size of a healthy machine, and for effects of the full size that the
-catalogue expects; each plan is valued on machines with effects of each of these sizes, by
-the mean variance of the tool point over the session's poses. All readings of the session
-together are a bound for every plan.
-
-`real_plans`: as `[design]` with and without effects does. Machines are drawn by an
-independent generator, with all of their effects, and both plans are fitted with effects
-allowed. Judged is the true error of the tool point once the parameters are compensated.
+From the poses of one session each plan takes some: for a rigid machine, for effects of the
+typical size of a healthy machine, and for effects of the full size that the catalogue
+expects. Each plan is valued on machines with effects of each of these sizes, by the mean
+variance of the tool point over the session's poses. All readings of the session together
+are a bound for every plan. Machines are drawn by an independent generator.
 """
 
 from __future__ import annotations
@@ -26,13 +20,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.real_machines import world
-from benchmarks.real_machines.cases import judge
 from oed.accuracy import ErrorMaps
 from oed.base import Array, Index
 from oed.design import CRITERIA, Candidates, choose
-from oed.effects import ExpectedColumns, PlannedEffects
-from oed.estimation import Discrepancy, identify
-from oed.gap import assemble
+from oed.effects import PlannedEffects
+from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
 from pkm_studies.base import Location
 from pkm_studies.resolve import GapRequest
@@ -44,7 +36,6 @@ SIZES, ALL = ("rigid", "typical", "full"), "all readings"
 UNKNOWNS = 60
 #: poses of the session at which accuracy counts while planning
 WORKSPACE = 60
-KINDS = ("rigid", "real")
 
 
 def attainable(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -149,95 +140,3 @@ def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
 def _workspace(bench: world.Bench) -> Array:
     """Some of the session's commands, at which accuracy counts."""
     return bench.command[:: max(len(bench.command) // WORKSPACE, 1)]
-
-
-# -- as realised -----------------------------------------------------------------------
-
-
-def realised(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Realised errors of both plans on one machine, um."""
-    bench = world.draw(setting["machine"], 0, setting["level"], seed)
-    count = setting["readings"]
-    chosen = {kind: _chosen(bench, count, seed, kind == "real") for kind in KINDS}
-    record: dict[str, Any] = {
-        kind: _realised(bench, indices, seed) for kind, indices in chosen.items()
-    }
-    common = set(chosen["rigid"]) & set(chosen["real"])
-    return record | {"common": len(common) / count}
-
-
-def _chosen(bench: world.Bench, count: int, seed: int, real: bool) -> Index:
-    """Readings of the session that a plan takes, by their number."""
-    rng = np.random.default_rng(seed)
-    effects = effects_of(bench, rng).of_size(Discrepancy.HEALTHY) if real else None
-    return problem(bench, effects).plan(count, rng)
-
-
-def _realised(bench: world.Bench, indices: Index, seed: int) -> dict[str, float]:
-    """Error once the parameters are compensated that chosen readings identify."""
-    measurement, rng = bench.measurement, np.random.default_rng(seed)
-    series, numbers = _taken(bench, indices)
-    y, rows = bench.y[numbers], bench.covariates.iloc[indices].reset_index(drop=True)
-    plain = identify(measurement, series, y)
-    gap_problem = assemble(
-        measurement, series, rows, plain.theta, y, gravity=bench.gravity
-    )
-    columns = ExpectedColumns.of(gap_problem, bench.effects)
-    estimate = identify(
-        measurement,
-        gap_problem.series,
-        y,
-        discrepancy=None if columns is None else columns.discrepancy,
-        rng=rng,
-    )
-    alone = plain.theta[None]
-    theta, draws = plain.theta, alone
-    if estimate.effects is not None:
-        theta, draws = estimate.effects.theta.mean(axis=0), estimate.effects.theta
-    return {
-        "rms_um": judge(bench, theta, draws)["rms_um"],
-        "rms_without_um": judge(bench, plain.theta, alone)["rms_um"],
-    }
-
-
-def _taken(bench: world.Bench, indices: Index) -> tuple[list[Any], Index]:
-    """The chosen readings as series, and the numbers that they read."""
-    series, numbers, reading, number = [], [], 0, 0
-    for s in bench.series:
-        channels = len(bench.measurement.setups[s.setup].sigma)
-        rows = indices[(indices >= reading) & (indices < reading + len(s))] - reading
-        if rows.size:
-            series.append(s.take(rows))
-            numbers.append(
-                (number + channels * rows[:, None] + np.arange(channels)).ravel()
-            )
-        reading, number = reading + len(s), number + channels * len(s)
-    return series, np.concatenate(numbers)
-
-
-def realised_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Ratios of the realised errors, with the standard errors of their means."""
-    lines = [
-        "| machine | level | machines | rigid plan, um | real plan, um | ratio | standard error |"
-        " 10 % | 90 % |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault((row["machine"], row["level"]), []).append(row)
-    for (machine, level), some in groups.items():
-        errors = np.array([[r[kind]["rms_um"] for kind in KINDS] for r in some])
-        lines.append(f"| {machine} | {level} | {_line(errors)} |")
-    return "\n".join(lines)
-
-
-def _line(errors: Array) -> str:
-    logs = np.log(errors[:, 0] / errors[:, 1])
-    error = float(logs.std(ddof=1) / np.sqrt(len(logs)))
-    ratio = float(np.exp(logs.mean()))
-    rigid, real = np.median(errors, axis=0)
-    low, high = np.exp(np.quantile(logs, [0.1, 0.9]))
-    return (
-        f"{len(logs)} | {rigid:.3g} | {real:.3g} | {ratio:.2f} |"
-        f" {ratio * error:.2f} | {low:.2f} | {high:.2f}"
-    )

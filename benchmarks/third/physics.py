@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from benchmarks.harness.noise import autoregression
+
 STRIBECK_SPEED = 5e-3  # m/s
 
 
@@ -157,13 +159,7 @@ def ornstein_uhlenbeck(
     rng: np.random.Generator, count: int, length: float
 ) -> NDArray[np.float64]:
     """Stationary process (count,) of unit variance, correlated over `length` steps."""
-    rho = np.exp(-1.0 / length)
-    shocks = rng.normal(size=count)
-    values = np.zeros(count)
-    values[0] = shocks[0]
-    for k in range(1, count):
-        values[k] = rho * values[k - 1] + np.sqrt(1.0 - rho**2) * shocks[k]
-    return values
+    return autoregression(rng.normal(size=count), np.exp(-1.0 / length))
 
 
 def pitch_error(

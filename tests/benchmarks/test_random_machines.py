@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.random_machines import cases, machines, scaling, sessions
-from benchmarks.random_machines.machines import PLAIN
+from benchmarks.random_machines import cases, scaling, sessions
 from oed.gap.forms import library
 
 #: the nightly run has one family of each kind
@@ -15,30 +14,6 @@ FAMILIES = [
         for name in ("hexapod_ups", "cables_planar", "tripod_rps")
     ),
 ]
-
-
-@pytest.mark.parametrize("model", sorted(PLAIN))
-def test_plain_closures_are_those_of_the_toolkit(model: str) -> None:
-    """The true machine stands where the toolkit's kinematics have it."""
-    machine = cases.machine_of({"model": model})
-    rng = np.random.default_rng(3)
-    tolerance = np.array([p.tolerance for p in machine.parameters])
-    true = machine.nominal + machines.parameter_errors(tolerance, rng)
-    plain = machines.Truth(model, machine, true)
-    command = np.array([machine.home_command, *_nearby(machine, rng)])
-    point, rotation = plain.tool(command)
-    joints = plain.joints(command)
-    pose = plain.kinematics.inverse(command)[0]
-    pose = plain.kinematics.forward(joints, true, pose)
-    turned, tip, _ = plain.kinematics.frames(pose, np.zeros(3))
-    np.testing.assert_allclose(point, tip, atol=1e-11)
-    np.testing.assert_allclose(rotation, turned, atol=1e-11)
-
-
-def _nearby(machine, rng: np.random.Generator) -> np.ndarray:
-    low = np.array([c.lower for c in machine.workspace()])
-    high = np.array([c.upper for c in machine.workspace()])
-    return rng.uniform(0.7 * low + 0.3 * high, 0.3 * low + 0.7 * high, (5, len(low)))
 
 
 @pytest.mark.parametrize("name", sessions.LAWS)
