@@ -5,13 +5,12 @@
 Simulated: fleets of linear deltas with a common offset and a spread of their own, read by a
 height probe, which does not see the arms. Of each fleet some machines are left out.
 Real, with `--data FOLDER`: printers of one model, of two owners each; one gives the prior
-of the other.
+of the other, which is fitted after four heights.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness.tables import head, row
 from oed import build_study
 from oed.accuracy import ErrorMaps
 from oed.base import Array
@@ -33,6 +33,8 @@ from pkm_studies.resolve import replace_mean_and_covariance, resolve
 
 #: readings of the members of the fleet, and of the machine that is left out
 FULL, FIRST = 60, (3, 6, 9, 12, 18, 24, 36, 60)
+#: machines of each fleet, and those that are left out
+MACHINES, LEFT_OUT = 50, 2
 #: machines that give the prior; None: all others
 KNOWN = (1, 3, 10, None)
 #: rms error of the tool point that is wanted, m
@@ -52,18 +54,17 @@ PRINTERS = (
     ("flsun_v400_fzechert", "flsun_v400_phnxdrgn"),
     ("flsun_v400_phnxdrgn", "flsun_v400_fzechert"),
 )
+#: first heights after which a printer is fitted with the prior
+FEW = 4
 PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fleets", type=int, default=25)
-    parser.add_argument("--machines", type=int, default=50, help="of each fleet")
-    parser.add_argument("--left-out", type=int, default=2, help="of each fleet")
-    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--data", type=Path, help="folder klipper_delta")
     given = parser.parse_args()
-    print("\n".join(simulated(given)))
+    print("\n".join(simulated(given.fleets)))
     if given.data is not None:
         print("\n" + "\n".join(printers(given.data)))
 
@@ -131,15 +132,15 @@ class Bench:
         return Measurement(machine, setups, Kinematics(machine))
 
 
-def simulated(given: argparse.Namespace) -> Iterator[str]:
+def simulated(fleets: int) -> Iterator[str]:
     """The table of simulated machines, in Markdown."""
-    rng = np.random.default_rng(given.seed)
+    rng = np.random.default_rng(1)
     bench = Bench(rng)
     theta, y = [], []
     priors: dict[str, list[FleetPrior | None]] = {}
-    for _ in range(given.fleets):
-        fleet, readings, machines = _fleet(bench, given.machines, rng)
-        for k in range(given.left_out):
+    for _ in range(fleets):
+        fleet, readings, machines = _fleet(bench, MACHINES, rng)
+        for k in range(LEFT_OUT):
             theta.append(fleet[k])
             y.append(readings[k])
             others = machines[:k] + machines[k + 1 :]
@@ -150,11 +151,8 @@ def simulated(given: argparse.Namespace) -> Iterator[str]:
                 chosen = rng.permutation(len(others))[:count]
                 prior = fleet_prior([others[j] for j in chosen])
                 priors.setdefault(name, []).append(prior)
-    yield (
-        "| prior | readings for 0.15 mm, median | machines that reach it |"
-        " rms predicted, 9 readings | reached | inside 95 % |"
-    )
-    yield "|---|---|---|---|---|---|"
+    columns = ("rms predicted, 9 readings", "reached", "inside 95 %")
+    yield head("prior", "readings for 0.15 mm, median", *columns)
     for name, of_machines in priors.items():
         yield _line(name, bench, np.array(theta), np.array(y), of_machines)
 
@@ -168,7 +166,7 @@ def _fleet(
     exact = bench.measurement.readings([full], theta)
     sigma = bench.measurement.sigma([full])
     y = exact + sigma * rng.standard_normal(exact.shape)
-    return theta, y, [_information(bench, full, row) for row in y]
+    return theta, y, [_information(bench, full, values) for values in y]
 
 
 def _information(bench: Bench, full: Any, y: Array) -> MachineInformation:
@@ -186,14 +184,14 @@ def _line(
     """A row: readings needed, errors predicted and reached, coverage of the tool's errors."""
     needed, at_nine, inside = [], [], []
     size = len(bench.names)
-    for truth, row, prior in zip(theta, y, priors, strict=True):
+    for truth, readings, prior in zip(theta, y, priors, strict=True):
         measurement = bench.known_by(prior)
         reached = np.inf
         for n in FIRST:
             series = measurement.series(
                 "probe", bench.command[:n], controller=bench.machine.nominal
             )
-            fit = identify(measurement, [series], row[:n])
+            fit = identify(measurement, [series], readings[:n])
             covariance = fit.covariance[:size, :size]
             sd = np.sqrt(
                 np.einsum("mkp,pq,mkq->mk", bench.maps, covariance, bench.maps)
@@ -206,18 +204,15 @@ def _line(
             if predicted <= WANTED and not np.isfinite(reached):
                 reached = n
         needed.append(reached)
-    reach = np.isfinite(needed)
-    median = (
-        f"{np.median(needed):.0f}" if np.isfinite(np.median(needed)) else "more than 60"
-    )
+    median = np.median(needed)
     predicted, error = np.sqrt(np.mean(np.square(at_nine), axis=0))
-    cells = [name, median, f"{reach.sum()} of {len(reach)}"]
-    cells += [
+    return row(
+        name,
+        f"{median:.0f}" if np.isfinite(median) else "more than 60",
         f"{1e3 * predicted:.2f} mm",
         f"{1e3 * error:.2f} mm",
         f"{np.mean(inside):.3f}",
-    ]
-    return "| " + " | ".join(cells) + " |"
+    )
 
 
 # -- printers --------------------------------------------------------------------------
@@ -225,11 +220,7 @@ def _line(
 
 def printers(data: Path) -> Iterator[str]:
     """The table of real printers, in Markdown."""
-    yield (
-        "| printer | prior from | parameters inside 95 % | z after all heights,"
-        " tolerances | z after 4, tolerances | z after 4, fleet |"
-    )
-    yield "|---|---|---|---|---|---|"
+    yield head("printer", "prior from", "parameters inside 95 % of the prior")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file in sorted({f for pair in PRINTERS for f in pair}):
@@ -246,59 +237,37 @@ def _import(data: Path, folder: Path, file: str) -> None:
     _run(study, folder / file / "all")
 
 
-def _run(study: Path, out: Path) -> None:
+def _run(study: Path, out: Path) -> dict[str, Any]:
+    """The result of a study."""
     code = commands.main(["run", str(study), "--out", str(out), "--quiet"])
     if code != 0:
         raise SystemExit(f"{study}: exit code {code}")
-
-
-def _stored(folder: Path) -> dict[str, Any]:
-    result: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    result: dict[str, Any] = json.loads((out / "result.json").read_text())
     return result
 
 
-def _z(result: dict[str, Any]) -> str:
-    after = result["prediction"]["components"]["z"]["after"]
-    return f"{after['rms']:.0f} {after['unit']}"
-
-
 def _printer(folder: Path, file: str, other: str) -> str:
-    """A row: the other's prior against all readings, and after the first four."""
-    study = folder / file / f"{file}.study.toml"
-    prior = f'\n[prior]\nfrom = ["../{other}/all"]\n'
-    full = _stored(folder / file / "all")
-    few = {}
-    for name, text in (("tolerances", ""), ("fleet", prior)):
-        path = folder / file / f"{name}.study.toml"
-        table = study.read_text()
-        if text:
-            table = table.replace(
-                "[[prior.tolerance]]", f"{text}\n[[prior.tolerance]]", 1
-            )
-        table = table.replace(f'["{file}.readings.csv"]', '["few.readings.csv"]')
-        path.write_text(table)
-        _first_rows(folder / file, f"{file}.readings.csv", 4)
-        _run(path, folder / file / name)
-        few[name] = _stored(folder / file / name)
+    """A row: the fit of all readings against the other's prior."""
+    own = folder / file
+    full = json.loads((own / "all/result.json").read_text())
+    text = (own / f"{file}.study.toml").read_text()
+    prior = f'\n[prior]\nfrom = ["../{other}/all"]\n\n[[prior.tolerance]]'
+    text = text.replace("[[prior.tolerance]]", prior, 1)
+    study = own / "fleet.study.toml"
+    study.write_text(text.replace(f'"{file}.readings.csv"', '"few.readings.csv"'))
+    rows = (own / f"{file}.readings.csv").read_text().splitlines()
+    last = sum(line.startswith("#") for line in rows) + 1 + FEW
+    held_out = [line for line in rows[last:] if line.startswith("mesh")]
+    (own / "few.readings.csv").write_text("\n".join([*rows[:last], *held_out]))
+    few = _run(study, own / "fleet")
+    priors = {r["name"]: r for r in few["machine"]["parameters"]}
     inside = []
-    rows = {r["name"]: r for r in few["fleet"]["machine"]["parameters"]}
-    for name, p in full["estimate"]["parameters"].items():
-        if name in rows and "expected" in rows[name]:
-            row = rows[name]
-            sd = np.hypot(row["tolerance"], p["sd"])
-            inside.append(abs(p["value"] - row["expected"]) < 1.96 * sd)
-    share = f"{sum(inside)} of {len(inside)}"
-    cells = [file, other, share, _z(full), _z(few["tolerances"]), _z(few["fleet"])]
-    return "| " + " | ".join(cells) + " |"
-
-
-def _first_rows(folder: Path, name: str, count: int) -> None:
-    text = (folder / name).read_text().splitlines()
-    comments = [line for line in text if line.startswith("#")]
-    rows = [line for line in text if not line.startswith("#")]
-    header = next(csv.reader(rows[:1]))
-    assert "setup" in header
-    (folder / "few.readings.csv").write_text("\n".join([*comments, *rows[: count + 1]]))
+    for name, estimate in full["estimate"]["parameters"].items():
+        expected = priors.get(name, {}).get("expected")
+        if expected is not None:
+            sd = np.hypot(priors[name]["tolerance"], estimate["sd"])
+            inside.append(abs(estimate["value"] - expected) < 1.96 * sd)
+    return row(file, other, f"{sum(inside)} of {len(inside)}")
 
 
 if __name__ == "__main__":

@@ -20,30 +20,21 @@ from benchmarks.second import world
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    options = _parser().parse_args(arguments)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.second")
+    parser.add_argument("command", choices=("generate",))
+    out = Path("out/second/set")
+    parser.add_argument("--out", type=Path, default=out, help="folder of the set")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cases", type=int, default=20, help="of each machine")
+    options = parser.parse_args(arguments)
     try:
-        world.generate(
-            options.out, options.seed, options.cases, generator=options.generator
-        )
+        world.generate(options.out, options.seed, options.cases)
     except FileNotFoundError as missing:
         print(f"skipped: the second generator is not there ({missing})")
     except (OSError, subprocess.CalledProcessError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.second", description=__doc__
-    )
-    parser.add_argument("command", choices=("generate",))
-    out = Path("out/second/set")
-    parser.add_argument("--out", type=Path, default=out, help="folder of the set")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--cases", type=int, default=20, help="of each machine")
-    parser.add_argument("--generator", type=Path, default=world.GENERATOR)
-    return parser
 
 
 if __name__ == "__main__":

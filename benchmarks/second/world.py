@@ -56,11 +56,7 @@ period = dataclasses.replace(
 
 
 def generate(
-    folder: Path,
-    seed: int,
-    count: int,
-    machines: Sequence[str] = MACHINES,
-    generator: Path = GENERATOR,
+    folder: Path, seed: int, count: int, machines: Sequence[str] = MACHINES
 ) -> None:
     """Let the generator draw a set: `count` cases of each machine that has none yet.
 
@@ -69,7 +65,7 @@ def generate(
     for machine in machines:
         if labels_file(folder, machine).is_file():
             continue
-        script = generator / "make.py"
+        script = GENERATOR / "make.py"
         if not script.is_file():
             raise FileNotFoundError(script)
         out = labels_file(folder, machine).with_name(machine)

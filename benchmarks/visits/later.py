@@ -11,10 +11,10 @@ import copy
 import dataclasses
 import importlib
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -144,22 +144,16 @@ def draw(
         chosen.append((state, pool, result[3], result[5]))
         return result
 
-    original = {n: getattr(make, n) for n in ("design", "draw", "sized", "sensors")}
     replaced = {
         "design": design,
         "draw": draw_effect,
         "sized": sized,
         "sensors": lambda *_: {},
     }
-    try:
-        for name, function in replaced.items():
-            setattr(make, name, function)
-        case, y, label = make.make_case(
-            machine, kind, law, np.random.default_rng(seed), severity
-        )
-    finally:
-        for name, function in original.items():
-            setattr(make, name, function)
+    original = {name: getattr(make, name) for name in replaced}
+    with mock.patch.multiple(make, **replaced):
+        rng = np.random.default_rng(seed)
+        case, y, label = make.make_case(machine, kind, law, rng, severity)
     return First(case, y, label, states[0], chosen, seed)
 
 
@@ -176,19 +170,16 @@ def visit_again(
     geometry = _geometry(make, first, both)
     both.at(geometry)  # legs' forces and directions are those of the machine as built
     total = importlib.import_module("truth").Pert()
+    still = both.readings(geometry)
     for state, pool, amplitude, change in first.effects:
         effect = _effect(make, first, both, state, pool)
-        again = both.readings(geometry + effect(amplitude)) - both.readings(geometry)
-        there = again[: len(change)]
+        there = (both.readings(geometry + effect(amplitude)) - still)[: len(change)]
         factor = float(there @ change / max(there @ there, 1e-300))
-        again = both.readings(geometry + effect(factor * amplitude)) - both.readings(
-            geometry
-        )
-        if np.linalg.norm(again[: len(change)] - change) > ALIKE * np.linalg.norm(
-            change
-        ):
+        acting = effect(factor * amplitude)
+        there = (both.readings(geometry + acting) - still)[: len(change)]
+        if np.linalg.norm(there - change) > ALIKE * np.linalg.norm(change):
             raise ValueError("the draw of an effect depends on the second visit")
-        total = total + effect(factor * amplitude)
+        total = total + acting
     later = np.arange(first.case.ny, both.ny)
     exact = both.readings(geometry + total)[later]
     rng = _SameLaw(np.random.default_rng([*first.seed, 2]), first.label["law"])
@@ -221,25 +212,19 @@ def _effect(make: Any, first: First, both: Any, state: Any, pool: Any) -> Any:
         values.count = len(getattr(first.case, name))
         setattr(frozen, name, values)
     frozen.temps = {}
-    with _reductions({both.n: first.case.n, len(both.Q): len(first.case.Q)}):
+    lengths = {both.n: first.case.n, len(both.Q): len(first.case.Q)}
+    reductions = mock.patch.object(
+        importlib.import_module("effects"), "np", _Numpy(lengths)
+    )
+    with reductions:
         _, effect, _ = make.draw(frozen, rng, pool, first.case.m.name)
 
     def plain(size: float) -> Any:
-        with _reductions({both.n: first.case.n, len(both.Q): len(first.case.Q)}):
+        with reductions:
             change = effect(size)
         return type(change)({k: np.array(v) for k, v in change.items()})
 
     return plain
-
-
-@contextmanager
-def _reductions(lengths: Mapping[int, int]) -> Iterator[None]:
-    effects = importlib.import_module("effects")
-    effects.np = _Numpy(lengths)
-    try:
-        yield
-    finally:
-        effects.np = np
 
 
 # -- rows of further runs, and the paths between them ----------------------------------
@@ -256,22 +241,13 @@ def with_runs(case: Any, runs: Sequence[Mapping[str, Any]]) -> tuple[Any, Any]:
 
 
 class _Rows:
-    """Rows of further runs of a case."""
+    """Rows of further runs of a case: arrays of each run, to be joined."""
 
     def __init__(self, case: Any) -> None:
         self.first = case
         self.names = list(case.cmd)
-        self.cmd: dict[str, list[float]] = {n: [] for n in self.names}
-        self.dense: dict[str, list[float]] = {n: [] for n in self.names}
-        self.rows: dict[str, list[Any]] = {
-            n: [] for n in ("setup", "run", "time", "dir", "feed", "payload")
-        }
-        self.reads: list[tuple[int, int, int]] = []
-        self.idx: list[int] = []
-        self.path: dict[str, list[Any]] = {
-            n: [] for n in ("t", "tool", "payload", "run", "moves")
-        }
         self.runs: list[dict[str, Any]] = []
+        self.parts: list[dict[str, Array]] = []
         self.clock = float(case.tD.max()) + PAUSE
         self.last: tuple[int, float] = (int(case.setup[-1]), float(case.payload[-1]))
 
@@ -289,109 +265,93 @@ class _Rows:
         referred = instrument in ("relative", "calliper")
         tool = case.setups[setup].get("tool_mm", 0.0)
         dense, at = _path(table, referred)
-        if not np.isfinite(self._joints(dense, tool)).all():
+        if not np.isfinite(self._pose_and_joints(dense, tool)[1]).all():
             dense, at = _path(table, referred, from_inside=True)
-        columns = {n: dense[:, j] for j, n in enumerate(self.names)}
-        way = np.linalg.norm(np.diff(case.m.pose(columns, tool)[0], axis=0), axis=1)
+        point, joints = self._pose_and_joints(dense, tool)
+        way = np.linalg.norm(np.diff(point, axis=0), axis=1)
         elapsed = np.r_[0.0, np.cumsum(way)] / (run["feed"] / 60.0)
+        rates, velocity = np.zeros_like(joints), np.zeros_like(point)
         if instrument == "calliper":
             elapsed = np.arange(len(dense)) * 7.5
-        number, count, start = len(self.runs), len(table), len(self.rows["run"])
-        for n in self.names:
-            self.cmd[n] += table[:, self.names.index(n)].tolist()
-            self.dense[n] += columns[n].tolist()
-        self.idx += (len(self.path["t"]) + at).tolist()
-        self.path["t"] += (self.clock + elapsed).tolist()
-        self.path["tool"] += [tool] * len(dense)
-        self.path["payload"] += [run["payload"]] * len(dense)
-        self.path["run"] += [number] * len(dense)
-        self.path["moves"] += [instrument != "calliper"] * len(dense)
-        values = {
-            "setup": setup,
-            "run": number,
-            "dir": run["dir"],
-            "feed": run["feed"],
-            "payload": run["payload"],
-        }
-        for n, value in values.items():
-            self.rows[n] += [value] * count
-        self.rows["time"] += np.round(self.clock + elapsed[at], 1).tolist()
-        self.reads += _reads(case.setups[setup], start, count)
-        self.runs.append({**values, "ref": False})
+        else:
+            rates = np.gradient(joints, self.clock + elapsed, axis=0)
+            velocity = np.gradient(point, self.clock + elapsed, axis=0)
+        rows = sum(len(part["command"]) for part in self.parts)
+        on_paths = sum(len(part["path_time"]) for part in self.parts)
+        self.parts.append(
+            {
+                "command": table,
+                "time": np.round(self.clock + elapsed[at], 1),
+                "reads": np.array(_reads(case.setups[setup], rows, len(table))),
+                "at": on_paths + at,
+                "path_time": self.clock + elapsed,
+                "joints": joints,
+                "rates": rates,
+                "velocity": velocity[at],
+            }
+        )
+        stated = {name: run[name] for name in ("dir", "feed", "payload")}
+        number = len(self.runs)
+        self.runs.append({"setup": setup, "run": number, **stated, "ref": False})
         self.clock += elapsed[-1] + BETWEEN
 
-    def _joints(self, poses: Array, tool: float) -> Array:
-        """Joints (n, K) of poses (n, p); NaN where they are out of reach."""
+    def _pose_and_joints(self, poses: Array, tool: float) -> tuple[Array, Array]:
+        """Tool points (n, 3) and joints (n, K) of poses (n, p); NaN where out of reach."""
         m = self.first.m
         x, rotation = m.pose(dict(zip(self.names, poses.T, strict=True)), tool)
         offset = np.array([0, 0, -1.0]) * np.full((len(poses), 1, 1), tool)
         with np.errstate(invalid="ignore"):
-            return np.asarray(m.inverse(x, rotation, m.A + offset))
+            return x, np.asarray(m.inverse(x, rotation, m.A + offset))
+
+    def _joined(self, name: str) -> Array:
+        return np.concatenate([part[name] for part in self.parts])
+
+    def _stated(self, name: str, per: str = "command") -> Array:
+        """What is stated of each run, at its rows or along its path."""
+        counts = [len(part[per]) for part in self.parts]
+        return np.repeat([run[name] for run in self.runs], counts)
 
     def case(self, truth: Any, *, with_first: bool) -> Any:
         """These rows as a case, after those of the first session or alone."""
-        one, shift = self.first, len(self.first.runs)
-        rows, dense = one.n, len(one.tD)
-
-        def joined(before: Any, after: Any) -> Array:
-            return np.concatenate([before, after]) if with_first else np.asarray(after)
-
-        number = np.asarray(self.rows["run"]) + (shift if with_first else 0)
-        at = np.array(self.reads)
+        one = self.first
+        runs, rows, on_paths = 0, 0, 0
         if with_first:
-            at = at + np.array([rows, rows, 0])
-        reads = [tuple(r) for r in at]
+            runs, rows, on_paths = len(one.runs), one.n, len(one.tD)
+
+        def joined(before: Any, after: Array) -> Array:
+            return np.concatenate([before, after]) if with_first else after
+
+        reads = [tuple(r) for r in self._joined("reads") + np.array([rows, rows, 0])]
         if with_first:
             reads = [*zip(one.row, one.ref, one.kind, strict=True), *reads]
+        commands = zip(self.names, self._joined("command").T, strict=True)
         case = truth.Case(
             one.m,
             one.setups,
-            joined(one.setup, self.rows["setup"]),
-            joined(one.run, number),
-            {n: joined(one.cmd[n], self.cmd[n]) for n in self.names},
-            joined(one.t, self.rows["time"]),
-            joined(one.dir, self.rows["dir"]),
-            joined(one.feed, self.rows["feed"]),
-            joined(one.payload, self.rows["payload"]),
+            joined(one.setup, self._stated("setup")),
+            joined(one.run, runs + self._stated("run")),
+            {name: joined(one.cmd[name], column) for name, column in commands},
+            joined(one.t, self._joined("time")),
+            *(
+                joined(getattr(one, n), self._stated(n))
+                for n in ("dir", "feed", "payload")
+            ),
             reads,
         )
-        case.lead, case.grating, case.temps, case.tight = (
-            one.lead,
-            one.grating,
-            {},
-            one.tight,
-        )
+        case.lead, case.grating, case.tight = one.lead, one.grating, one.tight
+        case.temps = {}
         case.runs = [*one.runs, *self.runs] if with_first else self.runs
-        q, rates, velocity = self._motion(one)
-        at_rows = np.asarray(self.idx)
-        case.idx = joined(one.idx, at_rows + (dense if with_first else 0)).astype(int)
-        case.tD = joined(one.tD, self.path["t"])
-        case.payD = joined(one.payD, self.path["payload"])
-        case.runD = joined(
-            one.runD, np.asarray(self.path["run"]) + (shift if with_first else 0)
-        )
-        case.Q, case.QD = joined(one.Q, q), joined(one.QD, rates)
-        case.qd, case.vel = case.QD[case.idx], joined(one.vel, velocity[at_rows])
-        case.sigma = (
-            np.array([one.setups[k]["sigma_um"] for k in case.setup[case.row]]) * 1e-3
-        )
+        case.idx = joined(one.idx, on_paths + self._joined("at")).astype(int)
+        case.tD = joined(one.tD, self._joined("path_time"))
+        case.payD = joined(one.payD, self._stated("payload", "path_time"))
+        case.runD = joined(one.runD, runs + self._stated("run", "path_time"))
+        case.Q = joined(one.Q, self._joined("joints"))
+        case.QD = joined(one.QD, self._joined("rates"))
+        case.qd = case.QD[case.idx]
+        case.vel = joined(one.vel, self._joined("velocity"))
+        sigma = np.array([setup["sigma_um"] for setup in one.setups])
+        case.sigma = sigma[case.setup[case.row]] * 1e-3
         return case
-
-    def _motion(self, one: Any) -> tuple[Array, Array, Array]:
-        """Joints, their rates and the tool's velocity along the paths."""
-        tool = np.asarray(self.path["tool"])
-        x, rotation = one.m.pose(self.dense, tool)
-        q = one.m.inverse(
-            x, rotation, one.m.A + np.array([0, 0, -1.0]) * tool[:, None, None]
-        )
-        rates, velocity = np.zeros_like(q), np.zeros_like(x)
-        runs, time = np.asarray(self.path["run"]), np.asarray(self.path["t"])
-        for k in np.unique(runs):
-            at = runs == k
-            if np.asarray(self.path["moves"])[at].all():
-                rates[at] = np.gradient(q[at], time[at], axis=0)
-                velocity[at] = np.gradient(x[at], time[at], axis=0)
-        return q, rates, velocity
 
 
 def _path(

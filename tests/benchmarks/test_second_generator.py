@@ -15,10 +15,10 @@ from oed.noise import Laws, NoiseLaw
 
 
 def test_without_the_generator_the_command_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = ["--out", str(tmp_path), "--generator", str(tmp_path / "nowhere")]
-    assert command.main(["generate", *options]) == 0
+    monkeypatch.setattr(world, "GENERATOR", tmp_path / "nowhere")
+    assert command.main(["generate", "--out", str(tmp_path)]) == 0
     assert "the second generator is not there" in capsys.readouterr().out
 
 
