@@ -3,7 +3,7 @@
     python -m benchmarks.mutants --seed 1
     python -m benchmarks.mutants --seed 1 --count 20 --rooms oed/noise page
 
-Draws mutations over the rooms by their lines of code: a sign, a factor, an index, the
+Draws lines over the rooms, and a mutation of each: a sign, a factor, an index, the
 order of two arguments, a comparison, an extremum, a negation or a default changes;
 docstrings, annotations, decorators and formatted strings stay. A room is a folder of
 tests with the modules that it mirrors: tests/oed/gap has those of oed/gap, tests/page
@@ -113,12 +113,6 @@ def active_nodes(node: ast.AST) -> Iterator[ast.AST]:
         for child in children:
             if isinstance(child, ast.AST) and not isinstance(child, ast.JoinedStr):
                 yield from active_nodes(child)
-
-
-def code_lines(text: str) -> set[int]:
-    """Lines on which a node begins that computes; docstrings aside."""
-    nodes = active_nodes(ast.parse(text))
-    return {n.lineno for n in nodes if isinstance(n, ast.expr) and not _is_text(n)}
 
 
 def _default(node: ast.AST) -> Iterator[Change]:
@@ -270,49 +264,35 @@ def rooms_of(root: Path) -> dict[str, list[Path]]:
 def draw(
     root: Path, rooms: list[str], count: int, rng: np.random.Generator
 ) -> list[tuple[int, list[Mutant]]]:
-    """Shares of `count` of the rooms that have one, and candidates in their order.
+    """How many of `count` drawn lines lie in each room, and candidates in their order.
 
     Candidates lie on different lines; the kind is drawn before the mutation. A room has
     fewer where it has fewer lines to mutate.
     """
+    lines: list[tuple[str, str, list[Mutation]]] = []
     modules = rooms_of(root)
-    texts = [
-        {path: path.read_text("utf-8") for path in modules[room]} for room in rooms
-    ]
-    numbers = [sum(len(code_lines(t)) for t in room.values()) for room in texts]
+    for room in rooms:
+        for path in modules[room]:
+            by_line: dict[int, list[Mutation]] = {}
+            for mutation in mutations(path.read_text("utf-8")):
+                by_line.setdefault(mutation.line, []).append(mutation)
+            name = path.relative_to(root).as_posix()
+            lines += [(room, name, by_line[line]) for line in sorted(by_line)]
+    order = [lines[k] for k in rng.permutation(len(lines))]
     drawn = []
-    for room, of_room, share in zip(rooms, texts, shares(numbers, count), strict=True):
-        found = itertools.islice(_draw_in_room(of_room, rng), SPARE * share)
-        names = [(path.relative_to(root).as_posix(), change) for path, change in found]
-        drawn.append((share, [Mutant(room, *named) for named in names]))
-    return [of_room for of_room in drawn if of_room[1]]
+    for room, share in sorted(Counter(room for room, *_ in order[:count]).items()):
+        of_room = [line for line in order if line[0] == room][: SPARE * share]
+        mutants = [Mutant(room, name, _pick(some, rng)) for _, name, some in of_room]
+        drawn.append((share, mutants))
+    return drawn
 
 
-def shares(sizes: list[int], count: int) -> list[int]:
-    """`count` in whole parts proportional to the sizes, by largest remainders."""
-    exact = count * np.array(sizes) / sum(sizes)
-    whole = np.floor(exact).astype(int)
-    order = np.argsort(whole - exact, kind="stable")
-    whole[order[: count - whole.sum()]] += 1
-    return whole.tolist()
-
-
-def _draw_in_room(
-    texts: dict[Path, str], rng: np.random.Generator
-) -> Iterator[tuple[Path, Mutation]]:
-    by_line: dict[tuple[Path, int], list[Mutation]] = {}
-    for path, text in texts.items():
-        for mutation in mutations(text):
-            by_line.setdefault((path, mutation.line), []).append(mutation)
-    lines = sorted(by_line)
-    for k in rng.permutation(len(lines)):
-        path, _ = lines[k]
-        choices = by_line[lines[k]]
-        kinds = sorted({choice.kind for choice in choices})
-        kind = kinds[rng.integers(len(kinds))]
-        of_kind = [choice for choice in choices if choice.kind == kind]
-        mutation = of_kind[rng.integers(len(of_kind))]
-        yield path, mutation
+def _pick(choices: list[Mutation], rng: np.random.Generator) -> Mutation:
+    """A mutation of a line, its kind first."""
+    kinds = sorted({choice.kind for choice in choices})
+    kind = kinds[rng.integers(len(kinds))]
+    of_kind = [choice for choice in choices if choice.kind == kind]
+    return of_kind[rng.integers(len(of_kind))]
 
 
 # -- the tests that reach a statement --------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import mutants
-from benchmarks.mutants import Mutant, Mutation, draw, marked, mutations, shares
+from benchmarks.mutants import Mutant, Mutation, draw, marked, mutations
 
 TEXT = '''"""Sums: 1 + 1 < 3."""
 def total(x: Annotated[int, 4], y, step=0.5, keep=False):
@@ -147,12 +147,6 @@ def test_the_command_names_survivors_and_what_no_test_reaches(
     assert "+ (n >= 0)" in printed
     assert re.search(r"not reached +[a-z]+ +oed/toy/mean.py:6", printed)
     assert re.search(r"^all +[2-4] +1 +1 +0$", printed, re.MULTILINE)
-
-
-def test_shares_follow_the_sizes() -> None:
-    assert shares([10, 20, 30], 6) == [1, 2, 3]
-    assert shares([1, 1, 1], 4) == [2, 1, 1]
-    assert sum(shares([7, 13, 1], 60)) == 60
 
 
 def test_same_seed_draws_the_same_mutants(toy: Path) -> None:
