@@ -21,7 +21,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -127,47 +127,22 @@ FOLDER = Path("out/frozen")
 SECOND = FOLDER / "second"
 SECOND_SEED, CASES, CASES_OF_MACHINE = 60125, 40, 10
 
-STUDIES, OWN, OTHER = "studies", "blind", "second"
-KINDS = (STUDIES, OWN, OTHER)
+
+def names_of(kind: str) -> list[str]:
+    """Names of shipped studies, or of blind cases: a number, or machine/number."""
+    if kind == "studies":
+        return list(shipped.studies())
+    if kind == "blind":
+        return [str(k) for k in range(CASES)]
+    second_world.generate(SECOND, SECOND_SEED, CASES_OF_MACHINE)
+    machines = second_world.MACHINES
+    return [f"{m}/{k}" for m in machines for k in range(CASES_OF_MACHINE)]
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Source:
-    """A document to compute: a shipped study, or a blind case.
-
-    kind    one of KINDS
-    name    of the study, or of the case: its number, or machine/number
-    """
-
-    kind: str
-    name: str
-
-
-def prepare(kinds: tuple[str, ...]) -> None:
-    """Draw the set of the second generator, where it is not there yet."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    if OTHER in kinds:
-        second_world.generate(SECOND, SECOND_SEED, CASES_OF_MACHINE)
-
-
-def listing(kinds: tuple[str, ...]) -> list[Source]:
-    """All sources of these kinds, the longest first."""
-    all_sources = {
-        STUDIES: [Source(STUDIES, name) for name in shipped.studies()],
-        OWN: [Source(OWN, str(k)) for k in range(CASES)],
-        OTHER: [
-            Source(OTHER, f"{machine}/{k}")
-            for machine in second_world.MACHINES
-            for k in range(CASES_OF_MACHINE)
-        ],
-    }
-    return [source for kind in kinds for source in all_sources[kind]]
-
-
-def compute(source: Source) -> tuple[Source, dict[str, float]]:
-    """The numbers of a source; none where its data are not there."""
-    compute_kind = {STUDIES: _study, OWN: _blind, OTHER: _second}[source.kind]
-    return source, numbers(compute_kind(source.name))
+def compute(label: str) -> tuple[str, dict[str, float]]:
+    """The numbers of what a label `kind:name` names, beside it."""
+    kind, _, name = label.partition(":")
+    return label, numbers(KINDS[kind](name))
 
 
 def _study(name: str) -> Any:
@@ -196,85 +171,76 @@ def _case(setting: dict[str, Any], number: int) -> Any:
     return {name: value for name, value in row.items() if name != "label"}
 
 
+KINDS: dict[str, Callable[[str], Any]] = {
+    "studies": _study,
+    "blind": _blind,
+    "second": _second,
+}
+
+
 # -- command ---------------------------------------------------------------------------
 
 
 FILE = FOLDER / "frozen.json.gz"
-#: differences that are printed of a source
+#: differences that are printed of a document
 PRINTED = 8
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 equal or made, 1 different, 2 bad input."""
-    options = _parser().parse_args(arguments)
-    return int(options.run(options))
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.frozen", description=__doc__
+    )
+    parser.add_argument("command", choices=("make", "compare"))
+    parser.add_argument("--file", type=Path, default=FILE)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--names", nargs="+", help="these studies or cases alone")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args(arguments)
+    options.file.parent.mkdir(parents=True, exist_ok=True)
+    labels = [
+        f"{kind}:{name}"
+        for kind in options.kinds
+        for name in names_of(kind)
+        if not options.names or name in options.names
+    ]
+    with ProcessPoolExecutor(options.workers) as pool:
+        documents = pool.map(compute, labels)
+        if options.command == "make":
+            return _make(options.file, documents)
+        return _compare(options.file, documents)
 
 
-def _make(options: argparse.Namespace) -> int:
-    documents = {f"{s.kind}:{s.name}": n for s, n in _computed(options)}
-    record = {"commit": _commit(), "documents": documents}
+def _make(file: Path, documents: Iterable[tuple[str, dict[str, float]]]) -> int:
+    record = {"commit": _commit(), "documents": dict(documents)}
     text = json.dumps(record, sort_keys=True).encode()
-    options.file.write_bytes(gzip.compress(text, 9, mtime=0))
-    print(f"{len(documents)} documents in {options.file}")
+    file.write_bytes(gzip.compress(text, 9, mtime=0))
+    print(f"{len(record['documents'])} documents in {file}")
     return 0
 
 
-def _compare(options: argparse.Namespace) -> int:
-    record = json.loads(gzip.decompress(options.file.read_bytes()))
+def _compare(file: Path, documents: Iterable[tuple[str, dict[str, float]]]) -> int:
+    record = json.loads(gzip.decompress(file.read_bytes()))
     print(f"frozen at {record['commit']}")
     changed = 0
-    for source, after in _computed(options):
-        label = f"{source.kind}:{source.name}"
+    for label, after in documents:
         before = record["documents"].get(label)
         if before is None:
             print(f"{label}: not frozen", flush=True)
             continue
         apart = differences(before, after)
         changed += bool(apart)
-        _print_differences(label, apart, len(before))
+        words = f"{len(apart)} of {len(before)} numbers differ" if apart else "equal"
+        print(f"{label}: {words}", flush=True)
+        for d in apart[:PRINTED]:
+            print(f"    {d.path}: {d.before} -> {d.after}", flush=True)
     print(f"{changed} documents differ" if changed else "equal")
     return int(changed > 0)
-
-
-def _print_differences(label: str, apart: list[Difference], count: int) -> None:
-    verdict = f"{len(apart)} of {count} numbers differ" if apart else "equal"
-    print(f"{label}: {verdict}", flush=True)
-    for difference in apart[:PRINTED]:
-        before, after = difference.before, difference.after
-        print(f"    {difference.path}: {before} -> {after}", flush=True)
-
-
-def _computed(options: argparse.Namespace) -> Iterator[tuple[Source, dict[str, float]]]:
-    kinds = tuple(options.kinds)
-    prepare(kinds)
-    wanted = listing(kinds)
-    if options.names:
-        wanted = [source for source in wanted if source.name in options.names]
-    with ProcessPoolExecutor(options.workers) as pool:
-        yield from pool.map(compute, wanted)
 
 
 def _commit() -> str:
     command = ["git", "describe", "--always", "--dirty", "--abbrev=12"]
     return subprocess.run(command, capture_output=True, text=True).stdout.strip()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.frozen", description=__doc__
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    for name, run, text in (
-        ("make", _make, "compute and write the numbers"),
-        ("compare", _compare, "compute the numbers again and compare"),
-    ):
-        command = commands.add_parser(name, help=text)
-        command.add_argument("--file", type=Path, default=FILE)
-        command.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
-        command.add_argument("--names", nargs="+", default=[])
-        command.add_argument("--workers", type=int, default=2)
-        command.set_defaults(run=run)
-    return parser
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from benchmarks.harness import tables
 from oed.base import Array
 from oed.design import Candidates
 from oed.measurement import Series, draw_readings
@@ -30,10 +31,6 @@ from pkm_studies.study import Study
 
 #: readings at which a machine counts as not reached
 MOST = 60
-#: quantiles that are printed
-LOW, HIGH = 0.05, 0.95
-#: ratios of accuracy that are counted, and share of the plan's readings
-NEAR, MIN_SAVING = (1.001, 1.01, 1.02), 0.9
 #: how the columns of ratios begin
 RATIO = "ratio_"
 
@@ -116,37 +113,22 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     sessions = pd.DataFrame(rows)
     fixed = int(sessions["fixed"].iloc[0])
     needed = sessions["readings"].to_numpy(dtype=float)
-    mean, half = needed.mean(), _half(needed)
-    few, middle, many = np.quantile(needed, [LOW, 0.5, HIGH])
-    within = 100.0 * np.mean(needed <= MIN_SAVING * fixed)
     lines = [
         f"`{sessions['study'].iloc[0]}`, {len(sessions)} machines; the fixed plan has"
-        f" {fixed} readings. `oed next` stops after {mean:.2f} ± {half:.2f} on average,"
-        f" {100 * mean / fixed:.1f} ± {100 * half / fixed:.1f} % of the plan's: median"
-        f" {middle:.0f}, 5 % to 95 %: {few:.0f} to {many:.0f}, at most"
-        f" {100 * MIN_SAVING:.0f} % on {within:.0f} % of the machines.",
+        f" {fixed} readings. `oed next` stops after {needed.mean():.2f} ±"
+        f" {_half(needed):.2f} on average.",
         "",
-        "| rms over that of the fixed plan | mean | 5 % | median | 95 % | "
-        + " | ".join(f"at most {limit}" for limit in NEAR)
-        + " |",
-        f"| --- |{' --: |' * (4 + len(NEAR))}",
+        tables.head("rms over that of the fixed plan", "mean", "largest"),
     ]
     columns = [c for c in sessions.columns if c.startswith(RATIO)]
     ratios = sessions[columns].to_numpy()
-    for column, values in zip(columns, ratios.T, strict=True):
-        lines.append(_row(column.removeprefix(RATIO), values))
-    lines.append(_row("worst component", ratios.max(axis=1)))
-    lines.append(_row("geometric mean", np.exp(np.log(ratios).mean(axis=1))))
+    figures = dict(zip(columns, ratios.T, strict=True))
+    figures["worst component"] = ratios.max(axis=1)
+    figures["geometric mean"] = np.exp(np.log(ratios).mean(axis=1))
+    for name, values in figures.items():
+        mean = f"{values.mean():.3f} ± {_half(values):.3f}"
+        lines.append(tables.row(name.removeprefix(RATIO), mean, f"{values.max():.3f}"))
     return "\n".join(lines)
-
-
-def _row(name: str, values: Array) -> str:
-    low, middle, high = np.quantile(values, [LOW, 0.5, HIGH])
-    shares = " | ".join(f"{100 * np.mean(values <= limit):.0f} %" for limit in NEAR)
-    spread = f"{low:.3f} | {middle:.3f} | {high:.3f}"
-    return (
-        f"| {name} | {values.mean():.3f} ± {_half(values):.3f} | {spread} | {shares} |"
-    )
 
 
 def _half(values: Array) -> float:
