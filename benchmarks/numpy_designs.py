@@ -5,6 +5,8 @@ Pairs of rows by Fedorov's formula for D; each candidate in turn for blocks, and
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 #: condition number beyond which an information matrix counts as singular
@@ -49,25 +51,6 @@ def exchange_rows(rows: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         chosen[place] = row
 
 
-def exchange_blocks(blocks: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Each block in turn replaced by the best one until none raises the determinant."""
-    chosen, changed = chosen.copy(), True
-    k, columns = blocks.shape[1:]
-    while changed:
-        changed = False
-        for place in range(len(chosen)):
-            others = blocks[np.delete(chosen, place)].reshape(-1, columns)
-            ridge = 1e-12 * float(np.mean(others**2)) * np.eye(columns)
-            inverse = np.linalg.inv(others.T @ others + ridge)
-            factors = np.linalg.det(np.eye(k) + blocks @ inverse @ blocks.mT)
-            before = factors[chosen[place]]
-            factors[np.delete(chosen, place)] = 0.0
-            best = int(np.argmax(factors))
-            if factors[best] > before * (1.0 + GAIN):
-                chosen[place], changed = best, True
-    return chosen
-
-
 def variance(rows: np.ndarray, chosen: np.ndarray, weight: np.ndarray) -> float:
     """tr(W M^-1) of a plan out of rows (C, n); infinite where it is singular."""
     m = rows[chosen].T @ rows[chosen]
@@ -76,26 +59,53 @@ def variance(rows: np.ndarray, chosen: np.ndarray, weight: np.ndarray) -> float:
     return float(np.trace(weight @ np.linalg.inv(m)))
 
 
-def exchange_by_variance(
-    rows: np.ndarray, chosen: np.ndarray, weight: np.ndarray
+def exchange_in_turn(
+    chosen: np.ndarray, scores: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Each row in turn replaced by the one with the least tr(W M^-1) until none helps."""
+    """Each candidate in turn replaced by the best one until none helps.
+
+    scores  positive score (C,) of each candidate beside the others of the plan
+    """
     chosen, changed = chosen.copy(), True
-    ridge = 1e-10 * np.eye(rows.shape[1])
     while changed:
         changed = False
         for place in range(len(chosen)):
-            others = rows[np.delete(chosen, place)]
-            inverse = np.linalg.inv(others.T @ others + ridge)
-            side = rows @ inverse
-            reduction = np.sum((side @ weight) * side, axis=1)
-            reduction /= 1.0 + np.sum(side * rows, axis=1)
-            before = reduction[chosen[place]]
-            reduction[np.delete(chosen, place)] = -np.inf
-            best = int(np.argmax(reduction))
-            if reduction[best] > before * (1.0 + GAIN):
+            others = np.delete(chosen, place)
+            score = scores(others)
+            before = score[chosen[place]]
+            score[others] = -np.inf
+            best = int(np.argmax(score))
+            if score[best] > before * (1.0 + GAIN):
                 chosen[place], changed = best, True
     return chosen
+
+
+def exchange_blocks(blocks: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Blocks (C, k, n) exchanged in turn until none raises the determinant."""
+    k, columns = blocks.shape[1:]
+
+    def factors(others: np.ndarray) -> np.ndarray:
+        rows = blocks[others].reshape(-1, columns)
+        ridge = 1e-12 * float(np.mean(rows**2)) * np.eye(columns)
+        inverse = np.linalg.inv(rows.T @ rows + ridge)
+        return np.linalg.det(np.eye(k) + blocks @ inverse @ blocks.mT)
+
+    return exchange_in_turn(chosen, factors)
+
+
+def exchange_by_variance(
+    rows: np.ndarray, chosen: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Rows (C, n) exchanged in turn until none lowers tr(W M^-1)."""
+    ridge = 1e-10 * np.eye(rows.shape[1])
+
+    def reductions(others: np.ndarray) -> np.ndarray:
+        inverse = np.linalg.inv(rows[others].T @ rows[others] + ridge)
+        side = rows @ inverse
+        reduction = np.sum((side @ weight) * side, axis=1)
+        return reduction / (1.0 + np.sum(side * rows, axis=1))
+
+    return exchange_in_turn(chosen, reductions)
 
 
 def exchange(

@@ -13,11 +13,12 @@ of a diagnosis, and by the mixture over all hypotheses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.harness import tables
 from benchmarks.real_machines import world
 from oed import posterior
 from oed.accuracy import ErrorMaps
@@ -35,15 +36,12 @@ FITS = {
     "law": ("geometry alone", "law"),
     "geometry": ("effects allowed", "law"),
     "corrected": ("effects corrected", "law"),
-    "sent": ("effects absorbed", "law"),
 }
 ANSWERS = {
-    "geometry": ("geometry, no gap", "best"),
     "best": ("best answer, geometry alone", "best"),
     "mixture": ("mixture, geometry alone", "best"),
-    "best_effects": ("best answer, its effects corrected", "best_effects"),
-    "best_effects_mixed": ("the same, intervals of the mixture", "best_effects"),
 }
+COLUMNS = ("machine", "n", "compensation", "hold", "ratio", "error", "largest", "width")
 #: columns of a setting that the table groups by
 GROUPS = ("machine", "level", "size")
 
@@ -95,11 +93,6 @@ def accuracy(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     record["corrected"] = judge(
         bench, mean, sampled.theta + lost, drawn, drawn.mean(axis=0)
     )
-    known = drawn.mean(axis=0)
-    sent = mean + absorbing_shift(
-        slopes(bench, mean), known, bench.measurement.tolerance[: len(mean)]
-    )
-    record["sent"] = judge(bench, sent, sampled.theta + lost, drawn)
     return record
 
 
@@ -250,12 +243,8 @@ def answers(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     if corrected is not None:
         best_mean = corrected.estimate.theta[: corrected.parameters]
         best = _of_best(bench, problem, corrected, rng)
-    record["geometry"] = judge(bench, alone.theta, *geometry)
     record["best"] = judge(bench, best_mean, *best)
     record["mixture"] = judge(bench, _absorbing(bench, mixture.mean, mixed), *mixed)
-    by_effects = best.shifts.mean(axis=0)
-    record["best_effects"] = judge(bench, best_mean, *best, by_effects)
-    record["best_effects_mixed"] = judge(bench, best_mean, *mixed, by_effects)
     return record
 
 
@@ -330,33 +319,29 @@ def answers_table(rows: Sequence[Mapping[str, Any]]) -> str:
 def _table(
     rows: Sequence[Mapping[str, Any]], kinds: Mapping[str, tuple[str, str]]
 ) -> str:
-    head = "| machine | n | compensation | hold | ratio | error | largest | width |"
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         key = tuple(row[name] for name in GROUPS if name in row)
         groups.setdefault(key, []).append(row)
-    lines = [head, "|---" * 8 + "|"]
+    lines = [tables.head(*COLUMNS)]
     for key, group in groups.items():
         words = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in key)
-        lines += [f"| {words} | {cells} |" for cells in _cells(group, kinds)]
+        for kind, (title, base) in kinds.items():
+            cells = _cells(group, kind, base)
+            lines.append(tables.row(words, len(group), title, *cells))
     return "\n".join(lines)
 
 
-def _cells(
-    rows: Sequence[Mapping[str, Any]], kinds: Mapping[str, tuple[str, str]]
-) -> Iterator[str]:
-    """Of each kind: share of intervals that hold, realised over predicted error (median
-    and 90th percentile), error and width over those of what it is compared with.
+def _cells(rows: Sequence[Mapping[str, Any]], kind: str, base: str) -> list[str]:
+    """Share of intervals that hold, realised over predicted error (median and 90th
+    percentile), error and width over those of what it is compared with.
     """
-    for kind, (title, base) in kinds.items():
-        error = np.array([r[kind]["rms_um"] for r in rows])
-        over = error / [r[base]["rms_um"] for r in rows]
-        predicted = np.array([r[kind]["predicted_um"] for r in rows])
-        width = predicted / [r[base]["predicted_um"] for r in rows]
-        hold = np.mean([r[kind]["coverage"] for r in rows])
-        ratio = np.quantile(error / predicted, [0.5, 0.9])
-        mean = float(np.exp(np.mean(np.log(over))))
-        yield (
-            f"{len(rows)} | {title} | {hold:.2f} | {ratio[0]:.1f}, {ratio[1]:.1f} |"
-            f" {mean:.2f} | {over.max():.2f} | {np.median(width):.2f}"
-        )
+    error = np.array([r[kind]["rms_um"] for r in rows])
+    over = error / [r[base]["rms_um"] for r in rows]
+    predicted = np.array([r[kind]["predicted_um"] for r in rows])
+    width = predicted / [r[base]["predicted_um"] for r in rows]
+    hold = np.mean([r[kind]["coverage"] for r in rows])
+    median, most = np.quantile(error / predicted, [0.5, 0.9])
+    mean = float(np.exp(np.mean(np.log(over))))
+    figures = (f"{mean:.2f}", f"{over.max():.2f}", f"{np.median(width):.2f}")
+    return [f"{hold:.2f}", f"{median:.1f}, {most:.1f}", *figures]

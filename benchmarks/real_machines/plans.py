@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import tables
 from benchmarks.real_machines import world
 from oed.accuracy import ErrorMaps
 from oed.base import Array, Index
@@ -58,19 +59,16 @@ def attainable(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
 def attainable_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Mean errors by machine; in brackets the largest loss against the best plan."""
     columns = (*SIZES, ALL)
-    lines = [f"| machine | n | effects | {' | '.join(columns)} |", "|---" * 7 + "|"]
+    lines = [tables.head("machine", "n", "effects", *columns)]
     for machine in dict.fromkeys(row["machine"] for row in rows):
         some = [row for row in rows if row["machine"] == machine]
         for size in SIZES:
             values = np.array([[row[size][plan] for plan in columns] for row in some])
             best = values[:, SIZES.index(size)]
             loss = 100.0 * (values / best[:, None] - 1.0).max(axis=0)
-            cells = [
-                f"{v:.4g} ({x:.1f} %)"
-                for v, x in zip(values.mean(0), loss, strict=True)
-            ]
-            cells[-1] = f"{values[:, -1].mean():.4g}"
-            lines.append(f"| {machine} | {len(some)} | {size} | {' | '.join(cells)} |")
+            pairs = zip(values.mean(axis=0), loss, strict=True)
+            cells = [f"{value:.4g} ({most:.1f} %)" for value, most in pairs]
+            lines.append(tables.row(machine, len(some), size, *cells))
     return "\n".join(lines)
 
 
