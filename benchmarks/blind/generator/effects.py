@@ -91,9 +91,7 @@ class Stage:
 
 
 def unit(push: Push) -> Push:
-    """A push scaled to a largest addition of 1 m. Raises ArithmeticError if there is
-    none.
-    """
+    """A push scaled to a largest addition of 1 m. Raises ArithmeticError without any."""
     peak = push.peak()
     if not peak > 0 or not np.isfinite(peak):
         raise ArithmeticError("this form of the effect does nothing on this plan")
@@ -108,9 +106,7 @@ def linear(name: str, push: Push, blocks: tuple[str, ...] = ()) -> Effect:
 def pick_legs(
     rng: Generator, count: int, single: float = 0.5
 ) -> tuple[Array, tuple[str, ...]]:
-    """Gains (legs,): one leg alone with probability `single`, else all with unequal
-    gains; and the blocks.
-    """
+    """Gains (legs,) with the blocks: of one leg (probability `single`), or all unequal."""
     if rng.random() < single:
         leg = int(rng.integers(count))
         return np.eye(count)[leg], (f"leg {leg + 1}",)
@@ -158,9 +154,7 @@ def moved_mount(rng: Generator, setup: Setup, course: Array) -> Array:
 
 
 def smooth(rng: Generator, u: Array, knots: int = 6) -> Array:
-    """A random smooth curve over u in -1..1, (any shape): natural cubic through normal
-    values at uneven knots.
-    """
+    """A random smooth curve over u in -1..1: natural cubic, values at uneven knots."""
     inner = np.sort(rng.uniform(-0.9, 0.9, knots - 2))
     at = np.concatenate([[-1.0], inner, [1.0]])
     at += np.linspace(0.0, 0.05, knots)  # never twice the same
@@ -240,9 +234,7 @@ def _sensors(
 
 
 def leg_thermal(rng: Generator, stage: Stage) -> Effect:
-    """Screws grow along the part between nut and bearing; each leg has its own two time
-    constants' mixture.
-    """
+    """Screws grow between nut and bearing; each leg mixes two time constants."""
     gains, blocks = pick_legs(rng, stage.machine.legs, 0.4)
     q = stage.motion.q
     fixed = rng.uniform(0.0, 0.25) * q.min()
@@ -259,9 +251,7 @@ def frame_thermal(rng: Generator, stage: Stage) -> Effect:
 
 
 def bar_thermal(rng: Generator, stage: Stage) -> Effect:
-    """The bar is warm from the hand, and follows the room: its reading loses what it
-    has grown.
-    """
+    """The bar is warm from the hand, follows the room, and reads that much less."""
     dy = -0.3 * stage.climate.bar[stage.layout.row] * stage.by_bar
     return linear("bar_thermal", Push(dy=dy))
 
@@ -270,18 +260,14 @@ def bar_thermal(rng: Generator, stage: Stage) -> Effect:
 
 
 def joint_force(stage: Stage, weight: float) -> Array:
-    """Force (n, legs), N, that each joint carries: payload at the tool point and the
-    moving weight at its centre.
-    """
+    """Force (n, legs), N, of each joint: payload at the tool, weight at its centre."""
     motion = stage.motion
     payload = stage.plan.payload[:, None]
     return np.asarray(payload * motion.lift + weight * motion.lift_com)
 
 
 def gravity(rng: Generator, stage: Stage) -> Effect:
-    """Legs shorten under force: longer ones more (beam-like), stiffer under load, no
-    two alike.
-    """
+    """Legs shorten under force: longer ones more, stiffer under load, none alike."""
     machine, q = stage.machine, stage.motion.q
     weight = machine.weight * rng.uniform(0.6, 1.4)
     force = joint_force(stage, weight)
@@ -296,9 +282,7 @@ def gravity(rng: Generator, stage: Stage) -> Effect:
 
 
 def frame_bending(rng: Generator, stage: Stage) -> Effect:
-    """A smooth field of pose that no joint explains: a few bent modes of the tool's
-    displacement.
-    """
+    """A smooth field of displacement that no joint explains: a few bent modes."""
     command = stage.plan.command
     span = np.ptp(command, axis=0)
     varying = span > 1e-9
@@ -322,9 +306,7 @@ def frame_bending(rng: Generator, stage: Stage) -> Effect:
 
 
 def guideway(rng: Generator, stage: Stage) -> Effect:
-    """A carriage leaves its straight line: bows, a joint between two rails, a short
-    wave.
-    """
+    """A carriage leaves its line: bows, a joint between two rails, a short wave."""
     machine = stage.machine
     legs, blocks = some_legs(rng, machine.legs)
     dp = stage.zero()
@@ -378,9 +360,7 @@ def passes(stage: Stage) -> list[Pass]:
 
 
 def _turning(q0: Array, q1: Array, m0: Array, m1: Array) -> Array:
-    """Extremum of the cubic between neighbours where their slopes differ in sign, else
-    the middle; (m, legs).
-    """
+    """Extremum (m, legs) of the cubic between neighbours, or the middle without one."""
     a, b = 2 * (q0 - q1) + m0 + m1, 3 * (q1 - q0) - 2 * m0 - m1
     # root of 3 a t^2 + 2 b t + m0 in 0..1, in the form that is safe for small a
     root = np.sqrt(np.maximum(b**2 - 3 * a * m0, 0.0))
@@ -408,9 +388,7 @@ def play(stage: Stage, ways: Sequence[Pass], widths: Array, weights: Array) -> A
 
 
 def backlash(rng: Generator, stage: Stage) -> Effect:
-    """Play with memory: several gaps in a row, softened; amplitude is half the total
-    gap of the loosest leg.
-    """
+    """Several gaps in a row; amplitude is half the total gap of the loosest leg."""
     gains, blocks = pick_legs(rng, stage.machine.legs)
     ratio = np.sort(rng.uniform(0.3, 1.0, 3))
     weights = rng.dirichlet(np.ones(3))
@@ -427,9 +405,7 @@ def backlash(rng: Generator, stage: Stage) -> Effect:
 
 
 def friction(rng: Generator, stage: Stage) -> Effect:
-    """Wind-up against a compliant drive: Dahl's presliding, Stribeck over speed, drag
-    that varies along the stroke.
-    """
+    """Wind-up of a compliant drive: Dahl's presliding, Stribeck, drag by stroke."""
     gains, blocks = pick_legs(rng, stage.machine.legs)
     q, rate = stage.motion.q, stage.motion.rate
     # m, presliding of drives
@@ -445,9 +421,7 @@ def friction(rng: Generator, stage: Stage) -> Effect:
 
 
 def _dahl(stage: Stage, slide: float) -> Array:
-    """Wound-up share (n, legs), -1..1: it follows the direction of travel after a way
-    of `slide`, m.
-    """
+    """Wound-up share (n, legs), -1..1, which follows the travel after `slide`, m."""
     out, state = np.zeros_like(stage.motion.q), np.zeros(stage.machine.legs)
     for way in passes(stage):
         steps = np.diff(way.q, axis=0, prepend=way.q[:1])
@@ -462,9 +436,7 @@ def _dahl(stage: Stage, slide: float) -> Array:
 
 
 def servo_lag(rng: Generator, stage: Stage) -> Effect:
-    """Following error of a loop with feed-forward: rate and acceleration parts,
-    saturating, gains unequal.
-    """
+    """Following error with feed-forward: rate, saturating, and acceleration parts."""
     gains, blocks = pick_legs(rng, stage.machine.legs, 0.4)
     rate, acc = stage.motion.rate, stage.motion.acceleration
     top = float(np.abs(rate).max())
@@ -476,9 +448,7 @@ def servo_lag(rng: Generator, stage: Stage) -> Effect:
 
 
 def joint_clearance(rng: Generator, stage: Stage) -> Effect:
-    """Joints settle on one side of their gap or the other by the sign of its force,
-    softly, and a little aside.
-    """
+    """Joints settle softly on a side of their gap by the force, and a little aside."""
     gains, blocks = pick_legs(rng, stage.machine.legs)
     force = joint_force(stage, rng.uniform(0.0, 0.6) * stage.machine.weight)
     soft = np.tanh(force / (rng.uniform(0.02, 0.15) * np.abs(force).max(0)))
@@ -490,9 +460,7 @@ def joint_clearance(rng: Generator, stage: Stage) -> Effect:
 
 
 def encoder_scale(rng: Generator, stage: Stage) -> Effect:
-    """A scale that is not quite uniform: what is uniform of it hides in the geometry,
-    more than what is not.
-    """
+    """A scale that is not quite uniform: its uniform part hides in the geometry."""
     gains, blocks = pick_legs(rng, stage.machine.legs, 0.6)
     u = stage.stroke
     bend = rng.uniform(-0.04, 0.04) * float(np.ptp(stage.motion.q)) / 2
@@ -501,16 +469,12 @@ def encoder_scale(rng: Generator, stage: Stage) -> Effect:
 
 
 def common_scale(rng: Generator, stage: Stage) -> Effect:
-    """The same scale error in every leg: on one bar and tool nothing tells it from the
-    bar's length.
-    """
+    """The same scale error in every leg: on one bar and tool like the bar's length."""
     return linear("encoder_scale", Push(dq=stage.motion.q.copy()))
 
 
 def pitch_accumulation(rng: Generator, stage: Stage) -> Effect:
-    """Lead error of a screw: accumulated random pitch errors, smooth, with one worn
-    stretch.
-    """
+    """Lead error of a screw: accumulated pitch errors, and one worn stretch."""
     gains, blocks = pick_legs(rng, stage.machine.legs, 0.6)
     u = stage.stroke
     dq = np.zeros_like(u)
@@ -547,9 +511,7 @@ def screw_cyclic(rng: Generator, stage: Stage) -> Effect:
 
 
 def encoder_subdivision(rng: Generator, stage: Stage) -> Effect:
-    """Interpolation error within a grating's period: offset and amplitude of sine and
-    cosine, so first and second.
-    """
+    """Interpolation within a grating's period: offset and amplitude of sine, cosine."""
     fine = {"planar": (40, 100, 200), "delta": (1000, 2000, 5000)}
     period = float(rng.choice(fine.get(stage.machine.name, (20, 40, 100)))) * 1e-6
     gains, blocks = pick_legs(rng, stage.machine.legs)
@@ -561,9 +523,7 @@ def encoder_subdivision(rng: Generator, stage: Stage) -> Effect:
 
 
 def joint_runout(rng: Generator, stage: Stage) -> Effect:
-    """A joint's centre wanders as it swings: harmonics of the leg's direction angle,
-    base or platform side.
-    """
+    """A joint's centre wanders as it swings: harmonics of the leg's direction."""
     chosen, blocks = some_legs(rng, stage.machine.legs)
     platform = bool(rng.random() < 0.5)
     total = stage.zero()
@@ -596,9 +556,7 @@ def bar_length(rng: Generator, stage: Stage) -> Effect:
 
 
 def mount_drift(rng: Generator, stage: Stage) -> Effect:
-    """A mount creeps after clamping: a fast and a slow part (log-like), and may slip
-    once; set-ups differ.
-    """
+    """A mount creeps after clamping, fast and slow, and may slip; set-ups differ."""
     plan = stage.plan
     ds = np.zeros((stage.rows, STATE))
     only = None
@@ -656,9 +614,7 @@ def step(rng: Generator, stage: Stage) -> Effect:
 
 
 def cross_talk(rng: Generator, stage: Stage) -> Effect:
-    """The controller lets one leg's current disturb another: force of one times the
-    rate's sign of the next.
-    """
+    """One leg's current disturbs another: force of one by the rate of the next."""
     legs = stage.machine.legs
     a, b = rng.choice(legs, 2, replace=False)
     other = stage.motion.rate[:, b] / np.abs(stage.motion.rate[:, b]).max()
@@ -669,9 +625,7 @@ def cross_talk(rng: Generator, stage: Stage) -> Effect:
 
 
 def feed_resonance(rng: Generator, stage: Stage) -> Effect:
-    """The structure rings at one feed only: a wave along the path, largest where the
-    path bends most.
-    """
+    """The structure rings at one feed: a wave along the path, largest where it bends."""
     feeds = np.unique(stage.plan.feed[stage.plan.feed > 0])
     feed = feeds[-1] if rng.random() < 0.7 else feeds[0]
     wave = feed * rng.uniform(2.0, 7.0)  # m of path a cycle: aliased by the readings
@@ -715,9 +669,7 @@ def humidity_wave(rng: Generator, stage: Stage) -> Effect:
 
 
 def cable_drag(rng: Generator, stage: Stage) -> Effect:
-    """A cable pulls the tool aside, by where it points, and differently on the way
-    back.
-    """
+    """A cable pulls the tool aside by where it points, differently on the way back."""
     phase = stage.plan.phase
     lag = rng.uniform(0.3, 1.0) * stage.plan.direction
     pull = np.exp(1.5 * np.cos(phase - rng.uniform(0, 6.28) - lag)) - 1.2
@@ -733,9 +685,7 @@ def cable_drag(rng: Generator, stage: Stage) -> Effect:
 
 
 def platform_torsion(rng: Generator, stage: Stage) -> Effect:
-    """The platform twists with the moment of its load: joints move sideways by one
-    leg's force times another's.
-    """
+    """The platform twists: joints move sideways by the product of two legs' forces."""
     force = joint_force(stage, 0.4 * stage.machine.weight)
     force = force / np.abs(force).max()
     moment = force[:, 0] * force[:, 1] - 0.6 * force[:, 0] ** 2
@@ -773,9 +723,7 @@ def table_sag(rng: Generator, stage: Stage) -> Effect:
 
 
 def wrong_table(rng: Generator, stage: Stage) -> Effect:
-    """One corner of the controller's compensation table is wrong: two legs, a patch of
-    the workspace.
-    """
+    """A patch of the controller's compensation table is wrong, for two legs."""
     legs = stage.machine.legs
     a, b = rng.choice(legs, 2, replace=False)
     centre = stage.stroke[int(rng.integers(stage.rows))]

@@ -55,9 +55,7 @@ class Instrument:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setup:
-    """An instrument as mounted; tool: length added along the tool's axis, m; teach:
-    command, SI.
-    """
+    """An instrument as mounted; tool: added along the tool's axis, m; teach: SI."""
 
     name: str
     instrument: Instrument
@@ -250,9 +248,7 @@ TEACH_Z, BAR_LENGTH = 1.286, 0.300
 
 
 def a3_circle(z: float, tool: float, count: int) -> Path:
-    """Commands (count, 3) at height z that keep the bar's length about a cup taught at
-    TEACH_Z + tool.
-    """
+    """Commands (count, 3) at height z that keep the bar's length about the taught cup."""
     psi = 2 * np.pi * (np.arange(count) + 0.37) / count  # no leg turns at a reading
     machine = MACHINES["a3"]
 
@@ -272,9 +268,7 @@ def a3_circle(z: float, tool: float, count: int) -> Path:
 
 
 def line(axis: int, other: float, count: int) -> Path:
-    """Commands (count, 2) along y (axis 0) or z (axis 1); places are no multiples of a
-    screw's pitch.
-    """
+    """Commands (count, 2) along y (axis 0) or z (1), at no multiples of a pitch."""
     low, high = ((-1.5, 1.5), (0.0, 1.5))[axis]
     s = np.linspace(-1.0, 1.0, count)
     s[1:-1] += (0.31 / count) * np.sin(2.4 * np.arange(1, count - 1) ** 1.3)

@@ -61,9 +61,7 @@ def _sum(a: Array | None, b: Array | None) -> Array | None:
 
 
 class Layout:
-    """Where readings come from: for each of N readings its row, the row it is read
-    against, its channel's sigma.
-    """
+    """Of each of N readings its row, the row it is read against, its channel's sigma."""
 
     def __init__(self, plan: Plan) -> None:
         self.rows: list[Index] = []
@@ -83,9 +81,7 @@ class Layout:
 
 
 class Motion:
-    """Nominal motion along the rows: joints, rates (m/s), accelerations, arc length,
-    tool points, leg directions.
-    """
+    """Nominal motion along the rows: joints, rates (m/s), tool points, directions."""
 
     def __init__(self, plan: Plan) -> None:
         machine = plan.machine
@@ -112,9 +108,7 @@ class Motion:
         self.arc[here] = s[keep] - s[keep][0]
 
     def _lifts(self, plan: Plan) -> tuple[Array, Array]:
-        """dz/dq (n, legs) of the tool point, and of the moving mass's centre: forces by
-        virtual work.
-        """
+        """dz/dq (n, legs) of tool point and moving mass: forces by virtual work."""
         machine, pose = plan.machine, self.pose
         p = np.tile(machine.full, (len(pose.q), 1))
         by_x = slope(lambda v: machine.closure(v, pose.R0, pose.q, p), pose.x)
@@ -137,9 +131,7 @@ class Scene:
     """
 
     def __init__(self, plan: Plan, error: Array, state: Array) -> None:
-        """error (np,) of the parameters, state (set-ups, STATE) of the set-ups; both
-        SI.
-        """
+        """error (np,) of the parameters, state (set-ups, STATE) of the set-ups; SI."""
         self.plan, self.layout, self.motion = plan, Layout(plan), Motion(plan)
         machine = plan.machine
         p = machine.full
