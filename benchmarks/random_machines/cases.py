@@ -12,13 +12,14 @@ import dataclasses
 import math
 import tempfile
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from benchmarks.harness import tables
 from benchmarks.harness.statistics import share
 from benchmarks.random_machines import machines, sessions
 from benchmarks.random_machines.sessions import Bench, Mounted
@@ -70,21 +71,6 @@ class Case:
     study: Mapping[str, Any]
     readings: pd.DataFrame
 
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What the table groups by."""
-        return {
-            "model": self.model,
-            "size_m": self.size,
-            "sigma_um": 1e6 * self.sigma,
-            "law": self.law.name,
-            "plan": self.plan.words,
-            "runs": self.plan.runs * (2 if self.plan.both else 1),
-            "readings": self.plan.readings,
-            "columns": sorted(self.plan.columns),
-            "instruments": list(self.instruments),
-        }
-
 
 def machine_of(table: Mapping[str, Any]) -> Machine:
     """The toolkit's machine of a `[machine]` table."""
@@ -102,7 +88,7 @@ def draw(number: int, seed: int) -> Case:
     while True:  # a random geometry may have no workspace
         drawn = machines.draw(model, own, rng)
         try:
-            return _case(drawn, sessions.draw_law(law, rng), rng)
+            return case_of(drawn, sessions.draw_law(law, rng), rng)
         except AssemblyError:
             continue
 
@@ -112,26 +98,17 @@ def _sigma(size: float, rng: np.random.Generator) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
-def draw_fully_read(model: str, kind: str, seed: int) -> Case:
-    """A machine of a family, read in every way by an instrument of a kind."""
-    rng = np.random.default_rng(seed)
-    own = machine_of({"model": model})
-    while True:
-        drawn = machines.draw(model, own, rng)
-        plan = sessions.full(drawn.size)
-        try:
-            return _case(drawn, sessions.draw_law("white", rng), rng, [kind], plan)
-        except AssemblyError:
-            continue
-
-
-def _case(
+def case_of(
     drawn: machines.Drawn,
     law: sessions.Law,
     rng: np.random.Generator,
     kinds: Sequence[str] = (),
     plan: sessions.Plan | None = None,
 ) -> Case:
+    """A drawn machine, read by instruments of these kinds, or by random ones.
+
+    Raises AssemblyError where no path is within reach.
+    """
     machine = machine_of(drawn.table)
     free = np.array([p.name not in machine.frame for p in machine.parameters])
     tolerance = np.array([p.tolerance for p in machine.parameters]) * free
@@ -224,14 +201,8 @@ class _Session:
             return sessions.ball_bar(self.bench, name, length, cup)
         if kind.startswith("rm"):
             return sessions.relative(self.bench, name, kind)
-        special = {
-            "pose_tracker": sessions.pose_tracker,
-            "laser_ball_bar": sessions.laser_ball_bar,
-            "height": sessions.height,
-            "calliper": sessions.calliper,
-        }
-        if kind in special:
-            return special[kind](self.bench, name)
+        if kind in sessions.OTHERS:
+            return sessions.OTHERS[kind](self.bench, name)
         return sessions.position(self.bench, name, kind)
 
     def _path(self, kind: str, length: float, cup: Array) -> Array:
@@ -305,49 +276,33 @@ def write(case: Case, folder: Path) -> Path:
 # -- the diagnosis -------------------------------------------------------------------------
 
 
-def answer(case: Case) -> dict[str, Any]:
-    """What the diagnosis of a case says: verdict, answers, and the fit it starts from."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = write(case, Path(folder))
-        readings = read_readings(build_study(case.study, folder), path)
-        estimate = identify(readings)
-        state = diagnose(estimate).state
-    fit, gap = state.estimate, state.result.gap
-    record = {"chi2": float(fit.chi2), "dof": float(fit.dof)}
-    if gap is None:
-        return record | {"verdict": MISTAKEN, "words": list(state.warnings)}
-    return record | {
-        "verdict": gap.verdict,
-        "answers": [[a.effects, round(a.probability, 4)] for a in gap.answers[:5]],
-        "noise": list(gap.noise),
-        "unknown": gap.unknown,
-    }
-
-
 def alarm(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """The diagnosis of one machine; one that fails leaves its traceback.
 
     The setting names the stream, the seed of all machines.
     """
     case = draw(seed, setting["stream"])
+    facts = {"model": case.model, "law": case.law.name, "setups": len(case.instruments)}
     try:
-        return case.facts | answer(case)
+        return facts | answer(case)
     except Exception:  # whatever fails is a defect to be read in the row
-        return case.facts | {"verdict": FAILED, "traceback": traceback.format_exc()}
+        return facts | {"verdict": FAILED, "traceback": traceback.format_exc()}
+
+
+def answer(case: Case) -> dict[str, Any]:
+    """What the diagnosis of a case says."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write(case, Path(folder))
+        readings = read_readings(build_study(case.study, folder), path)
+        state = diagnose(identify(readings)).state
+    gap = state.result.gap
+    if gap is None:
+        return {"verdict": MISTAKEN, "words": list(state.warnings)}
+    answers = [[a.effects, round(a.probability, 4)] for a in gap.answers[:5]]
+    return {"verdict": gap.verdict, "answers": answers}
 
 
 # -- table -----------------------------------------------------------------------------
-
-HEAD = "| | machines | false alarms | 95 % interval |\n| --- | --: | --: | --- |"
-#: in which order the parts of the table come, and what they group by
-GROUPS: Sequence[tuple[str, Callable[[Record], str]]] = (
-    ("machine", lambda r: f"`{r['model']}`"),
-    ("noise", lambda r: str(r["law"])),
-    ("plan", lambda r: str(r["plan"])),
-    ("instruments", lambda r: "one" if len(r["instruments"]) == 1 else "two"),
-    ("size", lambda r: _decade(r["size_m"])),
-    ("readings", lambda r: "above 150" if _count(r) > 150 else "up to 150"),
-)
 
 
 def is_alarm(record: Record) -> bool:
@@ -356,11 +311,13 @@ def is_alarm(record: Record) -> bool:
 
 
 def table(records: Sequence[Record]) -> str:
-    """The table of all groups."""
-    lines = [HEAD, _row("all", records)]
-    for _, key in GROUPS:
-        for value in sorted({key(r) for r in records}):
-            lines.append(_row(value, [r for r in records if key(r) == value]))
+    """False alarms of all machines, by noise law and by number of set-ups."""
+    lines = [tables.head("", "machines", "false alarms", "95 % interval")]
+    lines.append(_row("all", records))
+    for field in ("law", "setups"):
+        for value in sorted({r[field] for r in records}):
+            of_value = [r for r in records if r[field] == value]
+            lines.append(_row(f"{field} {value}", of_value))
     return "\n".join(lines)
 
 
@@ -368,15 +325,5 @@ def _row(name: str, records: Sequence[Record]) -> str:
     alarms = share(name, [is_alarm(r) for r in records])
     hits, low, high = (100.0 * v for v in (alarms.value, alarms.low, alarms.high))
     count = sum(map(is_alarm, records))
-    return f"| {name} | {len(records)} | {count} ({hits:.1f} %) | {low:.1f}..{high:.1f} % |"
-
-
-def _decade(size: float) -> str:
-    for least in (3.0, 1.0, 0.3):
-        if size >= least:
-            return f"from {least:g} m"
-    return "below 0.3 m"
-
-
-def _count(record: Record) -> int:
-    return int(record["runs"] * record["readings"] * len(record["instruments"]))
+    interval = f"{low:.1f}..{high:.1f} %"
+    return tables.row(name, len(records), f"{count} ({hits:.1f} %)", interval)

@@ -96,12 +96,6 @@ class Plan:
     step: float
     regular: bool
 
-    @property
-    def words(self) -> str:
-        """The plan's kind, for the table."""
-        ways = "both ways" if self.both else "one way"
-        return f"{ways}, {'time' if 'time' in self.columns else 'no time'}"
-
 
 def draw_plan(size: float, most: int, rng: np.random.Generator) -> Plan:
     """A random plan of at most so many readings, or of the fewest there are."""
@@ -131,21 +125,6 @@ def draw_plan(size: float, most: int, rng: np.random.Generator) -> Plan:
         pause=float(pause),
         step=round(step, 1),
         regular=regular,
-    )
-
-
-def full(size: float) -> Plan:
-    """Six paths both ways in two hours, with all that can be written down."""
-    return Plan(
-        runs=6,
-        readings=15,
-        both=True,
-        columns=frozenset(("time", "direction", "feed", "payload")),
-        feeds=[2e3 * size, 5e3 * size],
-        payloads=[0.0, 50.0],
-        pause=400.0,
-        step=10.0,
-        regular=True,
     )
 
 
@@ -451,3 +430,12 @@ def relative(bench: Bench, name: str, kind: str) -> Mounted:
 
     columns = [f"{n}_mm" for n in names]
     return Mounted(table, _lengths(bench, names), columns, len(axes), read, True)
+
+
+#: instruments that need nothing but a bench and a name
+OTHERS: dict[str, Callable[[Bench, str], Mounted]] = {
+    "pose_tracker": pose_tracker,
+    "laser_ball_bar": laser_ball_bar,
+    "height": height,
+    "calliper": calliper,
+}
