@@ -30,7 +30,7 @@ from typing import TypeVar
 import cvxpy as cp
 import numpy as np
 
-from benchmarks import design_relaxations, hexapod, peer_runs
+from benchmarks import design_relaxations, hexapod, numpy_designs, peer_runs
 from benchmarks.harness.tables import head, row
 from benchmarks.peer_runs import Result
 from benchmarks.peers import SIZE, candidates, processor_seconds, value
@@ -76,7 +76,7 @@ def relax_e(rows: np.ndarray) -> Result:
 def choose_poses(blocks: np.ndarray, rounds: int) -> Result:
     """This project's choice of poses."""
     seconds, choice = _chosen(blocks, hexapod.SIZE, "D", rounds)
-    reached = hexapod.log_det(blocks, choice.indices)
+    reached = numpy_designs.log_det(blocks, choice.indices)
     return _own(POSES, reached, seconds, choice.bound, f", {rounds} rounds")
 
 

@@ -37,10 +37,18 @@ LARGE = (2000, 21, 30)
 MAX_NODES = 4000
 #: relative difference of variances that counts as none
 EQUAL = 1e-6
-COLUMNS = (
-    *("by", "criterion", "candidates", "columns", "readings"),
-    *("plan", "optimum", "gap", "weights", "s"),
-)
+COLUMNS = [
+    "by",
+    "criterion",
+    "candidates",
+    "columns",
+    "readings",
+    "plan",
+    "optimum",
+    "gap",
+    "weights",
+    "s",
+]
 
 
 class Instance(NamedTuple):

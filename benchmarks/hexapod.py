@@ -43,9 +43,3 @@ def covariance(rng: np.random.Generator) -> np.ndarray:
     moment = draws @ draws.T
     scale = sigma / np.sqrt(np.diag(moment))
     return moment * np.outer(scale, scale)
-
-
-def log_det(candidates: np.ndarray, chosen: np.ndarray) -> float:
-    """Value of a plan, from the singular values of its rows."""
-    rows = candidates[chosen].reshape(-1, COLUMNS)
-    return 2.0 * float(np.log(np.linalg.svd(rows, compute_uv=False)).sum())

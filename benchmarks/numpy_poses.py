@@ -34,7 +34,7 @@ Poses = tuple[np.ndarray, np.ndarray]
 
 def turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) turned by rotation vectors (n, 3), by Rodrigues' formula."""
-    angle = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)[:, None, None]
+    angle = np.maximum(np.linalg.norm(vector, axis=1), 1e-150)[:, None, None]
     cross = np.zeros_like(rotation)
     cross[:, 0, 1], cross[:, 0, 2] = -vector[:, 2], vector[:, 1]
     cross[:, 1, 0], cross[:, 1, 2] = vector[:, 2], -vector[:, 0]

@@ -102,18 +102,15 @@ def _violations(chosen: np.ndarray) -> list[str]:
     return violations
 
 
-# -- doekit: KL exchange for D, Fedorov's for the other criteria, on a model matrix.
-
-
 def doekit_kl(rows: np.ndarray) -> Choose:
-    """Its `kl_exchange` with its defaults."""
+    """Its `kl_exchange` with its defaults, on a model matrix."""
     from doekit.generation.search.optimal import kl_exchange
 
     return lambda: kl_exchange(rows, SIZE, rng=np.random.default_rng(1))
 
 
 def doekit_fedorov(rows: np.ndarray) -> Choose:
-    """Its `fedorov_exchange` for the least eigenvalue."""
+    """Its `fedorov_exchange` for the least eigenvalue, on a model matrix."""
     from doekit.domain.criteria import get_criterion
     from doekit.generation.search.optimal import fedorov_exchange
 
@@ -122,11 +119,8 @@ def doekit_fedorov(rows: np.ndarray) -> Choose:
     )
 
 
-# -- doetools: Fedorov's exchange on a whitened model matrix.
-
-
 def doetools_fedorov(rows: np.ndarray) -> Choose:
-    """Its `optimize_d_optimal` with its 50 random starts."""
+    """Its `optimize_d_optimal` with its 50 random starts, on a whitened model matrix."""
     from doetools.design.d_opt.optimizer import optimize_d_optimal
 
     return lambda: optimize_d_optimal(
@@ -134,11 +128,8 @@ def doetools_fedorov(rows: np.ndarray) -> Choose:
     ).best_indices[SIZE]
 
 
-# -- figaroh: the optimisers of its calibration, on information matrices, not a robot.
-
-
 def figaroh_socp(rows: np.ndarray) -> Choose:
-    """The 30 largest relaxed weights by picos and CVXOPT.
+    """The 30 largest relaxed weights by picos and CVXOPT, of its robots' calibration.
 
     The package itself takes every weight above 1e-5.
     """
@@ -170,11 +161,8 @@ def figaroh_detmax(rows: np.ndarray) -> Choose:
     return choose
 
 
-# -- industrialstats: row exchange over a candidate set that replaces its own grid.
-
-
 def industrialstats_exchange(rows: np.ndarray) -> Choose:
-    """Its `OptimalDesign` with its 5 random starts (it takes no seed)."""
+    """Its `OptimalDesign`: row exchange, 5 random starts (it takes no seed)."""
     import pandas as pd
     from industrialstats.designs.base import Factor
     from industrialstats.designs.optimal import OptimalDesign
@@ -192,11 +180,8 @@ def industrialstats_exchange(rows: np.ndarray) -> Choose:
     return choose
 
 
-# -- optdesign: exchange of one row at a time from a given order of the rows.
-
-
 def optdesign_exchange(rows: np.ndarray) -> Choose:
-    """Best of 100 random orders."""
+    """Exchange of one row at a time, the best of 100 random orders."""
     from optdesign import opt_dmetric, setup_random
 
     def choose() -> np.ndarray:
@@ -213,11 +198,8 @@ def optdesign_exchange(rows: np.ndarray) -> Choose:
     return choose
 
 
-# -- pydex: relaxed weights by cvxpy, then Adams' apportionment.
-
-
 def pydex_weights(rows: np.ndarray, criterion: str) -> Choose:
-    """The information matrices are its `atomic_fims`: nothing is differentiated."""
+    """Weights by cvxpy, apportioned by Adams; `atomic_fims` are given, not derived."""
     from pydex.core.designer import Designer
 
     designer = Designer()
@@ -245,21 +227,15 @@ def pydex_weights(rows: np.ndarray, criterion: str) -> Choose:
     return choose
 
 
-# -- pydoe: greedy, then exchange passes over the rows of a Jacobian.
-
-
 def pydoe_jacobian(rows: np.ndarray, criterion: str) -> Choose:
-    """Its `jacobian_optimal_design` with its defaults."""
+    """Its `jacobian_optimal_design`: greedy, then exchange, with its defaults."""
     from pydoe import jacobian_optimal_design
 
     return lambda: jacobian_optimal_design(rows, SIZE, criterion=criterion)[0]
 
 
-# -- pydoe3: polynomial models in factors; the 21 columns are factors plus an intercept.
-
-
 def pydoe3_optimal(rows: np.ndarray, criterion: str, method: str) -> Choose:
-    """Its `optimal_design` of degree 1; its rows are identified by their values."""
+    """Its `optimal_design` of degree 1, with an intercept; rows are found by values."""
     from pyDOE3.doe_optimal import optimal_design
 
     numbers = {row.tobytes(): number for number, row in enumerate(rows)}

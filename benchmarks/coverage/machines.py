@@ -31,28 +31,30 @@ from tests.oracles import (
     planar_geometry,
 )
 
+#: pose errors (n, k) of the machine with true parameters, driven with believed ones; SI
+Errors = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Bench:
     """One configuration.
 
     name         of the machines and errors that are drawn
     measurement  the toolkit's
     series       its planned readings, N in all
-    stages       of the identification
     command      (n, n_dof) workspace poses, SI
     read         exact readings (N,) of the oracle's machine theta (n,), SI
-    errors       pose errors (n, k) of the oracle's machine, driven with believed
-                 parameters (np,), zeroed at home; SI
+    errors       of the oracle's machine, zeroed at home
+    stages       of the identification
     """
 
     name: str
     measurement: Measurement
     series: Sequence[Series]
-    stages: Sequence[Sequence[str]] = (("*",),)
     command: np.ndarray
     read: Callable[[np.ndarray], np.ndarray]
-    errors: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    errors: Errors
+    stages: Sequence[Sequence[str]] = (("*",),)
 
     @functools.cached_property
     def coordinates(self) -> IdentifiableCoordinates:
@@ -97,6 +99,25 @@ def components_from_home(
     return m.kinematics.error_components(command, twist)
 
 
+def errors_of_points(
+    m: Measurement,
+    command: np.ndarray,
+    points: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> Errors:
+    """Errors (n, k) of a machine that only moves, zeroed at home.
+
+    points  of joints (n, nq) and parameters, by the oracle (n, k)
+    """
+
+    def errors(believed: np.ndarray, true: np.ndarray) -> np.ndarray:
+        poses = np.vstack([command, m.machine.home_command])
+        joints = compensated_joints(m.kinematics, poses, believed)
+        error = points(joints, true) - poses
+        return error[:-1] - error[-1]
+
+    return errors
+
+
 # -- A3 head with a ball bar -----------------------------------------------------------
 
 
@@ -136,17 +157,13 @@ def a3(name: str, z: Sequence[float], setups: Sequence[str]) -> Bench:
     command = _a3_workspace()
 
     def errors(believed: np.ndarray, true: np.ndarray) -> np.ndarray:
-        return _a3_errors(m, command, believed, true)
+        poses = np.vstack([command, m.machine.home_command])
+        joints = compensated_joints(m.kinematics, poses, believed)
+        real = a3_geometry.forward(true, joints)
+        return components_from_home(m, command, real.R, real.tip)
 
-    return Bench(
-        name=name,
-        measurement=m,
-        series=series,
-        stages=(("dq*",), ("*",)),
-        command=command,
-        read=read,
-        errors=errors,
-    )
+    stages = (("dq*",), ("*",))
+    return Bench(name, m, series, command, read, errors, stages)
 
 
 def _circles(m: Measurement, setup: str, heights: np.ndarray) -> Series:
@@ -165,15 +182,6 @@ def _a3_workspace() -> np.ndarray:
     theta = np.deg2rad([5.0, 15.0, 25.0, 35.0])
     grid = np.meshgrid(z, psi, theta, indexing="ij")
     return np.column_stack([v.ravel() for v in grid])
-
-
-def _a3_errors(
-    m: Measurement, command: np.ndarray, believed: np.ndarray, true: np.ndarray
-) -> np.ndarray:
-    """Errors (n, 6) in x, y, z, psi, theta, phi, zeroed at home."""
-    poses = np.vstack([command, m.machine.home_command])
-    real = a3_geometry.forward(true, compensated_joints(m.kinematics, poses, believed))
-    return components_from_home(m, command, real.R, real.tip)
 
 
 # -- planar manipulator with RM 4 and RM 5 ---------------------------------------------
@@ -208,22 +216,9 @@ def planar() -> Bench:
 
     y, z = np.meshgrid(np.linspace(-1.5, 1.5, 11), np.linspace(0.0, 1.5, 4))
     command = np.column_stack([y.ravel(), z.ravel()])
-
-    def errors(believed: np.ndarray, true: np.ndarray) -> np.ndarray:
-        poses = np.vstack([command, m.machine.home_command])
-        joints = compensated_joints(m.kinematics, poses, believed)
-        error = planar_geometry.forward(joints, true) - poses
-        return error[:-1] - error[-1]
-
-    return Bench(
-        name="planar",
-        measurement=m,
-        series=series,
-        stages=(("beta*",), ("*",)),
-        command=command,
-        read=read,
-        errors=errors,
-    )
+    errors = errors_of_points(m, command, planar_geometry.forward)
+    stages = (("beta*",), ("*",))
+    return Bench("planar", m, series, command, read, errors, stages)
 
 
 # -- linear delta with probe and calliper ----------------------------------------------
@@ -261,21 +256,8 @@ def delta() -> Bench:
         return np.concatenate([touched, np.linalg.norm(apart, axis=1)])
 
     command = _delta_workspace()
-
-    def errors(believed: np.ndarray, true: np.ndarray) -> np.ndarray:
-        poses = np.vstack([command, m.machine.home_command])
-        joints = compensated_joints(m.kinematics, poses, believed)
-        error = _nozzle(joints, true) - poses
-        return error[:-1] - error[-1]
-
-    return Bench(
-        name="delta",
-        measurement=m,
-        series=[heights, distances],
-        command=command,
-        read=read,
-        errors=errors,
-    )
+    errors = errors_of_points(m, command, _nozzle)
+    return Bench("delta", m, [heights, distances], command, read, errors)
 
 
 def _nozzle(q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -334,16 +316,13 @@ def hexapod() -> Bench:
     workspace = _hexapod_workspace()
 
     def errors(believed: np.ndarray, true: np.ndarray) -> np.ndarray:
-        return _hexapod_errors(m, workspace, believed, true)
+        poses = np.vstack([workspace, m.machine.home_command])
+        start, _ = m.kinematics.inverse(poses)
+        joints = compensated_joints(m.kinematics, poses, believed)
+        points, rotations = _hexapod_poses(m.kinematics, joints, start, true)
+        return components_from_home(m, workspace, rotations, points)
 
-    return Bench(
-        name="hexapod",
-        measurement=m,
-        series=[series],
-        command=workspace,
-        read=read,
-        errors=errors,
-    )
+    return Bench("hexapod", m, [series], workspace, read, errors)
 
 
 def _hexapod_workspace() -> np.ndarray:
@@ -365,17 +344,6 @@ def _hexapod_poses(
         for qi, xi, ri in zip(q, point, rotation, strict=True)
     ]
     return np.array([s[0] for s in solved]), np.array([s[1] for s in solved])
-
-
-def _hexapod_errors(
-    m: Measurement, command: np.ndarray, believed: np.ndarray, true: np.ndarray
-) -> np.ndarray:
-    """Errors (n, 6) in place and rotation vector, zeroed at home."""
-    poses = np.vstack([command, m.machine.home_command])
-    start, _ = m.kinematics.inverse(poses)
-    joints = compensated_joints(m.kinematics, poses, believed)
-    points, rotations = _hexapod_poses(m.kinematics, joints, start, true)
-    return components_from_home(m, command, rotations, points)
 
 
 # -- by name ---------------------------------------------------------------------------

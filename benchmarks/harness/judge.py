@@ -53,7 +53,9 @@ class Scored:
         self.label, self.result = label, result
         self.kind = label["kind"]
         self.effects = label["effects"]
-        self.named = [e for e in self.effects if self._has_name(e)]
+        # an answer can name an effect; beside a listed one, others it cannot
+        mixed = self.kind == "mixed"
+        self.named = [e for e in self.effects if not mixed or e["listed"]]
         self.verdict = result.get("verdict", "none")
         self.answers = [
             (frozenset(a["effects"]), float(a["probability"]))
@@ -64,10 +66,6 @@ class Scored:
         )
         self.names = self.first - {UNKNOWN}
         self.total = label.get("sqrt_lambda_total", 0.0)
-
-    def _has_name(self, effect: Mapping[str, Any]) -> bool:
-        """Whether an answer can name an effect: beside a listed one, others cannot be."""
-        return self.kind != "mixed" or bool(effect["listed"])
 
     @property
     def detected(self) -> bool:

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-LEVEL = 0.95
+#: probability on either side of an interval of 95 %
+TAIL = 0.025
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +44,7 @@ def middle(title: str, values: Sequence[float]) -> Measure:
     return Measure(title, *median(values), len(values))
 
 
-def wilson(hits: int, count: int, level: float = LEVEL) -> tuple[float, float]:
+def wilson(hits: int, count: int) -> tuple[float, float]:
     """Wilson's interval of a share (Wilson 1927, JASA 22, 209-212).
 
     (0, 1) without any case.
@@ -52,7 +53,7 @@ def wilson(hits: int, count: int, level: float = LEVEL) -> tuple[float, float]:
         raise ValueError(f"{hits} hits in {count} cases: give 0 <= hits <= count")
     if count == 0:
         return 0.0, 1.0
-    z = float(stats.norm.isf((1.0 - level) / 2.0))
+    z = float(stats.norm.isf(TAIL))
     share_of = hits / count
     norm = 1 + z**2 / count
     centre = (share_of + z**2 / (2 * count)) / norm
@@ -64,7 +65,7 @@ def wilson(hits: int, count: int, level: float = LEVEL) -> tuple[float, float]:
     return low, high
 
 
-def mean(values: Sequence[float], level: float = LEVEL) -> tuple[float, float, float]:
+def mean(values: Sequence[float]) -> tuple[float, float, float]:
     """Mean and its interval by Student's t.
 
     NaN without values, an infinite interval for a single one.
@@ -75,7 +76,7 @@ def mean(values: Sequence[float], level: float = LEVEL) -> tuple[float, float, f
     centre = float(numbers.mean())
     if numbers.size == 1:
         return centre, -math.inf, math.inf
-    quantile = stats.t.isf((1.0 - level) / 2.0, numbers.size - 1)
+    quantile = stats.t.isf(TAIL, numbers.size - 1)
     half = float(quantile * numbers.std(ddof=1) / math.sqrt(numbers.size))
     return centre, centre - half, centre + half
 
@@ -86,7 +87,7 @@ def half_width(values: Sequence[float]) -> float:
     return high - centre
 
 
-def median(values: Sequence[float], level: float = LEVEL) -> tuple[float, float, float]:
+def median(values: Sequence[float]) -> tuple[float, float, float]:
     """Median and its distribution-free interval by order statistics.
 
     NaN without values; the interval may be infinite.
@@ -94,9 +95,9 @@ def median(values: Sequence[float], level: float = LEVEL) -> tuple[float, float,
     numbers = np.sort(np.asarray(values, dtype=float))
     if not numbers.size:
         return math.nan, math.nan, math.nan
-    # r the largest with P(B < r) <= (1 - level) / 2, B binomial (n, 1/2): the interval
+    # r the largest with P(B < r) <= TAIL, B binomial (n, 1/2): the interval
     # is [x_r, x_(n + 1 - r)]
-    r = int(stats.binom.ppf((1.0 - level) / 2.0, numbers.size, 0.5))
+    r = int(stats.binom.ppf(TAIL, numbers.size, 0.5))
     centre = float(np.median(numbers))
     if r < 1:
         return centre, -math.inf, math.inf

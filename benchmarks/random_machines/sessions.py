@@ -115,17 +115,9 @@ def draw_plan(size: float, most: int, rng: np.random.Generator) -> Plan:
     payloads = [load] if rng.random() < 0.3 else [0.0, load]
     step, pause = math.exp(rng.uniform(*np.log((1.0, 30.0)))), rng.uniform(0.0, 1200.0)
     regular = bool(rng.random() < 0.5)
-    return Plan(
-        runs=runs,
-        readings=readings,
-        both=both,
-        columns=frozenset(columns),
-        feeds=feeds,
-        payloads=payloads,
-        pause=float(pause),
-        step=round(step, 1),
-        regular=regular,
-    )
+    shown, wait = frozenset(columns), float(pause)
+    loads = (feeds, payloads)
+    return Plan(runs, readings, both, shown, *loads, wait, round(step, 1), regular)
 
 
 # -- paths -----------------------------------------------------------------------------
@@ -305,6 +297,22 @@ def _lengths(bench: Bench, names: Sequence[str]) -> dict[str, float]:
     return {f"{name}_um": 1e6 * bench.sigma for name in names}
 
 
+def _of_lengths(
+    bench: Bench,
+    table: Mapping[str, Any],
+    channels: Sequence[str],
+    exact: Callable[[Array], Array],
+    reference: bool = False,
+) -> Mounted:
+    """An instrument that reads lengths (n, channels), exact ones of points (n, 3)."""
+
+    def read(point: Array, rotation: Array, errors: Array) -> Array:
+        return 1e3 * (exact(point) + bench.sigma * errors)
+
+    columns, count = [f"{name}_mm" for name in channels], len(channels)
+    return Mounted(table, _lengths(bench, channels), columns, count, read, reference)
+
+
 def ball_bar(bench: Bench, name: str, length: float, cup: Array) -> Mounted:
     """A ball bar whose cup was set by hand near a stated place (3,)."""
     tolerance = min(1e-3, 2e-3 * bench.size)
@@ -313,11 +321,10 @@ def ball_bar(bench: Bench, name: str, length: float, cup: Array) -> Mounted:
     table["tolerance"] = {f"cup_{k}_mm": 1e3 * tolerance for k in XYZ}
     true_cup = cup + bench.unknowns(*[tolerance] * 3)
 
-    def read(point: Array, rotation: Array, errors: Array) -> Array:
-        distance = np.linalg.norm(point - true_cup, axis=1)
-        return 1e3 * (distance[:, None] + bench.sigma * errors)
+    def exact(point: Array) -> Array:
+        return np.linalg.norm(point - true_cup, axis=1)[:, None]
 
-    return Mounted(table, _lengths(bench, ["length"]), ("length_mm",), 1, read)
+    return _of_lengths(bench, table, ["length"], exact)
 
 
 def position(bench: Bench, name: str, kind: str) -> Mounted:
@@ -330,12 +337,10 @@ def position(bench: Bench, name: str, kind: str) -> Mounted:
     table = {"name": name, "instrument": kind, "tolerance": tolerance}
     names = [f"read_{XYZ[k]}" for k in axes]
 
-    def read(point: Array, rotation: Array, errors: Array) -> Array:
-        seen = (point @ frame.T + offset)[:, list(axes)]
-        return 1e3 * (seen + bench.sigma * errors)
+    def exact(point: Array) -> Array:
+        return (point @ frame.T + offset)[:, list(axes)]
 
-    columns = [f"{n}_mm" for n in names]
-    return Mounted(table, _lengths(bench, names), columns, len(axes), read)
+    return _of_lengths(bench, table, names, exact)
 
 
 def pose_tracker(bench: Bench, name: str) -> Mounted:
@@ -397,11 +402,11 @@ def height(bench: Bench, name: str) -> Mounted:
     }
     offset, tilt_x, tilt_y = bench.unknowns(offset_sd, tilt_sd, tilt_sd)
 
-    def read(point: Array, rotation: Array, errors: Array) -> Array:
+    def exact(point: Array) -> Array:
         plane = offset + tilt_x * point[:, 1] - tilt_y * point[:, 0]
-        return 1e3 * ((point[:, 2] - plane)[:, None] + bench.sigma * errors)
+        return (point[:, 2] - plane)[:, None]
 
-    return Mounted(table, _lengths(bench, ["height"]), ("height_mm",), 1, read)
+    return _of_lengths(bench, table, ["height"], exact)
 
 
 def calliper(bench: Bench, name: str) -> Mounted:
@@ -410,12 +415,11 @@ def calliper(bench: Bench, name: str) -> Mounted:
     table["tolerance"] = {"scale_ppm": 100.0}
     scale = float(bench.unknowns(100e-6)[0])
 
-    def read(point: Array, rotation: Array, errors: Array) -> Array:
+    def exact(point: Array) -> Array:
         distance = np.linalg.norm(point - point[:1], axis=1) * (1.0 + scale)
-        return 1e3 * (distance[:, None] + bench.sigma * errors)
+        return distance[:, None]
 
-    noise = _lengths(bench, ["length"])
-    return Mounted(table, noise, ("length_mm",), 1, read, reference=True)
+    return _of_lengths(bench, table, ["length"], exact, reference=True)
 
 
 def relative(bench: Bench, name: str, kind: str) -> Mounted:

@@ -53,11 +53,6 @@ def draw(machine: str, size: float, level: str, seed: int) -> Bench:
 
     level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "rigid": none
     """
-    with tempfile.TemporaryDirectory() as folder:
-        return _draw(machine, size, level, seed, Path(folder))
-
-
-def _draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     sys.path.insert(0, str(GENERATOR))
     import make  # the generator's own modules
     from design import design
@@ -86,29 +81,27 @@ def _draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     P = geometry + total
     tip = x + np.einsum("nij,nj->ni", R, np.broadcast_to(P.f("T"), (c.n, 3))) + P.f("X")
     c.sensed = make.sensors(c, rng)
-    label = dict(kind="single")
-    stem = out / "case"
-    make.write(c, y, label, stem)
-    path, readings = write_case(stem, out / "study")
-    measurement, effects, gravity = bench_of(path)
-    data = dataset.load(readings, measurement)
+    with tempfile.TemporaryDirectory() as folder:
+        stem = Path(folder) / "case"
+        make.write(c, y, {"kind": "single"}, stem)
+        path, readings = write_case(stem, Path(folder) / "study")
+        measurement, effects, gravity = bench_of(path)
+        data = dataset.load(readings, measurement)
     tools = np.array([q.get("tool_mm", 0.0) for q in c.setups])[c.setup] * MM
-    command = _command(measurement.machine, c)
-    bench = Bench(
+    return Bench(
         measurement=measurement,
         series=data.series,
         y=data.y,
         covariates=data.covariates,
         gravity=gravity,
         effects=effects,
-        command=command,
+        command=_command(measurement.machine, c),
         tool=np.column_stack([0 * tools, 0 * tools, tools]),
         shift=(tip - c.x0) * MM,
         case=dict(name=name, law=law),
         setup_names=[c.setups[k]["name"] for k in c.setup],
         times=c.t,
     )
-    return bench
 
 
 def _small_effects(machine, c, oracle, rng):

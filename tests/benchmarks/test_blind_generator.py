@@ -27,16 +27,10 @@ from pkm_studies import study
 from pkm_studies.resolve import resolved as resolve
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
 BLIND = ROOT / "benchmarks" / "blind"
-
-
 STUDIES = [
     (m, p) for m in ("a3", "planar", "delta", "hexapod") for p in ("full", "poor")
 ]
-
-
 STUDIES.append(("a3", "single"))
 
 
