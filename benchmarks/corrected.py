@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from pathlib import Path
+
+from benchmarks.harness.tables import head, row
 
 TESTS = Path(__file__).parent.parent / "tests"
 sys.path[:0] = [str(TESTS), str(TESTS / "fixtures")]
@@ -25,30 +26,24 @@ from kernel import corrected_cases, corrected_machines  # noqa: E402
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.corrected")
     parser.add_argument("--machines", type=int, default=300)
     parser.add_argument("--case", choices=sorted(corrected_cases.CASES))
     parser.add_argument("--free-form", action="store_true")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
-    names = [arguments.case] if arguments.case else list(corrected_cases.CASES)
-    print("| machine | drawn | component | inside 95 % | error | realised/predicted |")
-    print("|---|---|---|---|---|---|")
+    given = parser.parse_args()
+    names = [given.case] if given.case else list(corrected_cases.CASES)
+    columns = ("inside 95 %", "error", "realised/predicted")
+    print(head("machine", "drawn", "component", *columns), flush=True)
     for name in names:
         case = corrected_cases.CASES[name]()
-        start = time.process_time()
         found = corrected_machines.coverage(
-            case, arguments.machines, arguments.seed, free_form=arguments.free_form
+            case, given.machines, 1, free_form=given.free_form
         )
-        seconds = time.process_time() - start
         for k, component in enumerate(found.components):
-            print(
-                f"| {name} | {arguments.machines} | {component}"
-                f" | {found.inside[k]:.3f} | {found.inside_error[k]:.3f}"
-                f" | {found.ratio[k]:.3f} ± {found.ratio_error[k]:.3f} |",
-                flush=True,
-            )
-        print(f"{name}: {seconds:.0f} s of processor time", file=sys.stderr)
+            inside = (f"{found.inside[k]:.3f}", f"{found.inside_error[k]:.3f}")
+            ratio = f"{found.ratio[k]:.3f} ± {found.ratio_error[k]:.3f}"
+            print(row(name, given.machines, component, *inside, ratio), flush=True)
 
 
 if __name__ == "__main__":

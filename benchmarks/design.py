@@ -40,6 +40,9 @@ from oed.design.blocks import information
 #: variables that limit libraries to one thread
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
 POSES, RELAXED_POSES = "C0, D", "C0, D relaxed"
+OWN = "this project"
+#: of its search
+ROUNDS = 20
 #: seconds that a package or solver may take
 TIME_LIMIT_S = 120.0
 
@@ -59,12 +62,12 @@ def time_median(work: Callable[[], Answer], repeats: int = 3) -> tuple[float, An
 # -- this project ----------------------------------------------------------------------
 
 
-def choose_rows(rows: np.ndarray, criterion: str, rounds: int) -> Result:
+def choose_rows(rows: np.ndarray, criterion: str) -> Result:
     """This project's choice, with its bound where it comes at no cost."""
     problem = f"A, {criterion}"
-    seconds, choice = _chosen(rows, SIZE, criterion, rounds)
+    seconds, choice = _chosen(rows, SIZE, criterion)
     reached = value(problem, choice.indices)[0]
-    return _own(problem, reached, seconds, choice.bound, f", {rounds} rounds")
+    return _own(problem, reached, seconds, choice.bound)
 
 
 def relax_e(rows: np.ndarray) -> Result:
@@ -73,11 +76,11 @@ def relax_e(rows: np.ndarray) -> Result:
     return _own("A, E relaxed", optimum.value, seconds, optimum.bound)
 
 
-def choose_poses(blocks: np.ndarray, rounds: int) -> Result:
+def choose_poses(blocks: np.ndarray) -> Result:
     """This project's choice of poses."""
-    seconds, choice = _chosen(blocks, hexapod.SIZE, "D", rounds)
+    seconds, choice = _chosen(blocks, hexapod.SIZE, "D")
     reached = numpy_designs.log_det(blocks, choice.indices)
-    return _own(POSES, reached, seconds, choice.bound, f", {rounds} rounds")
+    return _own(POSES, reached, seconds, choice.bound)
 
 
 def relax_poses(blocks: np.ndarray) -> Result:
@@ -91,19 +94,17 @@ def relax_poses(blocks: np.ndarray) -> Result:
 
 
 def _chosen(
-    rows: np.ndarray, size: int, criterion: str, rounds: int
+    rows: np.ndarray, size: int, criterion: str
 ) -> tuple[float, exchange.Choice]:
     def work() -> exchange.Choice:
         rng = np.random.default_rng(1)
-        return exchange.choose(rows, size, rng, criterion, rounds=rounds, certify=False)
+        return exchange.choose(rows, size, rng, criterion, rounds=ROUNDS, certify=False)
 
     return time_median(work)
 
 
-def _own(
-    problem: str, value: float, seconds: float, bound: float | None, how: str = ""
-) -> Result:
-    return Result(problem, f"this project{how}", value, seconds, bound)
+def _own(problem: str, value: float, seconds: float, bound: float | None) -> Result:
+    return Result(problem, OWN, value, seconds, bound)
 
 
 # -- a general solver ------------------------------------------------------------------
@@ -147,9 +148,8 @@ def run(peers: Path | None) -> list[Result]:
     """Results of both problems; of other packages where their folder is named."""
     rows, blocks = candidates(), hexapod.blocks(0)
     relaxation.relax(rows, SIZE)  # warm-up
-    results = [choose_rows(rows, "D", rounds) for rounds in (5, 20)]
-    results += [relax_e(rows), choose_rows(rows, "E", 20)]
-    results += [choose_poses(blocks, 20), relax_poses(blocks), solve_poses(blocks)]
+    results = [choose_rows(rows, "D"), choose_rows(rows, "E"), relax_e(rows)]
+    results += [choose_poses(blocks), relax_poses(blocks), solve_poses(blocks)]
     if peers is None:
         advice = "name their folder with --peers, created by --install-peers"
         print(f"other packages skipped: {advice}", file=sys.stderr)
@@ -158,13 +158,10 @@ def run(peers: Path | None) -> list[Result]:
 
 
 def select_best(results: list[Result]) -> list[Result]:
-    """Every result of this project, and of each package the best one of a problem."""
+    """Of each package the best result of a problem."""
     best: dict[tuple[str, str], Result] = {}
     for result in results:
-        package = result.method
-        if not package.startswith("this project"):
-            package = package.split(",")[0]
-        key = result.problem, package
+        key = result.problem, result.method.split(",")[0]
         if key not in best or result.rank_value > best[key].rank_value:
             best[key] = result
     return sorted(best.values(), key=lambda result: result.problem)

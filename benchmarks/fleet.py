@@ -82,11 +82,10 @@ class Bench:
         radius = 0.1 * np.sqrt(rng.uniform(0.0, 1.0, FULL))
         flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
         self.command = np.column_stack([flat, np.zeros(FULL)])
-        self.free = np.flatnonzero(self.measurement.tolerance > 0.0)
-        self.free = self.free[self.free < len(self.machine.parameters)]
-        self.free = np.array(
-            [k for k in self.free if self.names[k] not in self.machine.frame]
-        )
+        is_free = self.measurement.tolerance > 0.0
+        frame = self.machine.frame
+        names = enumerate(self.names)
+        self.free = np.array([k for k, n in names if is_free[k] and n not in frame])
         grid = np.linspace(-0.08, 0.08, 5)
         x, y, z = np.meshgrid(grid, grid, [0.02, 0.15])
         self.maps = ErrorMaps.of(
@@ -106,9 +105,7 @@ class Bench:
         """Parameters with the probe's offset (count, n) of a fleet."""
         tolerance = self.measurement.tolerance
         spread = np.ones(len(tolerance))
-        for k in self.free:
-            stem = self.names[k].rstrip("123")
-            spread[k] = SPREAD[stem]
+        spread[self.free] = [SPREAD[self.names[k].rstrip("123")] for k in self.free]
         fixed = np.ones(len(tolerance), dtype=bool)
         fixed[self.free] = False
         fixed &= np.arange(len(tolerance)) < len(self.names)

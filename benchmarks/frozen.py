@@ -13,7 +13,6 @@ Numbers are made from a named commit, whose name they hold.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import gzip
 import json
 import math
@@ -24,7 +23,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -51,14 +50,10 @@ DRAWN_SECTIONS = re.compile(
 IGNORED = re.compile(r"(^|\.)(seconds|version|versions|study_text|traceback)(\.|\[|$)")
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Difference:
-    """A number that is not what it was.
+class Difference(NamedTuple):
+    """A number that is not what it was; None where there is none.
 
-    path     of the number in its document
-    before   frozen value; None where the number is new
-    after    value now; None where the number is gone
-    size     over its tolerance
+    size    over its tolerance
     """
 
     path: str
@@ -80,15 +75,13 @@ def differences(
 ) -> list[Difference]:
     """Numbers that differ by more than their tolerance, the largest first."""
     found = []
-    for path in sorted(before.keys() | after.keys()):
+    for path in before.keys() | after.keys():
         old, new = before.get(path), after.get(path)
-        if old is None or new is None:
-            found.append(Difference(path, old, new, math.inf))
-            continue
-        size = _size(path, old, new, before)
+        missing = old is None or new is None
+        size = math.inf if missing else _size(path, old, new, before)
         if size > 1.0:
             found.append(Difference(path, old, new, size))
-    return sorted(found, key=lambda d: -d.size)
+    return sorted(found, key=lambda d: (-d.size, d.path))
 
 
 def _size(path: str, old: float, new: float, before: Mapping[str, float]) -> float:

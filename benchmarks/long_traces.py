@@ -38,8 +38,6 @@ CORRELATED, LENGTH = 0.3, 8.0
 STUDY = """\
 schema = 1
 name = "long_traces"
-title = "A3 head, long traces"
-question = "What is left over when this machine has been calibrated?"
 seed = 2
 
 [machine]

@@ -84,22 +84,15 @@ def value(problem: str, indices: Sequence[Any] | np.ndarray) -> tuple[float, str
     singular_values = np.linalg.svd(matrix, compute_uv=False)
     complete = len(singular_values) == COLUMNS
     least = float(singular_values[-1] ** 2) if complete else 0.0
-    violations = ", ".join(_violations(chosen))
+    repeats = len(chosen) - len(set(chosen.tolist()))
+    broken = [f"{repeats} repeated"] if repeats else []
+    broken += [f"{len(chosen)} runs"] if len(chosen) != SIZE else []
+    violations = ", ".join(broken)
     if problem.endswith("E"):
         return least, violations
     if least <= SINGULAR:
         return -np.inf, violations
     return 2.0 * float(np.log(singular_values).sum()), violations
-
-
-def _violations(chosen: np.ndarray) -> list[str]:
-    violations = []
-    repeats = len(chosen) - len(set(chosen.tolist()))
-    if repeats:
-        violations.append(f"{repeats} repeated")
-    if len(chosen) != SIZE:
-        violations.append(f"{len(chosen)} runs")
-    return violations
 
 
 def doekit_kl(rows: np.ndarray) -> Choose:
@@ -129,7 +122,7 @@ def doetools_fedorov(rows: np.ndarray) -> Choose:
 
 
 def figaroh_socp(rows: np.ndarray) -> Choose:
-    """The 30 largest relaxed weights by picos and CVXOPT, of its robots' calibration.
+    """The 30 largest relaxed weights by picos and CVXOPT, on information matrices.
 
     The package itself takes every weight above 1e-5.
     """

@@ -65,24 +65,13 @@ def _printer(name: str, file: str, fitted: str) -> Entry:
 
 HEIGHTS, DISTANCES = "7 heights", "heights and 12 distances"
 SESSION, OTHER = f"{DISTANCES} of a session", "those of another session"
+CAMERA, CAPTURE = "9 poses seen by a camera", "54 poses by motion capture"
 LINES = "whether the lines meet at 35 others"
 ENTRIES = (
     Entry("FLSun V400, S04 to S03", "delta_v400", SESSION, OTHER, "delta_v400"),
     Entry("FLSun V400, S03 to S04", "delta_v400", SESSION, OTHER, "delta_v400_reverse"),
-    Entry(
-        "Hangprinter HP4",
-        "hangprinter_hp4",
-        "9 poses seen by a camera",
-        LINES,
-        "hangprinter_hp4",
-    ),
-    Entry(
-        "Jugglebot",
-        "jugglebot",
-        "54 poses by motion capture",
-        "the other 54",
-        "jugglebot",
-    ),
+    Entry("Hangprinter HP4", "hangprinter_hp4", CAMERA, LINES, "hangprinter_hp4"),
+    Entry("Jugglebot", "jugglebot", CAPTURE, "the other 54", "jugglebot"),
     _printer("FLSun SR, danorder", "flsun_sr_danorder_mesh", HEIGHTS),
     _printer("FLSun SR, danorder, earlier", "flsun_sr_danorder_mesh_2", HEIGHTS),
     _printer("FLSun SR, cupsster", "flsun_sr_cupsster", HEIGHTS),

@@ -54,19 +54,15 @@ COMMANDS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
 class Case:
     """A machine without a gap.
 
-    model, size, sigma    as drawn, m
-    law                   of the noise
-    plan                  as drawn
-    instruments           names of the set-ups' instruments
-    study                 tables of the study
-    readings              the readings file's table
+    model         as drawn
+    law           of the noise
+    instruments   names of the set-ups' instruments
+    study         tables of the study
+    readings      the readings file's table
     """
 
     model: str
-    size: float
-    sigma: float
     law: sessions.Law
-    plan: sessions.Plan
     instruments: tuple[str, ...]
     study: Mapping[str, Any]
     readings: pd.DataFrame
@@ -133,8 +129,7 @@ def case_of(
         "noise": {str(s.table["name"]): dict(s.noise) for s in setups if s.noise},
     }
     readings = pd.concat(session.rows, ignore_index=True)
-    size, names = drawn.size, tuple(kinds)
-    return Case(drawn.model, size, sigma, law, plan, names, tables, readings)
+    return Case(drawn.model, law, tuple(kinds), tables, readings)
 
 
 def _choices(machine: Machine, model: str) -> tuple[str, ...]:
