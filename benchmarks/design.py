@@ -87,10 +87,8 @@ def relax_poses(blocks: np.ndarray) -> Result:
     """Relaxed D: the value at the optimal weights, and its certified bound."""
     seconds, optimum = time_median(lambda: relaxation.relax(blocks, hexapod.SIZE))
     # log phi is a mean over the columns
-    columns = blocks.shape[-1]
-    return _own(
-        RELAXED_POSES, columns * optimum.value, seconds, columns * optimum.bound
-    )
+    reached, bound = (blocks.shape[-1] * v for v in (optimum.value, optimum.bound))
+    return _own(RELAXED_POSES, reached, seconds, bound)
 
 
 def _chosen(

@@ -24,7 +24,7 @@ import pandas as pd
 from benchmarks.harness import tables
 from oed.base import Array
 from oed.design import Candidates
-from oed.measurement import Series, draw_readings
+from oed.measurement import draw_readings
 from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
 from pkm_studies.study import Study
@@ -43,9 +43,9 @@ class Session:
     theta: Array
     rng: np.random.Generator
     taken: list[int] = dataclasses.field(default_factory=list)
-    pools: dict[str, Series] = dataclasses.field(default_factory=dict)
-    rows: dict[str, list[int]] = dataclasses.field(default_factory=dict)
-    values: dict[str, list[Array]] = dataclasses.field(default_factory=dict)
+    by_setup: dict[str, list[tuple[Advice, Array]]] = dataclasses.field(
+        default_factory=dict
+    )
 
     def run(self) -> None:
         """Read what is advised until the advice is to stop."""
@@ -57,23 +57,20 @@ class Session:
 
     def _advice(self) -> Advice:
         measurement = self.adviser.base.resolved.measurement
-        series = []
-        for setup, rows in self.rows.items():
-            one = self.pools[setup].take(np.array(rows))
+        series, y = [], [np.zeros(0)]
+        for pairs in self.by_setup.values():
+            rows = np.array([advice.row for advice, _ in pairs])
+            one = pairs[0][0].series.take(rows)
             labels = np.array([str(k + 1) for k in range(len(rows))])
             series.append(dataclasses.replace(one, run=labels))
-        readings = [value for values in self.values.values() for value in values]
-        y = np.concatenate(readings) if readings else np.zeros(0)
-        return self.adviser.advise_after(measurement, series, y)
+            y += [reading for _, reading in pairs]
+        return self.adviser.advise_after(measurement, series, np.concatenate(y))
 
     def _read(self, advice: Advice) -> None:
-        setup = advice.series.setup
         one = advice.series.take(np.array([advice.row]))
         measurement = self.adviser.base.resolved.measurement
         reading = draw_readings(measurement, [one], self.theta, self.rng)
-        self.pools.setdefault(setup, advice.series)
-        self.rows.setdefault(setup, []).append(advice.row)
-        self.values.setdefault(setup, []).append(reading)
+        self.by_setup.setdefault(advice.series.setup, []).append((advice, reading))
         self.taken.append(advice.candidate)
 
 

@@ -6,5 +6,6 @@ campaign NAME runs its cases and goes on where it was interrupted:
     PYTHONPATH=. oed campaign --allow-code benchmarks/NAME.campaign.toml
     python -m benchmarks.harness NAME
 
-The second command prints the table.
+The second command prints the table. All benchmarks share `tables`, `noise`, `processes` and
+`statistics`.
 """

@@ -43,9 +43,7 @@ class Effect:
 
 @dataclasses.dataclass(frozen=True)
 class Climate:
-    """Temperature rises, K: each leg's (n, legs), the frame's and the bar's (n,);
-    `shown` what sensors say.
-    """
+    """Temperature rises, K: of legs (n, legs), frame and bar (n,); `shown` by sensors."""
 
     leg: Array
     frame: Array
