@@ -89,10 +89,13 @@ def mutations(text: str) -> list[Mutation]:
     tree = ast.parse(text)
     lengths = [len(line.encode()) for line in text.split("\n")]
     starts = [0, *itertools.accumulate(length + 1 for length in lengths)]
+    subscripts = [n.slice for n in ast.walk(tree) if isinstance(n, ast.Subscript)]
+    indices = {id(n) for index in subscripts for n in active_nodes(index)}
     found: dict[tuple[int, str], Mutation] = {}
     for node, (kind, rule) in itertools.product(active_nodes(tree), RULES.items()):
         for old, new in rule(node):
-            if ast.dump(old) == ast.dump(new):
+            is_index = kind == "factor" and id(old) in indices
+            if is_index or ast.dump(old) == ast.dump(new):
                 continue
             after = ast.unparse(new)
             after = f"({after})" if isinstance(new, ast.expr) else after
