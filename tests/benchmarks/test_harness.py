@@ -222,20 +222,21 @@ def test_stepwise_takes_the_form_of_least_bic(a3_case: Case) -> None:
         a for a in library.atoms if a.effect == "servo_lag" and len(a.columns) > 1
     )
     quiet = clean(problem, 1)
-    change = library.columns[:, lag.columns] @ np.full(len(lag.columns), 0.5)
+    columns = library.columns.all()
+    change = columns[:, lag.columns] @ np.full(len(lag.columns), 0.5)
     acting = quiet.with_residual(quiet.residual + change)
     assert stepwise.stepwise(quiet, library) == []
 
-    def bic(columns: Any) -> float:
+    def bic(chosen: Any) -> float:
         n, m = problem.slopes.shape
-        nothing = np.zeros((m, len(columns)))
-        upper = [problem.slopes, library.columns[:, columns]]
+        nothing = np.zeros((m, len(chosen)))
+        upper = [problem.slopes, columns[:, chosen]]
         design = np.block([upper, [np.eye(m), nothing]])
         target = np.concatenate([acting.residual, np.zeros(m)])
         scaled = design / np.linalg.norm(design, axis=0)
         fit = np.linalg.lstsq(scaled, target, rcond=1e-12)[0]
         residual = target - scaled @ fit
-        return float(n * math.log(residual @ residual) + len(columns) * math.log(n))
+        return float(n * math.log(residual @ residual) + len(chosen) * math.log(n))
 
     bics = {
         k: bic(a.columns) + len(a.constants) * math.log(len(problem))
