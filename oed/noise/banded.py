@@ -308,7 +308,7 @@ def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, Arr
     """
     size = amounts[..., None, :, None]
     covariance = np.eye(inner.shape[-1]) + size * inner * np.swapaxes(size, -1, -2)
-    roots = np.linalg.cholesky(covariance)
+    roots = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     half = _solved_small(roots, size * products)
     *rest, segments, columns, count = half.shape
     flat = half.reshape(*rest, segments * columns, count)
@@ -324,7 +324,7 @@ def _solved_small(matrices: Array, values: Array) -> Array:
     """
     if matrices.shape[-1] < values.shape[-1]:
         return np.asarray(np.linalg.inv(matrices) @ values)
-    return np.linalg.solve(matrices, values)
+    return np.asarray(np.linalg.solve(matrices, values))
 
 
 def _sums_before(values: Array, starts: Index) -> Array:
