@@ -329,24 +329,17 @@ class WhitenedColumns:
 def grams_of(
     problem: GapProblem, metric: Metric, columns: Columns, numbers: Index
 ) -> Grams:
-    """Grams of the columns `numbers` (K,), few of which are in memory at a time."""
+    """Grams of the columns `numbers` (K,): few are whitened at a time, and each once."""
     count = len(numbers)
-    chunks = -(-count * len(problem) // VALUES_AT_ONCE)
-    parts = np.array_split(np.arange(count), max(chunks, 1))
+    chunks = -(-count // COLUMNS_AT_ONCE)
     residual = metric.scores(problem.residual[:, None])[:, 0]
-
-    def whitened(part: Index) -> WhitenedColumns:
-        return WhitenedColumns(problem, metric, columns.take(numbers[part]), residual)
-
-    gram, b, whole = np.empty((count, count)), np.empty(count), np.empty(count)
-    for k, part in enumerate(parts):
-        some = whitened(part)
-        grams = some.grams()
-        gram[np.ix_(part, part)], b[part], whole[part] = grams.gram, some.b, some.whole
-        for later in parts[k + 1 :]:
-            products = some.scores.T @ whitened(later).scores
-            gram[np.ix_(part, later)], gram[np.ix_(later, part)] = products, products.T
-    return dataclasses.replace(grams, gram=gram, b=b, whole=whole)
+    scores, b, whole = np.empty((metric.size, count)), np.empty(count), np.empty(count)
+    for part in np.array_split(np.arange(count), max(chunks, 1)):
+        forms = columns.take(numbers[part])
+        some = WhitenedColumns(problem, metric, forms, residual)
+        scores[:, part], b[part], whole[part] = some.scores, some.b, some.whole
+    gram = scores.T @ scores
+    return dataclasses.replace(some.grams(slice(0)), gram=gram, b=b, whole=whole)
 
 
 class ChoiceGrams:
