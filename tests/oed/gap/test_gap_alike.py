@@ -5,10 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from kernel.gap_lines import BOW, planted, readings
-from kernel.laws import STATED_LAW
+from kernel.gap_lines import BOW, planted, readings, search_of
 from oed.effect_model import Column, Effect, State
-from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import LIMB_DIFFERENCE, Library
@@ -19,15 +17,10 @@ TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)
 
 def _more(state: State, turns: float) -> list[Column]:
     columns = list(BOW.columns(state, turns=turns))
-    return [
-        *columns,
-        *(
-            dataclasses.replace(
-                c, name=f"{c.name} more", shape=True, joints=_along(state, c)
-            )
-            for c in columns
-        ),
+    more = [
+        (c, {"name": f"{c.name} more", "joints": _along(state, c)}) for c in columns
     ]
+    return [*columns, *(dataclasses.replace(c, shape=True, **m) for c, m in more)]
 
 
 def _along(state: State, column: Column) -> dict[int, np.ndarray]:
@@ -42,10 +35,8 @@ def _covariance(forms: Library, atom: library.Atom) -> np.ndarray:
     return np.asarray(columns @ columns.T)
 
 
-def test_prior_of_limbs_that_are_alike() -> None:
-    """Coefficients of N(0, s^2 (1 1^T + DIFFER^2 I)), whatever columns they are told
-    in.
-    """
+def test_prior_of_limbs_that_are_alike():
+    """Coefficients of N(0, s^2 (1 1^T + DIFFER^2 I)), whatever columns they are told in."""
     problem = readings(1)
     free, twins = library.build(problem, [LOOSE]), library.build(problem, [TWINS])
     (joined,) = [
@@ -59,12 +50,12 @@ def test_prior_of_limbs_that_are_alike() -> None:
 
 
 @pytest.mark.parametrize("effect", [TWINS, ADAPTING], ids=["textbook", "adapting"])
-def test_shares_of_forms_add_up(effect: Effect) -> None:
+def test_shares_of_forms_add_up(effect):
     forms = library.build(readings(1), [effect])
     assert np.exp([a.log_weight for a in forms.atoms]).sum() == pytest.approx(1.0)
 
 
-def test_what_adapts_is_alike_too() -> None:
+def test_what_adapts_is_alike_too():
     forms = library.build(readings(1), [ADAPTING])
     joined = [tuple(forms.names[c] for c in a.columns) for a in forms.atoms]
     differences = ("leg 1 apart", "leg 2 apart")
@@ -73,7 +64,7 @@ def test_what_adapts_is_alike_too() -> None:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])
-def test_an_effect_says_how_likely_its_textbook_form_is(share: float) -> None:
+def test_an_effect_says_how_likely_its_textbook_form_is(share):
     forms = library.build(
         readings(1), [dataclasses.replace(ADAPTING, textbook_share=share)]
     )
@@ -83,7 +74,7 @@ def test_an_effect_says_how_likely_its_textbook_form_is(share: float) -> None:
     assert np.exp([a.log_weight for a in plain_forms]).sum() == pytest.approx(share)
 
 
-def test_limbs_of_unequal_kinds_are_not_alike() -> None:
+def test_limbs_of_unequal_kinds_are_not_alike():
     lame = dataclasses.replace(
         TWINS, columns=lambda state, turns: list(_more(state, turns))[:3]
     )
@@ -94,12 +85,8 @@ def test_limbs_of_unequal_kinds_are_not_alike() -> None:
 @pytest.mark.parametrize(
     ("sizes", "alike"), [((1.0, 1.1), True), ((1.0, -1.0), False), ((1.0, 0.0), False)]
 )
-def test_evidence_is_for_what_limbs_are(
-    sizes: tuple[float, float], alike: bool
-) -> None:
-    """Limbs that are alike are likelier so; where they are not, the even chance of it
-    is all that is lost.
-    """
+def test_evidence_is_for_what_limbs_are(sizes, alike):
+    """Limbs that are alike are likelier so; else the even chance of it is lost."""
     problem = planted(
         readings(3), LOOSE, {"leg 1": sizes[0], "leg 2": sizes[1]}, turns=2.0
     )
@@ -108,6 +95,5 @@ def test_evidence_is_for_what_limbs_are(
 
 
 def _evidence(problem: GapProblem, effect: Effect) -> float:
-    none = library.build(problem, ())
-    search = Search(problem, library.build(problem, [effect]), none, STATED_LAW, 0.0)
-    return next(h for h in search.run() if h.effects).log_evidence
+    hypotheses = search_of(problem, [effect]).run()
+    return next(h for h in hypotheses if h.effects).log_evidence

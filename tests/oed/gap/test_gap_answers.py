@@ -5,11 +5,11 @@ import pytest
 
 from oed.gap.cause import answers as answering
 from oed.gap.cause.compare import probabilities
-from oed.gap.cause.search import PRIOR, Hypothesis, Search
+from oed.gap.cause.search import PRIOR, Hypothesis
 from oed.result import UNKNOWN, AnswerRecord, GapSection
 
 
-def test_verdicts() -> None:
+def test_verdicts():
     for effects, classes, wanted in (
         ((), (), "none"),
         ((UNKNOWN,), (), "unknown"),
@@ -31,7 +31,7 @@ def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[AnswerRecor
     return answers
 
 
-def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> None:
+def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown():
     assert _said(([("a", "b"), MANY], False, 0.4)) == [
         AnswerRecord(("a", UNKNOWN), 0.4, (("a", "b"),))
     ]
@@ -47,7 +47,7 @@ def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> No
     ]
 
 
-def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> None:
+def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is():
     more = tuple(f"n{k}" for k in range(answering.MIN_VAGUE_MEMBERS + 1))
     for members in ([more, MANY], [MANY, more]):
         assert _said((members, False, 0.4)) == [
@@ -59,7 +59,7 @@ def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> Non
     ]
 
 
-def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
+def test_probabilities_of_answers_that_say_the_same_are_added():
     same = _said(
         ([("a", "b")], True, 0.3),
         ([("b",), MANY], False, 0.2),
@@ -67,27 +67,18 @@ def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
     )
     assert [(a.effects, a.classes) for a in same] == [(("a", UNKNOWN), (("a", "b"),))]
     assert same[0].probability == pytest.approx(0.6)
-    others = _said(
-        ([], False, 0.3),
-        ([], True, 0.3),
-        ([("a",)], False, 0.2),
-        ([("a",)], True, 0.1),
-        ([], True, 0.1),
-    )
+    few = [([("a",)], False, 0.2), ([("a",)], True, 0.1), ([], True, 0.1)]
+    others = _said(([], False, 0.3), ([], True, 0.3), *few)
     assert [a.effects for a in others] == [(), (UNKNOWN,), ("a",), ("a", UNKNOWN)]
     assert [a.probability for a in others] == pytest.approx([0.3, 0.4, 0.2, 0.1])
 
 
-def _group(
-    members: list[tuple[str, ...]], unknown: bool, probability: float
-) -> answering.AnswerGroup:
+def _group(members, unknown, probability):
     return answering.AnswerGroup(None, tuple(members), unknown, probability)
 
 
-def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
-    """A named effect with and without a remainder is one; a second that could be any of
-    many is not folded away.
-    """
+def test_the_set_names_each_set_of_effects_once_and_keeps_all_names():
+    """With and without a remainder is one; a second that could be any of many stays."""
     groups = [
         _group([("a", "b")], False, 0.35),
         _group([("a", "b")], True, 0.1),
@@ -107,18 +98,16 @@ def test_the_set_names_each_set_of_effects_once_and_keeps_all_names() -> None:
     assert [a.probability for a in answers] == pytest.approx([0.45, 0.36, 0.09, 0.06])
 
 
-def test_the_set_has_an_unknown_once_and_what_is_too_small_by_itself() -> None:
+def test_the_set_has_an_unknown_once_and_what_is_too_small_by_itself():
     """What is too small to be seen has no name."""
     unseen = answering.AnswerGroup(None, (), True, 0.2, 0.2)
-    answers = answering.credible_set(
-        [
-            _group([], False, 0.4),
-            _group([], True, 0.15),
-            _group([], True, 0.1),
-            _group([("a",)], False, 0.15),
-            unseen,
-        ]
+    told = (
+        ([], False, 0.4),
+        ([], True, 0.15),
+        ([], True, 0.1),
+        ([("a",)], False, 0.15),
     )
+    answers = answering.credible_set([*(_group(*t) for t in told), unseen])
     assert [(a.effects, a.classes) for a in answers] == [
         ((), ()),
         ((UNKNOWN,), ()),
@@ -129,101 +118,62 @@ def test_the_set_has_an_unknown_once_and_what_is_too_small_by_itself() -> None:
     assert answers[2].visible == 0.0
 
 
-def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
+def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not():
     (answer,) = answering.credible_set(
         [_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)]
     )
     assert answer == AnswerRecord(("a", UNKNOWN), 1.0, (("a",),))
 
 
-def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Two that say the same, b beside something unknown, are together likelier than a,
-    the likeliest single one.
-    """
-    blank = {"sizes": (), "process": None, "process_size": 0.0, "log_prior": 0.0}
+def _hypothesis(effects, probability, unknown=False):
+    log_evidence, atoms = float(np.log(probability)), (0,) * len(effects)
+    return Hypothesis(effects, unknown, atoms, (), None, 0.0, log_evidence, 0.0)
+
+
+def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(monkeypatch):
+    """Two that say the same, b beside an unknown, are together likelier than a."""
     vague = tuple("cdefgh")
-    sets = [(("a",), False, 0.4), (("b", "c"), False, 0.3), (("b",), True, 0.3)]
-    hypotheses = [
-        Hypothesis(
-            effects=e,
-            unknown=u,
-            atoms=tuple(0 for _ in e),
-            log_evidence=float(np.log(p)),
-            **blank,
-        )
-        for e, u, p in sets
-    ]
+    sets = [(("a",), 0.4, False), (("b", "c"), 0.3, False), (("b",), 0.3, True)]
     monkeypatch.setattr(
         answering,
         "equivalent_effects",
-        lambda search, h, scores, alive: [
-            vague if e == "c" else (e,) for e in h.effects
-        ],
+        lambda search, h, *_: [vague if e == "c" else (e,) for e in h.effects],
     )
-    answers, leading = answering.rank(
-        answering.group([None], hypotheses, np.array([0.4, 0.3, 0.3]))
-    )
+    hypotheses = [_hypothesis(*one) for one in sets]
+    groups = answering.group([None], hypotheses, np.array([0.4, 0.3, 0.3]))
+    answers, leading = answering.rank(groups)
     assert answers[0].effects == ("b", UNKNOWN)
     assert answers[0].probability == pytest.approx(0.6)
     assert leading[0].effects == ("b", "c")
 
 
-def test_no_gap_is_told_only_where_it_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    blank = {
-        "sizes": (),
-        "process": None,
-        "process_size": 0.0,
-        "log_prior": 0.0,
-        "unknown": False,
-    }
-
-    def first(none: float, members: int = 1) -> tuple[str, ...]:
-        def of(
-            search: Search, h: Hypothesis, scores: object, alive: float
-        ) -> list[tuple[str, ...]]:
-            return [(e, *(f"{e}{k}" for k in range(1, members))) for e in h.effects]
-
-        monkeypatch.setattr(answering, "equivalent_effects", of)
-
-        shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
-        hypotheses = [
-            Hypothesis(
-                effects=e,
-                atoms=tuple(0 for _ in e),
-                log_evidence=float(np.log(p)),
-                **blank,
-            )
-            for e, p in shares.items()
-        ]
-        answers, leading = answering.rank(
-            answering.group([None], hypotheses, np.array(list(shares.values())))
-        )
-        named = [a.unseen < a.probability for a in answers]
-        assert len(leading) == len(answers)
-        assert all(
-            h.effects == a.effects
-            for h, a, shows in zip(leading, answers, named, strict=True)
-            if shows
-        )
-        silent = sum(a.unseen for a in answers)
-        nothing = next(a.probability for a in answers if not a.effects)
-        assert nothing + silent == pytest.approx(none)
-        assert silent / none == pytest.approx(
-            PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
-        )
-        assert sum(a.probability for a in answers) == pytest.approx(1.0)
-        return answers[0].effects
-
+@pytest.mark.parametrize("members", [1, answering.MIN_VAGUE_MEMBERS])
+@pytest.mark.parametrize("margin", [0.01, -0.01])
+def test_no_gap_is_told_only_where_it_is_sure(monkeypatch, members, margin):
     limit = GapSection.MISSED_GAP_COST / (GapSection.MISSED_GAP_COST + 1.0)
     assert 0.5 < limit < 1.0
-    for members in (1, answering.MIN_VAGUE_MEMBERS):
-        assert first(limit + 0.01, members) == ()
-        assert first(limit - 0.01, members) == ("a",)
+    none, further = limit + margin, range(1, members)
+    monkeypatch.setattr(
+        answering,
+        "equivalent_effects",
+        lambda search, h, *_: [(e, *(f"{e}{k}" for k in further)) for e in h.effects],
+    )
+    shares = {(): none, ("a",): 0.6 * (1.0 - none), ("b",): 0.4 * (1.0 - none)}
+    hypotheses = [_hypothesis(*one) for one in shares.items()]
+    groups = answering.group([None], hypotheses, np.array(list(shares.values())))
+    answers, leading = answering.rank(groups)
+    assert answers[0].effects == (() if margin > 0.0 else ("a",))
+    for h, answer in zip(leading, answers, strict=True):
+        assert h.effects == answer.effects or answer.unseen >= answer.probability
+    silent = sum(a.unseen for a in answers)
+    nothing = next(a.probability for a in answers if not a.effects)
+    assert nothing + silent == pytest.approx(none)
+    share = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
+    assert silent / none == pytest.approx(share)
+    assert sum(a.probability for a in answers) == pytest.approx(1.0)
 
 
-def test_probabilities_are_by_evidence_and_prior() -> None:
+def test_probabilities_are_by_evidence_and_prior():
     blank = {"atoms": (), "sizes": (), "process": None, "process_size": 0.0}
     stated = [((), False, 1.0, -0.5), (("a",), False, 3.0, -2.0), ((), True, 0.5, -1.0)]
     hypotheses = [

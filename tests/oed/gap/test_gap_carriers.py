@@ -1,6 +1,4 @@
-"""Forms over time and place on what carries them: against signatures of effects, and
-found where they were planted.
-"""
+"""Forms over time and place on what carries them, against signatures of effects."""
 
 import numpy as np
 import pytest
@@ -21,25 +19,14 @@ def _problem(name: str) -> GapProblem:
 
 def _hum(state: State) -> list[Column]:
     wave = np.sin(2.0 * np.pi * state.time / PERIOD)
-    parts = [Column(f"leg {i + 1}", SIZE, joints={i: wave}) for i in state.limbs]
-    return [
-        *parts,
-        *(
-            Column(f"tool {k}", SIZE, joints=state.displacing_joints(k, wave))
-            for k in range(3)
-        ),
-        Column(
-            "longer",
-            SIZE,
-            joints={i: state.joints_per_extension[:, i] * wave for i in state.limbs},
-        ),
-    ]
+    moved = {f"leg {i + 1}": {i: wave} for i in state.limbs}
+    moved |= {f"tool {k}": state.displacing_joints(k, wave) for k in range(3)}
+    moved["longer"] = {i: state.joints_per_extension[:, i] * wave for i in state.limbs}
+    return [Column(name, SIZE, joints=joints) for name, joints in moved.items()]
 
 
 @pytest.mark.parametrize("name", ["lines", "circles"])
-def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
-    name: str,
-) -> None:
+def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(name):
     """At the pose read and at what it is read against, each at its own time."""
     problem = _problem(name)
     effect = Effect(
@@ -53,11 +40,11 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
         problem, [np.sin(2.0 * np.pi * s.time / PERIOD) for s in problem.states]
     )[..., None]
     _, joints, tool, tool_length = discrepancy.carriers_of(problem)
-    pairs = [
-        (joints, [f"leg {i + 1}" for i in problem.states[0].limbs]),
-        (tool, [f"tool {k}" for k in range(3)]),
-        (tool_length, ["longer"]),
-    ]
+    legs, tools = (
+        [f"leg {i + 1}" for i in problem.states[0].limbs],
+        [f"tool {k}" for k in range(3)],
+    )
+    pairs = [(joints, legs), (tool, tools), (tool_length, ["longer"])]
     zeros = np.zeros(len(problem))
     for carrier, columns in pairs:
         change = discrepancy.apply_carrier(carrier.columns, form)[:, :, 0]
@@ -67,7 +54,7 @@ def test_a_wave_on_a_joint_or_the_tool_is_what_an_effect_of_it_would_read(
         assert size * change == pytest.approx(expected, abs=1e-6 * np.ptp(expected))
 
 
-def test_readings_are_carried_by_set_up_and_channel() -> None:
+def test_readings_are_carried_by_set_up_and_channel():
     problem = readings(1)
     each = discrepancy.readings(problem)
     assert each.labels == ("channel dy in lines", "channel dz in lines")
@@ -81,9 +68,7 @@ def test_readings_are_carried_by_set_up_and_channel() -> None:
 
 
 @pytest.mark.parametrize("count", [3, 40])
-def test_what_a_wave_explains_is_that_of_least_squares(
-    rng: np.random.Generator, count: int
-) -> None:
+def test_what_a_wave_explains_is_that_of_least_squares(rng, count):
     problem = case.circles()
     law = case.law(problem)
     r, f = 2.0 * rng.standard_normal(len(problem)), np.linspace(0.1, 0.4, count)

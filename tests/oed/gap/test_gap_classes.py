@@ -1,22 +1,17 @@
-"""Equivalence classes against dense matrices, and what tells a common encoder scale
-from the bar's length on an A3.
-"""
+"""Equivalence classes of an A3's encoder scale and bar length, by dense matrices."""
 
 import dataclasses
 import functools
-from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
 import pytest
-from shipped_models import a3_head, ball_bar, bar_length, encoder_scale
+from shipped_models import a3_head, ball_bar
 
 from kernel import a3_plans, gap_a3
-from kernel.laws import STATED_LAW
+from kernel.gap_lines import search_of
 from oed.gap.cause import compare
-from oed.gap.cause.search import Hypothesis, Search
-from oed.gap.data.problem import GapProblem, assemble, signature
-from oed.gap.forms import library
+from oed.gap.data.problem import GapProblem, assemble
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, commands_at_fixed_reading
 
@@ -28,17 +23,11 @@ STROKES = np.linspace(0.0, 0.2, 9)
 Bar = tuple[str, float, float]
 ONE: tuple[Bar, ...] = (("a", 0.3, 0.0),)
 TOOLS: tuple[Bar, ...] = (*ONE, ("b", 0.3, 0.1))
-BARS: tuple[Bar, ...] = (*ONE, ("b", 0.15, 0.0))
 
 
 def mounted(name: str, length: float, tool: float) -> Setup:
-    return mount(
-        ball_bar.instrument,
-        name,
-        teach=(1.286 + tool, 0.0, 0.0),
-        length=length,
-        tool=(0.0, 0.0, tool),
-    )
+    teach, offset = (1.286 + tool, 0.0, 0.0), (0.0, 0.0, tool)
+    return mount(ball_bar.instrument, name, teach=teach, length=length, tool=offset)
 
 
 @functools.cache
@@ -65,81 +54,28 @@ def readings(bars: tuple[Bar, ...]) -> GapProblem:
     return assemble(m, series, pd.DataFrame(rows))
 
 
-def columns(p: GapProblem, effect) -> np.ndarray:
-    effect_signature = signature(
-        effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
-    )
-    return p.in_noise_units(effect_signature.columns)
-
-
 def metric(p: GapProblem) -> np.ndarray:
     """M (N, N) of independent noise of the stated size."""
     return np.linalg.inv(np.eye(len(p)) + p.slopes @ p.slopes.T)
 
 
-def visible_sizes(p: GapProblem, known: Collection[str] = ()) -> tuple[float, float]:
-    """sqrt(lambda) of a common scale of 50 ppm, and what of it the bars' lengths leave,
-    however wrong they may be.
-
-    `known`: bars whose length is certain.
-    """
-    change = columns(p, encoder_scale.effect).sum(axis=1)
-    bar = signature(
-        bar_length.effect, {}, p.states, p.responses, p.measurement, p.series, p.sigma
-    )
-    wrong = p.in_noise_units(bar.columns)[:, [n not in known for n in bar.names]]
-    m = metric(p)
-    inner, cross = wrong.T @ m @ wrong, wrong.T @ m @ change
-    whole = float(change @ m @ change)
-    return np.sqrt(whole), np.sqrt(
-        max(whole - float(cross @ np.linalg.solve(inner, cross)), 0.0)
-    )
-
-
-def test_what_tells_a_common_scale_from_the_bars_length() -> None:
-    """A second known tool does, at 12 deg. A second bar does not, while its length is
-    as doubtful as the first's: a head that is too large in proportion reads each bar
-    wrong in proportion. A bar whose length is certain does.
-    """
-    one = visible_sizes(readings(ONE))
-    assert one[0] > 5.0
-    assert one[1] < 0.02 * one[0]
-    tools = visible_sizes(readings(TOOLS))
-    assert 5.0 < np.degrees(np.arcsin(tools[1] / tools[0])) < 20.0
-    two = readings(BARS)
-    bars = visible_sizes(two)
-    assert bars[1] < 0.02 * bars[0]
-    certain = visible_sizes(two, {"bar 150 mm"})
-    assert certain[1] > 0.2 * certain[0]
-
-
-# -- which rivals belong to an answer --------------------------------------------------
-
 EFFECTS = (gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity)
 
 
-def searched(
-    p: GapProblem, effect: str, size: float, seed: int = 4
-) -> tuple[Search, Hypothesis]:
-    """The search of readings in which a bar or a common scale acts with sqrt(lambda) =
-    size; the right hypothesis.
-    """
-    change = columns(p, next(e for e in EFFECTS if e.name == effect)).sum(axis=1)
+def searched(p, effect, size, seed=4):
+    """The search where a bar or a common scale acts; the right hypothesis."""
+    acting_effect = next(e for e in EFFECTS if e.name == effect)
+    change = gap_a3.noise_columns(p, acting_effect)[0].sum(axis=1)
     change = change * size / np.sqrt(change @ metric(p) @ change)
     noise = np.random.default_rng(seed).standard_normal(len(p))
     acting = p.with_residual(change + noise)
-    nothing = library.build(acting, ())
-    search = Search(acting, library.build(acting, EFFECTS), nothing, STATED_LAW, 0.0)
+    search = search_of(acting, EFFECTS)
     hypothesis = search.fit((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
     return search, hypothesis
 
 
-def dense(
-    p: GapProblem, search: Search, h: Hypothesis, rival: str
-) -> tuple[float, float]:
-    """lambda_k|j and lambda_k of the effect's posterior mean, for the rival's form that
-    absorbs most.
-    """
+def dense(p, search, h, rival):
+    """lambda_k|j and lambda_k of the posterior mean, for the form that absorbs most."""
     m = metric(p)
     mine = search.library.columns.take(search.library.atoms[h.atoms[0]].columns)
     inner = mine.T @ m @ mine + np.eye(mine.shape[1]) / h.sizes[0] ** 2
@@ -156,9 +92,7 @@ def dense(
 @pytest.mark.parametrize("size", [4.0, 12.0, 25.0, 60.0])
 @pytest.mark.parametrize("effect", ["encoder_scale", "bar_length"])
 @pytest.mark.parametrize("tools", [1, 2])
-def test_a_class_is_what_the_dense_formula_says(
-    tools: int, effect: str, size: float
-) -> None:
+def test_a_class_is_what_the_dense_formula_says(tools, effect, size):
     """With every rival's evidence near, and with none near."""
     p = readings(TOOLS if tools == 2 else ONE)
     search, h = searched(p, effect, size)
@@ -180,13 +114,8 @@ def test_a_class_is_what_the_dense_formula_says(
 
 @pytest.mark.parametrize("behind", [2.0, 10.0, 20.0, 1e4])
 @pytest.mark.parametrize("size", [8.0, 60.0])
-def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(
-    size: float, behind: float
-) -> None:
-    """Half of sqrt(lambda): a quarter of lambda, and an eighth of it in nats.
-
-    No less in nats than priors of forms and sizes can set two of a family apart.
-    """
+def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(size, behind):
+    """Half of sqrt(lambda): a quarter of lambda, and an eighth of it in nats."""
     p = readings(TOOLS)
     search, h = searched(p, "encoder_scale", size)
     rivals = [e.name for e in EFFECTS if e.name != "encoder_scale"]
@@ -207,10 +136,8 @@ def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(
 
 @pytest.mark.parametrize("truth", ["encoder_scale", "bar_length"])
 @pytest.mark.parametrize("size", [8.0, 60.0])
-def test_one_tool_keeps_both_whichever_is_likelier(truth: str, size: float) -> None:
-    """Scores as the search gives them. With one tool only the odds beforehand speak for
-    one of the two.
-    """
+def test_one_tool_keeps_both_whichever_is_likelier(truth, size):
+    """With one tool only the odds beforehand speak for one of the two."""
     search, _ = searched(readings(ONE), truth, size)
     hypotheses = {
         n: search.fit((n,), (search.library.atoms_of(n)[0],), (1.0,))
@@ -223,27 +150,3 @@ def test_one_tool_keeps_both_whichever_is_likelier(truth: str, size: float) -> N
         search, best, {h.key: h.score for h in hypotheses.values()}, 3.0
     )
     assert {"encoder_scale", "bar_length"} <= set(members)
-
-
-@pytest.mark.parametrize("truth", ["encoder_scale", "bar_length"])
-def test_two_tools_tell_what_is_large(truth: str) -> None:
-    """However near the rival is by its odds."""
-    (rival,) = {"encoder_scale", "bar_length"} - {truth}
-    search, h = searched(readings(TOOLS), truth, 60.0)
-    (members,) = compare.equivalent_effects(
-        search, h, {(frozenset({e.name}), False): h.score for e in EFFECTS}, 3.0
-    )
-    assert rival not in members
-
-
-def test_the_posterior_mean_is_the_ridge_estimate() -> None:
-    p = readings(ONE)
-    search, h = searched(p, "encoder_scale", 20.0)
-    rows = search.columns_of(h.atoms[0])
-    g, m = search.library.columns.take(rows), metric(p)
-    wanted = np.linalg.solve(
-        g.T @ m @ g + np.eye(g.shape[1]) / 0.25, g.T @ m @ search.problem.residual
-    )
-    assert compare.posterior_mean(search.grams, rows, 0.5) == pytest.approx(
-        wanted, rel=1e-6
-    )

@@ -7,13 +7,12 @@ import pytest
 
 from kernel import gap_problem
 from kernel.gap_lines import BOW, readings
-from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy
 from oed.gap.forms import library as libraries
 
 
 @pytest.mark.parametrize("reach", [0.3, 1.0])
-def test_modes_have_the_kernel(reach: float) -> None:
+def test_modes_have_the_kernel(reach):
     places = np.random.default_rng(4).integers(-99, 99, (30, 2, 2)) / 100.0
     modes = discrepancy.modes(places, reach, 60)
     flat = places.reshape(-1, 2)
@@ -28,7 +27,7 @@ def test_modes_have_the_kernel(reach: float) -> None:
 
 
 @pytest.mark.parametrize("problem", [readings(3), gap_problem.circles(passes=2)])
-def test_forms_of_a_kind_share_its_prior(problem: GapProblem) -> None:
+def test_forms_of_a_kind_share_its_prior(problem):
     library = discrepancy.build(problem)
     assert np.isfinite(library.columns.all()).all()
     for kind in library.effects:
@@ -36,18 +35,15 @@ def test_forms_of_a_kind_share_its_prior(problem: GapProblem) -> None:
         assert sum(shares) == pytest.approx(1.0)
 
 
-def test_kinds_come_under_the_conditions_of_listed_effects() -> None:
+def test_kinds_come_under_the_conditions_of_listed_effects():
     """Of five effects three need nothing, one the time; the last cannot be tested."""
     problem = readings(3)
     named = ("", "", "", "time: 3 or temp_leg", "payload")
     needs = [(need,) if need else () for need in named]
-    listed = libraries.build(
-        problem,
-        [
-            dataclasses.replace(BOW, name=f"bow {k}", needs=need)
-            for k, need in enumerate(needs)
-        ],
-    )
+    effects = [
+        dataclasses.replace(BOW, name=f"bow {k}", needs=n) for k, n in enumerate(needs)
+    ]
+    listed = libraries.build(problem, effects)
     terms = discrepancy.build(problem)
     logs = discrepancy.log_shares(terms, listed)
     shares = {a.effect: np.exp(p) for a, p in zip(terms.atoms, logs, strict=True)}
@@ -58,21 +54,18 @@ def test_kinds_come_under_the_conditions_of_listed_effects() -> None:
         assert share == pytest.approx(counts.get(kind, 1) / total)
 
 
-def test_units_of_length_change_nothing() -> None:
+def test_units_of_length_change_nothing():
     """Readings, noise and slopes in millimetres, as of a machine 1000 times as large."""
     problem = readings(3)
     scaled = dataclasses.replace(problem, sigma=1e3 * problem.sigma)
     for library in (discrepancy.build(problem), discrepancy.build(scaled)):
         sizes = np.linalg.norm(library.columns.all(), axis=0)
         assert 0.01 < np.median(sizes) / np.sqrt(len(problem)) < 1.0
-    np.testing.assert_allclose(
-        discrepancy.build(scaled).columns.all(),
-        discrepancy.build(problem).columns.all(),
-        atol=1e-12,
-    )
+    one, other = (discrepancy.build(p).columns.all() for p in (scaled, problem))
+    np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-def test_what_was_not_recorded_or_did_not_change_is_no_term() -> None:
+def test_what_was_not_recorded_or_did_not_change_is_no_term():
     problem = readings(3)
     kinds = set(discrepancy.build(problem).effects)
     assert {"over time", "with the direction", "with the feed"} <= kinds
@@ -83,7 +76,7 @@ def test_what_was_not_recorded_or_did_not_change_is_no_term() -> None:
     assert set(discrepancy.build(less).effects) == kinds - {"with the feed"}
 
 
-def test_a_joint_or_a_set_up_may_err_alone() -> None:
+def test_a_joint_or_a_set_up_may_err_alone():
     library = discrepancy.build(readings(3))
     alone = {
         frozenset(library.labels[c] for c in atom.columns)

@@ -1,12 +1,10 @@
-"""Evidence in closed form against the dense multivariate Student t; the metric against
-a dense inverse.
-"""
+"""Evidence against the dense multivariate Student t; the metric against an inverse."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from kernel.dense_noise import law_covariance
+from kernel.dense_noise import law_covariance, noise_covariance, residual_covariance
 from kernel.gap_lines import white_lines
 from kernel.laws import STATED_LAW, noise_law
 from oed.gap.data import evidence
@@ -28,25 +26,16 @@ def _grams(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> evidence.
     return evidence.WhitenedColumns(problem, Metric(problem, law), columns).grams()
 
 
-def _dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
-    covariance = problem.slopes @ problem.slopes.T
-    for k, members in enumerate(problem.members):
-        covariance[np.ix_(members, members)] += law_covariance(
-            law, problem, problem.members[k]
-        )
-    return covariance
-
-
-def test_metric_is_the_inverse_covariance(problem: GapProblem) -> None:
+def test_metric_is_the_inverse_covariance(problem):
     law, rng = _law(problem), np.random.default_rng(1)
     u, v = rng.standard_normal((2, len(problem), 3))
-    metric, dense = Metric(problem, law), _dense(problem, law)
+    metric, dense = Metric(problem, law), residual_covariance(problem, law)
     np.testing.assert_allclose(
         metric.gram(u, v), u.T @ np.linalg.solve(dense, v), rtol=1e-7, atol=1e-8
     )
     assert metric.log_det == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-8)
     fitted = metric.fit(problem.residual)
-    noise = dense - problem.slopes @ problem.slopes.T
+    noise = noise_covariance(problem, law)
     inner = np.eye(problem.slopes.shape[1]) + problem.slopes.T @ np.linalg.solve(
         noise, problem.slopes
     )
@@ -56,18 +45,15 @@ def test_metric_is_the_inverse_covariance(problem: GapProblem) -> None:
     np.testing.assert_allclose(fitted, wanted, rtol=1e-7, atol=1e-9)
 
 
-def test_metric_of_some_readings(problem: GapProblem) -> None:
+def test_metric_of_some_readings(problem):
     law, rows = _law(problem), np.arange(3, len(problem), 2)
-    dense = _dense(problem, law)[np.ix_(rows, rows)]
+    dense = residual_covariance(problem, law)[np.ix_(rows, rows)]
     u = np.random.default_rng(2).standard_normal((len(problem), 2))
-    np.testing.assert_allclose(
-        Metric(problem, law, rows).gram(u, u),
-        u[rows].T @ np.linalg.solve(dense, u[rows]),
-        rtol=1e-8,
-    )
+    exact = u[rows].T @ np.linalg.solve(dense, u[rows])
+    np.testing.assert_allclose(Metric(problem, law, rows).gram(u, u), exact, rtol=1e-8)
 
 
-def test_shared_reference_reading_is_in_the_law(problem: GapProblem) -> None:
+def test_shared_reference_reading_is_in_the_law(problem):
     block = law_covariance(STATED_LAW, problem, problem.members[0])
     # RM 5 tells each reading against one other: half of its variance is shared by the
     # run, channel by channel
@@ -77,7 +63,7 @@ def test_shared_reference_reading_is_in_the_law(problem: GapProblem) -> None:
 
 
 def _student(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> float:
-    shape = _dense(problem, law) + columns @ columns.T
+    shape = residual_covariance(problem, law) + columns @ columns.T
     return float(
         stats.multivariate_t(
             loc=np.zeros(len(problem)),
@@ -88,7 +74,7 @@ def _student(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 3.0])
-def test_evidence_is_the_student_density(problem: GapProblem, size: float) -> None:
+def test_evidence_is_the_student_density(problem, size):
     law = _law(problem)
     columns = np.random.default_rng(3).standard_normal((len(problem), 5))
     assert evidence.log_evidence(
@@ -100,10 +86,8 @@ def test_evidence_is_the_student_density(problem: GapProblem, size: float) -> No
     )
 
 
-def test_columns_one_after_the_other(problem: GapProblem) -> None:
-    """Selecting step by step, and scoring what is left, is the evidence of all of them
-    together.
-    """
+def test_columns_one_after_the_other(problem):
+    """Selecting step by step, and scoring what is left, is the evidence of all of them together."""
     law = _law(problem)
     columns = np.random.default_rng(4).standard_normal((len(problem), 6))
     grams = _grams(problem, law, columns)
@@ -118,7 +102,7 @@ def test_columns_one_after_the_other(problem: GapProblem) -> None:
     assert log_evidence == pytest.approx(_student(problem, law, scaled))
 
 
-def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
+def test_what_is_taken_out_stays_out(problem):
     law = _law(problem)
     columns = np.random.default_rng(5).standard_normal((len(problem), 4))
     columns[:, 3] = columns[:, 0] - 2.0 * columns[:, 1]
@@ -127,10 +111,8 @@ def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
     assert projected.gram[2, 2] > 1.0
 
 
-def test_residual_does_not_depend_on_where_the_fit_ended(problem: GapProblem) -> None:
-    """r - H dtheta / tolerance moves along H only, whose prior variance is in the
-    metric: to first order nothing.
-    """
+def test_residual_does_not_depend_on_where_the_fit_ended(problem):
+    """r - H dtheta / tolerance moves along H only, whose prior is in the metric."""
     measurement, series = problem.measurement, problem.series
     rng = np.random.default_rng(6)
     y = measurement.readings(

@@ -20,7 +20,7 @@ def _under(problem: GapProblem, run_sd: float, log_prior: float = 0.0) -> Search
     return Search(problem, forms, none, law, log_prior)
 
 
-def test_a_law_that_was_searched_needs_no_search_for_another_weight() -> None:
+def test_a_law_that_was_searched_needs_no_search_for_another_weight():
     problem = planted(readings(4), BOW, {"leg 1": 1.0}, turns=2.0)
     search = _under(problem, 0.3)
     search.run()
@@ -35,7 +35,7 @@ def test_a_law_that_was_searched_needs_no_search_for_another_weight() -> None:
     )
 
 
-def test_laws_are_drawn_where_a_likely_gap_rests_on_few() -> None:
+def test_laws_are_drawn_where_a_likely_gap_rests_on_few():
     """Under laws one of which suits far better; not where all suit alike."""
     problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
     for sizes, count in (((0.0, 30.0, 100.0), 1), ((0.1,) * 4, 0)):
@@ -50,7 +50,7 @@ def test_laws_are_drawn_where_a_likely_gap_rests_on_few() -> None:
         assert len(posteriors) == count
 
 
-def test_a_law_in_a_corner_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_in_a_corner_is_the_only_one(monkeypatch):
     """As where all rows are copies of others: no law is drawn about the mode."""
     problem = planted(readings(4), BOW, {"leg 1": 1.0}, turns=2.0)
     monkeypatch.setattr(evidence, "MAX_COORDINATE", 0.0)

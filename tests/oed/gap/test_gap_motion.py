@@ -1,6 +1,4 @@
-"""Rate, acceleration, sense and the way since a joint turned back, against motions in
-closed form.
-"""
+"""Rate, acceleration, sense, and way since a joint turned, for motions in closed form."""
 
 import numpy as np
 import pytest
@@ -15,14 +13,8 @@ LATE = np.array([0.7, 2.9])  # rad, where the joints are farthest out
 
 def _moved(q: Array, tip: Array, *, feed: float = FEED, still: int = 0) -> Motion:
     n = len(q)
-    return motion(
-        q,
-        tip,
-        np.full(n, "a"),
-        np.arange(n, dtype=float),
-        np.full(n, feed),
-        np.arange(still),
-    )
+    order, feeds = np.arange(n, dtype=float), np.full(n, feed)
+    return motion(q, tip, np.full(n, "a"), order, feeds, np.arange(still))
 
 
 def _circle(at: Array) -> tuple[Array, Array]:
@@ -32,9 +24,7 @@ def _circle(at: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize(("count", "begin"), [(24, 0.0), (36, 1.3)])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_closed_circle_is_entered_rolling(
-    count: int, begin: float, way: float
-) -> None:
+def test_a_closed_circle_is_entered_rolling(count, begin, way):
     """q = a cos(t - t0) on a circle of radius r: q' = -a sin(t - t0) v / r, q'' = -a
     cos(t - t0) (v / r)^2, and a (1 - |cos|-like rest) gone since the last extremum, at
     the first pose as at any.
@@ -57,12 +47,8 @@ def test_a_closed_circle_is_entered_rolling(
 
 @pytest.mark.parametrize("late", [-1e-5, 0.0, 1e-5])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_where_a_joint_turns_back_its_sense_is_that_of_arrival(
-    way: float, late: float
-) -> None:
-    """Readings at the extrema of a cosine, up to rounding: the joint last moved outward
-    at its farthest, inward at its nearest, and half a circle ago it last turned.
-    """
+def test_where_a_joint_turns_back_its_sense_is_that_of_arrival(way, late):
+    """Up to rounding a joint at its extremum moved outward last, or inward."""
     at = way * 2.0 * np.pi * np.arange(24) / 24
     tip = np.column_stack([RADIUS * np.cos(at), RADIUS * np.sin(at), np.zeros(24)])
     motion = _moved(SWING[:1] * np.cos(at[:, None] - late), tip)
@@ -74,10 +60,8 @@ def test_where_a_joint_turns_back_its_sense_is_that_of_arrival(
     assert gone == pytest.approx(np.full(2, 2.0 * SWING[0]), rel=1e-3)
 
 
-def test_an_open_run_has_no_turn_before_its_first() -> None:
-    """A line past one extremum: far away before it, from the extremum, not from the
-    last reading, after it.
-    """
+def test_an_open_run_has_no_turn_before_its_first():
+    """A line past one extremum: far away before it, from the extremum after it."""
     along = np.linspace(0.0, 1.0, 12)
     tip = np.column_stack([0.3 * along, np.zeros(12), np.zeros(12)])
     q = np.column_stack([-((along - 0.43) ** 2), along])
@@ -96,11 +80,8 @@ def test_an_open_run_has_no_turn_before_its_first() -> None:
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_far_step_brings_the_machine_to_the_start_of_a_path(way: float) -> None:
-    """A reference in the middle of a line, then the line from its end: at the reference
-    the machine moves straight to the end; the line's rates are those of a parabola, and
-    no turn is behind its first readings.
-    """
+def test_a_far_step_brings_the_machine_to_the_start_of_a_path(way):
+    """At the reference the machine moves straight to the line's end, then along it."""
     along = way * np.linspace(-1.0, 1.0, 21)
     y = np.concatenate([[0.05 * way], along])
     tip = np.column_stack([y, np.zeros(22), np.zeros(22)])
@@ -116,10 +97,8 @@ def test_a_far_step_brings_the_machine_to_the_start_of_a_path(way: float) -> Non
     assert np.isinf(motion.reversal[1:]).all()
 
 
-def test_a_corner_is_reached_as_the_machine_came(rng: np.random.Generator) -> None:
-    """Out and back on a line, then across: the corner's pose has the sense and the rate
-    of the way there, and distances after it count from it, where a joint turned there.
-    """
+def test_a_corner_is_reached_as_the_machine_came(rng):
+    """The corner has sense and rate of the way there; distances after it count from it."""
     out = np.linspace(0.0, 1.0, 11)
     x = np.concatenate([out, out[-2::-1], np.zeros(10)])
     y = np.concatenate([np.zeros(21), out[1:]])
@@ -137,10 +116,8 @@ def test_a_corner_is_reached_as_the_machine_came(rng: np.random.Generator) -> No
     assert motion.reversal[21:, 1] == pytest.approx(q[21:, 1] - first_turn[1])
 
 
-def test_points_in_any_order_are_no_path(rng: np.random.Generator) -> None:
-    """Between scattered points the way turns sharply: sense and distance are those of
-    the steps.
-    """
+def test_points_in_any_order_are_no_path(rng):
+    """Between scattered points the way turns sharply: sense and distance are those of the steps."""
     tip = rng.uniform(-0.1, 0.1, (30, 3))
     q = tip[:, :2].copy()
     motion = _moved(q, tip)
@@ -154,10 +131,8 @@ def test_points_in_any_order_are_no_path(rng: np.random.Generator) -> None:
     assert np.isinf(motion.reversal[0]).all()
 
 
-def test_what_stands_still_does_not_move() -> None:
-    """Poses stood at have no sense and no rate; without a feed rates are not known; one
-    pose is no motion.
-    """
+def test_what_stands_still_does_not_move():
+    """Poses stood at have no sense and no rate; without a feed rates are not known."""
     q, tip = _circle(2.0 * np.pi * np.arange(24) / 24)
     motion = _moved(q, tip, feed=np.nan, still=3)
     assert not motion.sense[:3].any()

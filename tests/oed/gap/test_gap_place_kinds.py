@@ -3,63 +3,27 @@
 import numpy as np
 import pandas as pd
 import pytest
-from shipped_models import (
-    backlash,
-    encoder_scale,
-    friction,
-    leg_thermal,
-    mount_drift,
-    planar_2dof,
-    pose_tracker,
-    step,
-)
+from shipped_models import backlash, friction, planar_2dof, pose_tracker
 
-from kernel import gap_lines, planar_session
+from kernel import gap_lines
 from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnosing
 from oed.gap.cause import locations
-from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.locations import STANDING_OUT, LikelyForms, ReversedForms
-from oed.gap.cause.search import Search
 from oed.gap.data import problem as problems
 from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.forms import discrepancy, library
+from oed.gap.forms import discrepancy
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.result import PlaceRecord
 
 position = pose_tracker.position
 
-EFFECTS = [module.effect for module in (encoder_scale, leg_thermal, mount_drift, step)]
-
 
 def _named(diagnosis: Diagnosis) -> dict[str, PlaceRecord]:
     """Places that stand out, by name, the first first."""
     return {b.block: b for b in diagnosis.where if b.p_value < STANDING_OUT}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("interleaved", [True, False])
-def test_a_bent_ruler_is_in_its_set_up_and_in_no_time(interleaved: bool) -> None:
-    """Where set-ups follow one another, set-up and time are one, and it is said."""
-    problem = planar_session.ruler_session(
-        ("rm5", "rm2"), 30e-6, 1, interleaved=interleaved
-    )
-    diagnosis = _under_stated_noise(problem, EFFECTS)
-    assert diagnosis.verdict == "unknown"
-    named = _named(diagnosis)
-    first = next(iter(named))
-    assert first == "set-up rm5"
-    assert named[first].strength > 0.9
-    assert not any(name.startswith("time") for name in named)
-    rows = problem.rows
-    times = rows["time"].to_numpy()
-    own = times[(rows["setup"] == "rm5").to_numpy()]
-    begin = own.min()
-    end = 0.5 * (own.max() + times[times > own.max()].min(initial=np.inf))
-    same = "" if interleaved else f"time {begin:g}-{end:g}"
-    assert named[first].same_as == same
 
 
 def _under_stated_noise(problem, effects) -> Diagnosis:
@@ -68,20 +32,10 @@ def _under_stated_noise(problem, effects) -> Diagnosis:
     return diagnosing.diagnose(problem, effects, rng, law=STATED_LAW)
 
 
-def _search(problem, effects) -> Search:
-    forms = library.build(problem, effects)
-    processes = discrepancy.build(problem)
-    return Search(problem, forms, processes, STATED_LAW, 0.0)
-
-
-def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
+def test_an_effect_alike_both_ways_is_in_no_direction():
     """One way is read at other heights than the other, so that it shows more there."""
-    problem = gap_lines.planted(
-        gap_lines.readings(1, heights=lambda way, k: 0.4 * k if way > 0 else 0.0),
-        gap_lines.BOW,
-        {"leg 1": 4.0},
-        turns=3.0,
-    )
+    lines = gap_lines.readings(1, heights=lambda way, k: 0.4 * k if way > 0 else 0.0)
+    problem = gap_lines.planted(lines, gap_lines.BOW, {"leg 1": 4.0}, turns=3.0)
     diagnosis = _under_stated_noise(problem, gap_lines.EFFECTS)
     assert "bow" in diagnosis.answers[0].effects
     for block in diagnosis.where:
@@ -91,10 +45,10 @@ def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
     assert not any(name.startswith("direction") for name in _named(diagnosis))
 
 
-def test_columns_driven_the_other_way_change_their_sign_where_the_effect_does() -> None:
+def test_columns_driven_the_other_way_change_their_sign_where_the_effect_does():
     """A bow of the joints stays as it is, slip of the drives turns about."""
     problem = gap_lines.readings(1)
-    search = _search(problem, gap_lines.EFFECTS)
+    search = gap_lines.search_of(problem, processes=discrepancy.build(problem))
     other_way = ReversedForms(
         problem, search.library, search.processes, gap_lines.EFFECTS
     )
@@ -109,9 +63,9 @@ def test_columns_driven_the_other_way_change_their_sign_where_the_effect_does() 
         )  # at the ends of a line a joint arrives from either side
 
 
-def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
+def test_a_discrepancy_of_one_direction_is_not_there_the_other_way():
     problem = gap_lines.readings(1)
-    search = _search(problem, ())
+    search = gap_lines.search_of(problem, (), discrepancy.build(problem))
     other_way = ReversedForms(problem, search.library, search.processes, ())
     empty = search.fit((), (), ())
     kinds = set()
@@ -134,10 +88,8 @@ def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
     assert kinds == {atom.effect for atom in search.processes.atoms}
 
 
-def test_a_worn_place_of_a_leg_is_no_backlash_beside_something() -> None:
-    """A bump of a leg, twice as high one way as the other, which no effect has: its
-    mean over both ways and its half difference are of one unknown.
-    """
+def test_a_worn_place_of_a_leg_is_no_backlash_beside_something():
+    """A bump of a leg, twice as high one way as the other, is of one unknown."""
     problem = gap_lines.readings(3)
     places = discrepancy.values_of_poses(problem, [s.joints for s in problem.states])
     senses = discrepancy.values_of_poses(
@@ -152,7 +104,7 @@ def test_a_worn_place_of_a_leg_is_no_backlash_beside_something() -> None:
     change *= 3.0 / np.sqrt(np.mean(change**2))
     acting = problem.with_residual(problem.residual + change)
     effects = (backlash.effect, friction.effect)
-    searches = searching.searches(acting, effects)
+    searches = [gap_lines.search_of(acting, effects, discrepancy.build(acting))]
     diagnosis, best = diagnosing.conclude(acting, searches, compare(searches), effects)
     assert best.key == (frozenset(), True)
     assert next(iter(diagnosis.likeness)) == (
@@ -160,7 +112,7 @@ def test_a_worn_place_of_a_leg_is_no_backlash_beside_something() -> None:
     )
 
 
-def test_a_leg_that_moved_in_one_stretch_alone_is_that_stretch() -> None:
+def test_a_leg_that_moved_in_one_stretch_alone_is_that_stretch():
     """Leg 1 stands still but for the second of three runs."""
     measurement = Measurement(planar_2dof.machine, [mount(position, "tracker")])
     each = 12

@@ -30,9 +30,7 @@ def problem(noise: float) -> GapProblem:
 
 
 @pytest.mark.parametrize(("norm", "tested"), [(3.0, True), (0.1, True), (0.003, False)])
-def test_an_effect_is_tested_where_its_usual_sizes_show(
-    norm: float, tested: bool
-) -> None:
+def test_an_effect_is_tested_where_its_usual_sizes_show(norm, tested):
     """By the norm over all readings of what it changes at its expected size."""
     quiet = problem(1e-6)
     (constants,) = effect.constant_grid()

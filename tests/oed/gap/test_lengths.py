@@ -26,9 +26,7 @@ def moved(tip: np.ndarray, size: float) -> Motion:
 
 @pytest.mark.parametrize("path", [CIRCLE, LINE, SCATTER, THERE_AND_BACK])
 @pytest.mark.parametrize("size", [1e-6, 1e-3, 1e3])
-def test_motion_is_that_of_the_same_path_of_another_size(
-    path: np.ndarray, size: float
-) -> None:
+def test_motion_is_that_of_the_same_path_of_another_size(path, size):
     usual, other = moved(path, 1.0), moved(path, size)
     np.testing.assert_array_equal(other.sense, usual.sense)
     for name in ("rate", "acceleration", "reversal"):
@@ -39,14 +37,14 @@ def test_motion_is_that_of_the_same_path_of_another_size(
 
 
 @pytest.mark.parametrize("size", [1e-8, 1e-3, 1e3])
-def test_phase_is_that_of_the_same_path_of_another_size(size: float) -> None:
+def test_phase_is_that_of_the_same_path_of_another_size(size):
     run = np.full(len(CIRCLE), "1")
     usual = phase_along_runs(CIRCLE, run, NOWHERE)
     made = phase_along_runs(size * CIRCLE, run, NOWHERE)
     np.testing.assert_allclose(made, usual, atol=1e-9)
 
 
-def test_a_tool_that_only_turns_goes_at_the_feed_at_its_lever() -> None:
+def test_a_tool_that_only_turns_goes_at_the_feed_at_its_lever():
     """Steps of t about the tool point take 2 L sin(t / 2) / feed; it has no phase."""
     lever, feed, step = 0.25, 0.02, np.deg2rad(4.0)
     tip = np.tile([0.3, -0.2, 1.1], (12, 1))
@@ -64,7 +62,7 @@ def test_a_tool_that_only_turns_goes_at_the_feed_at_its_lever() -> None:
     assert not phase_along_runs(tip, run, NOWHERE).any()
 
 
-def test_a_turn_between_long_moves_is_no_jump() -> None:
+def test_a_turn_between_long_moves_is_no_jump():
     """0.2 m, a turn of 10 degrees, 0.2 m: rates are those of each step, by its length."""
     lever, feed = 0.4, 0.025
     tip = np.array([[0.0, 0.0, 1.0], [0.2, 0.0, 1.0], [0.2, 0.0, 1.0], [0.2, 0.2, 1.0]])
@@ -80,7 +78,7 @@ def test_a_turn_between_long_moves_is_no_jump() -> None:
     np.testing.assert_allclose(moved.rate[:, 0], [slow, inner, inner, slow])
 
 
-def test_what_neither_moves_nor_turns_has_no_rate() -> None:
+def test_what_neither_moves_nor_turns_has_no_rate():
     place = tool_places(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)), 0.4)
     run, order, speed = np.full(5, "1"), np.arange(5.0), np.full(5, 0.02)
     still = motion(np.zeros((5, 2)), place, run, order, speed, NOWHERE)

@@ -12,7 +12,6 @@ from oed.effect_model import UNKNOWN_SIZES
 from oed.gap import diagnose, prepare
 from oed.gap.cause.scatter import Energies, replicates, shape
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
-from oed.gap.data.problem import GapProblem
 
 effect = encoder_scale.effect
 position = pose_tracker.position
@@ -22,13 +21,8 @@ SIGMA = 10e-6
 POSES, TIMES = 15, 3
 
 
-def problem(
-    recurring: float, *, on_the_spot: bool, loud_run: float = 1.0, seed: int = 3
-) -> GapProblem:
-    """Of poses read three times, with errors that recur at each, in units of the noise.
-
-    The poses lie at random, so that what recurs is no smooth form.
-    """
+def problem(recurring, *, on_the_spot, loud_run=1.0, seed=3):
+    """Of poses at random read three times, with errors that recur, in noise units."""
     rng = np.random.default_rng(seed)
     measurement = Measurement(machine, [mount(position, "tracker", sigma=(SIGMA,) * 3)])
     poses = np.column_stack(
@@ -48,9 +42,7 @@ def problem(
     return prepare(measurement, [series], y, covariates)
 
 
-def test_what_differs_between_readings_taken_again_is_the_variance_within_poses() -> (
-    None
-):
+def test_what_differs_between_readings_taken_again_is_the_variance_within_poses():
     of = problem(3.0, on_the_spot=False)
     again = replicates(of)
     assert not again.on_the_spot
@@ -61,9 +53,7 @@ def test_what_differs_between_readings_taken_again_is_the_variance_within_poses(
     assert freedom == (TIMES - 1) * 2 * POSES * 3
 
 
-def test_long_sessions_count_some_of_their_poses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_long_sessions_count_some_of_their_poses(monkeypatch):
     of = problem(3.0, on_the_spot=False)
     monkeypatch.setattr("oed.gap.cause.scatter.MAX_POSES", 20)
     again = replicates(of)
@@ -72,7 +62,7 @@ def test_long_sessions_count_some_of_their_poses(
     assert freedom == (TIMES - 1) * 20
 
 
-def test_the_evidence_of_what_recurs_is_the_integral_over_the_noise_level() -> None:
+def test_the_evidence_of_what_recurs_is_the_integral_over_the_noise_level():
     parts = Energies(18.0, 20, 60.0, 30)
 
     def density(variance: float, inflation: float) -> float:
@@ -92,16 +82,11 @@ def test_the_evidence_of_what_recurs_is_the_integral_over_the_noise_level() -> N
     assert parts.log_evidence == pytest.approx(np.log(rough / none), rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("on_the_spot", "against", "words"),
-    [
-        (False, AGAIN, "what recurs in runs"),
-        (True, ON_THE_SPOT, "take the same run again"),
-    ],
-)
-def test_errors_that_recur_at_each_pose_are_no_noise(
-    on_the_spot: bool, against: str, words: str
-) -> None:
+@pytest.mark.parametrize(("on_the_spot", "against", "words"), [
+    (False, AGAIN, "what recurs in runs"),
+    (True, ON_THE_SPOT, "take the same run again"),
+])  # fmt: skip
+def test_errors_that_recur_at_each_pose_are_no_noise(on_the_spot, against, words):
     of = problem(1.2, on_the_spot=on_the_spot)
     result = diagnose(of, [effect], np.random.default_rng(1))
     assert result.verdict == "scatter"
@@ -111,12 +96,12 @@ def test_errors_that_recur_at_each_pose_are_no_noise(
     assert words in result.next[0]
 
 
-def test_the_same_scatter_without_a_recurring_part_is_noise() -> None:
+def test_the_same_scatter_without_a_recurring_part_is_noise():
     of = problem(0.0, on_the_spot=False)
     assert diagnose(of, [effect], np.random.default_rng(1)).verdict == "none"
 
 
-def test_a_run_that_scatters_more_is_named() -> None:
+def test_a_run_that_scatters_more_is_named():
     of = problem(0.0, on_the_spot=False, loud_run=2.5)
     assert shape(of, STATED_LAW) == "run 4"
     assert shape(problem(0.0, on_the_spot=False), STATED_LAW) == "white"
