@@ -8,9 +8,7 @@ import pytest
 from oed.design import CRITERIA, branch, choose
 
 
-def best_subset(
-    rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | None
-) -> float:
+def best_subset(rows, size, criterion, prior):
     goal = CRITERIA.build(criterion, rows.shape[1])
     base = np.zeros((rows.shape[1],) * 2) if prior is None else prior
     return max(
@@ -20,10 +18,8 @@ def best_subset(
 
 
 @pytest.mark.parametrize("criterion", ["D", "A", "O5"])
-@pytest.mark.parametrize(
-    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 6))]
-)
-def test_the_best_of_all_subsets_is_proven(seed: int, criterion: str) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_the_best_of_all_subsets_is_proven(seed, criterion):
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((13, 3))
     prior = np.diag(rng.uniform(0.1, 1.0, 3)) if seed % 2 else None
@@ -35,18 +31,7 @@ def test_the_best_of_all_subsets_is_proven(seed: int, criterion: str) -> None:
     assert result.bound == pytest.approx(result.value, abs=1e-8)
 
 
-def test_forty_candidates_are_proven() -> None:
-    """8 of 40 (77 million subsets); the exchange's plan is the best or close to it."""
-    rng = np.random.default_rng(4)
-    rows = rng.standard_normal((40, 4))
-    chosen = choose(rows, 8, rng)
-    result = branch.solve(rows, 8, rng, start=chosen.indices)
-    assert result.bound == pytest.approx(result.value, abs=1e-8)
-    assert result.value >= chosen.value / 4 - 1e-9
-    assert result.value - chosen.value / 4 < 0.01
-
-
-def test_a_bound_holds_when_the_nodes_run_out() -> None:
+def test_a_bound_holds_when_the_nodes_run_out():
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((20, 4))
     short = branch.solve(rows, 7, rng, start=np.arange(7), nodes=3)
@@ -57,13 +42,13 @@ def test_a_bound_holds_when_the_nodes_run_out() -> None:
     assert short.value <= full.value + 1e-12 <= short.bound + 1e-9
 
 
-def test_criteria_that_are_not_smooth_are_refused() -> None:
+def test_criteria_that_are_not_smooth_are_refused():
     with pytest.raises(ValueError, match="smooth, concave"):
         branch.solve(np.eye(3), 3, np.random.default_rng(0), "E")
 
 
 @pytest.mark.parametrize("rank", [3, 4])
-def test_a_choice_takes_over_the_bound_of_the_tree(rank: int) -> None:
+def test_a_choice_takes_over_the_bound_of_the_tree(rank):
     """Conventional values, over the directions that the candidates determine."""
     rng = np.random.default_rng(7)
     rows = rng.standard_normal((14, rank)) @ rng.standard_normal((rank, 4))

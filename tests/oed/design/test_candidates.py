@@ -22,7 +22,7 @@ def exact_information(rows: np.ndarray) -> np.ndarray:
     return white.T @ white
 
 
-def test_single_readings_add_up_to_the_information_of_all() -> None:
+def test_single_readings_add_up_to_the_information_of_all():
     candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     assert len(candidates) == len(SERIES)
     assert candidates.shared_errors == 0
@@ -36,7 +36,7 @@ def test_single_readings_add_up_to_the_information_of_all() -> None:
     assert candidates.command == pytest.approx(commands)
 
 
-def test_a_whole_run_has_the_information_of_its_readings() -> None:
+def test_a_whole_run_has_the_information_of_its_readings():
     candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance", whole_runs=True)
     runs = list(dict.fromkeys(SERIES.run))
     assert len(candidates) == len(runs)
@@ -48,7 +48,7 @@ def test_a_whole_run_has_the_information_of_its_readings() -> None:
     assert candidates.cost == pytest.approx(seconds * count)
 
 
-def test_prior_information_is_added_on_the_parameters() -> None:
+def test_prior_information_is_added_on_the_parameters():
     candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     n = candidates.columns
     twice = candidates.add_prior(np.eye(n)).add_prior(2.0 * np.eye(n))
@@ -57,7 +57,7 @@ def test_prior_information_is_added_on_the_parameters() -> None:
     assert isinstance(candidates.criterion("D"), Determinant)
 
 
-def test_readings_too_near_each_other_are_nearer_than_one() -> None:
+def test_readings_too_near_each_other_are_nearer_than_one():
     candidates = Candidates.build(M, [SERIES], M.nominal, "tolerance")
     apart = np.array([0.0, 0.5, 0.0])
     distance = candidates.rules(size=4, apart=apart).distance
@@ -68,7 +68,7 @@ def test_readings_too_near_each_other_are_nearer_than_one() -> None:
     assert time.cost == pytest.approx(candidates.cost)
 
 
-def test_candidates_are_counted_through_their_series() -> None:
+def test_candidates_are_counted_through_their_series():
     series = [["a", "b", "c"], ["d", "e"], ["f"]]
     pool: Any = SimpleNamespace(members=np.arange(6)[:, None], series=series)
     found = (Candidates.reading(pool, k) for k in range(6))

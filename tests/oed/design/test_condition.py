@@ -12,9 +12,7 @@ METHODS = (condition.relax, condition.e_optimal, condition.o4)
 TOLERANCES = (1e-4, 1e-4, 1e-3)
 
 
-def criteria_of(
-    rows: np.ndarray, base: np.ndarray, weights: np.ndarray
-) -> tuple[float, float, float]:
+def criteria_of(rows, base, weights):
     """kappa, l_min and O4 from singular values, without forming M."""
     flat = (np.sqrt(weights)[:, None, None] * rows).reshape(-1, rows.shape[2])
     s = np.linalg.svd(np.vstack([flat, np.sqrt(base)]), compute_uv=False)[
@@ -25,9 +23,7 @@ def criteria_of(
 
 
 def problem(seed: int) -> tuple[np.ndarray, int, np.ndarray]:
-    """Random blocks (C, k, n) with columns of scales that differ, a size, and prior
-    information in every second one.
-    """
+    """Random blocks (C, k, n) of columns of unlike scales, a size, a prior in every second."""
     rng = np.random.default_rng(seed)
     k, count = int(rng.integers(1, 4)), int(rng.integers(7, 12))
     n = int(rng.integers(1, min(3 * k, 6) + 1))
@@ -40,11 +36,8 @@ def problem(seed: int) -> tuple[np.ndarray, int, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [*range(6), *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 40))],
-)
-def test_no_plan_exceeds_the_bounds_and_the_weights_reach_them(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_no_plan_exceeds_the_bounds_and_the_weights_reach_them(seed):
     rows, size, base = problem(seed)
     plans = []
     for chosen in itertools.combinations(range(len(rows)), size):
@@ -65,7 +58,7 @@ def test_no_plan_exceeds_the_bounds_and_the_weights_reach_them(seed: int) -> Non
 
 
 @pytest.mark.parametrize("cap", [0.3, 1.0, np.inf])
-def test_agrees_with_a_conic_solver(cap: float) -> None:
+def test_agrees_with_a_conic_solver(cap):
     """Same kappa and E as Clarabel finds for the semidefinite programs."""
     rng = np.random.default_rng(4)
     rows = rng.standard_normal((60, 2, 5)) @ np.diag([0.03, 0.5, 1.0, 4.0, 20.0])
@@ -81,10 +74,8 @@ def test_agrees_with_a_conic_solver(cap: float) -> None:
         assert sign * np.log(optimum.value) <= other.bound + 1e-9
 
 
-def test_o4_is_the_best_along_the_frontier() -> None:
-    """The largest O4 over many levels of l_max, each by a conic solver, lies near the
-    value and below the bound.
-    """
+def test_o4_is_the_best_along_the_frontier():
+    """The largest O4 over levels of l_max, by a conic solver, is near the value."""
     rng = np.random.default_rng(8)
     rows = rng.standard_normal((25, 1, 3)) * np.array([0.3, 1.0, 5.0])
     optimum = condition.o4(rows, 6.0, tolerance=1e-4)
@@ -97,9 +88,7 @@ def test_o4_is_the_best_along_the_frontier() -> None:
 
 
 def _at_most(rows: np.ndarray, size: float, largest: float) -> float:
-    """O4 where l_min is largest with l_max at most at a level, by an independent
-    program.
-    """
+    """O4 where l_min is largest with l_max at most at a level, by an independent program."""
     import cvxpy as cp
 
     w, t = cp.Variable(len(rows), nonneg=True), cp.Variable()
@@ -116,7 +105,7 @@ def _at_most(rows: np.ndarray, size: float, largest: float) -> float:
     )
 
 
-def test_the_gap_closes_over_many_candidates() -> None:
+def test_the_gap_closes_over_many_candidates():
     """Problem A, 2000 x 21: no candidate outside the plan has a larger slope than inside."""
     rows = np.random.default_rng(0).standard_normal((2000, 21))
     optimum = condition.e_optimal(rows, 30.0)
@@ -129,10 +118,8 @@ def test_the_gap_closes_over_many_candidates() -> None:
     assert condition.relax(rows, 30.0).value == pytest.approx(1.0, abs=1e-4)
 
 
-def test_widely_spread_singular_values() -> None:
-    """Columns that spread over five decades, as lengths and angles do: certified to
-    1e-4 as well.
-    """
+def test_widely_spread_singular_values():
+    """Columns that spread over five decades, as lengths and angles do."""
     rng = np.random.default_rng(2)
     rows = rng.standard_normal((800, 1, 12)) @ np.diag(np.geomspace(1e-4, 10.0, 12))
     for method, tolerance in zip(METHODS, TOLERANCES, strict=True):
@@ -141,7 +128,7 @@ def test_widely_spread_singular_values() -> None:
     assert condition.relax(rows, 20.0).value > 1e3
 
 
-def test_slopes_are_derivatives() -> None:
+def test_slopes_are_derivatives():
     """Where both ends of the spectrum are single, they equal differences of -log kappa."""
     rows = (
         np.diag([1.0, 2.0, 5.0])[:, None, :]
@@ -157,7 +144,7 @@ def test_slopes_are_derivatives() -> None:
         )
 
 
-def test_impossible_problems_are_refused() -> None:
+def test_impossible_problems_are_refused():
     with pytest.raises(ValueError, match="undetermined"):
         condition.relax(np.ones((5, 3)), 3.0)
     with pytest.raises(ValueError, match="cannot carry"):

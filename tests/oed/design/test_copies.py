@@ -9,7 +9,7 @@ from oed.design.copies import find_copies
 from oed.design.forms import Determinant
 
 
-def test_copies_share_the_weight_and_keep_the_bound() -> None:
+def test_copies_share_the_weight_and_keep_the_bound():
     rng = np.random.default_rng(9)
     rows = rng.standard_normal((60, 1, 5))
     several = rows[rng.permutation(np.repeat(np.arange(60), 3))]
@@ -29,7 +29,7 @@ def test_copies_share_the_weight_and_keep_the_bound() -> None:
     assert len(set(choice.indices.tolist())) == 12
 
 
-def test_kinds_and_different_candidates() -> None:
+def test_kinds_and_different_candidates():
     rows = np.array([[1.0], [2.0], [1.0], [3.0], [2.0], [1.0]])
     copies = find_copies(rows)
     assert copies.first.tolist() == [0, 1, 3]
@@ -40,7 +40,7 @@ def test_kinds_and_different_candidates() -> None:
     assert copies.label[chosen].tolist() == kinds.tolist()
 
 
-def test_copies_take_turns() -> None:
+def test_copies_take_turns():
     """Of eight kinds read to and fro, half are in each direction; none stands twice."""
     rows = np.tile(np.eye(8), (2, 1))
     copies = find_copies(rows)

@@ -11,9 +11,7 @@ from scipy import stats
 from oed.design import CRITERIA, criteria
 
 
-def of_information(
-    name: str, m: np.ndarray, ingredient: np.ndarray | None = None
-) -> float:
+def of_information(name, m, ingredient=None):
     """The number that users know, of an information matrix."""
     criterion = CRITERIA.build(name, len(m), ingredient)
     return criterion.conventional_value(criterion.value(m), 1)
@@ -31,7 +29,7 @@ def matrices(draw: st.DrawFn) -> np.ndarray:
 
 @settings(max_examples=100, deadline=None)
 @given(matrices())
-def test_alphabetic_criteria_are_sums_over_singular_values(h: np.ndarray) -> None:
+def test_alphabetic_criteria_are_sums_over_singular_values(h):
     s, m = np.linalg.svd(h, compute_uv=False), h.T @ h
     assert of_information("D", m) == pytest.approx(2 * np.log(s).sum(), abs=1e-6)
     assert of_information("A", m) == pytest.approx(-np.sum(1 / s**2), rel=1e-6)
@@ -45,66 +43,23 @@ def test_alphabetic_criteria_are_sums_over_singular_values(h: np.ndarray) -> Non
     assert CRITERIA.index("kappa", s) == pytest.approx(np.linalg.cond(h), rel=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
-@given(matrices(), st.floats(0.01, 100.0))
-def test_scale_laws(h: np.ndarray, c: float) -> None:
-    """All readings c times as sensitive."""
-    n, (s, m) = h.shape[1], (np.linalg.svd(h, compute_uv=False), h.T @ h)
-    assert of_information("D", c**2 * m) == pytest.approx(
-        of_information("D", m) + 2 * n * np.log(c), abs=1e-6
-    )
-    assert of_information("A", c**2 * m) == pytest.approx(
-        of_information("A", m) / c**2, rel=1e-6
-    )
-    assert of_information("E", c**2 * m) == pytest.approx(
-        of_information("E", m) * c**2, rel=1e-6
-    )
-    once = CRITERIA.observability(s, len(h))
-    scaled = CRITERIA.observability(c * s, len(h))
-    for index, power in {"O1": 1, "O2": 0, "O3": 1, "O4": 1, "O5": 1}.items():
-        assert scaled[index] == pytest.approx(once[index] * c**power, rel=1e-9)
-    assert CRITERIA.index("kappa", c * s) == pytest.approx(
-        CRITERIA.index("kappa", s), rel=1e-12
-    )
-
-
-def test_observability_indices_of_a_diagonal() -> None:
+def test_observability_indices_of_a_diagonal():
     """Singular values 8, 4, 1 and 9 readings, worked by hand."""
     s = np.array([8.0, 4.0, 1.0])
-    assert CRITERIA.observability(s, 9) == pytest.approx(
-        {
-            "O1": 32 ** (1 / 3) / 3,
-            "O2": 1 / 8,
-            "O3": 1.0,
-            "O4": 1 / 8,
-            "O5": 1 / (1 / 8 + 1 / 4 + 1),
-        }
-    )
+    wanted = {
+        "O1": 32 ** (1 / 3) / 3,
+        "O2": 1 / 8,
+        "O3": 1.0,
+        "O4": 1 / 8,
+        "O5": 8 / 11,
+    }
+    assert CRITERIA.observability(s, 9) == pytest.approx(wanted)
     assert CRITERIA.index("kappa", s) == 8.0
     assert CRITERIA.index("kappa", s) * CRITERIA.index("O2", s) == 1.0
 
 
-def test_index_bounds(rng: np.random.Generator) -> None:
-    """O5 <= O3 / 1 and O3 <= O1 sqrt(m); all equal where the singular values are equal
-    but for the count.
-    """
-    for s in 10.0 ** rng.uniform(-3, 3, (50, 6)):
-        assert (
-            CRITERIA.index("O5", s)
-            <= CRITERIA.index("O3", s)
-            <= CRITERIA.index("O1", s, 1)
-            <= s.max() * (1 + 1e-12)
-        )
-        assert CRITERIA.index("O4", s) <= CRITERIA.index("O3", s)
-    same = np.full(6, 2.5)
-    assert CRITERIA.index("O5", same) == pytest.approx(CRITERIA.index("O3", same) / 6)
-    assert CRITERIA.index("O1", same, 4) == pytest.approx(2.5 / 2)
-
-
-def test_noise_amplification_is_a_geometric_mean(rng: np.random.Generator) -> None:
-    """Chang, Li and Li (2011), Eq. (17): L-th root of the product of L singular values,
-    over the root of the poses.
-    """
+def test_noise_amplification_is_a_geometric_mean(rng):
+    """Chang, Li and Li (2011), Eq. (17): root of L singular values over that of the poses."""
     s = rng.uniform(0.1, 10, 7)
     assert CRITERIA.index("noise_amplification", s, 25) == pytest.approx(
         stats.gmean(s) / 5
@@ -114,7 +69,7 @@ def test_noise_amplification_is_a_geometric_mean(rng: np.random.Generator) -> No
     ) == pytest.approx(2.0)
 
 
-def test_long_products_neither_overflow_nor_vanish() -> None:
+def test_long_products_neither_overflow_nor_vanish():
     assert CRITERIA.index("O1", np.full(400, 1e200), 1) == pytest.approx(1e200)
     assert CRITERIA.index("O1", np.full(400, 1e-200), 1) == pytest.approx(1e-200)
 
@@ -122,14 +77,14 @@ def test_long_products_neither_overflow_nor_vanish() -> None:
 @pytest.mark.parametrize(
     "m", [np.zeros((3, 3)), np.diag([1.0, 2.0, 0.0]), np.ones((4, 4))]
 )
-def test_a_singular_design_is_worth_nothing(m: np.ndarray) -> None:
+def test_a_singular_design_is_worth_nothing(m):
     assert of_information("D", m) == -np.inf
     assert of_information("A", m) == -np.inf
     assert of_information("I", m, np.eye(len(m))[None]) == -np.inf
     assert of_information("E", m) == pytest.approx(0.0, abs=1e-15)
 
 
-def test_the_catalogue_lists_what_is_computed() -> None:
+def test_the_catalogue_lists_what_is_computed():
     alphabetic = {"D", "Ds", "A", "c", "I", "G", "E"}
     indices = {"kappa", "O1", "O2", "O3", "O4", "O5", "noise_amplification"}
     assert alphabetic | indices <= set(CRITERIA.entries)
@@ -143,9 +98,7 @@ def test_the_catalogue_lists_what_is_computed() -> None:
 
 
 @pytest.mark.parametrize("name", ["O1", "O2", "O3", "O4", "O5", "kappa"])
-def test_an_index_is_the_criterion_of_the_information(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_an_index_is_the_criterion_of_the_information(name, rng):
     """Of the singular values, and of the matrix that they belong to."""
     h = rng.standard_normal((9, 4))
     of_values = CRITERIA.index(name, np.linalg.svd(h, compute_uv=False), 9)
@@ -154,7 +107,7 @@ def test_an_index_is_the_criterion_of_the_information(
     assert of_values == pytest.approx(of_matrix, rel=1e-9)
 
 
-def test_properties_by_the_books() -> None:
+def test_properties_by_the_books():
     """Pukelsheim (2006), chapter 6: which are smooth; kappa, O2, O4 are not concave."""
     assert CRITERIA.smooth == ("A", "c", "D", "Ds", "I", "O1", "O5")
     assert CRITERIA.polished == ("A", "c", "D", "Ds", "E", "I", "O1", "O3")
@@ -165,7 +118,7 @@ def test_properties_by_the_books() -> None:
 
 
 @pytest.mark.parametrize("name", ["D", "A", "E", "kappa", "O1", "O2", "O3", "O4", "O5"])
-def test_phi_follows_from_the_number(name: str, rng: np.random.Generator) -> None:
+def test_phi_follows_from_the_number(name, rng):
     """phi of one matrix over phi of another, from log phi and from the numbers."""
     criterion = CRITERIA.build(name, 4)
     first, second = (h.T @ h for h in rng.standard_normal((2, 9, 4)))
@@ -176,7 +129,7 @@ def test_phi_follows_from_the_number(name: str, rng: np.random.Generator) -> Non
     assert ratio == pytest.approx(expected, rel=1e-9)
 
 
-def test_profiled_combined_and_worst_variances(rng: np.random.Generator) -> None:
+def test_profiled_combined_and_worst_variances(rng):
     """Ds, c and G against the covariance itself."""
     a = rng.standard_normal((9, 4))
     m, covariance = a.T @ a, np.linalg.inv(a.T @ a)

@@ -1,14 +1,8 @@
-"""No design is ever below the greedy one, nor above its bound: 500 random problems,
-nineteen twentieths of them by `make slow`.
-
-Sizes, ranks, blocks, priors, costs, set-ups and criteria vary. The greedy plan is
-written again here, and the values are computed from the chosen blocks with NumPy alone.
-"""
+"""No design is below the greedy one, nor above its bound: 25 random problems."""
 
 import dataclasses
 
 import numpy as np
-import pytest
 
 from oed.design import Choice, Rules, choose
 from oed.design.rules import SetupLimit, TimeBudget
@@ -86,27 +80,19 @@ def greedy(p: Problem) -> np.ndarray:
     return np.array(chosen)
 
 
-@pytest.mark.parametrize(
-    "batch", [0, *(pytest.param(b, marks=pytest.mark.slow) for b in range(1, 20))]
-)
-def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
-    for seed in range(25 * batch, 25 * batch + 25):
+def test_greedy_is_never_better_and_the_bound_never_crossed():
+    for seed in range(25):
         p = problem(seed)
-        choice = choose(
-            p.blocks,
-            None,
+        rng, how = (
             np.random.default_rng(seed),
-            p.criterion,
-            prior=p.prior,
-            rounds=2,
-            rules=p.rules,
+            {"prior": p.prior, "rounds": 2, "rules": p.rules},
         )
+        choice = choose(p.blocks, None, rng, p.criterion, **how)
         chosen = choice.indices
         reached = value(p, chosen)
         assert len(set(chosen)) == len(chosen), seed
-        assert choice.directions == (
-            p.rank if p.prior is None else p.blocks.shape[2]
-        ), seed
+        seen = p.rank if p.prior is None else p.blocks.shape[2]
+        assert choice.directions == seen, seed
         for k in range(len(chosen)):
             assert p.rules.additions(np.delete(chosen, k), len(p.blocks))[chosen[k]], (
                 seed

@@ -9,9 +9,7 @@ from oed.design import Rules, choose
 from oed.design.exchange import best_of_all, pose
 
 
-def values(
-    blocks: np.ndarray, size: int, prior: np.ndarray, criterion: str
-) -> list[float]:
+def values(blocks, size, prior, criterion):
     """Least eigenvalue, or minus the condition number of H, of each plan."""
     plan_names = []
     for chosen in combinations(range(len(blocks)), size):
@@ -27,9 +25,7 @@ def values(
 
 @pytest.mark.parametrize("criterion", ["E", "kappa"])
 @pytest.mark.parametrize(("k", "add_prior"), [(1, False), (2, True)])
-def test_the_best_of_all_plans_is_chosen_and_proven(
-    criterion: str, k: int, add_prior: bool
-) -> None:
+def test_the_best_of_all_plans_is_chosen_and_proven(criterion, k, add_prior):
     for seed in range(20):
         rng = np.random.default_rng(seed)
         blocks = rng.standard_normal((10, k, 3))
@@ -43,7 +39,7 @@ def test_the_best_of_all_plans_is_chosen_and_proven(
         assert choice.efficiency == 1.0
 
 
-def test_other_criteria_rules_and_many_plans_are_left_to_the_search() -> None:
+def test_other_criteria_rules_and_many_plans_are_left_to_the_search():
     rows = np.random.default_rng(1).standard_normal((40, 4))
     for count, criterion, taken in (
         (12, "E", True),

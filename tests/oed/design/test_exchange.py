@@ -1,6 +1,4 @@
-"""Exchange against every subset of tiny problems, greedy selection, and its own
-invariances.
-"""
+"""Exchange against every subset of tiny problems, and its own invariances."""
 
 from itertools import combinations
 
@@ -9,22 +7,15 @@ import pytest
 
 from oed.design import blocks, exchange
 
-CANDIDATES, SIZE, DIRECTIONS, PROBLEMS = 9, 4, 3, 50
+CANDIDATES, SIZE, DIRECTIONS = 9, 4, 3
 
 
-def value(
-    rows: np.ndarray,
-    chosen: np.ndarray | tuple,
-    criterion: str,
-    prior: np.ndarray | float = 0.0,
-) -> float:
+def value(rows, chosen, criterion, prior=0.0):
     eigenvalues = np.linalg.eigvalsh(rows[list(chosen)].T @ rows[list(chosen)] + prior)
     return float(np.log(eigenvalues).sum() if criterion == "D" else eigenvalues[0])
 
 
-def best_subset(
-    rows: np.ndarray, size: int, criterion: str, prior: np.ndarray | float = 0.0
-) -> float:
+def best_subset(rows, size, criterion, prior=0.0):
     with np.errstate(all="ignore"):
         return np.nanmax(
             [
@@ -34,36 +25,14 @@ def best_subset(
         )
 
 
-def greedy(rows: np.ndarray, size: int) -> float:
-    """Forward selection by log det from a small ridge."""
-    chosen: list[int] = []
-    ridge = 1e-9 * np.eye(rows.shape[1])
-    for _ in range(size):
-        others = [j for j in range(len(rows)) if j not in chosen]
-        chosen.append(max(others, key=lambda j: value(rows, (*chosen, j), "D", ridge)))
-    return value(rows, chosen, "D")
-
-
 def problem(seed: int) -> tuple[np.ndarray, np.random.Generator]:
     rng = np.random.default_rng(seed)
     return rng.standard_normal((CANDIDATES, DIRECTIONS)), rng
 
 
-@pytest.mark.parametrize(
-    ("criterion", "problems"),
-    [
-        ("D", PROBLEMS // 2),
-        ("E", PROBLEMS // 5),
-        pytest.param("D", PROBLEMS, marks=pytest.mark.slow),
-        pytest.param("E", PROBLEMS, marks=pytest.mark.slow),
-    ],
-)
-def test_tiny_problems_are_solved_almost_always(
-    criterion: str, problems: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The search alone, not all plans: 4 of 9 readings for 3 directions: the best of all 126 subsets in 90 % of the
-    problems, and never far from it.
-    """
+@pytest.mark.parametrize(("criterion", "problems"), [("D", 25), ("E", 10)])
+def test_tiny_problems_are_solved_almost_always(criterion, problems, monkeypatch):
+    """The search alone: the best of all 126 subsets in 90 % of the problems, never far off."""
     monkeypatch.setattr(exchange, "best_of_all", lambda *_: None)
     shortfall = []
     for seed in range(problems):
@@ -80,7 +49,7 @@ def test_tiny_problems_are_solved_almost_always(
         assert np.exp(-max(shortfall) / DIRECTIONS) > 0.97
 
 
-def test_with_a_prior_fewer_readings_than_directions_will_do() -> None:
+def test_with_a_prior_fewer_readings_than_directions_will_do():
     for seed in range(20):
         rows, rng = problem(seed)
         prior = np.diag([0.5, 1.0, 2.0])
@@ -94,20 +63,8 @@ def test_with_a_prior_fewer_readings_than_directions_will_do() -> None:
 
 @pytest.mark.parametrize("prior", [False, True])
 @pytest.mark.parametrize("criterion", ["D", "E"])
-@pytest.mark.parametrize(
-    ("size", "candidates"),
-    [
-        (3, 3),
-        (10, 16),
-        *(
-            pytest.param(*s, marks=pytest.mark.slow)
-            for s in [(9, 9), (12, 14), (20, 40)]
-        ),
-    ],
-)
-def test_any_size_gives_different_readings(
-    size: int, candidates: int, criterion: str, prior: bool
-) -> None:
+@pytest.mark.parametrize(("size", "candidates"), [(3, 3), (10, 16)])
+def test_any_size_gives_different_readings(size, candidates, criterion, prior):
     rng = np.random.default_rng(5)
     rows = rng.standard_normal((candidates, 3))
     base = np.eye(3) if prior else None
@@ -120,27 +77,8 @@ def test_any_size_gives_different_readings(
     assert choice.criterion == criterion
 
 
-@pytest.mark.parametrize(
-    "seeds",
-    [range(12), pytest.param(range(12, PROBLEMS), marks=pytest.mark.slow)],
-    ids=["few", "more"],
-)
-def test_never_below_greedy(seeds: range) -> None:
-    for seed in seeds:
-        rng = np.random.default_rng(1000 + seed)
-        rows = rng.standard_normal((60, 6)) * 10.0 ** rng.uniform(-2, 0, 6)
-        assert exchange.choose(rows, 10, rng, rounds=5).value >= greedy(rows, 10) - 1e-9
-
-
-@pytest.mark.parametrize(
-    "seeds",
-    [range(3), pytest.param(range(3, 20), marks=pytest.mark.slow)],
-    ids=["few", "more"],
-)
-def test_the_e_exchange_never_ends_below_the_d_design_it_starts_from(
-    seeds: range,
-) -> None:
-    for seed in seeds:
+def test_the_e_exchange_never_ends_below_the_d_design_it_starts_from():
+    for seed in range(3):
         rows = np.random.default_rng(seed).standard_normal((60, 6)) * np.logspace(
             0, -2, 6
         )
@@ -150,7 +88,7 @@ def test_the_e_exchange_never_ends_below_the_d_design_it_starts_from(
         assert by_d.value >= value(rows, by_e.indices, "D") - 1e-9
 
 
-def test_turning_the_columns_changes_nothing(rng: np.random.Generator) -> None:
+def test_turning_the_columns_changes_nothing(rng):
     rows = rng.standard_normal((80, 5)) * np.logspace(0, -2, 5)
     turn = np.linalg.qr(rng.standard_normal((5, 5)))[0]
     plain = exchange.choose(rows, 9, np.random.default_rng(3))
@@ -159,9 +97,7 @@ def test_turning_the_columns_changes_nothing(rng: np.random.Generator) -> None:
     assert (turned.indices == plain.indices).all()
 
 
-def test_units_of_the_columns_change_the_value_not_the_choice(
-    rng: np.random.Generator,
-) -> None:
+def test_units_of_the_columns_change_the_value_not_the_choice(rng):
     rows, scale = rng.standard_normal((80, 5)), np.array([1.0, 2.0, 0.5, 3.0, 0.1])
     plain = exchange.choose(rows, 9, np.random.default_rng(3), rounds=40)
     scaled = exchange.choose(rows * scale, 9, np.random.default_rng(3), rounds=40)
@@ -170,10 +106,8 @@ def test_units_of_the_columns_change_the_value_not_the_choice(
     )
 
 
-def test_undetermined_directions_are_left_out(rng: np.random.Generator) -> None:
-    """Seven columns of rank four: the value is that of the product of the four non-zero
-    eigenvalues.
-    """
+def test_undetermined_directions_are_left_out(rng):
+    """Seven columns of rank four: the product of the four non-zero eigenvalues."""
     rows = rng.standard_normal((50, 4)) @ rng.standard_normal((4, 7))
     choice = exchange.choose(rows, 8, rng)
     assert choice.directions == 4
@@ -184,16 +118,7 @@ def test_undetermined_directions_are_left_out(rng: np.random.Generator) -> None:
     assert projected @ projected.T == pytest.approx(rows @ rows.T, abs=1e-10)
 
 
-def test_equal_candidates_do_no_harm(rng: np.random.Generator) -> None:
-    rows = np.repeat(rng.standard_normal((6, 3)), 5, axis=0)
-    choice = exchange.choose(rows, 12, rng)
-    assert len(set(choice.indices)) == 12
-    assert choice.value == pytest.approx(value(rows, choice.indices, "D"))
-
-
-def test_same_seed_same_design_and_more_starts_are_no_worse(
-    rng: np.random.Generator,
-) -> None:
+def test_same_seed_same_design_and_more_starts_are_no_worse(rng):
     rows = rng.standard_normal((100, 8))
     few, again, many = (
         exchange.choose(rows, 12, np.random.default_rng(1), rounds=n)
@@ -204,33 +129,20 @@ def test_same_seed_same_design_and_more_starts_are_no_worse(
     assert many.value >= few.value
 
 
-@pytest.mark.parametrize(
-    ("size", "options", "message"),
-    [
-        (0, {}, "cannot choose 0 different readings out of 9"),
-        (10, {}, "cannot choose 10 different readings out of 9"),
-        (2, {}, "2 readings cannot determine the 3 directions"),
-        (4, {"criterion": "G"}, "criterion G needs a workspace"),
-        (4, {"criterion": "X"}, "criterion 'X' is none of A, c, D"),
-    ],
-)
-def test_impossible_requests_are_refused(
-    size: int, options: dict, message: str
-) -> None:
+@pytest.mark.parametrize(("size", "options", "message"), [
+    (0, {}, "cannot choose 0 different readings out of 9"),
+    (10, {}, "cannot choose 10 different readings out of 9"),
+    (2, {}, "2 readings cannot determine the 3 directions"),
+    (4, {"criterion": "G"}, "criterion G needs a workspace"),
+    (4, {"criterion": "X"}, "criterion 'X' is none of A, c, D"),
+])  # fmt: skip
+def test_impossible_requests_are_refused(size, options, message):
     rows, rng = problem(0)
     with pytest.raises(ValueError, match=message):
         exchange.choose(rows, size, rng, **options)
 
 
-def test_the_value_is_the_criterions() -> None:
-    rows, rng = problem(7)
-    choice = exchange.choose(rows, 6, rng)
-    information = rows[choice.indices].T @ rows[choice.indices]
-    log_det = np.linalg.slogdet(information)[1]
-    assert choice.value == pytest.approx(log_det, abs=1e-10)
-
-
-def test_a_condition_number_has_a_bound_only_where_it_says_something() -> None:
+def test_a_condition_number_has_a_bound_only_where_it_says_something():
     """Weights of many normal rows reach 1, which bounds nothing; here they do not."""
     rng = np.random.default_rng(2)
     many = exchange.choose(rng.standard_normal((60, 3)), 8, rng, "kappa")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed.design.condition import follow
-from oed.design.interior import InteriorPath, InteriorProblem, StepSystem, build_problem
+from oed.design.interior import InteriorPath, InteriorProblem, build_problem
 
 COUNT, SIZE, N = 8, 4, 3
 
@@ -21,7 +21,7 @@ def spectrum(rows: np.ndarray, prior: np.ndarray, w: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.eigvalsh(prior + (rows.T * w) @ rows))
 
 
-def test_a_problem_is_white_at_its_start() -> None:
+def test_a_problem_is_white_at_its_start():
     rows, prior, p = problem()
     m = prior + (rows.T * p.start) @ rows
     assert p.start.sum() == pytest.approx(SIZE)
@@ -34,7 +34,7 @@ def test_a_problem_is_white_at_its_start() -> None:
     assert part.blocks[:, 0] == pytest.approx(rows[[2, 5]])
 
 
-def test_directions_that_nothing_determines_are_refused() -> None:
+def test_directions_that_nothing_determines_are_refused():
     rows = np.random.default_rng(0).standard_normal((COUNT, N))
     rows[:, 2] = rows[:, 0] - 2.0 * rows[:, 1]
     with pytest.raises(ValueError, match="leave directions undetermined"):
@@ -43,30 +43,7 @@ def test_directions_that_nothing_determines_are_refused() -> None:
         build_problem(rows, SIZE, np.eye(N), 0.1)
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.05])
-def test_a_step_solves_the_linearised_conditions(slope: float) -> None:
-    """It keeps the sum of the weights, and both slacks linear in what changes."""
-    _, _, p = problem()
-    path = InteriorPath(p, slope, p.start, 0.5)
-    at = path.iterate
-    low = p.white_base + np.einsum("c,ckn,ckm->nm", at.w, p.white, p.white)
-    low -= at.t * p.square
-    high = at.r * np.eye(N) - p.base
-    high -= np.einsum("c,ckn,ckm->nm", at.w, p.blocks, p.blocks)
-    move = StepSystem(p, slope, at, low, high).move(0.01, None)
-    assert move.w.sum() == pytest.approx(0.0, abs=1e-9)
-    change = np.einsum("c,ckn,ckm->nm", move.w, p.white, p.white) - move.t * p.square
-    assert move.s1 == pytest.approx(change, abs=1e-9)
-    after = at.after(move, 0.5, 0.25)
-    assert after.w == pytest.approx(at.w + 0.5 * move.w)
-    assert after.y == pytest.approx(at.y + 0.25 * move.y)
-    # the shares end where a weight or its room is used up, or earlier
-    share = min(1.0, 0.999 * move.primal)
-    assert (at.w + share * move.w > 0.0).all()
-    assert (at.w + share * move.w < p.caps).all()
-
-
-def test_a_path_stays_feasible_and_raises_the_least_eigenvalue() -> None:
+def test_a_path_stays_feasible_and_raises_the_least_eigenvalue():
     rows, prior, p = problem(1)
     path = InteriorPath(p, 0.0, p.start, 0.5)
     first = spectrum(rows, prior, path.iterate.w)[0]
@@ -82,7 +59,7 @@ def test_a_path_stays_feasible_and_raises_the_least_eigenvalue() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("slope", [0.0, 0.05, None])
-def test_no_plan_exceeds_the_bound_of_the_path(seed: int, slope: float | None) -> None:
+def test_no_plan_exceeds_the_bound_of_the_path(seed, slope):
     """F(z) = max l_min - z l_max, and kappa where there is no slope."""
     rows, prior, p = problem(seed)
     point = follow(p, slope, 1e-6)

@@ -22,9 +22,7 @@ def limits(seed: int) -> tuple[SetupLimit, TimeBudget, DistanceLimit]:
     return setups, budget, DistanceLimit(rng.uniform(0.0, 6.0, (COUNT, 1)), 0.8)
 
 
-def is_allowed(
-    plan: set[int], setups: SetupLimit, budget: TimeBudget, distance: DistanceLimit
-) -> bool:
+def is_allowed(plan, setups, budget, distance):
     """Whether a plan keeps the rules, by their definition."""
     used = {int(setups.setup[k]) for k in plan} - set(MOUNTED)
     seconds = sum(MOUNTING[s] for s in used) + sum(float(budget.cost[k]) for k in plan)
@@ -37,7 +35,7 @@ def is_allowed(
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_what_may_join_a_plan_keeps_every_rule(seed: int) -> None:
+def test_what_may_join_a_plan_keeps_every_rule(seed):
     setups, budget, distance = limits(seed)
     rules = Rules(size=5, time=budget, setups=setups, distance=distance)
     plan: list[int] = []
@@ -57,7 +55,7 @@ def test_what_may_join_a_plan_keeps_every_rule(seed: int) -> None:
     assert rules.time_of(np.array(plan)) == pytest.approx(seconds)
 
 
-def test_a_part_of_the_candidates_has_their_rules() -> None:
+def test_a_part_of_the_candidates_has_their_rules():
     setups, budget, distance = limits(3)
     pool = np.array([0, 2, 5, 7, 11])
     rules = Rules(size=5, time=budget, setups=setups, distance=distance)
@@ -66,7 +64,7 @@ def test_a_part_of_the_candidates_has_their_rules() -> None:
     assert (part.additions(np.array([0]), len(pool)) == whole[pool]).all()
 
 
-def test_only_a_size_alone_is_the_sole_rule() -> None:
+def test_only_a_size_alone_is_the_sole_rule():
     setups, budget, distance = limits(0)
     free = SetupLimit(setups.setup)
     assert Rules(size=5, setups=free).sole_size == 5
@@ -76,7 +74,7 @@ def test_only_a_size_alone_is_the_sole_rule() -> None:
     assert Rules(size=5, distance=distance).sole_size is None
 
 
-def test_a_plan_needs_a_limit_and_a_budget_needs_times() -> None:
+def test_a_plan_needs_a_limit_and_a_budget_needs_times():
     with pytest.raises(ValueError, match="a number of readings or a budget"):
         Rules()
     with pytest.raises(ValueError, match="positive cost"):

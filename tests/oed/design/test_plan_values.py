@@ -17,11 +17,9 @@ from oed.design.search import _Exchange, _Restarts, improve, search, select_gree
 
 COUNT, SIZE, N = 9, 4, 3
 CRITERIA: dict[str, Criterion] = {
-    "D": Determinant(N),
-    "A": Variance(np.eye(N), "A"),
-    "E": ExtremeEigenvalues(),
+    "D": Determinant(N), "A": Variance(np.eye(N), "A"), "E": ExtremeEigenvalues(),
     "kappa": ExtremeEigenvalues(0.5, 0.5, name="kappa"),
-}
+}  # fmt: skip
 
 
 def problem(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -29,15 +27,13 @@ def problem(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.standard_normal((COUNT, 1, N)), 0.05 * np.eye(N)
 
 
-def plan_value(
-    criterion: Criterion, blocks: np.ndarray, base: np.ndarray, plan: tuple[int, ...]
-) -> float:
+def plan_value(criterion, blocks, base, plan):
     rows = blocks[list(plan)].reshape(-1, blocks.shape[2])
     return criterion.value(base + rows.T @ rows)
 
 
 @pytest.mark.parametrize("name", ["D", "A"])
-def test_values_of_plans_are_those_of_their_sums(name: str) -> None:
+def test_values_of_plans_are_those_of_their_sums(name):
     criterion, (blocks, base) = CRITERIA[name], problem(0)
     evaluator = CriterionEvaluator(blocks, criterion, base)
     plan = (1, 4, 7)
@@ -53,7 +49,7 @@ def test_values_of_plans_are_those_of_their_sums(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["D", "A"])
-def test_greedy_plans_take_the_best_candidate_each_time(name: str) -> None:
+def test_greedy_plans_take_the_best_candidate_each_time(name):
     criterion, (blocks, base) = CRITERIA[name], problem(1)
     evaluator = CriterionEvaluator(blocks, criterion, base)
     chosen = select_greedily(evaluator, Rules(size=SIZE), 0.0)
@@ -67,9 +63,7 @@ def test_greedy_plans_take_the_best_candidate_each_time(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", CRITERIA)
-def test_searches_end_at_the_best_plan_and_below_the_bound(
-    name: str, seed: int
-) -> None:
+def test_searches_end_at_the_best_plan_and_below_the_bound(name, seed):
     criterion, (blocks, base) = CRITERIA[name], problem(10 + seed)
     rules, evaluator = Rules(size=SIZE), CriterionEvaluator(blocks, criterion, base)
     if criterion.concave:
@@ -92,7 +86,7 @@ def test_searches_end_at_the_best_plan_and_below_the_bound(
 
 
 @pytest.mark.parametrize("name", CRITERIA)
-def test_sweeps_end_where_no_exchange_helps(name: str) -> None:
+def test_sweeps_end_where_no_exchange_helps(name):
     """Candidate by candidate, as under any limit but a size alone."""
     blocks, base = problem(10)
     evaluator = CriterionEvaluator(blocks, CRITERIA[name], base)
@@ -107,7 +101,7 @@ def test_sweeps_end_where_no_exchange_helps(name: str) -> None:
 
 
 @pytest.mark.parametrize(("size", "most"), [(1, 1), (4, 4), (8, 6)])
-def test_a_restart_replaces_two_to_six_candidates(size: int, most: int) -> None:
+def test_a_restart_replaces_two_to_six_candidates(size, most):
     """Each number about as often; of one candidate, that one."""
     blocks = np.random.default_rng(3).standard_normal((20, 1, N))
     evaluator = CriterionEvaluator(blocks, CRITERIA["D"], 0.05 * np.eye(N))
@@ -120,7 +114,7 @@ def test_a_restart_replaces_two_to_six_candidates(size: int, most: int) -> None:
     assert replaced == set(range(min(2, most), most + 1))
 
 
-def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
+def test_a_budget_of_time_bounds_plans_of_any_size():
     criterion, (blocks, base) = CRITERIA["D"], problem(5)
     cost = np.random.default_rng(5).uniform(1.0, 3.0, COUNT)
     rules = Rules(time=TimeBudget(cost, 7.0))
@@ -135,7 +129,7 @@ def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
     assert condition_bound(blocks, criterion, Rules(size=3), base) is None
 
 
-def test_the_best_two_set_ups_are_those_of_all_pairs() -> None:
+def test_the_best_two_set_ups_are_those_of_all_pairs():
     """Few candidates each: the ranks are by relaxations, near the plans themselves."""
     rng = np.random.default_rng(3)
     blocks, setup = rng.standard_normal((12, 1, N)), np.repeat(np.arange(4), 3)
@@ -158,7 +152,7 @@ def test_the_best_two_set_ups_are_those_of_all_pairs() -> None:
     )
 
 
-def test_columns_that_no_block_touches_leave() -> None:
+def test_columns_that_no_block_touches_leave():
     blocks = np.random.default_rng(1).standard_normal((5, 1, 4))
     blocks[:, :, 2] = 0.0
     base = np.diag([1.0, 2.0, 3.0, 4.0])

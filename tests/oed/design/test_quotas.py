@@ -37,8 +37,8 @@ def plans_that_keep(quotas: QuotaSet) -> list[tuple[int, ...]]:
     return [plan for plan in plans if keeps(quotas, plan)]
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_feasibility_is_that_of_all_subsets(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(20))
+def test_feasibility_is_that_of_all_subsets(seed):
     rng = np.random.default_rng(seed)
     quotas = random_quotas(rng, int(rng.integers(2, 7)))
     plans = plans_that_keep(quotas)
@@ -61,13 +61,8 @@ def test_feasibility_is_that_of_all_subsets(seed: int) -> None:
 
 
 @pytest.mark.parametrize("criterion", ["D", "A", "E", "kappa", "O4", "O5"])
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 8))]
-)
-def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
-    seed: int, criterion: str
-) -> None:
-    rng = np.random.default_rng(100 + seed)
+def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(criterion):
+    rng = np.random.default_rng(100)
     rows = rng.standard_normal((COUNT, DIRECTIONS))
     quotas = random_quotas(rng, 5)
     while not plans_that_keep(quotas):
@@ -90,25 +85,7 @@ def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     assert choice.duality_gap < 2e-3
 
 
-@pytest.mark.slow
-def test_most_plans_are_the_best_of_all() -> None:
-    """D of 5 of 11 under random quotas: nine in ten are the best subset."""
-    best = 0
-    for seed in range(30):
-        rng = np.random.default_rng(1000 + seed)
-        rows = rng.standard_normal((COUNT, DIRECTIONS))
-        quotas = random_quotas(rng, 5)
-        plans = plans_that_keep(quotas)
-        if not plans:
-            best += 1
-            continue
-        choice = choose(rows, None, rng, rules=Rules(size=5, quotas=quotas))
-        values = [np.linalg.slogdet(rows[list(p)].T @ rows[list(p)])[1] for p in plans]
-        best += choice.value >= max(values) - 1e-9
-    assert best >= 27
-
-
-def test_equal_numbers_share_the_plan() -> None:
+def test_equal_numbers_share_the_plan():
     rng = np.random.default_rng(3)
     groups = ["a", "b", "c"] * 10
     rows = rng.standard_normal((30, 4)) * np.repeat([[1.0], [2.0], [5.0]], 10, axis=0)
@@ -125,7 +102,7 @@ def test_equal_numbers_share_the_plan() -> None:
         equal_numbers(groups, 2)
 
 
-def test_quotas_hold_beside_a_least_distance() -> None:
+def test_quotas_hold_beside_a_least_distance():
     rng = np.random.default_rng(5)
     position = np.sort(rng.uniform(0.0, 10.0, 40))[:, None]
     rows = rng.standard_normal((40, 3))
@@ -137,16 +114,12 @@ def test_quotas_hold_beside_a_least_distance() -> None:
     assert (np.diff(places) >= 0.5 - 1e-9).all()
     assert (places > 7.0).sum() == 2
     crowded = QuotaSet((Quota("high", high, 7, 8),), 8)
+    rules = Rules(size=8, distance=DistanceLimit(position, 2.0), quotas=crowded)
     with pytest.raises(ValueError, match="keeps the quotas with the other rules"):
-        choose(
-            rows,
-            None,
-            rng,
-            rules=Rules(size=8, distance=DistanceLimit(position, 2.0), quotas=crowded),
-        )
+        choose(rows, None, rng, rules=rules)
 
 
-def test_quotas_that_contradict_each_other_are_named() -> None:
+def test_quotas_that_contradict_each_other_are_named():
     rows = np.random.default_rng(0).standard_normal((8, 3))
     first = np.arange(8) < 3
     quotas = QuotaSet(
@@ -167,8 +140,8 @@ def test_quotas_that_contradict_each_other_are_named() -> None:
 
 
 def test_a_condition_number_that_the_solver_misses_is_bounded_without_quotas(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     """The bound without quotas holds for every plan that keeps them, too."""
 
     def fail(*_: object, **__: object) -> None:

@@ -1,6 +1,4 @@
-"""The relaxed D design: equivalence theorem, bounds that hold, agreement with a general
-convex solver.
-"""
+"""The relaxed D design: equivalence theorem, bounds, and a general convex solver."""
 
 import itertools
 
@@ -9,26 +7,22 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from oed.design import choose, condition, relaxation
+from oed.design import choose, relaxation
 from oed.design.blocks import information
 from oed.design.forms import Determinant
 from oed.design.forms.eigenvalues import trace_after_adding
 from oed.design.objective import CriterionObjective, knapsack_value
 
 
-def candidates(
-    seed: int, shape: tuple[int, ...]
-) -> tuple[np.ndarray, np.random.Generator]:
+def candidates(seed, shape):
     rng = np.random.default_rng(seed)
     return rng.standard_normal(shape), rng
 
 
 @pytest.mark.parametrize("cap", [0.3, 1.0, np.inf])
 @pytest.mark.parametrize("shape", [(60, 1, 4), (40, 3, 6)])
-def test_agrees_with_a_general_solver(shape: tuple[int, int, int], cap: float) -> None:
-    """Same optimum as an interior-point solver of the same convex problem, with and
-    without prior information.
-    """
+def test_agrees_with_a_general_solver(shape, cap):
+    """Same optimum as Clarabel's, with and without prior information."""
     blocks, rng = candidates(3, shape)
     n, size = shape[2], 9.0
     for prior in (np.zeros((n, n)), np.diag(rng.uniform(0.5, 2.0, n))):
@@ -43,10 +37,8 @@ def test_agrees_with_a_general_solver(shape: tuple[int, int, int], cap: float) -
         assert relaxed.duality_gap < 1e-6
 
 
-def test_the_equivalence_theorem_holds() -> None:
-    """Without repeats forbidden, tr(M^-1 A_i) = n / N on the support and no more
-    elsewhere.
-    """
+def test_the_equivalence_theorem_holds():
+    """Without repeats forbidden, tr(M^-1 A_i) = n / N on the support and no more elsewhere."""
     blocks, _ = candidates(0, (500, 1, 8))
     relaxed = relaxation.relax(blocks, 1.0, cap=np.inf)
     inverse = np.linalg.inv(information(blocks, relaxed.weights))
@@ -55,18 +47,8 @@ def test_the_equivalence_theorem_holds() -> None:
     assert slopes[relaxed.weights > 1e-6] == pytest.approx(8.0, abs=1e-5)
 
 
-def test_weights_are_feasible() -> None:
-    blocks, _ = candidates(1, (200, 2, 5))
-    relaxed = relaxation.relax(blocks, 20.0, cap=1.0)
-    assert relaxed.weights.sum() == pytest.approx(20.0)
-    assert relaxed.weights.min() >= 0.0
-    assert relaxed.weights.max() <= 1.0
-
-
-def test_the_bound_holds_for_every_plan_and_from_any_dual_point() -> None:
-    """All 495 subsets lie below the bound, even one drawn at weights that are no
-    optimum.
-    """
+def test_the_bound_holds_for_every_plan_and_from_any_dual_point():
+    """All 495 subsets lie below the bound, even one drawn at weights that are no optimum."""
     blocks, rng = candidates(7, (12, 1, 3))
     best = max(
         float(np.linalg.slogdet(information(blocks[list(s)]))[1])
@@ -79,7 +61,7 @@ def test_the_bound_holds_for_every_plan_and_from_any_dual_point() -> None:
     assert 3 * relaxation.relax(blocks, 4).bound >= best
 
 
-def test_the_knapsack_value_is_a_linear_programs() -> None:
+def test_the_knapsack_value_is_a_linear_programs():
     """Equal and unequal caps against a linear program."""
     rng = np.random.default_rng(2)
     for size in (1.0, 3.7, 9.0):
@@ -92,10 +74,8 @@ def test_the_knapsack_value_is_a_linear_programs() -> None:
             assert knapsack_value(slopes, size, cap) == pytest.approx(exact, rel=1e-9)
 
 
-def test_eliminated_candidates_are_in_no_best_plan() -> None:
-    """Of 14 candidates some are ruled out by the line at the relaxed optimum; every
-    best subset does without them.
-    """
+def test_eliminated_candidates_are_in_no_best_plan():
+    """Of 14 candidates some are ruled out; every best subset does without them."""
     out = 0
     for seed in range(20):
         blocks, _ = candidates(seed, (14, 1, 3))
@@ -115,10 +95,8 @@ def test_eliminated_candidates_are_in_no_best_plan() -> None:
     assert out > 20
 
 
-def test_a_plan_can_be_proven_optimal() -> None:
-    """Orthogonal candidates of two lengths: the relaxation is tight, and the design
-    says that it is proven.
-    """
+def test_a_plan_can_be_proven_optimal():
+    """Orthogonal candidates of two lengths: the relaxation is tight."""
     rows = np.vstack([3.0 * np.eye(4), np.eye(4)])
     choice = choose(rows, 4, np.random.default_rng(0))
     assert set(choice.indices) == {0, 1, 2, 3}
@@ -127,7 +105,7 @@ def test_a_plan_can_be_proven_optimal() -> None:
 
 
 @pytest.mark.parametrize("p", [1, 2, 3, 8, 16])
-def test_the_power_series_is_exact(p: int) -> None:
+def test_the_power_series_is_exact(p):
     """tr (M + x x^T)^-p from the series equals the one from eigenvalues."""
     rows, rng = candidates(5, (30, 6))
     a = rng.standard_normal((20, 6))
@@ -137,25 +115,3 @@ def test_the_power_series_is_exact(p: int) -> None:
     assert trace_after_adding(values, vectors, rows, p) * values[0] ** -float(
         p
     ) == pytest.approx(exact, rel=1e-8)
-
-
-def test_too_few_candidates_are_refused() -> None:
-    with pytest.raises(ValueError, match="cannot carry"):
-        relaxation.relax(np.eye(3), 4.0)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_e_bound_holds_for_every_plan(seed: int) -> None:
-    """All subsets lie below the E bound, and the relaxation reaches it."""
-    blocks, rng = candidates(seed, (11, 1, 3))
-    prior = np.diag(rng.uniform(0.0, 0.5, 3))
-    optimum = condition.e_optimal(blocks, 5, prior)
-    best = max(
-        float(np.linalg.eigvalsh(prior + information(blocks[list(s)]))[0])
-        for s in itertools.combinations(range(11), 5)
-    )
-    assert best <= optimum.bound
-    assert optimum.value == pytest.approx(optimum.bound, rel=1e-3)
-    choice = choose(blocks, 5, rng, "E", prior=prior)
-    assert choice.value <= choice.bound
-    assert choice.value == pytest.approx(best, rel=0.1)

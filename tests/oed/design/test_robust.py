@@ -10,9 +10,7 @@ from oed.design.forms import Determinant, ExtremeEigenvalues, Variance
 from oed.design.rules import TimeBudget
 
 
-def scenarios(
-    seed: int, count: int, size: int, n: int, spread: float = 0.7
-) -> tuple[np.ndarray, np.random.Generator]:
+def scenarios(seed, count, size, n, spread=0.7):
     rng = np.random.default_rng(seed)
     middle = rng.standard_normal((1, count, 1, n))
     return middle + spread * rng.standard_normal((size, count, 1, n)), rng
@@ -32,14 +30,9 @@ def risk_of(v: np.ndarray, risk: str) -> float:
 
 
 @pytest.mark.parametrize("risk", ["mean", "cvar", "worst"])
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))]
-)
-def test_no_subset_exceeds_the_bound(seed: int, risk: robust.Risk) -> None:
-    """All subsets of 5 of 12 in five scenarios: value below bound, design among the
-    best.
-    """
-    table, rng = scenarios(seed, 12, 5, 3)
+def test_no_subset_exceeds_the_bound(risk):
+    """All subsets of 5 of 12 in five scenarios: value below bound, design among the best."""
+    table, rng = scenarios(0, 12, 5, 3)
     choice = robust.choose(
         table, Determinant(3), Rules(size=5), rng, risk=risk, tail_share=0.4
     )
@@ -54,7 +47,7 @@ def test_no_subset_exceeds_the_bound(seed: int, risk: robust.Risk) -> None:
     assert choice.summary.value >= choice.summary.nominal
 
 
-def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
+def test_one_scenario_is_the_plain_problem(rng):
     table, _ = scenarios(3, 40, 1, 4)
     prior = np.eye(4)
     choices = [
@@ -71,31 +64,7 @@ def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
     )
 
 
-def test_risks_are_ordered() -> None:
-    """worst <= cvar <= mean, for designs and bounds alike; the worst-case design has
-    the best worst case.
-    """
-    table, _ = scenarios(9, 60, 8, 4)
-    choice = {
-        r: robust.choose(
-            table,
-            Determinant(4),
-            Rules(size=8),
-            np.random.default_rng(0),
-            risk=r,
-            tail_share=0.25,
-        )
-        for r in ("mean", "cvar", "worst")
-    }
-    assert choice["worst"].summary.bound <= choice["cvar"].summary.bound + 1e-3
-    assert choice["cvar"].summary.bound <= choice["mean"].summary.bound + 1e-3
-    assert (
-        min(choice["worst"].summary.values) >= min(choice["mean"].summary.values) - 1e-9
-    )
-    assert choice["worst"].summary.efficiency > 0.8
-
-
-def test_budget_and_refusals(rng: np.random.Generator) -> None:
+def test_budget_and_refusals(rng):
     table, _ = scenarios(1, 30, 4, 3)
     cost = rng.uniform(1.0, 3.0, 30)
     choice = robust.choose(

@@ -18,16 +18,14 @@ def combinations(rules: Rules) -> list[set[int]]:
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 4, 9])
-def test_plans_of_a_number_of_set_ups_are_bounded_over_each_combination(
-    most: int,
-) -> None:
+def test_plans_of_a_number_of_set_ups_are_bounded_over_each_combination(most):
     """Of more set-ups than there are, over all of them."""
     rules = Rules(size=3, setups=SetupLimit(SETUP, most=most))
     by_hand = [set(c) for c in itertools.combinations(range(4), min(most, 4))]
     assert combinations(rules) == by_hand
 
 
-def test_where_mounting_counts_fewer_set_ups_leave_more_of_the_budget() -> None:
+def test_where_mounting_counts_fewer_set_ups_leave_more_of_the_budget():
     cost = np.array([1.0, 2.0, 4.0, 8.0])
     rules = Rules(
         time=TimeBudget(np.ones(len(SETUP)), 7.0),

@@ -44,7 +44,7 @@ def theta_sd(maps: ErrorMaps, covariance: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", list(PLANS))
-def test_theta_of_both_plans(name: str) -> None:
+def test_theta_of_both_plans(name):
     m = a3_plans.measurement()
     maps = ErrorMaps.of(m.kinematics, a3_plans.workspace(), "home")
     series = plan(m, name)
@@ -75,7 +75,7 @@ def toolkit(m: Measurement, series: Series, run_error: float) -> np.ndarray:
     return identifiability.posterior_covariance(h) * scale
 
 
-def test_a_study_states_the_error_of_a_run_and_the_step_of_a_display() -> None:
+def test_a_study_states_the_error_of_a_run_and_the_step_of_a_display():
     text = sample.changed(
         sample.STUDY, ("length_um = 0.5", "length_um = 0.5\nlength_run_um = 1.0")
     )
@@ -95,7 +95,7 @@ def test_a_study_states_the_error_of_a_run_and_the_step_of_a_display() -> None:
     assert "length_run" in error.remedy
 
 
-def test_a_stated_step_is_no_coarse_column() -> None:
+def test_a_stated_step_is_no_coarse_column():
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 10)]
     y = np.round(m.readings(series, m.nominal) + 3e-6 * np.arange(20), 5)

@@ -8,7 +8,7 @@ from oed.design.design_problem import choose_by_weights
 
 
 @pytest.mark.parametrize("criterion", CRITERIA.weighed)
-def test_solvers_agree(criterion: str, rng: np.random.Generator) -> None:
+def test_solvers_agree(criterion, rng):
     rows = rng.standard_normal((40, 2, 4)) @ np.diag([0.1, 1.0, 3.0, 10.0])
     prior = np.diag([1.0, 0.1, 0.1, 1.0])
     built_in = choose_by_weights(rows, 6, criterion, prior)
@@ -23,7 +23,7 @@ def test_solvers_agree(criterion: str, rng: np.random.Generator) -> None:
     assert 0.0 < efficiency <= 1.0
 
 
-def test_too_few_readings_are_refused() -> None:
+def test_too_few_readings_are_refused():
     """Too few readings are refused; three take the two that nothing replaces."""
     rows = np.vstack([np.eye(3)[[0, 1]], np.tile(np.eye(3)[2], (6, 1))])
     rows[:2] *= 1e-3
