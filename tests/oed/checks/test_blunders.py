@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from blunder_table import BLUNDERS, CHANGES, ROWS, page_rows
 from blunder_tables import LAWS
-from blunders import Blunder
 
 from oed.checks import Severity
 
@@ -28,7 +27,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("blunder", CASES)
-def test_blunder(blunder: Blunder) -> None:
+def test_blunder(blunder):
     law = "smoothed" if blunder.name == "smoothed readings" else "white"
     rows = machines.readings(blunder.machine, 0, law)
     checked = machines.check(blunder.machine, blunder.make(rows))
@@ -41,49 +40,25 @@ def test_blunder(blunder: Blunder) -> None:
     assert set(blunder.rows) <= named
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", ["run offsets", "t4", "ar1"])
-def test_blunders_are_named_under_other_noise(law: str) -> None:
-    """In nine of ten; a far reading may drown in heavy tails."""
-    missed = []
-    for blunder in BLUNDERS:
-        if not blunder.sentence or blunder.name == "smoothed readings":
-            continue
-        rows = machines.readings(blunder.machine, 1, law)
-        checked = machines.check(blunder.machine, blunder.make(rows))
-        sentences = [f.sentence for f in checked.findings]
-        if not blunder.is_named(sentences):
-            missed.append((blunder.name, sentences[:1]))
-    assert len(missed) <= 0.1 * len(BLUNDERS), missed
-
-
 #: laws of noise in turn, one for each machine
 IN_TURN = dict(zip(machines.MACHINES, itertools.cycle(LAWS), strict=False))
-SESSIONS = [
-    *((machine, law, range(1)) for machine, law in IN_TURN.items()),
-    *(
-        pytest.param(machine, law, range(10, 50), marks=pytest.mark.slow)
-        for machine, law in itertools.product(machines.MACHINES, LAWS)
-    ),
-]
 
 
-@pytest.mark.parametrize(("machine", "law", "seeds"), SESSIONS)
-def test_no_false_alarm(machine: str, law: str, seeds: range) -> None:
+@pytest.mark.parametrize(("machine", "law"), IN_TURN.items())
+def test_no_false_alarm(machine, law):
     """Of heavy tails, a remark may name a far reading; it is no alarm."""
-    for seed in seeds:
-        checked = machines.check(machine, machines.readings(machine, seed, law))
-        alarms = [f for f in checked.findings if f.severity < Severity.REMARK]
-        assert not alarms, (seed, [f.sentence for f in alarms])
-        assert law == "t4" or not checked.findings
+    checked = machines.check(machine, machines.readings(machine, 0, law))
+    alarms = [f for f in checked.findings if f.severity < Severity.REMARK]
+    assert not alarms, [f.sentence for f in alarms]
+    assert law == "t4" or not checked.findings
 
 
-def test_the_page_lists_every_blunder() -> None:
+def test_the_page_lists_every_blunder():
     assert sorted(name for name, *_ in page_rows()) == sorted(CHANGES)
     assert CHANGES.keys() >= ROWS.keys()
 
 
-def test_misfits_that_are_no_noise_are_not_blamed_on_it() -> None:
+def test_misfits_that_are_no_noise_are_not_blamed_on_it():
     """Readings of another machine: 600 times the noise and more."""
     rng = np.random.default_rng(5)
     rows = machines.readings("delta", 0)

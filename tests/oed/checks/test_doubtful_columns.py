@@ -1,7 +1,5 @@
 """Covariates and poses that no workshop has, and what they may mean instead."""
 
-from pathlib import Path
-
 import blunder_machines as machines
 import numpy as np
 import pytest
@@ -17,20 +15,14 @@ from oed.model import Coordinate
 DEG = np.pi / 180.0
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "words"),
-    [
-        ("temp_platform_C", 293.15, "kelvin, not Celsius"),
-        ("temp_platform_C", -300.0, "below absolute zero"),
-        ("temp_platform_C", 9999.0, "no value"),
-        ("payload_N", 1e9, "0 to 100000 N"),
-        ("payload_N", -100.0, "cannot be negative"),
-        ("feed_mm_min", 1e6, "0 to 300000 mm_min"),
-    ],
-)
-def test_a_covariate_no_workshop_has_is_doubted_by_row(
-    column: str, value: float, words: str
-) -> None:
+@pytest.mark.parametrize(("column", "value", "words"), [
+    ("temp_platform_C", 293.15, "kelvin, not Celsius"),
+    ("temp_platform_C", -300.0, "below absolute zero"),
+    ("temp_platform_C", 9999.0, "no value"), ("payload_N", 1e9, "0 to 100000 N"),
+    ("payload_N", -100.0, "cannot be negative"),
+    ("feed_mm_min", 1e6, "0 to 300000 mm_min"),
+])  # fmt: skip
+def test_a_covariate_no_workshop_has_is_doubted_by_row(column, value, words):
     rows = machines.readings("a3", 0).assign(**{column: 20.0})
     rows.loc[[3, 9], column] = value
     (finding,) = check.doubtful_conditions(machines.session("a3", rows))
@@ -39,7 +31,7 @@ def test_a_covariate_no_workshop_has_is_doubted_by_row(
     assert column in finding.sentence
 
 
-def test_usual_covariates_are_not_doubted() -> None:
+def test_usual_covariates_are_not_doubted():
     """A workshop at -5 C, a head of 60 C, a feed of 60 m/min, a load of 500 kg."""
     rows = machines.readings("a3", 0).assign(
         temp_base_C=-5.0, temp_platform_C=60.0, feed_mm_min=6e4, payload_N=4905.0
@@ -48,7 +40,7 @@ def test_usual_covariates_are_not_doubted() -> None:
     assert not check.doubtful_conditions(machines.session("a3", rows))
 
 
-def test_notations_of_an_angle_are_those_of_a_calculator() -> None:
+def test_notations_of_an_angle_are_those_of_a_calculator():
     theta = Coordinate("theta", "rad", 0.0, 40.0 * DEG)
     file = np.array([30.3045, 12.1530, 5.5900]) * DEG
     meant = {words: f(file) / DEG for words, f in column_meanings(theta, file).items()}
@@ -63,22 +55,20 @@ def test_notations_of_an_angle_are_those_of_a_calculator() -> None:
     assert from_the_end == pytest.approx([5.59, 23.7415, 30.3045])
 
 
-def test_no_minutes_are_read_from_more_than_sixty() -> None:
+def test_no_minutes_are_read_from_more_than_sixty():
     theta = Coordinate("theta", "rad", 0.0, 40.0 * DEG)
     meant = column_meanings(theta, np.array([30.75, 12.15]) * DEG)
     assert not [words for words in meant if "minutes" in words]
 
 
-def test_poses_out_of_the_workspace_say_what_their_column_may_mean(
-    tmp_path: Path,
-) -> None:
+def test_poses_out_of_the_workspace_say_what_their_column_may_mean(tmp_path):
     rows = machines.readings("a3", 0)
     rows["theta_deg"] = 90.0 - rows["theta_deg"]
     with pytest.raises(ReadingsError, match="theta_deg is counted from the other axis"):
         machines.session("a3", rows)
 
 
-def test_three_rows_half_way_between_their_neighbours_are_interpolated() -> None:
+def test_three_rows_half_way_between_their_neighbours_are_interpolated():
     rows = machines.readings("a3", 0)
     session = machines.session("a3", interpolated(rows))
     found = copies.interpolated_readings(session)
@@ -86,7 +76,7 @@ def test_three_rows_half_way_between_their_neighbours_are_interpolated() -> None
     assert not copies.interpolated_readings(machines.session("a3", rows)).size
 
 
-def test_exchanged_digits_are_named_with_the_number_that_fits() -> None:
+def test_exchanged_digits_are_named_with_the_number_that_fits():
     rows = machines.readings("a3", 0)
     right = rows.loc[20, "length_mm"]
     checked = machines.check("a3", two_digits_exchanged(rows))
@@ -96,7 +86,7 @@ def test_exchanged_digits_are_named_with_the_number_that_fits() -> None:
 
 
 @pytest.mark.parametrize("pair", [(0, 2)])
-def test_any_runs_of_a_set_up_may_have_one_mistake(pair: tuple[int, int]) -> None:
+def test_any_runs_of_a_set_up_may_have_one_mistake(pair):
     """The likeliest mistake in the linear model is that which was made, and where."""
     rows = machines.readings("planar", 0)
     names = list(dict.fromkeys(rows["run"]))
@@ -110,16 +100,14 @@ def test_any_runs_of_a_set_up_may_have_one_mistake(pair: tuple[int, int]) -> Non
     assert np.array_equal(likeliest.scope.values(given.session), at)
 
 
-def test_the_stated_noise_is_doubted_where_readings_fit_a_thousand_times_better() -> (
-    None
-):
+def test_the_stated_noise_is_doubted_where_readings_fit_a_thousand_times_better():
     given = Suspect(machines.session("a3", machines.readings("a3", 0)))
     (trial,) = [t for t in noise.noise_trials(given) if t.noise.max() == 1e3]
     (other,) = trial.undo(trial.amounts)
     assert other.noise().sigma == pytest.approx(1e3 * given.sigma)
 
 
-def test_a_rounded_command_is_noise_of_its_slope() -> None:
+def test_a_rounded_command_is_noise_of_its_slope():
     """Variance of a uniform error of one degree: a twelfth, times the slope squared."""
     rows = machines.readings("a3", 0)
     rows["theta_deg"] = rows["theta_deg"].round()
@@ -137,7 +125,7 @@ def test_a_rounded_command_is_noise_of_its_slope() -> None:
     assert other.noise().sigma == pytest.approx(np.sqrt(variance), rel=1e-2)
 
 
-def test_each_run_has_an_offset_of_its_own() -> None:
+def test_each_run_has_an_offset_of_its_own():
     rows = machines.readings("planar", 0)
     given = Suspect(machines.session("planar", rows))
     trial = next(
@@ -156,7 +144,7 @@ def test_each_run_has_an_offset_of_its_own() -> None:
         assert by_run[run] == pytest.approx(amount)
 
 
-def test_a_tool_point_beside_the_axis_is_read_there() -> None:
+def test_a_tool_point_beside_the_axis_is_read_there():
     """By the instrument's own model, with the tool of the set-up where it was."""
     session = machines.session("prs", machines.readings("prs", 0))
     given = Suspect(session)

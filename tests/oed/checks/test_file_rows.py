@@ -27,7 +27,7 @@ def of_two_files(tmp_path: Path) -> SessionReadings:
     )
 
 
-def test_a_row_of_several_files_is_named_with_its_file(tmp_path: Path) -> None:
+def test_a_row_of_several_files_is_named_with_its_file(tmp_path):
     session = of_two_files(tmp_path)
     rows = session.rows(range(6))
     assert [int(row) for row in rows] == [2, 3, 5, 2, 3, 5]
@@ -37,22 +37,17 @@ def test_a_row_of_several_files_is_named_with_its_file(tmp_path: Path) -> None:
     assert "row 3 of later.csv, column" in sentences._place(session, 4)
 
 
-def test_rows_of_the_only_file_are_numbers() -> None:
+def test_rows_of_the_only_file_are_numbers():
     session = machines.session("a3", machines.readings("a3", 2))
     rows = session.rows([3, 4])
     assert all(isinstance(row, int) for row in rows)
     assert pd.api.types.is_integer_dtype(session.values["row"])
 
 
-@pytest.mark.parametrize(
-    ("files", "names"),
-    [
-        (["a/one.csv", "b/two.csv"], ["one.csv", "two.csv"]),
-        (["a/one.csv", "b/one.csv"], ["a/one.csv", "b/one.csv"]),
-        (["a\\one.csv", "two.csv"], ["one.csv", "two.csv"]),
-    ],
-)
-def test_files_go_by_their_names_where_these_differ(
-    files: list[str], names: list[str]
-) -> None:
+@pytest.mark.parametrize(("files", "names"), [
+    (["a/one.csv", "b/two.csv"], ["one.csv", "two.csv"]),
+    (["a/one.csv", "b/one.csv"], ["a/one.csv", "b/one.csv"]),
+    (["a\\one.csv", "two.csv"], ["one.csv", "two.csv"]),
+])  # fmt: skip
+def test_files_go_by_their_names_where_these_differ(files, names):
     assert short_names(files) == names

@@ -1,5 +1,7 @@
 """What belongs to an instrument: where it was used, and the zeros of what it reads inside."""
 
+import itertools
+
 import blunder_machines as machines
 import numpy as np
 import pytest
@@ -8,40 +10,31 @@ from blunder_spatial import prs_poses
 from oed.checks.mistakes import Suspect, amounts
 from oed.checks.mistakes.suspect import shared_instruments
 
+PAIRS = [
+    f"length_mm of {one}; length_mm of {other}"
+    for one, other in itertools.combinations(("cup", "long_tool", "mid_tool"), 2)
+]
 
-@pytest.mark.parametrize(
-    ("machine", "names"),
-    [
-        ("a3", []),
-        ("hexapod", []),
-        ("planar", ["one instrument (dz_mm of ruler; dy_mm of square)"]),
-        (
-            "a3 in three set-ups",
-            [
-                "one instrument (length_mm of cup; length_mm of long_tool)",
-                "one instrument (length_mm of cup; length_mm of mid_tool)",
-                "one instrument (length_mm of long_tool; length_mm of mid_tool)",
-            ],
-        ),
-    ],
-)
-def test_where_one_instrument_may_have_been_used(
-    machine: str, names: list[str]
-) -> None:
+
+@pytest.mark.parametrize(("machine", "names"), [
+    ("a3", []),
+    ("hexapod", []),
+    ("planar", ["dz_mm of ruler; dy_mm of square"]),
+    ("a3 in three set-ups", PAIRS),
+])  # fmt: skip
+def test_where_one_instrument_may_have_been_used(machine, names):
     """Not in all channels or set-ups of the file: that is a mistake of the file."""
     session = machines.session(machine, machines.readings(machine, 0))
     scopes = shared_instruments(session)
-    assert [scope.name for scope, _ in scopes] == names
+    wanted = [f"one instrument ({name})" for name in names]
+    assert [scope.name for scope, _ in scopes] == wanted
     for scope, values in scopes:
-        assert np.array_equal(
-            np.unique(session.reading_of_value[values]), scope.readings
-        )
+        readings = np.unique(session.reading_of_value[values])
+        assert np.array_equal(readings, scope.readings)
 
 
 @pytest.mark.parametrize(("name", "axis"), [("range", 0), ("elevation", 1)])
-def test_slopes_over_an_inner_zero_are_those_of_another_code(
-    name: str, axis: int
-) -> None:
+def test_slopes_over_an_inner_zero_are_those_of_another_code(name, axis):
     rows = machines.readings("prs", 0)
     given = Suspect(machines.session("prs", rows))
     trial = next(t for t in amounts.trials(given) if f"zero {name} " in t.family)
@@ -53,7 +46,7 @@ def test_slopes_over_an_inner_zero_are_those_of_another_code(
     assert trial.columns[:, 0] == pytest.approx(by_steps.ravel() / 2e-5, abs=1e-5)
 
 
-def test_an_instrument_without_inner_readings_has_no_such_zero() -> None:
+def test_an_instrument_without_inner_readings_has_no_such_zero():
     given = Suspect(machines.session("planar", machines.readings("planar", 0)))
     families = [trial.family for trial in amounts.trials(given)]
     assert not [name for name in families if name.startswith("zero ")]

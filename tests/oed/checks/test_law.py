@@ -15,7 +15,7 @@ def law_of(scale: dict[str, float], level: float = 0.0) -> CheckedLaw:
     return CheckedLaw(scale, Laws(*map(np.array, numbers)), np.zeros(0))
 
 
-def test_noise_of_a_session_has_the_laws_covariance(rng: np.random.Generator) -> None:
+def test_noise_of_a_session_has_the_laws_covariance(rng):
     """Groups that the law does not know are as stated."""
     session = machines.session("a3", machines.readings("a3", 1))
     m = session.measurement
@@ -31,7 +31,7 @@ def test_noise_of_a_session_has_the_laws_covariance(rng: np.random.Generator) ->
     assert other != name
 
 
-def test_the_size_is_the_largest_standard_deviation() -> None:
+def test_the_size_is_the_largest_standard_deviation():
     session = machines.session("a3", machines.readings("a3", 1))
     m = session.measurement
     structure = reading_structure(m, session.series, m.nominal)
@@ -43,7 +43,7 @@ def test_the_size_is_the_largest_standard_deviation() -> None:
     assert law.size(structure) == pytest.approx(np.sqrt(dense.max()))
 
 
-def test_scales_are_kept_between_ends() -> None:
+def test_scales_are_kept_between_ends():
     law = law_of({"a.length": 0.2, "b.length": 1.7, "c.length": 9.0})
     limited = law.with_scale(0.5, 4.0)
     assert limited.scale == {"a.length": 0.5, "b.length": 1.7, "c.length": 4.0}

@@ -1,11 +1,7 @@
-"""A row is set aside only where the readings locate it, and every figure says so.
-
-All that rests on a fit has one verdict on it.
-"""
+"""A row is set aside only where the readings locate it, and every figure says so."""
 
 import json
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,12 +57,9 @@ def klipper(dent: float) -> str:
     return "\n".join([*lines, ""])
 
 
-@pytest.mark.parametrize("dent", [0.18, pytest.param(0.30, marks=pytest.mark.slow)])
-def test_seven_heights_detect_an_error_and_locate_none(
-    dent: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_seven_heights_detect_an_error_and_locate_none(tmp_path, capsys):
     path = tmp_path / "printer.cfg"
-    path.write_text(klipper(dent), encoding="utf-8")
+    path.write_text(klipper(0.18), encoding="utf-8")
     study, _ = import_files("klipper", [path], tmp_path / "in", name="q")
     lines = (tmp_path / "in" / "q.readings.csv").read_text("utf-8").splitlines()
     centre = 2 + next(k for k, line in enumerate(lines) if line.startswith("setup,"))
@@ -115,9 +108,7 @@ def with_effect(place: int | None = None) -> bar_readings.Readings:
     return readings.with_y(y)
 
 
-def identified(
-    folder: Path, readings: bar_readings.Readings, drop: int | None = None
-) -> Any:
+def identified(folder, readings, drop=None):
     """result.json of the readings; with `drop`, the file lacks this row."""
     folder.mkdir()
     study, table = write(folder, readings, STUDY if drop is None else WITHOUT_REPORT)
@@ -137,9 +128,7 @@ def figures(result: Any) -> list[float]:
 
 
 @pytest.mark.mistakes(searched=False)
-def test_every_figure_is_without_the_row_set_aside(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_figure_is_without_the_row_set_aside(tmp_path, capsys):
     """A bad fit as well: the row leaves, and what the effect leaves remains."""
     place = 17
     result = identified(tmp_path / "with", with_effect(place))
@@ -165,9 +154,7 @@ def test_every_figure_is_without_the_row_set_aside(
 
 @pytest.mark.mistakes(searched=False)
 @pytest.mark.parametrize("rows", [(20, 21, 22)])
-def test_neighbours_off_the_same_way_stay_for_the_diagnosis(
-    rows: Sequence[int],
-) -> None:
+def test_neighbours_off_the_same_way_stay_for_the_diagnosis(rows):
     """A local bump is no three typing errors; a typing error beside it is one."""
     readings = bar_readings.a3_readings(4)
     y = readings.y.copy()
@@ -183,7 +170,7 @@ def test_neighbours_off_the_same_way_stay_for_the_diagnosis(
 # -- no degrees of freedom -------------------------------------------------------------
 
 
-def test_without_freedom_no_multiple_of_the_noise_is_stated() -> None:
+def test_without_freedom_no_multiple_of_the_noise_is_stated():
     readings = bar_readings.a3_readings(0)
     found = find_outliers(session_of(readings), np.empty(0, dtype=np.intp))
     assert found is not None

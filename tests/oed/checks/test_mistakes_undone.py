@@ -1,10 +1,6 @@
-"""Each mistake, made in readings of an independent machine, undone again.
-
-Without the mistake, readings and poses are those of the file before it was made.
-"""
+"""Each mistake, made in readings of an independent machine, undone again."""
 
 import functools
-from collections.abc import Iterator
 from types import ModuleType
 
 import blunder_machines as machines
@@ -14,7 +10,6 @@ import pytest
 from blunder_table import BLUNDERS
 from blunders import Blunder
 
-from oed.base import Array
 from oed.checks.mistakes import (
     Suspect,
     amounts,
@@ -34,30 +29,23 @@ from oed.checks.mistakes.trial import MistakeTrial
 BY_NAME = {blunder.name: blunder for blunder in BLUNDERS}
 #: mistakes without amounts, or with those, SI, that were made
 MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
-    (values, "one run in inches", ()),
-    (values, "angles in rad", ()),
+    (values, "one run in inches", ()), (values, "angles in rad", ()),
     (values, "one display of two in inches", ()),
-    (values, "one run in um of deviation", ()),
-    (values, "length added to lengths", ()),
+    (values, "one run in um of deviation", ()), (values, "length added to lengths", ()),
     (values, "reversed deviations in one run", ()),
     (values, "one gauge in two lines' channels, reversed", ()),
     (values, "half of the deviations of one run", ()),
     (values, "one gauge in two lines' channels, halved", ()),
-    (frames, "tracker turned by 90 deg", ()),
-    (order, "readings one row late", ()),
-    (order, "runs read backward", ()),
-    (order, "run labels exchanged", ()),
-    (sorting, "poses of one run sorted", ()),
-    (setups, "set-ups exchanged", ()),
+    (frames, "tracker turned by 90 deg", ()), (order, "readings one row late", ()),
+    (order, "runs read backward", ()), (order, "run labels exchanged", ()),
+    (sorting, "poses of one run sorted", ()), (setups, "set-ups exchanged", ()),
     (pose, "tilts exchanged", ()),
     (pose, "one circle starts 17 deg late", (np.deg2rad(17.0),)),
-    (joints, "two legs exchanged", ()),
-    (order, "three runs under other names", ()),
+    (joints, "two legs exchanged", ()), (order, "three runs under other names", ()),
     (order, "two runs interleaved", ()),
     (order, "runs in the order of numbers as text", ()),
     (values, "a decimal point lost in one run", ()),
-    (frames, "tracker left-handed", ()),
-    (frames, "passive rotations", ()),
+    (frames, "tracker left-handed", ()), (frames, "passive rotations", ()),
     (frames, "angles in another order", ()),
     (carried, "read before it settled", (0.3,)),
     (limits, "revolutions not counted", ()),
@@ -65,7 +53,7 @@ MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (amounts, "the bar zeroed again at row 32", (0.2e-3,)),
     (amounts, "scale of the bar", (0.01 / 1.01,)),
     (amounts, "one gauge in two lines' channels, 25 % large", (0.2,)),
-]
+]  # fmt: skip
 
 
 def session(blunder: Blunder) -> Suspect:
@@ -84,9 +72,7 @@ def misfit(given: Suspect) -> pd.Series:
     return pd.Series(given.session.y - given.predicted, index=rows)
 
 
-def trials(
-    module: ModuleType, blunder: Blunder, given: Suspect, amounts: Array
-) -> Iterator[MistakeTrial]:
+def trials(module, blunder, given, amounts):
     """Trials with the words that a check must say."""
     for trial in module.trials(given):
         known = len(trial.amounts) == len(amounts)
@@ -95,9 +81,7 @@ def trials(
 
 
 @pytest.mark.parametrize(("module", "name", "made"), MADE)
-def test_a_mistake_undone_leaves_the_readings_without_it(
-    module: ModuleType, name: str, made: tuple[float, ...]
-) -> None:
+def test_a_mistake_undone_leaves_the_readings_without_it(module, name, made):
     """Of readings one row late the last is lost."""
     blunder, amount = BY_NAME[name], np.array(made)
     given, right = session(blunder), without_mistake(blunder.machine)
@@ -111,7 +95,7 @@ def test_a_mistake_undone_leaves_the_readings_without_it(
     assert any(is_right(t) for t in trials(module, blunder, given, amount))
 
 
-def test_readings_against_the_last_pose_refer_to_it() -> None:
+def test_readings_against_the_last_pose_refer_to_it():
     blunder = BY_NAME["differences from the last pose"]
     given = session(blunder)
     trial = next(trials(setups, blunder, given, np.zeros(0)))
@@ -122,16 +106,11 @@ def test_readings_against_the_last_pose_refer_to_it() -> None:
             assert (series.index[rows, 1] == series.index[rows, 0].max()).all()
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "rows"),
-    [
-        (contradiction, "one set-up's readings in both", "long_tool"),
-        (contradiction, "nonsense in one run", "cup 2"),
-    ],
-)
-def test_readings_of_no_use_are_left_out(
-    module: ModuleType, name: str, rows: str
-) -> None:
+@pytest.mark.parametrize(("module", "name", "rows"), [
+    (contradiction, "one set-up's readings in both", "long_tool"),
+    (contradiction, "nonsense in one run", "cup 2"),
+])  # fmt: skip
+def test_readings_of_no_use_are_left_out(module, name, rows):
     blunder = BY_NAME[name]
     given = session(blunder)
     trial = next(trials(module, blunder, given, np.zeros(0)))
@@ -142,7 +121,7 @@ def test_readings_of_no_use_are_left_out(
     assert (rest.y == given.session.y[~of_scope]).all()
 
 
-def test_two_machines_are_divided_at_the_row_of_the_change() -> None:
+def test_two_machines_are_divided_at_the_row_of_the_change():
     blunder = BY_NAME["half from another machine"]
     given = session(blunder)
     trial = next(trials(contradiction, blunder, given, np.zeros(0)))
@@ -151,7 +130,7 @@ def test_two_machines_are_divided_at_the_row_of_the_change() -> None:
     assert (second.y == given.session.y[20:]).all()
 
 
-def test_another_program_reads_the_same_on_the_nominal_machine() -> None:
+def test_another_program_reads_the_same_on_the_nominal_machine():
     """A circle 10 mm higher whose tilts keep the bar's length."""
     blunder = BY_NAME["the circle of another height"]
     given = session(blunder)
@@ -165,9 +144,7 @@ def test_another_program_reads_the_same_on_the_nominal_machine() -> None:
     assert heights[of_run] == pytest.approx(np.full(12, 1.276), abs=1e-9)
 
 
-def test_programs_out_of_reach_are_not_followed_from_home(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_programs_out_of_reach_are_not_followed_from_home(monkeypatch):
     """Newton's steps to the bar's length leave the workspace for tilts far off."""
 
     def follow(*arguments: object) -> None:
@@ -181,14 +158,11 @@ def test_programs_out_of_reach_are_not_followed_from_home(
     assert {trial.family for trial in displaced}
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("bar longer by 0.5 mm", "the bar length or the zero of the instrument"),
-        ("the bar zeroed again at row 32", "the set-up moved or was zeroed again"),
-    ],
-)
-def test_an_offset_has_the_cause_of_its_scope(name: str, words: str) -> None:
+@pytest.mark.parametrize(("name", "words"), [
+    ("bar longer by 0.5 mm", "the bar length or the zero of the instrument"),
+    ("the bar zeroed again at row 32", "the set-up moved or was zeroed again"),
+])  # fmt: skip
+def test_an_offset_has_the_cause_of_its_scope(name, words):
     blunder, amount = BY_NAME[name], np.array([0.5e-3])
     named = list(trials(amounts, blunder, session(blunder), amount))
     assert named
@@ -196,7 +170,7 @@ def test_an_offset_has_the_cause_of_its_scope(name: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(("machine", "count"), [("a3", 1), ("planar", 2)])
-def test_offsets_of_a_file_are_one_family_a_channel(machine: str, count: int) -> None:
+def test_offsets_of_a_file_are_one_family_a_channel(machine, count):
     """Of a family the likeliest alone is fitted: channels must not stand for each other."""
     given = Suspect(machines.session(machine, machines.readings(machine, 0)))
     families = [

@@ -22,9 +22,7 @@ def precision(slopes: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.inv(np.eye(len(slopes)) + slopes @ slopes.T))
 
 
-def odds_of(
-    slopes: np.ndarray, residual: np.ndarray, student: float | None = None
-) -> OutlierOdds:
+def odds_of(slopes, residual, student=None):
     """Of readings of one value each, of unit noise."""
     p = precision(slopes)
     values, vectors = np.linalg.eigh(np.eye(len(p)) - p)
@@ -45,7 +43,7 @@ def session(seed: int, sizes: dict[int, float]) -> tuple[np.ndarray, np.ndarray]
 
 
 @pytest.mark.parametrize("size", [0.0, 4.0, 12.0])
-def test_a_shift_weighs_what_quadrature_of_its_prior_gives(size: float) -> None:
+def test_a_shift_weighs_what_quadrature_of_its_prior_gives(size):
     slopes, residual = session(1, {3: size})
     p = precision(slopes)
     covariance = np.eye(READINGS) + slopes @ slopes.T
@@ -64,7 +62,7 @@ def test_a_shift_weighs_what_quadrature_of_its_prior_gives(size: float) -> None:
     assert weights[3] == pytest.approx(np.log(expected), abs=1e-3)
 
 
-def test_with_one_degree_of_freedom_no_reading_is_located() -> None:
+def test_with_one_degree_of_freedom_no_reading_is_located():
     """The residual has one direction: every single shift explains it equally."""
     rng = np.random.default_rng(5)
     slopes = 1e4 * rng.standard_normal((7, 6))
@@ -80,7 +78,7 @@ def test_with_one_degree_of_freedom_no_reading_is_located() -> None:
 
 
 @pytest.mark.parametrize("places", [(4,), (4, 11), (4, 11, 20), (1, 4, 9, 11, 20)])
-def test_redundant_readings_locate_gross_errors(places: tuple[int, ...]) -> None:
+def test_redundant_readings_locate_gross_errors(places):
     signs = (1, -1, -1, 1, 1)
     sizes = {k: 20.0 * s for k, s in zip(places, signs, strict=False)}
     slopes, residual = session(2, sizes)
@@ -92,7 +90,7 @@ def test_redundant_readings_locate_gross_errors(places: tuple[int, ...]) -> None
     assert asked.rivals(places, places[0]) == (places[0],)
 
 
-def test_a_sound_reading_is_no_gross_error() -> None:
+def test_a_sound_reading_is_no_gross_error():
     slopes, residual = session(3, {})
     p = precision(slopes)
     worst = int(np.argmax(np.abs(p @ residual / np.sqrt(np.diag(p)))))
@@ -110,7 +108,7 @@ def odds_of_one(errors: np.ndarray, *, student: float | None = None) -> float:
     return asked.of_gross_error([8], rest_fits=True)[8]
 
 
-def test_heavy_tails_of_the_others_make_a_far_reading_noise() -> None:
+def test_heavy_tails_of_the_others_make_a_far_reading_noise():
     rng = np.random.default_rng(7)
     normal = [odds_of_one(rng.standard_normal(READINGS)) for _ in range(20)]
     tails = [odds_of_one(rng.standard_t(3.0, READINGS)) for _ in range(20)]
@@ -121,7 +119,7 @@ def test_heavy_tails_of_the_others_make_a_far_reading_noise() -> None:
     assert stated == sorted(stated)
 
 
-def test_beside_a_misfit_a_moderate_error_proves_nothing() -> None:
+def test_beside_a_misfit_a_moderate_error_proves_nothing():
     slopes, residual = session(5, {})
     residual += 2.0 * np.random.default_rng(8).standard_normal(READINGS)
     residual[8] += 8.0

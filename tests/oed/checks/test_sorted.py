@@ -22,13 +22,12 @@ def long_run() -> SessionReadings:
     return machines.session("a3", rows)
 
 
-@pytest.mark.parametrize(
-    ("count", "is_looked_at"),
-    [(LEAST - 1, False), (LEAST, True), (MOST, True), (MOST + 1, False)],
-)
+@pytest.mark.parametrize(("count", "is_looked_at"), [
+    (LEAST - 1, False), (LEAST, True), (MOST, True), (MOST + 1, False),
+])  # fmt: skip
 def test_from_five_to_four_hundred_sorted_readings_are_looked_at(
-    long_run: SessionReadings, count: int, is_looked_at: bool
-) -> None:
+    long_run, count, is_looked_at
+):
     part = long_run.take(np.arange(count))
     rising = part.with_y(np.sort(part.y) + 1e-6 * np.arange(count))
     trials = list(sorting.trials(Suspect(rising)))

@@ -23,7 +23,7 @@ def stops(far: np.ndarray, sign: float) -> list[float]:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_stop_lies_between_readings_that_fit_and_those_beyond(sign: float) -> None:
+def test_a_stop_lies_between_readings_that_fit_and_those_beyond(sign):
     between, lowest = stops(TRAVEL > 0.75, sign)
     assert between * sign == pytest.approx(0.75)
     assert lowest * sign == pytest.approx(0.7)
@@ -32,12 +32,12 @@ def test_a_stop_lies_between_readings_that_fit_and_those_beyond(sign: float) -> 
 
 
 @pytest.mark.parametrize("far", [TRAVEL < 0.25, TRAVEL > 0.55, TRAVEL > 1.0])
-def test_no_stop_at_the_other_end_nor_of_many_nor_of_none(far: np.ndarray) -> None:
+def test_no_stop_at_the_other_end_nor_of_many_nor_of_none(far):
     assert stops(far, 1.0) == []
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 6])
-def test_orders_of_joints_are_turns_reflections_and_exchanges(count: int) -> None:
+def test_orders_of_joints_are_turns_reflections_and_exchanges(count):
     """A symmetric search: each order is tried once, and so is what undoes it."""
     orders = likely_orders(count)
     steps = np.arange(count)

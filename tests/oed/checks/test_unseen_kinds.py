@@ -1,7 +1,6 @@
 """Mistakes of kinds that no table of blunders had, in readings of independent machines."""
 
 from collections.abc import Callable
-from types import ModuleType
 
 import blunder_machines as machines
 import numpy as np
@@ -83,38 +82,20 @@ def as_vectors(rows: pd.DataFrame) -> pd.DataFrame:
 
 SLOW = pytest.mark.slow
 KINDS = [
-    (
-        "a3",
-        bar_mounted_anew,
-        amounts,
-        "length_mm in run long_tool 2 are off by -3",
-        -3.5e-5,
-    ),
+    ("a3", bar_mounted_anew, amounts, "length_mm in run long_tool 2 are off by -3", -3.5e-5),
     ("prs", other_ball, tools, "the tool in run height 1 is 100 mm", -0.1),
     ("hexapod", other_nest, tools, "the tool in run set 2 is 8", -8e-3),
     ("hexapod", in_minutes, values, "have minutes after their decimal point", None),
     ("hexapod", scaled, amounts, "read_x_mm, read_y_mm, read_z_mm are 9", 1.0 - 1.1),
     ("hexapod", bumped, amounts, "read_y_mm in rows 20 to 23 are off by 9", 1e-3),
     ("hexapod", as_vectors, frames, "of one rotation vector", None),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("machine", "change", "words"),
-    [(m, change, words) for m, change, _, words, _ in KINDS],
-)
-def test_a_kind_is_named(machine: str, change: Change, words: str) -> None:
-    rows = change(machines.readings(machine, 4))
-    checked = machines.check(machine, rows)
-    (said,) = [f.sentence for f in checked.findings if "look mistaken" in f.sentence]
-    assert words in said
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("machine", "change", "module", "words", "amount"), KINDS)
 def test_a_kind_undone_leaves_the_readings_without_it(
-    machine: str, change: Change, module: ModuleType, words: str, amount: float | None
-) -> None:
+    machine, change, module, words, amount
+):
     """To three hundredths where a target elsewhere goes with the nominal orientation."""
     rows = machines.readings(machine, 4)
     clean = Suspect(machines.session(machine, rows.copy()))
@@ -142,7 +123,7 @@ def misfit(given: Suspect) -> pd.Series:
 
 
 @pytest.mark.parametrize(("column", "row"), [("alpha_deg", 10), ("beta_deg", 14)])
-def test_a_command_that_was_typed_wrongly_is_said(column: str, row: int) -> None:
+def test_a_command_that_was_typed_wrongly_is_said(column, row):
     """A sign that was left out, in one row."""
     rows = machines.readings("prs", 4)
     right = rows.loc[row, column]
@@ -155,7 +136,7 @@ def test_a_command_that_was_typed_wrongly_is_said(column: str, row: int) -> None
     )
 
 
-def test_a_pose_that_is_its_own_reference_has_no_fit() -> None:
+def test_a_pose_that_is_its_own_reference_has_no_fit():
     """The distance of a pose from itself has no slope."""
     rows = machines.readings("delta", 4)
     at = np.flatnonzero(rows["length_mm"].notna())[2]
@@ -166,7 +147,7 @@ def test_a_pose_that_is_its_own_reference_has_no_fit() -> None:
 # -- each in what it computes ----------------------------------------------------------
 
 
-def test_lines_of_a_meander_turn_round() -> None:
+def test_lines_of_a_meander_turn_round():
     key = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0])
     rows = np.arange(10, 17)
     key = np.concatenate([np.zeros(10), key])
@@ -177,7 +158,7 @@ def test_lines_of_a_meander_turn_round() -> None:
     assert order._turn_lines(np.zeros(17), 0, rows).tolist() == rows.tolist()
 
 
-def test_a_grid_read_as_a_meander_is_put_in_order() -> None:
+def test_a_grid_read_as_a_meander_is_put_in_order():
     rows = machines.readings("prs", 4)
     height = of_run(rows, "height 1")
     for name, angles in (("alpha_deg", [-9.0, 0.0, 9.0]), ("beta_deg", [-6.0, 6.0])):
@@ -194,7 +175,7 @@ def test_a_grid_read_as_a_meander_is_put_in_order() -> None:
         assert sorted(changed.y) == sorted(whole)
 
 
-def test_angles_of_a_controller_by_another_convention() -> None:
+def test_angles_of_a_controller_by_another_convention():
     """Roll, pitch and yaw in the columns of a tilt and a spin, by SciPy's rotations."""
     own = Orientation.tilt_and_spin("rx", "ry", "spin")
     by_words = {m.text: m for m in frames._mistakes(own)}
@@ -207,7 +188,7 @@ def test_angles_of_a_controller_by_another_convention() -> None:
     assert (right[:, :3] == poses[:, :3]).all()
 
 
-def test_readings_are_linear_about_a_fit_as_well() -> None:
+def test_readings_are_linear_about_a_fit_as_well():
     """There they predict what the fit reads, to rounding."""
     session = machines.session("a3", bar_mounted_anew(machines.readings("a3", 4)))
     solution = fit_of_any_misfit(session, 10.0)
@@ -224,7 +205,7 @@ def test_readings_are_linear_about_a_fit_as_well() -> None:
     assert evidence[1] > evidence[0]
 
 
-def test_a_stretch_is_the_one_that_lessens_the_misfit_most() -> None:
+def test_a_stretch_is_the_one_that_lessens_the_misfit_most():
     """By the exact misfit with an offset of each stretch, in the linear model."""
     session = machines.session("hexapod", bumped(machines.readings("hexapod", 4)))
     given = Suspect(session)
@@ -251,16 +232,10 @@ def test_a_stretch_is_the_one_that_lessens_the_misfit_most() -> None:
 # -- what is none of them --------------------------------------------------------------
 
 
-def two_far(rows: pd.DataFrame) -> pd.DataFrame:
-    rows.loc[[4, 20], "read_x_mm"] += [0.9, -0.4]
-    return rows
-
-
 def noisier(factor: float, column: str) -> Change:
     def change(rows: pd.DataFrame) -> pd.DataFrame:
         rng = np.random.default_rng(17)
-        sigma = {"length_mm": 0.5e-3, "read_x_mm": 0.01, "height_mm": 0.01}[column]
-        rows[column] += factor * sigma * rng.standard_normal(len(rows))
+        rows[column] += 0.5e-3 * factor * rng.standard_normal(len(rows))
         return rows
 
     return change
@@ -295,35 +270,20 @@ def backlash(size: float, column: str, command: str) -> Change:
     return change
 
 
-@pytest.mark.parametrize(
-    ("machine", "change"),
-    [
-        pytest.param("hexapod", two_far, marks=SLOW),
-        pytest.param("a3", noisier(6.0, "length_mm"), marks=SLOW),
-        pytest.param("a3", noisier(40.0, "length_mm"), marks=SLOW),
-        pytest.param("hexapod", noisier(30.0, "read_x_mm"), marks=SLOW),
-        pytest.param("delta", noisier(8.0, "height_mm"), marks=SLOW),
-        pytest.param("a3", bent(0.02, "length_mm", "psi_deg"), marks=SLOW),
-        pytest.param("delta", bent(0.3, "height_mm", "x_mm"), marks=SLOW),
-        pytest.param("prs", bent(0.05, "read_z_mm", "alpha_deg"), marks=SLOW),
-        pytest.param("hexapod", bent(0.3, "read_z_mm", "q1_mm"), marks=SLOW),
-        pytest.param("a3", warming(0.03, "length_mm"), marks=SLOW),
-        pytest.param("hexapod", warming(0.2, "read_z_mm"), marks=SLOW),
-        pytest.param("prs", warming(0.1, "read_x_mm"), marks=SLOW),
-        pytest.param("a3", backlash(0.01, "length_mm", "psi_deg"), marks=SLOW),
-        pytest.param("delta", backlash(0.08, "height_mm", "y_mm"), marks=SLOW),
-    ],
-)
-def test_effects_outliers_and_noise_are_no_mistakes(
-    machine: str, change: Change
-) -> None:
+@pytest.mark.parametrize(("machine", "change"), [
+    pytest.param("a3", noisier(6.0, "length_mm"), marks=SLOW),
+    pytest.param("delta", bent(0.3, "height_mm", "x_mm"), marks=SLOW),
+    pytest.param("hexapod", warming(0.2, "read_z_mm"), marks=SLOW),
+    pytest.param("delta", backlash(0.08, "height_mm", "y_mm"), marks=SLOW),
+])  # fmt: skip
+def test_effects_and_noise_are_no_mistakes(machine, change):
     """What an effect can mimic may be named as such a mistake, and nothing else."""
     checked = machines.check(machine, change(machines.readings(machine, 4)))
     kinds = {one.kind for one in checked.explanations}
     assert kinds <= set(PHYSICAL_KINDS), [one.what for one in checked.explanations]
 
 
-def test_an_error_of_a_run_beyond_noise_is_no_law() -> None:
+def test_an_error_of_a_run_beyond_noise_is_no_law():
     """Readings of one run 70 times the noise apart: nothing but a mistake says so."""
     session = machines.session("a3", bar_mounted_anew(machines.readings("a3", 4)))
     clean = machines.session("a3", machines.readings("a3", 4))

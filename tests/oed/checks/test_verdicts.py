@@ -15,7 +15,7 @@ SIGMA = 0.5e-3  # mm, of the bar
 
 
 @pytest.mark.parametrize("chi2", [1.0, 7.0, 30.0])
-def test_goodness_is_that_of_a_gamma_law_with_mean_and_variance(chi2: float) -> None:
+def test_goodness_is_that_of_a_gamma_law_with_mean_and_variance(chi2):
     weights = np.array([1.0, 1.0, 0.5, 0.25, 0.1] * 3)
     mean, variance = weights.sum(), 2.0 * weights @ weights
     law = stats.gamma(a=mean**2 / variance, scale=variance / mean)
@@ -25,7 +25,7 @@ def test_goodness_is_that_of_a_gamma_law_with_mean_and_variance(chi2: float) -> 
     assert told.p_high == pytest.approx(law.sf(chi2))
 
 
-def test_the_law_is_that_of_drawn_sums(rng: np.random.Generator) -> None:
+def test_the_law_is_that_of_drawn_sums(rng):
     weights = np.linspace(0.2, 1.0, 12)
     sums = rng.standard_normal((40_000, 12)) ** 2 @ weights
     for chi2 in np.quantile(sums, [0.1, 0.5, 0.9]):
@@ -34,13 +34,13 @@ def test_the_law_is_that_of_drawn_sums(rng: np.random.Generator) -> None:
         )
 
 
-def test_a_fit_without_freedom_says_nothing() -> None:
+def test_a_fit_without_freedom_says_nothing():
     nothing = goodness_of(3.0, np.zeros(4))
     assert (nothing.dof, nothing.p_low, nothing.p_high) == (0.0, 1.0, 1.0)
     assert nothing.ratio is None
 
 
-def test_readings_in_doubt_are_in_no_figure() -> None:
+def test_readings_in_doubt_are_in_no_figure():
     """Their residuals and their weights leave, and nothing else does."""
     session = machines.session("a3", machines.readings("a3", 0))
     m, series = session.measurement, session.series
@@ -61,7 +61,7 @@ def test_readings_in_doubt_are_in_no_figure() -> None:
     assert goodness(solution).dof == pytest.approx(whole.dof, abs=0.1)
 
 
-def test_one_far_reading_is_no_misfit_of_the_others() -> None:
+def test_one_far_reading_is_no_misfit_of_the_others():
     rows = machines.readings("a3", 3)
     clean = explain.as_given(fit(machines.session("a3", rows)))
     rows.loc[17, "length_mm"] += 50.0 * SIGMA
@@ -73,7 +73,7 @@ def test_one_far_reading_is_no_misfit_of_the_others() -> None:
     assert spoiled.log_posterior < clean.log_posterior
 
 
-def test_readings_left_out_are_anywhere_about_nominal() -> None:
+def test_readings_left_out_are_anywhere_about_nominal():
     """Each of them has SciPy's Cauchy density, and may be any of all readings."""
     rows = machines.readings("a3", 3)
     rows.loc[17, "length_mm"] += 80.0 * SIGMA
@@ -89,15 +89,13 @@ def test_readings_left_out_are_anywhere_about_nominal() -> None:
     assert log_density == pytest.approx(exact, rel=1e-12)
 
 
-def test_a_mistake_that_leaves_no_reading_is_judged() -> None:
+def test_a_mistake_that_leaves_no_reading_is_judged():
     session = machines.session("a3", machines.readings("a3", 3))
     assert explain._log_of_poses_read(session, []) == 0.0
 
 
 @pytest.mark.parametrize("most", [5, 24, 48, 60])
-def test_a_sample_has_the_first_and_the_last_reading(
-    monkeypatch: pytest.MonkeyPatch, most: int
-) -> None:
+def test_a_sample_has_the_first_and_the_last_reading(monkeypatch, most):
     monkeypatch.setattr(explain, "MAX_COMPARED", most)
     session = machines.session("a3", machines.readings("a3", 3))
     sample = explain._sample(session)
@@ -105,13 +103,11 @@ def test_a_sample_has_the_first_and_the_last_reading(
     assert sample.y[[0, -1]] == pytest.approx(session.y[[0, -1]])
 
 
-def candidate(
-    what: str, log_posterior: float, kind: str = "unit", ratio: float = 1.0
-) -> explain.Explanation:
+def candidate(what, log_posterior, kind="unit", ratio=1.0):
     return explain.Explanation(kind, what, np.inf, ratio, 1.0, log_posterior)
 
 
-def test_mistakes_and_none_share_the_probability() -> None:
+def test_mistakes_and_none_share_the_probability():
     """By Bayes' rule, with the prior of no mistake."""
     nothing = candidate("", -400.0, ratio=90.0)
     one, two = candidate("in um", -100.0), candidate("in inch", -102.0)
@@ -121,7 +117,7 @@ def test_mistakes_and_none_share_the_probability() -> None:
     assert [e.probability for e in told] == pytest.approx(odds / odds.sum())
 
 
-def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
+def test_a_mistake_that_is_not_far_likelier_explains_nothing():
     nothing = candidate("", -100.0, ratio=90.0)
     prior = np.log1p(-explain.MISTAKE_PROBABILITY)
     for gain, count in ((-0.1, 0), (0.1, 1)):
@@ -140,13 +136,13 @@ def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
     assert len(explain._explanations([small], None, before=np.inf, count=50)) == 1
 
 
-def test_of_one_mistake_the_likeliest_form_counts() -> None:
+def test_of_one_mistake_the_likeliest_form_counts():
     one, two = candidate("in um", -102.0), candidate("in um", -100.0)
     other = candidate("in inch", -101.0)
     assert explain._distinct([one, other, two]) == [two, other]
 
 
-def test_only_a_specific_mistake_settles_the_search() -> None:
+def test_only_a_specific_mistake_settles_the_search():
     nothing = candidate("", -400.0)
     assert explain._settles(candidate("in um", -100.0), nothing)
     assert not explain._settles(candidate("in um", -399.0), nothing)
@@ -160,17 +156,9 @@ def test_only_a_specific_mistake_settles_the_search() -> None:
     assert explain._settles(candidate("in um", -1e6), None)
 
 
-@pytest.mark.parametrize(
-    ("value", "sd", "words"),
-    [
-        (12.3456, 0.07, "12.35"),
-        (12.3, 4.0, "12"),
-        (1234567.0, 0.1, "1234567"),
-        (0.5, 0.1, "0.5"),
-        (3.14159, 0.0, "3.142"),
-    ],
-)
-def test_a_number_has_the_digits_that_its_deviation_leaves(
-    value: float, sd: float, words: str
-) -> None:
+@pytest.mark.parametrize(("value", "sd", "words"), [
+    (12.3456, 0.07, "12.35"), (12.3, 4.0, "12"), (1234567.0, 0.1, "1234567"),
+    (0.5, 0.1, "0.5"), (3.14159, 0.0, "3.142"),
+])  # fmt: skip
+def test_a_number_has_the_digits_that_its_deviation_leaves(value, sd, words):
     assert rounded(value, sd) == words

@@ -13,7 +13,7 @@ from oed.checks.mistakes.noise import _trend_p_value
 HALF, OTHER = np.arange(20), np.arange(20, 30)
 
 
-def test_residuals_that_follow_the_pose_are_no_noise(rng: np.random.Generator) -> None:
+def test_residuals_that_follow_the_pose_are_no_noise(rng):
     """By second-order polynomials; the level of the test is kept by noise alone."""
     commands = rng.uniform(-1.0, 1.0, (60, 3))
     bent = commands[:, 0] * commands[:, 1]
@@ -23,7 +23,7 @@ def test_residuals_that_follow_the_pose_are_no_noise(rng: np.random.Generator) -
     assert _trend_p_value(commands[:12], bent[:12]) == 1.0
 
 
-def test_poses_in_a_smaller_unit_are_as_much_denser_where_they_were_read() -> None:
+def test_poses_in_a_smaller_unit_are_as_much_denser_where_they_were_read():
     """A printer reads the same everywhere, and its noise is in z."""
     rows = machines.readings("delta", 0)
     session = machines.session("delta", rows)
