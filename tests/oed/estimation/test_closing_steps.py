@@ -13,7 +13,7 @@ from oed.mechanism import AssemblyError
 position = pose_tracker.position
 
 
-def test_a_step_to_parameters_that_do_not_close_is_halved() -> None:
+def test_a_step_to_parameters_that_do_not_close_is_halved():
     """With all lengths turned over nothing closes; near the start all does."""
     measurement = Measurement(linear_delta.machine, [mount(position, "tracker")])
     home = linear_delta.machine.home_command
@@ -35,9 +35,7 @@ def test_a_step_to_parameters_that_do_not_close_is_halved() -> None:
     assert fit.closing(start, near) == pytest.approx(near, abs=0.0)
 
 
-def test_a_pose_that_fails_in_a_step_is_no_fault_of_the_data(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_pose_that_fails_in_a_step_is_no_fault_of_the_data(monkeypatch):
     measurement = Measurement(linear_delta.machine, [mount(position, "tracker")])
     home = linear_delta.machine.home_command
     series = [measurement.series("tracker", home + 0.01 * np.eye(3)[[0, 1, 2, 0]])]

@@ -52,9 +52,7 @@ def prior(m: Measurement) -> np.ndarray:
     return covariance
 
 
-def conjugate(
-    m: Measurement, series: Series, y: np.ndarray, at: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def conjugate(m, series, y, at):
     """Mean and covariance of the linear Gaussian model at theta `at`."""
     h = m.jacobian([series], at)
     marginal = h @ prior(m) @ h.T + np.diag(m.sigma([series]) ** 2)
@@ -70,9 +68,7 @@ def y(correlated: Measurement, series: Series) -> np.ndarray:
     return draw_readings(correlated, [series], truth, rng)
 
 
-def test_the_fit_is_that_of_the_closed_form(
-    correlated: Measurement, series: Series, y: np.ndarray
-) -> None:
+def test_the_fit_is_that_of_the_closed_form(correlated, series, y):
     m = correlated
     estimate = identify(m, [series], y)
     mean, covariance = conjugate(m, series, y, estimate.theta)
@@ -93,7 +89,7 @@ def _independent(m: Measurement) -> Measurement:
     return a3_plans.measurement(of=dataclasses.replace(m.machine, correlated=()))
 
 
-def test_machines_are_drawn_with_the_correlation(correlated: Measurement) -> None:
+def test_machines_are_drawn_with_the_correlation(correlated):
     m = correlated
     drawn = draw_parameters(m, np.random.default_rng(3), 20_000)
     free, scale = m.free, m.tolerance[m.free]
@@ -102,9 +98,7 @@ def test_machines_are_drawn_with_the_correlation(correlated: Measurement) -> Non
     assert np.abs(np.cov(standard.T) - expected).max() < 0.05
 
 
-def test_designs_and_budgets_add_the_prior_precision(
-    correlated: Measurement, series: Series
-) -> None:
+def test_designs_and_budgets_add_the_prior_precision(correlated, series):
     m = correlated
     _, covariance = conjugate(m, series, m.readings([series], m.nominal), m.nominal)
     sd = np.sqrt(np.diag(covariance))
@@ -129,9 +123,7 @@ def test_designs_and_budgets_add_the_prior_precision(
     assert off(np.sum([part.covariance for part in budget.parts()], axis=0)) < 1e-4
 
 
-def test_checks_take_the_correlation(
-    correlated: Measurement, series: Series, y: np.ndarray
-) -> None:
+def test_checks_take_the_correlation(correlated, series, y):
     """Penalised sum of squares, and each run as the others predict it."""
     m = correlated
     solution = check_fit.fit(checks.session_readings(m, [series], y))
@@ -154,9 +146,7 @@ def test_checks_take_the_correlation(
     )
 
 
-def test_the_sampler_has_the_correlation(
-    correlated: Measurement, series: Series, y: np.ndarray
-) -> None:
+def test_the_sampler_has_the_correlation(correlated, series, y):
     m = correlated
     estimate = identify(m, [series], y)
     drawn = sample(
@@ -170,9 +160,7 @@ def test_the_sampler_has_the_correlation(
     assert spread[np.ix_(legs, legs)].sum() == pytest.approx(total, rel=0.2)
 
 
-def test_the_diagnosis_lets_correlated_parameters_absorb(
-    correlated: Measurement, series: Series
-) -> None:
+def test_the_diagnosis_lets_correlated_parameters_absorb(correlated, series):
     m = correlated
     rows = {"setup": "cup", "run": series.run, "order": np.tile(np.arange(12), 2)}
     problem = assemble(m, [series], pd.DataFrame(rows))

@@ -1,7 +1,4 @@
-"""Parameters and effects together, on sessions with a ruler that may be bent.
-
-The ruler's sag is simulated by a formula of its own; no effect of the catalogue has it.
-"""
+"""Parameters and effects together, on sessions with a ruler that may be bent."""
 
 import dataclasses
 
@@ -47,17 +44,11 @@ def fitted(sag: float, seed: int, sizes: np.ndarray) -> Fit:
     # the session draws its machine first
     root = measurement.prior_root()
     drawn = np.random.default_rng(seed).standard_normal(len(root))
-    return Fit(
-        identify(
-            measurement,
-            series,
-            y,
-            discrepancy=columns.of_sizes(sizes).discrepancy,
-            rng=np.random.default_rng(seed),
-        ),
-        identify(measurement, series, y, estimate_noise=True),
-        measurement.nominal + root @ drawn,
-    )
+    rng = np.random.default_rng(seed)
+    discrepancy = columns.of_sizes(sizes).discrepancy
+    both = identify(measurement, series, y, discrepancy=discrepancy, rng=rng)
+    plain = identify(measurement, series, y, estimate_noise=True)
+    return Fit(both, plain, measurement.nominal + root @ drawn)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +61,7 @@ def bent() -> Fit:
     return fitted(SAG, 1, Discrepancy.LARGE)
 
 
-def test_a_rigid_machine_is_hardly_less_certain(straight: Fit) -> None:
+def test_a_rigid_machine_is_hardly_less_certain(straight):
     free = straight.without.prior_sd > 0.0
     ratio = straight.with_effects.sd[free] / straight.without.sd[free]
     assert 0.9 < np.median(ratio) < 1.5
@@ -78,12 +69,12 @@ def test_a_rigid_machine_is_hardly_less_certain(straight: Fit) -> None:
     assert straight.effects.log_evidence < 1.0
 
 
-def test_an_effect_of_no_known_form_is_allowed_for(bent: Fit) -> None:
+def test_an_effect_of_no_known_form_is_allowed_for(bent):
     assert bent.effects.log_evidence > 3.0
     assert bent.nees(bent.with_effects) < 3.0
 
 
-def test_changes_of_the_readings_are_those_of_the_sag(bent: Fit) -> None:
+def test_changes_of_the_readings_are_those_of_the_sag(bent):
     """What the effects explain, but for what the geometry can do, is the sag."""
     explained = bent.effects.changes
     left = bent.with_effects.residuals - explained
@@ -94,7 +85,7 @@ def test_changes_of_the_readings_are_those_of_the_sag(bent: Fit) -> None:
     assert np.all(sigma > 0.0)
 
 
-def test_draws_belong_to_the_estimate(bent: Fit) -> None:
+def test_draws_belong_to_the_estimate(bent):
     estimate, effects = bent.with_effects, bent.effects
     sd = np.sqrt(np.diag(estimate.covariance))
     seen = estimate.shrinkage < 0.3

@@ -14,18 +14,13 @@ def estimate(ratio: float, posterior: object = None) -> Any:
     )
 
 
-@pytest.mark.parametrize(
-    ("ratio", "posterior", "words"),
-    [
-        (1.2, None, None),
-        (3.0, None, "repeat readings on the spot: what scatters there is noise"),
-        (3.0, "known", "the intervals are as wide as the residuals ask for"),
-        (11.0, None, "or the readings have a mistake"),
-    ],
-)
-def test_the_remedy_follows_from_how_large_they_are(
-    ratio: float, posterior: object, words: str | None
-) -> None:
+@pytest.mark.parametrize(("ratio", "posterior", "words"), [
+    (1.2, None, None),
+    (3.0, None, "repeat readings on the spot: what scatters there is noise"),
+    (3.0, "known", "the intervals are as wide as the residuals ask for"),
+    (11.0, None, "or the readings have a mistake"),
+])  # fmt: skip
+def test_the_remedy_follows_from_how_large_they_are(ratio, posterior, words):
     sentences = large_residuals(estimate(ratio, posterior))
     if words is None:
         assert sentences == []

@@ -42,7 +42,7 @@ def ridge(weight: np.ndarray) -> tuple[Minima, np.ndarray]:
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e-9, 0.0])
-def test_a_linear_model_takes_one_step_to_the_closed_form(weight: float) -> None:
+def test_a_linear_model_takes_one_step_to_the_closed_form(weight):
     minima, exact = ridge(np.array([1.0, 1.0, weight, weight]))
     assert minima.converged.all()
     np.testing.assert_allclose(minima.z, exact, rtol=0.0, atol=1e-11)
@@ -50,12 +50,8 @@ def test_a_linear_model_takes_one_step_to_the_closed_form(weight: float) -> None
 
 
 @pytest.mark.parametrize(("bend", "most"), [(0.9, 15), (1.9, 15), (8.0, 60)])
-def test_steps_that_overshoot_are_damped_until_they_do_not(
-    bend: float, most: int
-) -> None:
-    """Of (a z - c)^2 + (b z^2 - K)^2 + z^2 the second residual is large and bends: near
-    the minimum a Gauss-Newton step overshoots by `bend` times its length.
-    """
+def test_steps_that_overshoot_are_damped_until_they_do_not(bend, most):
+    """The second residual bends: a Gauss-Newton step overshoots by `bend` times its length."""
     a, c, far = 10.0, 0.5, -100.0
     b = bend * (a**2 + 1.0) / (-2.0 * far)
     problem = Curve(
@@ -88,7 +84,7 @@ def decays(machines: int) -> Curve:
     return Curve(exact + rng.normal(size=exact.shape), decay, decay_slope)
 
 
-def test_a_curved_model_ends_where_scipy_does() -> None:
+def test_a_curved_model_ends_where_scipy_does():
     problem = decays(8)
     minima = minimise(problem, np.zeros((8, 2)))
     assert minima.converged.all()
@@ -104,21 +100,21 @@ def test_a_curved_model_ends_where_scipy_does() -> None:
         assert (np.abs(z - oracle.x) < 1e-5 * sd).all()
 
 
-def test_a_machine_ends_where_it_does_without_others() -> None:
+def test_a_machine_ends_where_it_does_without_others():
     together, problem = minimise(decays(5), np.zeros((5, 2))), decays(5)
     for k in range(5):
         one = dataclasses.replace(problem, y=problem.y[k : k + 1])
         assert np.allclose(minimise(one, np.zeros((1, 2))).z[0], together.z[k], 1e-13)
 
 
-def test_the_residual_is_that_of_the_minimum() -> None:
+def test_the_residual_is_that_of_the_minimum():
     problem = decays(4)
     minima = minimise(problem, np.zeros((4, 2)))
     exact = problem.residuals(np.arange(4), minima.z)
     np.testing.assert_allclose(minima.residual, exact, rtol=0.0, atol=1e-9)
 
 
-def test_an_early_end_is_within_its_precision() -> None:
+def test_an_early_end_is_within_its_precision():
     near = minimise(decays(6), np.zeros((6, 2)), precision=0.1)
     end = minimise(decays(6), np.zeros((6, 2)))
     off = np.linalg.norm((end.slopes @ (near.z - end.z)[:, :, None])[:, :, 0], axis=1)
@@ -126,7 +122,7 @@ def test_an_early_end_is_within_its_precision() -> None:
     assert (near.evaluations <= end.evaluations).all()
 
 
-def test_machines_without_slopes_or_residuals_do_not_stop_the_others() -> None:
+def test_machines_without_slopes_or_residuals_do_not_stop_the_others():
     problem = decays(3)
 
     def slope(z: np.ndarray) -> np.ndarray:
@@ -144,10 +140,8 @@ def test_machines_without_slopes_or_residuals_do_not_stop_the_others() -> None:
     assert np.allclose(minima.z[1], minimise(problem, np.zeros((3, 2))).z[1])
 
 
-def test_rounding_that_is_allowed_is_that_of_each_machines_own_readings() -> None:
-    """By hand: residuals that are off by e change sums of r^2 by 2 |r| e at the most,
-    and by e^2, which is nothing.
-    """
+def test_rounding_that_is_allowed_is_that_of_each_machines_own_readings():
+    """By hand: residuals that are off by e change sums of r^2 by 2 |r| e at the most."""
     residual = np.array([[3.0, -4.0, 0.0], [10.0, 0.0, 20.0]])
     rounding = np.array([[1e-3, 1e-4, 1.0], [1e-2, 7.0, 1e-5]])
     problem = Rounded(residual, rounding / READINGS_TOLERANCE)

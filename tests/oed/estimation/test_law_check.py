@@ -27,17 +27,13 @@ def law(structure: ReadingStructure) -> Laws:
     return Laws(np.full((1, groups), 1.5), 0.7 * one, 5.0 * one, 0.8 * one, 0.3 * one)
 
 
-def test_the_covariance_of_sums_is_that_of_a_dense_matrix(
-    structure: ReadingStructure, law: Laws
-) -> None:
+def test_the_covariance_of_sums_is_that_of_a_dense_matrix(structure, law):
     values = np.random.default_rng(1).standard_normal((len(structure), 4))
     exact = values.T @ dense_covariance(structure, law) @ values
     assert law.errors(structure).covariance_of(values) == pytest.approx(exact)
 
 
-def test_the_ratio_and_the_widening_are_those_of_dense_matrices(
-    structure: ReadingStructure, law: Laws
-) -> None:
+def test_the_ratio_and_the_widening_are_those_of_dense_matrices(structure, law):
     rng = np.random.default_rng(2)
     slopes = 2.0 * rng.standard_normal((len(structure), 6))
     residual = 3.0 * rng.standard_normal(len(structure))
@@ -68,9 +64,7 @@ def test_the_ratio_and_the_widening_are_those_of_dense_matrices(
     assert check.widening == pytest.approx(np.sqrt(np.trace(variances) / 6))
 
 
-def test_readings_of_the_law_are_rarely_contradicted(
-    structure: ReadingStructure, law: Laws
-) -> None:
+def test_readings_of_the_law_are_rarely_contradicted(structure, law):
     rng = np.random.default_rng(3)
     slopes = 2.0 * rng.standard_normal((len(structure), 6))
     root = np.linalg.cholesky(dense_covariance(structure, law))
@@ -83,9 +77,7 @@ def test_readings_of_the_law_are_rarely_contradicted(
     assert rate.low < P_CONTRADICTED < rate.high
 
 
-def test_noise_of_single_readings_leaves_nothing_to_test(
-    structure: ReadingStructure, law: Laws
-) -> None:
+def test_noise_of_single_readings_leaves_nothing_to_test(structure, law):
     none = np.zeros(1)
     alone = dataclasses.replace(law, correlated=none, level=none, seat=none)
     slopes = np.random.default_rng(4).standard_normal((len(structure), 6))

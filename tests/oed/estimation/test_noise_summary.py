@@ -39,15 +39,11 @@ def scatter_within_run(laws: Laws, k: int) -> float:
 
 
 def posterior(draws: np.ndarray) -> Any:
-    return SimpleNamespace(
-        prior=NoisePrior.of(STRUCTURE),
-        structure=STRUCTURE,
-        draws=draws,
-        weights=WEIGHTS,
-    )
+    law = {"prior": NoisePrior.of(STRUCTURE), "structure": STRUCTURE}
+    return SimpleNamespace(**law, draws=draws, weights=WEIGHTS)
 
 
-def test_means_and_deviations_are_the_draws(rng: np.random.Generator) -> None:
+def test_means_and_deviations_are_the_draws(rng):
     prior = NoisePrior.of(STRUCTURE)
     draws = rng.standard_normal((4, prior.dimensions))
     laws = prior.laws(draws)
@@ -69,7 +65,7 @@ def test_means_and_deviations_are_the_draws(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.1, 1.4, 0.7])
-def test_scatter_departs_where_all_draws_do(factor: float) -> None:
+def test_scatter_departs_where_all_draws_do(factor):
     prior = NoisePrior.of(STRUCTURE)
 
     def scale(u: float) -> float:
@@ -84,7 +80,7 @@ def test_scatter_departs_where_all_draws_do(factor: float) -> None:
     assert reading.departs == (factor > MIN_RATIO or factor < 1.0 / MIN_RATIO)
 
 
-def test_each_channel_has_its_own_noise_however_far_another_is_overstated() -> None:
+def test_each_channel_has_its_own_noise_however_far_another_is_overstated():
     """Two white channels of twice the stated noise, one of a seventeenth."""
     stated = np.array([10e-6, 10e-6, 10e-6])
     m = Measurement(planar_2dof.machine, [mount(position, "tracker", sigma=stated)])
@@ -105,7 +101,7 @@ def test_each_channel_has_its_own_noise_however_far_another_is_overstated() -> N
     assert not any(n.departs for n in numbers if n.kind == "carried")
 
 
-def test_the_scatter_of_a_channel_is_that_of_all_its_sources() -> None:
+def test_the_scatter_of_a_channel_is_that_of_all_its_sources():
     """A laser's x, y, z share range and angles; a scale is that of one source."""
     m = Measurement(
         prs_spindle.machine,
@@ -122,12 +118,13 @@ def test_the_scatter_of_a_channel_is_that_of_all_its_sources() -> None:
     scale = np.array([1.0, 0.4, -0.8, 1.5, -2.0])
     draws[0, :5] = scale
     laws = prior.laws(draws)
-    numbers = noise_numbers(
-        SimpleNamespace(  # type: ignore[arg-type]
-            prior=prior, structure=structure, draws=draws, weights=np.ones(1)
-        ),
-        m.setups,
-    )
+    law = {
+        "prior": prior,
+        "structure": structure,
+        "draws": draws,
+        "weights": np.ones(1),
+    }
+    numbers = noise_numbers(SimpleNamespace(**law), m.setups)
     root = structure.restore(np.diag(laws.scale[0, structure.group])).T
     variance = (root**2).sum(axis=1)
     for g, one in enumerate(n for n in numbers if n.kind == "reading"):

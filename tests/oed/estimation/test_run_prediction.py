@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed.estimation import Estimate, identify, predict_runs
+from oed.estimation import identify, predict_runs
 from oed.measurement import Measurement, Series, draw_readings
-from oed.posterior import Posterior, predictive_checks
 
 Problem = tuple[Measurement, list[Series], np.ndarray]
 POINTS, STROKES = 10, (0.02, 0.08, 0.14, 0.2)
@@ -24,7 +23,7 @@ def problem(seed: int) -> Problem:
 
 
 @pytest.mark.parametrize("estimate_noise", [False, True])
-def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise: bool) -> None:
+def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise):
     m, series, y = problem(0)
     estimate = identify(m, series, y, estimate_noise=estimate_noise)
     h = m.jacobian(series, estimate.theta)
@@ -52,7 +51,7 @@ def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise: bool) 
     assert result.log_score == pytest.approx(sum(o.log_score for o in result.runs))
 
 
-def test_only_a_run_that_does_not_fit_the_others_is_surprising() -> None:
+def test_only_a_run_that_does_not_fit_the_others_is_surprising():
     m, series, y = problem(1)
     sound = predict_runs(m, series, identify(m, series, y))
     assert not sound.surprising
@@ -62,64 +61,9 @@ def test_only_a_run_that_does_not_fit_the_others_is_surprising() -> None:
     assert result.log_score < sound.log_score - 50.0
 
 
-def test_one_run_alone_has_no_others() -> None:
+def test_one_run_alone_has_no_others():
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, POINTS)]
     y = m.readings(series, m.nominal)
     assert len(dict.fromkeys(series[0].run)) == 1
     assert predict_runs(m, series, identify(m, series, y)) is None
-
-
-# -- predictive checks -----------------------------------------------------------------
-
-
-def laplace(m: Measurement, estimate: Estimate, rng: np.random.Generator) -> Posterior:
-    """Draws of the Laplace approximation along what the readings determine."""
-    local = estimate.coordinates
-    h = estimate.noise.whiten(m.jacobian(SERIES, estimate.theta)) @ local.basis
-    root = np.linalg.cholesky(np.linalg.inv(np.eye(h.shape[1]) + h.T @ h))
-    z = estimate.z + rng.standard_normal((400, h.shape[1])) @ root.T
-    n = len(m.names)
-    return Posterior(
-        names=m.names,
-        draws=local.to_theta(z)[None],
-        z=z[None],
-        noise_law=np.zeros((1, 400, 0)),
-        noise_names=(),
-        ess=np.full(n, 400.0),
-        rhat=np.ones(n),
-        acceptance=1.0,
-        autocorrelation=1.0,
-        walkers=1,
-        steps=400,
-    )
-
-
-M, SERIES, Y = problem(2)
-
-
-def alarms(y: np.ndarray, seed: int = 0) -> set[str]:
-    rng = np.random.default_rng(seed)
-    estimate = identify(M, SERIES, y)
-    checks = predictive_checks(M, SERIES, y, estimate, laplace(M, estimate, rng), rng)
-    assert set(checks) == {"rms", "largest", "neighbours", "run_means"}
-    return {name for name, check in checks.items() if check.alarming}
-
-
-def test_readings_of_the_model_pass_every_check() -> None:
-    assert not alarms(Y)
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (np.where(np.arange(len(Y)) == 17, 6e-6, 0.0), "largest"),
-        (4e-6 * np.cos(np.arange(len(Y)) * 1.1), "rms"),
-        (3e-6 * np.sin(2 * np.pi * np.arange(len(Y)) / 7.0), "neighbours"),
-    ],
-    ids=["one reading", "scatter", "wave"],
-)
-def test_a_check_names_what_the_posterior_does_not_predict(
-    change: np.ndarray, named: str
-) -> None:
-    assert named in alarms(Y + change)

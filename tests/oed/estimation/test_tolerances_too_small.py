@@ -25,15 +25,14 @@ machine = planar_2dof.machine
 def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
     """Result and study of an independent head whose tolerances are stated with a factor."""
     folder.mkdir()
+    wide = [
+        p for p in head.parameters if p.tolerance > 0.0 and p.name not in head.frame
+    ]
+    sizes = [("rad", 1.0) if p.unit == "rad" else ("mm", 1e3) for p in wide]
     lines = [
         f'[[prior.tolerance]]\nparameters = ["{p.name}"]\n'
-        + (
-            f"sigma_rad = {factor * p.tolerance:.9g}\n"
-            if p.unit == "rad"
-            else f"sigma_mm = {factor * p.tolerance * 1e3:.9g}\n"
-        )
-        for p in head.parameters
-        if p.tolerance > 0.0 and p.name not in head.frame
+        f"sigma_{unit} = {factor * p.tolerance * scale:.9g}\n"
+        for p, (unit, scale) in zip(wide, sizes, strict=True)
     ]
     text = sample.changed(
         bad_fit_sample.WITHOUT_REPORT, ("[posterior]", "".join(lines) + "\n[posterior]")
@@ -44,7 +43,7 @@ def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
     return json.loads((out / "result.json").read_text()), text
 
 
-def test_the_fit_is_that_of_tolerances_as_they_are(tmp_path: Path) -> None:
+def test_the_fit_is_that_of_tolerances_as_they_are(tmp_path):
     right, _ = identified(tmp_path / "right", 1.0)
     small, _ = identified(tmp_path / "small", 0.1)
     assert any("times as far from nominal" in w for w in small["warnings"])
@@ -67,7 +66,7 @@ def planar() -> tuple[Measurement, list[Any]]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_tolerances_that_are_right_are_kept(seed: int) -> None:
+def test_tolerances_that_are_right_are_kept(seed):
     measurement, series = planar()
     rng = np.random.default_rng(seed)
     truth = draw_parameters(measurement, rng)
@@ -80,7 +79,7 @@ def test_tolerances_that_are_right_are_kept(seed: int) -> None:
     assert 5.0 < judged.factor < 20.0
 
 
-def test_an_effect_is_no_wrong_tolerance() -> None:
+def test_an_effect_is_no_wrong_tolerance():
     """A smooth error of 20 times the noise that no parameters explain."""
     measurement, series = planar()
     rng = np.random.default_rng(5)

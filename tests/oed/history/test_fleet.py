@@ -28,7 +28,7 @@ def exact(values: list[float], sd: float) -> tuple[float, float]:
 @pytest.mark.parametrize(
     "values", [[1.5], [1.0, 1.1], [1.0, -1.0], [0.5, 0.7, 0.6, 0.55], [2.0, 2.1, -0.5]]
 )
-def test_one_parameter_against_quadrature(values: list[float]) -> None:
+def test_one_parameter_against_quadrature(values):
     sd = 0.1
     machines = [
         MachineInformation(np.eye(1) / sd**2, np.array([v / sd**2])) for v in values
@@ -39,7 +39,7 @@ def test_one_parameter_against_quadrature(values: list[float]) -> None:
     assert prior.covariance[0, 0] == pytest.approx(variance, rel=0.03, abs=0.002)
 
 
-def test_machines_that_say_nothing_leave_the_tolerances() -> None:
+def test_machines_that_say_nothing_leave_the_tolerances():
     blank = MachineInformation(np.zeros((3, 3)), np.zeros(3))
     prior = fleet_prior([blank, blank])
     np.testing.assert_allclose(prior.mean, 0.0, atol=1e-12)
@@ -48,9 +48,7 @@ def test_machines_that_say_nothing_leave_the_tolerances() -> None:
         fleet_prior([])
 
 
-def test_what_readings_say_is_the_posterior_without_its_prior(
-    rng: np.random.Generator,
-) -> None:
+def test_what_readings_say_is_the_posterior_without_its_prior(rng):
     slopes = rng.standard_normal((2, 3))  # fewer readings than parameters
     truth, nominal = rng.standard_normal(3), np.array([4.0, 5.0, 6.0])
     tolerance = np.array([0.5, 2.0, 1.0])
@@ -66,9 +64,7 @@ def test_what_readings_say_is_the_posterior_without_its_prior(
     np.testing.assert_allclose(moved.vector, expected, atol=1e-6)
 
 
-def drawn(
-    count: int, rng: np.random.Generator, slopes: Array
-) -> tuple[Array, list[MachineInformation]]:
+def drawn(count, rng, slopes):
     """Parameters (count + 1, p) of a fleet, and what is read of all but the last."""
     p = slopes.shape[1]
     spread = rng.uniform(0.05, 0.6, p)
@@ -88,7 +84,7 @@ def within(prior: FleetPrior, x: Array) -> Array:
 
 
 @pytest.mark.parametrize("count", [2, 10])
-def test_bands_of_a_further_machine_hold(count: int, rng: np.random.Generator) -> None:
+def test_bands_of_a_further_machine_hold(count, rng):
     """Fifty fleets of machines of which readings see two thirds of the directions."""
     slopes = 20.0 * rng.standard_normal((4, 6))
     inside, squares = [], []

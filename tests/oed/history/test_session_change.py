@@ -28,14 +28,12 @@ def session(h: np.ndarray, y: np.ndarray) -> Session:
     return Session(NOMINAL + mean[:N], covariance[:N, :N])
 
 
-def readings(
-    rng: np.random.Generator, h: np.ndarray, machine: np.ndarray
-) -> np.ndarray:
+def readings(rng, h, machine):
     state = np.concatenate([machine, rng.standard_normal(SETUP)])
     return np.asarray(h @ state + rng.standard_normal(len(h)))
 
 
-def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
+def test_the_change_is_that_of_one_fit_of_both_sessions():
     """Least squares over machine, change and both set-ups, without tolerances."""
     rng = np.random.default_rng(3)
     h1, h2 = slopes(rng, 30), slopes(rng, 40)
@@ -70,7 +68,7 @@ def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
     assert change.p_value < 1e-6 < first.p_value
 
 
-def test_two_changes_at_once_are_two_parameters() -> None:
+def test_two_changes_at_once_are_two_parameters():
     """No single parameter explains them; the pair has its fit by the normal equations."""
     rng = np.random.default_rng(7)
     h1, h2 = slopes(rng, 40), slopes(rng, 40)
@@ -89,10 +87,7 @@ def test_two_changes_at_once_are_two_parameters() -> None:
 
 
 def turned_sessions(angle: float) -> list[Session]:
-    """Two sessions that leave the sum p1 + p2 open, each in a slightly other direction.
-
-    Their readings are linear each at its own estimate.
-    """
+    """Two sessions that leave the sum p1 + p2 open, each in another direction."""
     rng = np.random.default_rng(11)
     sessions = []
     for sign in (-1.0, 1.0):
@@ -107,7 +102,7 @@ def turned_sessions(angle: float) -> list[Session]:
     return sessions
 
 
-def test_what_no_session_determines_hides_no_other_change() -> None:
+def test_what_no_session_determines_hides_no_other_change():
     """p0 is determined by both, however their open directions are turned."""
     sessions = turned_sessions(1e-4)
     change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
@@ -120,7 +115,7 @@ def test_what_no_session_determines_hides_no_other_change() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-4, 1e-3])
-def test_a_drift_of_two_sessions_is_their_change(angle: float) -> None:
+def test_a_drift_of_two_sessions_is_their_change(angle):
     sessions = turned_sessions(angle)
     change = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).change()
     times = np.array([0.0, 2.0])
@@ -133,7 +128,7 @@ def test_a_drift_of_two_sessions_is_their_change(angle: float) -> None:
     assert rates == pytest.approx(changes, rel=1e-6)
 
 
-def test_no_change_gives_uniform_p_values() -> None:
+def test_no_change_gives_uniform_p_values():
     rng = np.random.default_rng(5)
     p_values = []
     for _ in range(400):
@@ -145,7 +140,7 @@ def test_no_change_gives_uniform_p_values() -> None:
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
 
 
-def test_a_combination_in_words_has_one_unit() -> None:
+def test_a_combination_in_words_has_one_unit():
     coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
     change = CombinationChange(coefficients, 0.1, 0.1, 0.3)
     unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}

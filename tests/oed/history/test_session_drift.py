@@ -12,9 +12,7 @@ NOMINAL = np.array([10.0, 0.0, -3.0, 1.0])
 TIMES = np.array([0.0, 30.0, 70.0, 90.0, 180.0])
 
 
-def measured(
-    rng: np.random.Generator, machine: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, Session]:
+def measured(rng, machine):
     """Slopes and readings of one session, and its posterior by normal equations."""
     h = 20.0 * rng.standard_normal((25, N)) / TOLERANCE
     y = h @ machine + rng.standard_normal(25)
@@ -22,9 +20,7 @@ def measured(
     return h, y, Session(NOMINAL + covariance @ h.T @ y, covariance)
 
 
-def drifting_sessions(
-    rng: np.random.Generator, rate: np.ndarray, knock: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, list[Session]]:
+def drifting_sessions(rng, rate, knock=0.0):
     """Design, readings and sessions of a machine that drifts, and may be knocked."""
     start = TOLERANCE * rng.standard_normal(N)
     rows, readings, sessions = [], [], []
@@ -38,7 +34,7 @@ def drifting_sessions(
     return np.vstack(rows), np.concatenate(readings), sessions
 
 
-def test_the_drift_is_that_of_one_fit_of_all_sessions() -> None:
+def test_the_drift_is_that_of_one_fit_of_all_sessions():
     rate = np.array([2e-3, 0.0, 0.0, 0.0])
     design, y, sessions = drifting_sessions(np.random.default_rng(2), rate)
     drifted = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
@@ -59,14 +55,14 @@ def test_the_drift_is_that_of_one_fit_of_all_sessions() -> None:
     assert surest.p_value < 1e-6
 
 
-def test_a_knock_is_not_reported_as_an_even_drift() -> None:
+def test_a_knock_is_not_reported_as_an_even_drift():
     _, _, sessions = drifting_sessions(np.random.default_rng(3), np.zeros(N), knock=0.5)
     drifted = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
     assert drifted.widening > 2.0
     assert drifted.p_value > 0.001
 
 
-def test_intervals_hold_the_true_rate() -> None:
+def test_intervals_hold_the_true_rate():
     rng, rate = np.random.default_rng(4), np.array([1e-3, 2e-4, 0.0, -1e-3])
     inside = []
     for _ in range(150):
@@ -76,7 +72,7 @@ def test_intervals_hold_the_true_rate() -> None:
     assert 0.92 < np.mean(inside) < 0.98
 
 
-def test_the_next_calibration_is_when_the_error_reaches_its_limit() -> None:
+def test_the_next_calibration_is_when_the_error_reaches_its_limit():
     rate = np.array([2e-3, 0.0, 0.0, 0.0])
     _, _, sessions = drifting_sessions(np.random.default_rng(5), rate)
     d = MachineSessions(NAMES, NOMINAL, TOLERANCE, sessions).drift(TIMES)
@@ -92,7 +88,7 @@ def test_the_next_calibration_is_when_the_error_reaches_its_limit() -> None:
     assert late.time == 0.0
 
 
-def test_a_drift_of_the_provable_size_is_proven_as_often_as_said() -> None:
+def test_a_drift_of_the_provable_size_is_proven_as_often_as_said():
     """Sessions of the oracle, drifting in random directions by the size for 5 of them."""
     rng = np.random.default_rng(8)
     maps = rng.standard_normal((9, N)) / TOLERANCE

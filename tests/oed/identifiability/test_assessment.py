@@ -45,9 +45,7 @@ def assessment(delta: Measurement, heights: list[Series]) -> Assessment:
     return Assessment.of(delta, heights)
 
 
-def test_covariances_are_inverses_of_prior_and_information(
-    delta: Measurement, heights: list[Series]
-) -> None:
+def test_covariances_are_inverses_of_prior_and_information(delta, heights):
     slopes, noise = delta.jacobian(heights, delta.nominal), delta.sigma(heights)
     white = slopes * delta.tolerance / noise[:, None]
     scaled = identifiability.scaled(delta, heights, delta.nominal, "tolerance")
@@ -60,7 +58,7 @@ def test_covariances_are_inverses_of_prior_and_information(
     np.testing.assert_allclose(in_si, whole * outer, atol=1e-9 * outer.max())
 
 
-def test_each_scaling_has_its_units(delta: Measurement, heights: list[Series]) -> None:
+def test_each_scaling_has_its_units(delta, heights):
     slopes = delta.jacobian(heights, delta.nominal)
     angles = np.array([p.unit == "rad" for p in delta.parameters])
     lengths = np.where(angles, 1.0 / delta.machine.lever, 1.0)
@@ -71,7 +69,7 @@ def test_each_scaling_has_its_units(delta: Measurement, heights: list[Series]) -
         column_scale(delta, "mm")  # type: ignore[arg-type]
 
 
-def test_a_common_cause_is_in_the_prior_information(delta: Measurement) -> None:
+def test_a_common_cause_is_in_the_prior_information(delta):
     assert (prior_information(delta) == np.eye(delta.free.sum())).all()
     names = tuple(
         p.name for p in linear_delta.machine.parameters if "endstop" in p.name
@@ -83,9 +81,7 @@ def test_a_common_cause_is_in_the_prior_information(delta: Measurement) -> None:
     assert np.sort(np.linalg.eigvalsh(matrix))[[0, -1]] == pytest.approx([1 / 1.5, 2.0])
 
 
-def test_heights_leave_the_common_size_to_the_calliper(
-    delta: Measurement, assessment: Assessment
-) -> None:
+def test_heights_leave_the_common_size_to_the_calliper(delta, assessment):
     """Of height readings alone some direction is lost; distances recover it."""
     assert len(assessment.names) == len(free_parameters(delta, assessment.series))
     assert not any(name.startswith("calliper") for name in assessment.names)
@@ -103,7 +99,7 @@ def test_heights_leave_the_common_size_to_the_calliper(
     assert "lost" in kinds
 
 
-def test_a_longer_tool_recovers_what_one_circle_loses() -> None:
+def test_a_longer_tool_recovers_what_one_circle_loses():
     bar = mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0))
     m = Measurement(a3_head.machine, [bar])
     psi = np.linspace(-3.0, 3.0, 15)
@@ -115,7 +111,7 @@ def test_a_longer_tool_recovers_what_one_circle_loses() -> None:
     assert phrase.endswith((f"of {lost} lost directions", "all lost directions"))
 
 
-def test_a_combination_begins_with_its_pivot() -> None:
+def test_a_combination_begins_with_its_pivot():
     terms = {"z1": 0.2791, "beta1": 1.0, "q": -2.0}
     units = {"z1": "m", "beta1": "rad", "q": "rad"}
     assert combination_text(terms, units) == "beta1 + 0.279 rad/m z1 - 2 q"

@@ -1,6 +1,4 @@
-"""What readings can tell apart: closed forms, and properties of random matrices of
-known rank.
-"""
+"""What readings can tell apart: closed forms, and properties of random matrices of known rank."""
 
 import numpy as np
 import pytest
@@ -11,9 +9,7 @@ from shipped_models import a3_head, linear_delta
 from oed.identifiability import identifiability
 
 
-def analyse(
-    h: list | np.ndarray, scale: list | np.ndarray | None = None
-) -> identifiability.Identifiability:
+def analyse(h, scale=None):
     h = np.array(h, dtype=float)
     names = [f"p{k}" for k in range(h.shape[1])]
     return identifiability.analyse(
@@ -21,7 +17,7 @@ def analyse(
     )
 
 
-def test_a_sum_that_cannot_be_taken_apart() -> None:
+def test_a_sum_that_cannot_be_taken_apart():
     """Readings see p0 + 2 p1 and p2."""
     v = analyse([[1, 2, 0], [0, 0, 3], [2, 4, 1]])
     assert v.rank == 2
@@ -34,7 +30,7 @@ def test_a_sum_that_cannot_be_taken_apart() -> None:
     ]
 
 
-def test_a_difference_is_told_with_a_leading_plus() -> None:
+def test_a_difference_is_told_with_a_leading_plus():
     v = analyse([[1, -1]])
     assert v.coefficients_by_name(v.combinations) == [
         {"p0": pytest.approx(1.0), "p1": pytest.approx(-1.0)}
@@ -42,7 +38,7 @@ def test_a_difference_is_told_with_a_leading_plus() -> None:
     assert np.abs(v.lost) == pytest.approx(np.ones((1, 2)))
 
 
-def test_everything_or_nothing_seen() -> None:
+def test_everything_or_nothing_seen():
     full = analyse(np.diag([3.0, 1.0, 2.0]))
     assert full.rank == 3
     assert full.combinations == pytest.approx(np.eye(3))
@@ -54,14 +50,14 @@ def test_everything_or_nothing_seen() -> None:
     assert blind.lost == pytest.approx(np.eye(3))
 
 
-def test_fewer_readings_than_parameters() -> None:
+def test_fewer_readings_than_parameters():
     v = analyse([[1.0, 1.0, 1.0]])
     assert v.singular_values == pytest.approx([np.sqrt(3), 0, 0])
     assert v.identifiable_singular_values == pytest.approx([np.sqrt(3)])
     assert v.lost.shape == (2, 3)
 
 
-def test_rank_is_a_share_of_the_largest_singular_value() -> None:
+def test_rank_is_a_share_of_the_largest_singular_value():
     h = np.diag([1.0, 1e-3, 2e-6, 5e-7])
     assert analyse(h).rank == 3
     assert analyse(1e9 * h).rank == 3
@@ -69,17 +65,15 @@ def test_rank_is_a_share_of_the_largest_singular_value() -> None:
     assert identifiability.analyse(h, "abcd", np.ones(4), tolerance=1e-7).rank == 4
 
 
-def test_combinations_are_told_in_si_whatever_the_scaling() -> None:
-    """p0 (m) + 0.5 p1 (rad): the same words from columns as they come, as lengths and
-    by tolerances.
-    """
+def test_combinations_are_told_in_si_whatever_the_scaling():
+    """p0 (m) + 0.5 p1 (rad): the same words, as lengths and by tolerances."""
     for scale in ([1, 1], [1, 2], [1e-3, 1e-2]):
         v = analyse(np.array([[2.0, 1.0]]) * scale, scale)
         assert v.combinations == pytest.approx(np.array([[2.0, 1.0]]))
         assert v.lost[0] / v.lost[0, 1] == pytest.approx([-0.5, 1.0])
 
 
-def test_combinations_that_hardly_depend_on_their_last_parameters() -> None:
+def test_combinations_that_hardly_depend_on_their_last_parameters():
     """The last three columns are independent, with a determinant of 4e-12."""
     last = np.array([[8e-3, 8e-3, 1.6e-4], [8e-3, 1.6e-4, 0.0], [1.6e-4, 0.0, 0.0]])
     first = np.linalg.cholesky(np.eye(3) - last @ last.T)
@@ -90,13 +84,8 @@ def test_combinations_that_hardly_depend_on_their_last_parameters() -> None:
     assert shares @ v.lost.T == pytest.approx(np.zeros((3, 3)), abs=1e-6)
 
 
-def test_the_published_relative_measurement() -> None:
-    """Chang, Li and Li (2011), section 2.3, two struts on vertical guides: moving
-    horizontally at one height, a difference of heights sees the two struts' guide tilts
-    only as what they do to the distance: of (z1, z2, beta) with readings (z1 - z2) / D
-    + beta there is one combination, and z1 + z2 is lost together with a tilt against z1
-    - z2.
-    """
+def test_the_published_relative_measurement():
+    """Chang, Li and Li (2011), section 2.3: z1 - z2 and a tilt are seen as their sum."""
     D = 3.584
     v = identifiability.analyse(
         np.array([[1 / D, -1 / D, 1.0]] * 5), ["z1", "z2", "beta"], np.ones(3)
@@ -114,9 +103,7 @@ def test_the_published_relative_measurement() -> None:
 
 @st.composite
 def low_rank(draw: st.DrawFn) -> tuple[np.ndarray, int, np.ndarray]:
-    """H (N, n) of known rank, well conditioned on its row space, with sparse
-    combinations; scales of the columns.
-    """
+    """H (N, n) of known rank with sparse combinations; scales of the columns."""
     n = draw(st.integers(2, 9))
     rank = draw(st.integers(1, n))
     rng = np.random.default_rng(draw(st.integers(0, 10**6)))
@@ -133,9 +120,7 @@ def low_rank(draw: st.DrawFn) -> tuple[np.ndarray, int, np.ndarray]:
 
 @settings(max_examples=150, deadline=None)
 @given(low_rank())
-def test_combinations_and_lost_directions_split_the_space(
-    problem: tuple[np.ndarray, int, np.ndarray],
-) -> None:
+def test_combinations_and_lost_directions_split_the_space(problem):
     h, rank, scale = problem
     v = identifiability.analyse(
         h, [f"p{k}" for k in range(h.shape[1])], np.ones(h.shape[1])
@@ -156,9 +141,7 @@ def test_combinations_and_lost_directions_split_the_space(
 
 @settings(max_examples=50, deadline=None)
 @given(low_rank(), st.randoms(use_true_random=False))
-def test_the_order_and_repetition_of_readings_does_not_matter(
-    problem: tuple, random: object
-) -> None:
+def test_the_order_and_repetition_of_readings_does_not_matter(problem, random):
     h, rank, _ = problem
     order = list(range(len(h)))
     random.shuffle(order)
@@ -170,12 +153,12 @@ def test_the_order_and_repetition_of_readings_does_not_matter(
     )
 
 
-def test_names_and_scales_must_fit() -> None:
+def test_names_and_scales_must_fit():
     with pytest.raises(ValueError, match="H has 3 columns for 2 names and 3 scales"):
         identifiability.analyse(np.eye(3), ["a", "b"], np.ones(3))
 
 
-def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body() -> None:
+def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body():
     names = [p.name for p in a3_head.machine.parameters]
     motions = {
         m.text: m.direction
@@ -188,28 +171,20 @@ def test_rigid_motions_of_the_platforms_joints_move_them_as_one_body() -> None:
     assert moved == pytest.approx(np.cross([0, 0, 1], centres))
     assert np.count_nonzero(spin) == np.count_nonzero(moved)
     lift = motions["translation of the base joints along z"]
-    assert [n for n, v in zip(names, lift, strict=True) if v] == [
-        "db1z",
-        "db2z",
-        "db3z",
-    ]
+    lifted = [n for n, v in zip(names, lift, strict=True) if v]
+    assert lifted == ["db1z", "db2z", "db3z"]
     free = [n for n in names if n not in a3_head.machine.frame]
     kept = {m.text for m in identifiability.rigid_motions(a3_head.machine, free)}
     assert kept == {t for t in motions if "platform" in t}
     assert identifiability.rigid_motions(linear_delta.machine, ["radius"]) == []
 
 
-def test_lost_motions_are_named_and_the_rest_is_left() -> None:
-    """An H that sees everything but the spin of the platform's joints and the mean of
-    the home errors.
-    """
+def test_lost_motions_are_named_and_the_rest_is_left():
+    """An H that sees all but the platform's spin and the mean of the home errors."""
     machine = a3_head.machine
     names, scale = [p.name for p in machine.parameters], np.full(24, 1e-3)
-    spin = next(
-        m
-        for m in identifiability.rigid_motions(machine, names)
-        if m.text.endswith("TCP, z axis")
-    ).direction
+    motions = identifiability.rigid_motions(machine, names)
+    spin = next(m for m in motions if m.text.endswith("TCP, z axis")).direction
     mean = np.r_[1.0, 1.0, 1.0, np.zeros(21)]
     blind = np.linalg.svd(np.array([spin, mean]))[2][:2]
     h = np.eye(24) - blind.T @ blind

@@ -28,7 +28,7 @@ def turned(rng: np.random.Generator, rows: Array) -> Array:
     return other
 
 
-def test_the_basis_of_a_space_is_always_the_same(rng: np.random.Generator) -> None:
+def test_the_basis_of_a_space_is_always_the_same(rng):
     rows = stats.ortho_group.rvs(6, random_state=rng)
     chosen = canonical_rows(rows, VALUES)
     assert chosen @ chosen.T == pytest.approx(np.eye(6), abs=1e-12)
@@ -41,7 +41,7 @@ def test_the_basis_of_a_space_is_always_the_same(rng: np.random.Generator) -> No
         assert other == pytest.approx(chosen, abs=1e-12)
 
 
-def test_singular_vectors_and_eigenvectors(rng: np.random.Generator) -> None:
+def test_singular_vectors_and_eigenvectors(rng):
     rows = stats.ortho_group.rvs(6, random_state=rng)
     left = stats.ortho_group.rvs(9, random_state=rng)[:, :6]
     matrix = left @ np.diag(VALUES) @ rows
@@ -58,7 +58,7 @@ def test_singular_vectors_and_eigenvectors(rng: np.random.Generator) -> None:
     assert right_singular(matrix[:3])[1].shape == (6, 6)
 
 
-def test_roots_of_covariances(rng: np.random.Generator) -> None:
+def test_roots_of_covariances(rng):
     """Also of singular ones in mixed units, and of parameters that are held."""
     slopes = rng.standard_normal((6, 3))
     scale = np.array([1e-3, 1.0, 1e-6, 0.0, 2.0, 1e-4])
@@ -72,7 +72,7 @@ def test_roots_of_covariances(rng: np.random.Generator) -> None:
     assert stacked[1] == pytest.approx(2.0 * stacked[0])
 
 
-def test_a_root_does_not_follow_rounding(rng: np.random.Generator) -> None:
+def test_a_root_does_not_follow_rounding(rng):
     """Equal eigenvalues turn their vectors at a breath; draws must not turn along."""
     turn = stats.ortho_group.rvs(5, random_state=rng)
     covariance = (turn * np.array([1.0, 1.0, 1.0, 0.5, 0.5])) @ turn.T
@@ -82,7 +82,7 @@ def test_a_root_does_not_follow_rounding(rng: np.random.Generator) -> None:
     assert np.abs(change).max() < 1e-11
 
 
-def test_a_root_of_a_precision_has_what_is_determined_far_better() -> None:
+def test_a_root_of_a_precision_has_what_is_determined_far_better():
     """1 + s^2 u u^T: variance 1 / (1 + s^2) along u, 1 across; its inverse loses the first."""
     u = np.array([3.0, -2.0, 5.0, 1.0, 4.0]) / np.sqrt(55.0)
     strength = 1e6

@@ -1,7 +1,7 @@
 """Bounds of parameters: draws are those of exact rejection from the closed form."""
 
 import dataclasses
-from typing import Literal
+import functools
 
 import numpy as np
 import pytest
@@ -18,13 +18,13 @@ SEEN, LOST = "dq1", "da2x"
 
 def head(bounds: dict[str, tuple[float, float]]) -> Measurement:
     """The A3 head with errors of a hundredth, so that its readings are linear."""
+    free, every = (-np.inf, np.inf), a3_plans.machine.parameters
+    limits = [
+        {"tolerance": 0.01 * p.tolerance, "bounds": bounds.get(p.name, free)}
+        for p in every
+    ]
     parameters = [
-        dataclasses.replace(
-            p,
-            tolerance=0.01 * p.tolerance,
-            bounds=bounds.get(p.name, (-np.inf, np.inf)),
-        )
-        for p in a3_plans.machine.parameters
+        dataclasses.replace(p, **d) for p, d in zip(every, limits, strict=True)
     ]
     return a3_plans.measurement(of=a3_plans.machine.with_parameters(parameters))
 
@@ -54,6 +54,7 @@ def normal_draws(m: Measurement, estimate: Estimate, count: int) -> np.ndarray:
     return drawn + (change - drawn @ h.T - noise) @ gain.T
 
 
+@functools.cache
 def bounded() -> tuple[Measurement, Estimate, np.ndarray]:
     """Bounds that cut through what is known, and the exact draws within."""
     free = head({})
@@ -72,9 +73,7 @@ def bounded() -> tuple[Measurement, Estimate, np.ndarray]:
 
 
 @pytest.mark.parametrize("sampler", ["laplace", "auto", "emcee"])
-def test_draws_are_those_of_exact_rejection(
-    sampler: Literal["laplace", "auto", "emcee"],
-) -> None:
+def test_draws_are_those_of_exact_rejection(sampler):
     m, estimate, exact = bounded()
     rng = np.random.default_rng(8)
     if sampler == "laplace":
@@ -100,14 +99,14 @@ def test_draws_are_those_of_exact_rejection(
     assert shift > 0.5
 
 
-def test_an_estimate_near_a_bound_says_so() -> None:
+def test_an_estimate_near_a_bound_says_so():
     _, estimate, _ = bounded()
     (sentence,) = [w for w in estimate.warnings if "near a bound" in w]
     assert SEEN in sentence
     assert not [w for w in identify(head({}), [SERIES], Y).warnings if "bound" in w]
 
 
-def test_virtual_machines_keep_to_bounds() -> None:
+def test_virtual_machines_keep_to_bounds():
     m = head({SEEN: (0.0, np.inf), LOST: (-1e-6, 2e-6)})
     drawn = draw_parameters(m, np.random.default_rng(9), 2000)
     assert m.in_bounds(drawn).all()
@@ -115,7 +114,7 @@ def test_virtual_machines_keep_to_bounds() -> None:
     assert drawn[:, m.names.index(SEEN)].mean() == pytest.approx(half_normal, rel=0.06)
 
 
-def test_readings_that_contradict_bounds_are_refused() -> None:
+def test_readings_that_contradict_bounds_are_refused():
     """The cup is 25 standard deviations on the other side."""
     m = head({})
     (setup,) = m.setups.values()

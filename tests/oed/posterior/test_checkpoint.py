@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 
 import emcee
 import numpy as np
@@ -10,8 +9,7 @@ import pytest
 
 from kernel.delta_probe import problem
 from oed import posterior
-from oed.posterior import Checkpoint, Posterior, chains
-from oed.safe_files import whole_file
+from oed.posterior import Checkpoint, chains
 
 #: steps of the test's chain and of a block: three blocks and a short one
 STEPS, BLOCK = 64, 20
@@ -30,27 +28,15 @@ class KilledError(Exception):
 problem_once = functools.cache(functools.partial(problem, distances=False))
 
 
-def sampled(
-    folder: Path | None,
-    seed: int = 5,
-    key: str = "a study",
-    max_steps: int = STEPS,
-    resumed: Callable[[int], None] | None = None,
-) -> Posterior:
+def sampled(folder, seed=5, key="a study", max_steps=STEPS, resumed=None):
     m, series, y, estimate = problem_once()
     checkpoint = None if folder is None else Checkpoint(folder, key)
-    return posterior.sample(
-        m,
-        series,
-        y,
-        estimate,
+    rng, kept = (
         np.random.default_rng(seed),
-        sampler="emcee",
-        ess=1e9,
-        max_steps=max_steps,
-        checkpoint=checkpoint,
-        resumed=resumed,
+        {"checkpoint": checkpoint, "resumed": resumed},
     )
+    long = {"sampler": "emcee", "ess": 1e9, "max_steps": max_steps}
+    return posterior.sample(m, series, y, estimate, rng, **long, **kept)
 
 
 def kill_at(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,9 +54,7 @@ def kill_at(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(emcee.backends.Backend, "save_step", killing)
 
 
-def test_killed_ten_times_at_random(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_ten_times_at_random(tmp_path, monkeypatch):
     unbroken = sampled(None)
     folder = tmp_path / "chain"
     for step in np.random.default_rng(7).integers(1, 28 * chains.N_ENSEMBLES, size=10):
@@ -89,9 +73,7 @@ def test_killed_ten_times_at_random(
     assert resumed.steps == STEPS
 
 
-def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_a_chain_of_the_same_key_and_seed_is_resumed(tmp_path, monkeypatch):
     folder = tmp_path / "chain"
     with monkeypatch.context() as patch:
         kill_at(chains.N_ENSEMBLES * BLOCK + 8, patch)
@@ -109,7 +91,7 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
     assert resumed_after == [BLOCK]
 
 
-def test_a_chain_that_is_cut_is_no_chain(tmp_path: Path) -> None:
+def test_a_chain_that_is_cut_is_no_chain(tmp_path):
     """The next run begins anew, and what the user put beside it stays."""
     checkpoint = Checkpoint(tmp_path, "a study")
     sampled(tmp_path)
@@ -120,24 +102,3 @@ def test_a_chain_that_is_cut_is_no_chain(tmp_path: Path) -> None:
         assert checkpoint.load() == {}
     checkpoint.clear()
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-
-
-def fail_half_way(path: Path, error: BaseException) -> None:
-    with whole_file(path) as part:
-        part.write_text("half")
-        raise error
-
-
-def test_a_file_is_written_whole_or_stays(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_text("before")
-    with pytest.raises(OSError, match="No space") as error:
-        fail_half_way(path, OSError(28, "No space left on device"))
-    assert error.value.filename == str(path)
-    with pytest.raises(KeyboardInterrupt):
-        fail_half_way(path, KeyboardInterrupt())
-    assert path.read_text() == "before"
-    with whole_file(path) as part:
-        part.write_text("after")
-    assert path.read_text() == "after"
-    assert list(tmp_path.iterdir()) == [path]

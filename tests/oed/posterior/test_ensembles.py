@@ -33,7 +33,7 @@ def ensembles() -> Ensembles:
     return Ensembles(target, [8, 9, 8], rng, target.starts)
 
 
-def test_walkers_are_shared_out() -> None:
+def test_walkers_are_shared_out():
     assert ensemble_sizes(None, 3) == [16] * N_ENSEMBLES
     assert ensemble_sizes(None, 20) == [44] * N_ENSEMBLES
     sizes = ensemble_sizes(50, 4)
@@ -44,7 +44,7 @@ def test_walkers_are_shared_out() -> None:
     assert ensemble_sizes(3, 10) == [22]
 
 
-def test_points_have_the_moments_of_the_density() -> None:
+def test_points_have_the_moments_of_the_density():
     members = ensembles()
     assert (members.iteration, members.walkers) == (0, 25)
     members.run_to(400)
@@ -59,7 +59,7 @@ def test_points_have_the_moments_of_the_density() -> None:
     assert 1.0 <= members.autocorrelation() < 20.0
 
 
-def test_values_are_ordered_by_ensemble() -> None:
+def test_values_are_ordered_by_ensemble():
     """Each with as many walkers as the smallest, step after step."""
     members = ensembles()
     number = np.arange(25.0)[:, None, None]

@@ -52,9 +52,7 @@ class Target:
         return self._density(points)
 
 
-def weighted(
-    density: Density, seed: int, ess: float
-) -> tuple[np.ndarray | None, float, float]:
+def weighted(density, seed, ess):
     """Draws or None, their worth, and k."""
     target = cast(LogDensity, Target(density))
     proposal = StudentProposal(np.zeros(4), np.eye(4))
@@ -66,10 +64,8 @@ def weighted(
     return proposals.points[chosen], float(worth.min()), k
 
 
-def test_draws_are_worth_what_they_say() -> None:
-    """Means of 200 samples scatter by the variance over the effective sample size: the
-    ratio of the variances has a standard error of 5 % for four coordinates together.
-    """
+def test_draws_are_worth_what_they_say():
+    """Means of 200 samples scatter by the variance over the effective sample size."""
     means, sizes, squares = [], [], []
     for seed in range(200):
         draws, worth, k = weighted(normal, seed, 150.0)
@@ -85,15 +81,13 @@ def test_draws_are_worth_what_they_say() -> None:
 
 
 @pytest.mark.parametrize("density", [banana, funnel])
-def test_weights_with_a_heavy_tail_are_refused(density: Density) -> None:
+def test_weights_with_a_heavy_tail_are_refused(density):
     draws, _, k = weighted(density, 1, 1000.0)
     assert draws is None
     assert k > PosteriorSection.largest_pareto_k(1_000_000)
 
 
-def test_a_density_whose_weights_fail_is_sampled_by_emcee(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_density_whose_weights_fail_is_sampled_by_emcee(monkeypatch):
     m, series, y, estimate = problem(distances=True)
     target = LogDensity(m, series, y, estimate)
     root, centre = np.linalg.inv(target.root), target.centre
@@ -110,7 +104,7 @@ def test_a_density_whose_weights_fail_is_sampled_by_emcee(
     assert 0.0 < drawn.acceptance < 1.0
 
 
-def test_each_proposal_is_drawn_as_its_weight_says() -> None:
+def test_each_proposal_is_drawn_as_its_weight_says():
     """To the whole number below or above, in a random order."""
     rng = np.random.default_rng(4)
     weights = rng.dirichlet(np.ones(50))

@@ -1,5 +1,9 @@
 """Readings interpolated from a few of them, against the exact ones."""
 
+import functools
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from shipped_models import a3_head, ball_bar, height_probe, linear_delta
@@ -28,9 +32,9 @@ def circles() -> Session:
     return m, [m.series("bar", c, run=[str(k)] * COUNT) for k, c in enumerate(commands)]
 
 
-def with_effect(session: Session) -> Session:
+def circles_with_effect() -> Session:
     """The same with an effect whose columns jump from reading to reading."""
-    m, series = session
+    m, series = circles()
     rng = np.random.default_rng(3)
     columns = 2e-6 * rng.choice([-1.0, 1.0], (2 * COUNT, 2))
     offset = 1e-6 * rng.standard_normal(2 * COUNT)
@@ -47,21 +51,21 @@ def scattered() -> Session:
     return m, [m.series("probe", commands)]
 
 
-def density(session: Session, y: Array | None = None) -> LogDensity:
-    """The density of simulated readings about their estimate."""
-    m, series = session
+@functools.cache
+def fitted(kind: Callable[[], Session]) -> tuple[Measurement, list[Series], Array, Any]:
+    """A session, simulated readings and their estimate."""
+    m, series = kind()
     rng = np.random.default_rng(5)
-    if y is None:
-        truth = draw_parameters(m, rng)
-        sigma = m.sigma(series)
-        y = m.readings(series, truth) + sigma * rng.standard_normal(len(sigma))
-    return LogDensity(m, series, y, identify(m, series, y, estimate_noise=True))
+    truth = draw_parameters(m, rng)
+    sigma = m.sigma(series)
+    y = m.readings(series, truth) + sigma * rng.standard_normal(len(sigma))
+    return m, series, y, identify(m, series, y, estimate_noise=True)
 
 
-@pytest.mark.parametrize("effect", [False, True])
-def test_the_density_of_traces_is_that_of_all_readings(effect: bool) -> None:
+@pytest.mark.parametrize("kind", [circles, circles_with_effect])
+def test_the_density_of_traces_is_that_of_all_readings(kind):
     """The difference in the density is what the exact solver leaves."""
-    target = density(with_effect(circles()) if effect else circles())
+    target = LogDensity(*fitted(kind))
     rng = np.random.default_rng(6)
     points = target.starts(rng, 30)
     interpolated = target(points)
@@ -75,8 +79,8 @@ def test_the_density_of_traces_is_that_of_all_readings(effect: bool) -> None:
     assert error.max() < 1e-4 * target._noise.sigma.min()
 
 
-def test_lost_directions_are_followed_as_by_all_readings() -> None:
-    target = density(circles())
+def test_lost_directions_are_followed_as_by_all_readings():
+    target = LogDensity(*fitted(circles))
     rng = np.random.default_rng(7)
     null = target.coordinates.null_basis
     theta = target.coordinates.to_theta(target.starts(rng, 20)[:, : target.r])
@@ -88,9 +92,9 @@ def test_lost_directions_are_followed_as_by_all_readings() -> None:
     assert moved / tolerance == pytest.approx(exact / tolerance, abs=1e-4)
 
 
-def test_what_readings_hardly_determine_stays_within_its_prior() -> None:
+def test_what_readings_hardly_determine_stays_within_its_prior():
     """Second-order changes are not divided by a slope that is next to nothing."""
-    target = density(circles())
+    target = LogDensity(*fitted(circles))
     rng = np.random.default_rng(7)
     coordinates = target.coordinates
     weak = target._slope.copy()
@@ -103,15 +107,15 @@ def test_what_readings_hardly_determine_stays_within_its_prior() -> None:
     assert np.abs(steps[:, -1]).max() < 1.0
 
 
-def test_random_places_are_interpolated_as_exactly_or_not_at_all() -> None:
-    target = density(scattered())
+def test_random_places_are_interpolated_as_exactly_or_not_at_all():
+    target = LogDensity(*fitted(scattered))
     points = target.starts(np.random.default_rng(8), 20)
     theta = target.coordinates.to_theta(points[:, : target.r])
     error = np.abs(target._readings(theta) - target._exact(theta))
     assert error.max() < 1e-4 * target._noise.sigma.min()
 
 
-def test_few_readings_are_exact() -> None:
+def test_few_readings_are_exact():
     points = np.zeros((3, 2))
 
     def exact(theta: Array) -> Array:

@@ -11,7 +11,7 @@ from oed.posterior.pareto import fit_pareto, smoothed_weights
 
 @pytest.mark.parametrize("count", [200, 1000, 5000])
 @pytest.mark.parametrize("freedom", [2.0, 5.0, 30.0])
-def test_weights_are_smoothed_as_by_arviz(count: int, freedom: float) -> None:
+def test_weights_are_smoothed_as_by_arviz(count, freedom):
     rng = np.random.default_rng([count, int(freedom)])
     log_weights = rng.standard_t(freedom, count)
     weights, k = smoothed_weights(log_weights)
@@ -21,7 +21,7 @@ def test_weights_are_smoothed_as_by_arviz(count: int, freedom: float) -> None:
 
 
 @pytest.mark.parametrize("shape", [-0.3, 0.2, 0.7])
-def test_the_shape_of_a_pareto_tail_is_found(shape: float) -> None:
+def test_the_shape_of_a_pareto_tail_is_found(shape):
     """Quantiles of the distribution itself: F^-1(p) = scale ((1 - p)^-k - 1) / k."""
     levels = np.arange(0.5, 5000) / 5000
     excess = 2.0 * ((1.0 - levels) ** -shape - 1.0) / shape
@@ -30,7 +30,7 @@ def test_the_shape_of_a_pareto_tail_is_found(shape: float) -> None:
     assert scale == pytest.approx(2.0, rel=0.02)
 
 
-def test_equal_weights_have_no_tail_and_few_have_no_shape() -> None:
+def test_equal_weights_have_no_tail_and_few_have_no_shape():
     assert smoothed_weights(np.zeros(1000))[1] == 0.0
     weights, k = smoothed_weights(np.log([1.0, 3.0]))
     assert k == math.inf

@@ -26,7 +26,7 @@ def checks_of(residual: np.ndarray, seed: int = 1) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("size", [0.8, 1.0, 1.2])
-def test_shares_of_rms_and_largest_are_those_of_normal_noise(size: float) -> None:
+def test_shares_of_rms_and_largest_are_those_of_normal_noise(size):
     """Chi-squared, and the largest of independent normal errors; 400 draws."""
     n = len(problem_once()[2])
     residual = size * np.where(np.arange(n) % 2, 1.0, -1.0)
@@ -39,9 +39,11 @@ def test_shares_of_rms_and_largest_are_those_of_normal_noise(size: float) -> Non
     assert rms.high == pytest.approx(np.sqrt(chi2.ppf(0.975) / n), rel=0.08)
     within = (2.0 * stats.norm.cdf(size) - 1.0) ** n
     assert largest.p_high == pytest.approx(1.0 - within, abs=0.05)
+    assert not rms.alarming
+    assert checks_of(5.0 * residual)["rms"].alarming
 
 
-def test_discrepancies_are_their_formulas() -> None:
+def test_discrepancies_are_their_formulas():
     m, series, _, estimate = problem_once()
     structure = reading_structure(m, series, estimate.theta)
     n = len(structure)
