@@ -1,7 +1,4 @@
-"""Stages and the search over them, against simulations and closed forms.
-
-Simulated machines, closed forms, another solver, and all plans of small catalogues.
-"""
+"""Stages against simulations and closed forms, the search against all plans."""
 
 import dataclasses
 import math
@@ -28,9 +25,7 @@ TILT = 1e-3
 TOLERANCE = np.array([p.tolerance for p in machine.parameters])
 
 
-def line_option(
-    number: int, limit: float = math.inf, whole_runs: bool = False
-) -> Option:
+def line_option(number, limit=math.inf, whole_runs=False):
     """An RM of Chang et al. on the paper's lines; its ruler's direction is unknown."""
     instrument = getattr(relative, f"rm{number}")
     tolerances = {n.name: TILT for n in instrument.nuisances}
@@ -39,15 +34,8 @@ def line_option(
     series = Measurement(machine, [setup]).series(
         "rm", pose, run=[str(k) for k in line]
     )
-    return build_option(
-        machine,
-        [setup],
-        [series],
-        name=f"rm{number}",
-        counts=(3, 30),
-        travel=limit,
-        whole_runs=whole_runs,
-    )
+    few = {"name": f"rm{number}", "counts": (3, 30), "whole_runs": whole_runs}
+    return build_option(machine, [setup], [series], travel=limit, **few)
 
 
 def everything(option: Option) -> np.ndarray:
@@ -57,14 +45,7 @@ def everything(option: Option) -> np.ndarray:
 # -- a stage ---------------------------------------------------------------------------
 
 
-def simulate(
-    number: int,
-    channel: int,
-    sigma: float,
-    limit: float,
-    rng: np.random.Generator,
-    draws: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def simulate(number, channel, sigma, limit, rng, draws):
     """Linear readings of drawn planar machines by the oracle's rows.
 
     Returns the estimates' errors (draws, 7) in tolerance units, their covariances
@@ -96,13 +77,8 @@ def simulate(
     return errors, covariances, within
 
 
-def test_a_stage_leaves_the_errors_of_simulated_machines(
-    rng: np.random.Generator,
-) -> None:
-    """Estimates of 4000 machines scatter as predicted.
-
-    The tilt is profiled out, and a line's readings share noise.
-    """
+def test_a_stage_leaves_the_errors_of_simulated_machines(rng):
+    """4000 machines scatter as predicted; the tilt is profiled out, lines share noise."""
     option = line_option(4)
     stage = stage_after(option, everything(option), np.eye(7), rng, exact=False)
     errors, covariances, _ = simulate(4, 0, 3e-6, np.inf, rng, 4000)
@@ -116,9 +92,7 @@ def test_a_stage_leaves_the_errors_of_simulated_machines(
     )
 
 
-def test_lost_readings_leave_the_mean_covariance_of_the_machines(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lost_readings_leave_the_mean_covariance_of_the_machines(rng, monkeypatch):
     option = line_option(4, limit=0.6e-3)
     monkeypatch.setattr(stage_module, "FIRST_LOOK_DRAWS", 4000)
     stage = stage_after(option, everything(option), np.eye(7), rng, exact=False)
@@ -140,9 +114,7 @@ def test_lost_readings_leave_the_mean_covariance_of_the_machines(
 
 
 @pytest.mark.parametrize("whole_runs", [False, True])
-def test_capture_probabilities_are_shares_of_exact_machines(
-    rng: np.random.Generator, whole_runs: bool
-) -> None:
+def test_capture_probabilities_are_shares_of_exact_machines(rng, whole_runs):
     """The oracle's exact readings of 6000 machines and rulers, singly and by line."""
     option = line_option(5, limit=1e-3, whole_runs=whole_runs)
     pose, line = oracle.lines(5)
@@ -160,7 +132,7 @@ def test_capture_probabilities_are_shares_of_exact_machines(
     assert (bound >= share - 0.025).all()
 
 
-def test_the_capture_probability_of_a_mixture_is_the_mean() -> None:
+def test_the_capture_probability_of_a_mixture_is_the_mean():
     option = line_option(4, limit=0.6e-3)
     mixture = np.stack([np.eye(7), 0.01 * np.eye(7)])
     each = [capture(option, covariance) for covariance in mixture]
@@ -195,14 +167,9 @@ BENT = Machine(
     read_error=lambda c, twist: [twist[0], twist[1]],
 )
 RULE = Instrument(
-    name="rule",
-    source="invented",
-    channels=(Channel("u", "m", 2e-3),),
-    settings=(),
-    nuisances=(),
-    cost=Cost(1.0, 1.0),
-    observe=lambda frames, s, k: [frames[0].point[0]],
-)
+    name="rule", source="invented", channels=(Channel("u", "m", 2e-3),), settings=(),
+    nuisances=(), cost=Cost(1.0, 1.0), observe=lambda frames, s, k: [frames[0].point[0]],
+)  # fmt: skip
 
 
 def parabola_option(count: int) -> Option:
@@ -213,9 +180,7 @@ def parabola_option(count: int) -> Option:
     return build_option(BENT, [setup], [series], name="rule", counts=(count,))
 
 
-def test_the_linearisation_residual_of_a_parabola(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_linearisation_residual_of_a_parabola(rng, monkeypatch):
     """y = p + k p^2 read N times: p has the variance v = 1 / (1/t^2 + N/s^2).
 
     The residual k p^2 has the rms sqrt(3) k v. It is the same in all N readings and
@@ -232,13 +197,8 @@ def test_the_linearisation_residual_of_a_parabola(
     assert stage.covariance[0, 0] > 1.002 * variance / 1e-6
 
 
-def test_machines_fitted_by_the_exact_model_are_no_worse_than_the_residual_says(
-    rng: np.random.Generator,
-) -> None:
-    """20000 parabolas fitted by the best of a fine grid of p.
-
-    They scatter between the slope alone and the prediction with the residual.
-    """
+def test_machines_fitted_by_the_exact_model_are_no_worse_than_the_residual_says(rng):
+    """20000 parabolas scatter between the slope alone and the prediction."""
     option = parabola_option(4)
     stage = stage_after(option, everything(option), np.eye(1), rng)
     p = 1e-3 * rng.standard_normal((20000, 1))
@@ -265,21 +225,13 @@ class SmallProblem:
     time: np.ndarray
 
 
-def small_problem(
-    seed: int, equal_times: bool = True, target: float | None = None
-) -> SmallProblem:
-    """A catalogue; its target is `target` times the value of the best plan."""
+def small_problem(seed: int) -> SmallProblem:
+    """A catalogue without targets, of readings of one length."""
     rng = np.random.default_rng(seed)
-    options, goal = catalogues.catalogue(
-        rng, equal_times=equal_times, targets=target is not None
-    )
+    options, goal = catalogues.catalogue(rng)
     value, time = catalogues.every_plan(options, goal, 3)
     budget = float(rng.uniform(900.0, 2500.0))
     within = (time > 0.0) & (time <= budget * (1 + 1e-9))
-    if target is not None:
-        unit = value[within].min() * target
-        goal = dataclasses.replace(goal, factors=goal.factors / unit)
-        value = value / unit
     return SmallProblem(options, goal, budget, value[within], time[within])
 
 
@@ -287,18 +239,11 @@ def solved(problem: SmallProblem) -> catalogues.PlanSearchResult:
     return searched(problem.options, problem.goal, problem.budget, stages=3)
 
 
-@pytest.mark.parametrize(
-    "equal_times", [True, pytest.param(False, marks=pytest.mark.slow)]
-)
-def test_the_plan_is_the_best_of_all(equal_times: bool) -> None:
-    """Within 2 % of all sets of readings within the budget.
-
-    Where readings take different times, the share of time of each stage is found less
-    well: two of fifteen miss that.
-    """
+def test_the_plan_is_the_best_of_all():
+    """Within 2 % of all sets of readings within the budget."""
     losses = []
-    for seed in range(15):
-        problem = small_problem(seed, equal_times)
+    for seed in range(12):
+        problem = small_problem(seed)
         result = solved(problem)
         assert result.best is result.most_accurate
         assert result.best.seconds <= problem.budget * (1 + 1e-9)
@@ -306,49 +251,16 @@ def test_the_plan_is_the_best_of_all(equal_times: bool) -> None:
         assert losses[-1] > -1e-9
         assert result.loss >= losses[-1] - 1e-9
         assert result.reached
-    assert np.sum(np.array(losses) > 0.02) <= (0 if equal_times else 2), losses
-    assert max(losses) < 0.06
+    assert max(losses) <= 0.02, losses
 
 
-@pytest.mark.slow
-def test_the_cheapest_plan_that_is_accurate_enough() -> None:
-    excess = []
-    for seed in range(6):
-        problem = small_problem(seed, target=1.15)
-        result = solved(problem)
-        assert result.reached
-        assert result.best.value <= 1.0
-        shortest = problem.time[problem.value <= 1.0].min()
-        excess.append(result.best.seconds / shortest - 1.0)
-        assert excess[-1] > -1e-9
-    assert np.sum(np.array(excess) > 0.02) <= 1, excess
-
-
-def test_the_same_seed_gives_the_same_plan() -> None:
-    options = [line_option(k, limit=0.5e-3) for k in (3, 4, 5)]
-    goal = Goal(("all",), np.eye(7)[None], np.ones(1), has_targets=False)
-    one, two = (
-        searched(options, goal, 9000.0, seed=3, stages=2).best for _ in range(2)
-    )
-    assert one.names == two.names
-    assert one.value == two.value
-    for stage, other in zip(one.stages, two.stages, strict=True):
-        assert list(stage.chosen) == list(other.chosen)
-
-
-def test_the_front_only_falls() -> None:
+def test_the_front_only_falls():
     front = solved(small_problem(2)).front
     assert all(a.seconds < b.seconds and a.value > b.value for a, b in pairwise(front))
     assert front[0].stages == ()
 
 
-def test_a_measurement_costs_only_what_is_stated() -> None:
-    option = parabola_option(4)
-    assert option.price == 0.0
-    assert option.operator == ""
-
-
-def test_a_reading_takes_time() -> None:
+def test_a_reading_takes_time():
     setup = mount(relative.rm4, "rm")
     series = Measurement(machine, [setup]).series(
         "rm", np.array([[0.0, 0.0], [0.0, 1.0]])

@@ -6,36 +6,24 @@ import numpy as np
 import pytest
 
 from kernel import plan_catalogues as catalogues
-from oed.planning import Goal, Option
 from oed.planning import bound as bound_module
 from oed.planning import prediction as stage_module
-from oed.planning.bound import GoalBound, bound_goal
+from oed.planning.bound import bound_goal
 from oed.planning.knowledge import Prior, make_knowledge
 
 
-def bound_of(
-    options: list[Option], goal: Goal, budget: float, value: float, stages: int = 3
-) -> GoalBound:
+def bound_of(options, goal, budget, value, stages=3):
     rng = np.random.default_rng(19)
     return bound_goal(options, goal, np.eye(3), budget, stages, value, rng)
 
 
-@pytest.mark.parametrize(
-    ("equal_times", "seeds"),
-    [
-        (True, range(12)),
-        pytest.param(True, range(12, 30), marks=pytest.mark.slow),
-        pytest.param(False, range(30), marks=pytest.mark.slow),
-    ],
-)
-def test_no_plan_of_many_catalogues_is_below_the_bound(
-    equal_times: bool, seeds: range
-) -> None:
+def test_no_plan_of_many_catalogues_is_below_the_bound():
     """All sets of readings, under budgets that bind or not, of two stages or three."""
     gaps = []
-    for seed in seeds:
+    for seed in range(12):
         rng = np.random.default_rng(seed)
-        options, goal = catalogues.catalogue(rng, equal_times=equal_times)
+        # readings of one length, and of several
+        options, goal = catalogues.catalogue(rng, equal_times=seed % 3 > 0)
         stages = 2 + seed % 2
         value, time = catalogues.every_plan(options, goal, stages)
         budget = 1e5 if seed % 5 == 0 else float(rng.uniform(900.0, 2500.0))
@@ -44,25 +32,11 @@ def test_no_plan_of_many_catalogues_is_below_the_bound(
         gaps.append(best / bound.value - 1.0)
     assert min(gaps) >= 0.0
     certified = sum(gap <= 0.05 + 1e-9 for gap in gaps)
-    assert certified >= len(seeds) * 2 // 3
+    assert certified >= 8
     assert np.median(gaps) < 0.03
 
 
-@pytest.mark.slow
-def test_the_worst_component_is_bounded_as_well() -> None:
-    gaps = []
-    for seed in range(8):
-        rng = np.random.default_rng(100 + seed)
-        options, goal = catalogues.catalogue(rng, targets=True)
-        value, time = catalogues.every_plan(options, goal, 3)
-        budget = float(rng.uniform(900.0, 2500.0))
-        best = value[(time > 0.0) & (time <= budget)].min()
-        gaps.append(best / bound_of(options, goal, budget, best).value - 1.0)
-    assert min(gaps) >= 0.0
-    assert np.median(gaps) < 0.05
-
-
-def test_a_bound_without_limits_on_numbers_of_readings_is_lower() -> None:
+def test_a_bound_without_limits_on_numbers_of_readings_is_lower():
     """Where time does not bind, the numbers of readings do."""
     options, goal = catalogues.catalogue(np.random.default_rng(3), size=8)
     few = [dataclasses.replace(option, counts=(2,)) for option in options]
@@ -73,18 +47,10 @@ def test_a_bound_without_limits_on_numbers_of_readings_is_lower() -> None:
     assert bound.value > 1.1 * bound_of(options, goal, 1e5, best).value
 
 
-@pytest.mark.parametrize(
-    "seeds", [range(4), pytest.param(range(4, 10), marks=pytest.mark.slow)]
-)
-def test_readings_lost_to_the_setup_itself_stay_within_the_bound(
-    monkeypatch: pytest.MonkeyPatch, seeds: range
-) -> None:
-    """A travel as large as what the set-ups' parameters do.
-
-    Plans judged by many machines are not below the bound.
-    """
+def test_readings_lost_to_the_setup_itself_stay_within_the_bound(monkeypatch):
+    """With a travel as large as what the set-ups' parameters do."""
     monkeypatch.setattr(stage_module, "FIRST_LOOK_DRAWS", 1000)
-    for seed in seeds:
+    for seed in range(4):
         rng = np.random.default_rng(200 + seed)
         options, goal = catalogues.catalogue(rng)
         short = [dataclasses.replace(option, travel=30.0) for option in options]
@@ -97,7 +63,7 @@ def test_readings_lost_to_the_setup_itself_stay_within_the_bound(
         assert bound_of(short, goal, 1e5, value).value <= value
 
 
-def test_too_many_combinations_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_combinations_are_refused(monkeypatch):
     options, goal = catalogues.catalogue(np.random.default_rng(0))
     monkeypatch.setattr(bound_module, "MAX_COMBINATIONS", 3)
     with pytest.raises(
@@ -106,7 +72,7 @@ def test_too_many_combinations_are_refused(monkeypatch: pytest.MonkeyPatch) -> N
         bound_of(options, goal, 1e5, 1.0)
 
 
-def test_promising_combinations_fit_the_budget_and_could_be_better() -> None:
+def test_promising_combinations_fit_the_budget_and_could_be_better():
     options, goal = catalogues.catalogue(np.random.default_rng(5))
     value, time = catalogues.every_plan(options, goal, 3)
     budget = 1500.0

@@ -12,9 +12,7 @@ from oed.planning.problem import PlanProblem
 N, SIZE = 3, 5
 
 
-def problem(
-    seed: int, budget: float = 1500.0, target: float | None = None
-) -> PlanProblem:
+def problem(seed, budget=1500.0, target=None):
     rng = np.random.default_rng(seed)
     options, goal = catalogues.catalogue(
         rng, n=N, size=SIZE, targets=target is not None
@@ -25,7 +23,7 @@ def problem(
     return PlanProblem(tuple(options), goal, budget, 2, np.eye(N), streams)
 
 
-def test_times_are_mounting_and_a_minute_a_reading() -> None:
+def test_times_are_mounting_and_a_minute_a_reading():
     first, second, _ = problem(0).options
     steps = [(first, 2), (second, 1)]
     exact = first.mounting_seconds + second.mounting_seconds + 180.0
@@ -42,7 +40,7 @@ def test_times_are_mounting_and_a_minute_a_reading() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_moved_time_ends_within_a_few_percent_of_all_plans(seed: int) -> None:
+def test_moved_time_ends_within_a_few_percent_of_all_plans(seed):
     """Of the two options of the plan."""
     p = problem(seed)
     steps = [(p.options[0], 1), (p.options[1], 1)]
@@ -56,7 +54,7 @@ def test_moved_time_ends_within_a_few_percent_of_all_plans(seed: int) -> None:
     assert search.steps_of(plan) == [(s.option, len(s.chosen)) for s in plan.stages]
 
 
-def test_a_plan_is_verified_with_its_readings() -> None:
+def test_a_plan_is_verified_with_its_readings():
     """Linear readings without travel are the same on all machines."""
     p = problem(1)
     plan = search.evaluate_steps(p, [(p.options[0], 3), (p.options[2], 2)])
@@ -66,7 +64,7 @@ def test_a_plan_is_verified_with_its_readings() -> None:
     assert all((a.chosen == b.chosen).all() for a, b in pairs)
 
 
-def test_a_trimmed_plan_has_no_reading_too_many() -> None:
+def test_a_trimmed_plan_has_no_reading_too_many():
     p = problem(2, budget=1e5)
     full = [(p.options[0], SIZE - 1), (p.options[1], SIZE - 1)]
     most = search.evaluate_steps(p, full).value
@@ -81,7 +79,7 @@ def test_a_trimmed_plan_has_no_reading_too_many() -> None:
             assert search.evaluate_steps(easy, fewer, plan).value > 1.0
 
 
-def test_relaxed_numbers_become_a_plan_within_the_budget() -> None:
+def test_relaxed_numbers_become_a_plan_within_the_budget():
     p = problem(0, budget=1500.0)
     plan = search.plan_from_counts(p, {0: 3.7, 2: 9.0})
     assert set(plan.names) == {"o0", "o2"}

@@ -8,7 +8,7 @@ import pytest
 
 from kernel import plan_catalogues as catalogues
 from kernel.plan_catalogues import linear_option
-from oed.planning import Goal, Option, PlanStreams, StageMemory, search_plan
+from oed.planning import Goal, Option, PlanStreams, search_plan
 from oed.planning.bound import CombinationBound
 from oed.planning.knowledge import make_knowledge
 from oed.planning.prediction import (
@@ -33,9 +33,7 @@ def problem(seed: int = 0, budget: float = 2000.0, stages: int = 2) -> PlanProbl
     return PlanProblem(tuple(options), goal, budget, stages, np.eye(N), streams)
 
 
-def covariance_after(
-    start: np.ndarray, option: Option, chosen: tuple[int, ...]
-) -> np.ndarray:
+def covariance_after(start, option, chosen):
     """Of the machine (n, n), by the joint inverse with the set-up's parameter."""
     rows = option.candidates.blocks[list(chosen), 0]
     joint = np.eye(N + 1)
@@ -43,7 +41,7 @@ def covariance_after(
     return np.linalg.inv(joint + rows.T @ rows)[:N, :N]
 
 
-def test_a_plan_grows_by_the_joint_inverse() -> None:
+def test_a_plan_grows_by_the_joint_inverse():
     p = problem()
     option, empty = p.options[0], p.empty_plan()
     assert empty.value == pytest.approx(p.goal.value(np.eye(N)))
@@ -60,32 +58,14 @@ def test_a_plan_grows_by_the_joint_inverse() -> None:
     )
 
 
-def test_equal_stages_are_predicted_once() -> None:
-    """The order of the readings does not matter; options and machines do."""
-    p, other = problem(), problem().options[1]
-    option, empty, ones = p.options[0], p.empty_plan(), np.ones(ROWS)
-    first = p.predict(empty, option, np.array([0, 3]), ones)
-    assert p.predict(empty, option, np.array([3, 0]), ones) is first
-    assert p.predict(empty, option, np.array([0, 2]), ones) is not first
-    verified = p.predict(empty, option, np.array([0, 3]), ones, verifies=True)
-    assert verified is not first
-    memory = StageMemory()
-    assert memory.recall(empty, option, np.array([0, 3]), 10) is None
-    memory.store(empty, first, 10)
-    assert memory.recall(empty, option, np.array([3, 0]), 10) is first
-    assert memory.recall(empty, option, np.array([3, 0]), 11) is None
-    assert memory.recall(empty, other, np.array([3, 0]), 10) is None
-    assert memory.recall(p.extend(empty, first), option, first.chosen, 10) is None
-
-
-def test_readings_that_are_not_captured_are_not_selected() -> None:
+def test_readings_that_are_not_captured_are_not_selected():
     options, goal = catalogue(1)
     probability = np.array([1.0, 1.0, 0.0, 1.0, 0.0])
     chosen = select_readings(options[0], 3, np.eye(N), goal.criterion(1), probability)
     assert chosen.tolist() == [0, 1, 3]
 
 
-def test_selected_readings_of_unequal_length_keep_the_time() -> None:
+def test_selected_readings_of_unequal_length_keep_the_time():
     seconds = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
     options, goal = catalogue(1)
     option = dataclasses.replace(options[0], candidate_seconds=seconds)
@@ -95,7 +75,7 @@ def test_selected_readings_of_unequal_length_keep_the_time() -> None:
     assert seconds[chosen].sum() <= 65.0
 
 
-def test_a_beam_search_has_every_short_plan_and_its_accuracy() -> None:
+def test_a_beam_search_has_every_short_plan_and_its_accuracy():
     p = problem(budget=1e6, stages=1)
     plans = beam_search(p, 6, None)
     lengths = {(plan.names, len(plan.stages[0].chosen)) for plan in plans}
@@ -112,7 +92,7 @@ def test_a_beam_search_has_every_short_plan_and_its_accuracy() -> None:
     assert shares[-1] == pytest.approx(1.0)
 
 
-def test_machines_without_travel_give_all_readings(rng: np.random.Generator) -> None:
+def test_machines_without_travel_give_all_readings(rng):
     """Their covariance after a stage is the joint inverse."""
     (option, *_), chosen = catalogue()[0], np.array([1, 2, 4])
     machines = draw_machines(
@@ -129,22 +109,12 @@ def test_machines_without_travel_give_all_readings(rng: np.random.Generator) -> 
     assert joint == pytest.approx(np.linalg.inv(np.eye(N + 1) + information[0]))
 
 
-def test_drawn_machines_lose_what_is_beyond_the_travel(
-    rng: np.random.Generator,
-) -> None:
+def test_drawn_machines_lose_what_is_beyond_the_travel(rng):
     """A reading y ~ N(0, 2^2) is within 1 of what is expected with P = 0.383."""
     rows = np.array([[2.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
-    option = linear_option(
-        "o", rows, N, counts=(1, 2), mounting=0.0, seconds=np.ones(2), travel=1.0
-    )
-    machines = draw_machines(
-        option,
-        np.arange(2),
-        make_knowledge(np.eye(N)),
-        np.array([0.38, 1.0]),
-        8000,
-        rng,
-    )
+    option = linear_option("o", rows, N, counts=(1, 2), travel=1.0)
+    known, both = make_knowledge(np.eye(N)), np.arange(2)
+    machines = draw_machines(option, both, known, np.array([0.38, 1.0]), 8000, rng)
     captured = machines.patterns[machines.pattern_of]
     assert captured.mean(axis=0) == pytest.approx([0.3829, 1.0], abs=0.02)
     assert machines.knowledge.errors is not None
@@ -153,7 +123,7 @@ def test_drawn_machines_lose_what_is_beyond_the_travel(
     assert machines.knowledge.lost_readings.tolist() == (~within).tolist()
 
 
-def test_linear_readings_have_no_residual(rng: np.random.Generator) -> None:
+def test_linear_readings_have_no_residual(rng):
     (option, *_), chosen = catalogue()[0], np.array([0, 2])
     posterior, pattern = np.eye(N + 1)[None], np.ones((1, 2))
     residual = estimate_residual(
@@ -164,7 +134,7 @@ def test_linear_readings_have_no_residual(rng: np.random.Generator) -> None:
     assert reading_counts(option, chosen).tolist() == [1, 1]
 
 
-def test_no_combination_is_above_its_bound() -> None:
+def test_no_combination_is_above_its_bound():
     """All sets of readings of one or two options that the budget pays for."""
     p = problem(seed=4, budget=1500.0)
     combined = CombinationBound.of(p.options, p.goal, np.eye(N), p.budget)
@@ -184,7 +154,7 @@ def test_no_combination_is_above_its_bound() -> None:
                 assert criterion.value(np.eye(N) + a + b) <= upper + 1e-9
 
 
-def test_streams_that_begin_anew_give_the_same_plan() -> None:
+def test_streams_that_begin_anew_give_the_same_plan():
     """However far the generators of an earlier search went."""
     options, goal = catalogue(2)
 

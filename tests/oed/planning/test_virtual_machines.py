@@ -31,15 +31,12 @@ HOME = planar_2dof.machine.home_command
 @functools.cache
 def option(travel: float = math.inf) -> Option:
     series = M.series("tracker", GRID)
+    few, times = (
+        {"name": "tracker", "counts": [12]},
+        {"mounting_seconds": 60.0, "reading_seconds": 10.0},
+    )
     return build_option(
-        planar_2dof.machine,
-        [SETUP],
-        [series],
-        name="tracker",
-        counts=[12],
-        travel=travel,
-        mounting_seconds=60.0,
-        reading_seconds=10.0,
+        planar_2dof.machine, [SETUP], [series], travel=travel, **few, **times
     )
 
 
@@ -56,7 +53,7 @@ def machines(rng: np.random.Generator, count: int) -> np.ndarray:
     return theta
 
 
-def test_machines_are_read_at_the_oracles_poses(rng: np.random.Generator) -> None:
+def test_machines_are_read_at_the_oracles_poses(rng):
     """Joints are those that a controller with its own parameters sends."""
     (virtual,) = prepare_stages([stage()])
     assert list(virtual.measurement.setups) == ["1. tracker"]
@@ -74,9 +71,7 @@ def test_machines_are_read_at_the_oracles_poses(rng: np.random.Generator) -> Non
     assert read.lost_share == pytest.approx([0.0, 0.0])
 
 
-def test_readings_beyond_the_travel_are_lost_with_their_candidate(
-    rng: np.random.Generator,
-) -> None:
+def test_readings_beyond_the_travel_are_lost_with_their_candidate(rng):
     chosen = catalogues.stage_after(option(5e-4), np.arange(12), np.eye(7), rng)
     (virtual,) = prepare_stages([chosen])
     truth, expected = machines(rng, 1), M.nominal[None].copy()
@@ -89,9 +84,7 @@ def test_readings_beyond_the_travel_are_lost_with_their_candidate(
     assert read.lost_share == pytest.approx([1.0])
 
 
-def test_refitted_machines_are_the_regularised_solution(
-    rng: np.random.Generator,
-) -> None:
+def test_refitted_machines_are_the_regularised_solution(rng):
     """The cost has no slope at the fit, by differences of exact readings."""
     series = [M.series("tracker", GRID)]
     truth = M.nominal + M.tolerance * rng.standard_normal((2, 13))
@@ -123,9 +116,7 @@ def test_refitted_machines_are_the_regularised_solution(
         assert np.diag(found) == pytest.approx(np.diag(exact), rel=1e-3)
 
 
-def test_a_machine_fitted_alone_is_as_among_the_others(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_fitted_alone_is_as_among_the_others(rng, monkeypatch):
     """One whose fit among the others does not converge, and lost readings."""
     series = [M.series("tracker", GRID)]
     truth = M.nominal + M.tolerance * rng.standard_normal((3, 13))
@@ -138,9 +129,7 @@ def test_a_machine_fitted_alone_is_as_among_the_others(
     fit_all = virtual_machines._refits
     calls = []
 
-    def without_the_second(
-        problem: virtual_machines._CapturedReadings, z: np.ndarray
-    ) -> list[virtual_machines.Refit | None]:
+    def without_the_second(problem, z):
         calls.append(len(z))
         fits = fit_all(problem, z)
         return fits if len(z) == 1 else [fits[0], None, fits[2]]
@@ -154,7 +143,7 @@ def test_a_machine_fitted_alone_is_as_among_the_others(
     assert apart[1].covariance == pytest.approx(together[1].covariance, rel=1e-6)
 
 
-def test_errors_over_the_workspace_are_the_oracles(rng: np.random.Generator) -> None:
+def test_errors_over_the_workspace_are_the_oracles(rng):
     """Both machines at the joints that a nominal controller sends; less that at home."""
     errors = WorkspaceErrors.of(M, COMMAND, "home")
     nominal = np.tile(M.nominal[:7], (2, 1))
@@ -173,7 +162,7 @@ def test_errors_over_the_workspace_are_the_oracles(rng: np.random.Generator) -> 
     assert pytest.approx(1.959964) == HALF_WIDTH
 
 
-def test_predicted_errors_are_differences_of_the_oracles_poses() -> None:
+def test_predicted_errors_are_differences_of_the_oracles_poses():
     errors = WorkspaceErrors.of(M, COMMAND, "home")
     joints, step = planar_geometry.inverse(np.vstack([COMMAND, HOME])), 1e-3
     variance = np.zeros((3, 2))
@@ -187,7 +176,7 @@ def test_predicted_errors_are_differences_of_the_oracles_poses() -> None:
     assert errors.predicted(np.eye(free)) == pytest.approx(exact, rel=1e-5)
 
 
-def test_propagated_machines_are_as_accurate_as_predicted() -> None:
+def test_propagated_machines_are_as_accurate_as_predicted():
     """Ratios of 30 machines; the same seed gives the same ones."""
     first, again = (
         propagate([stage()], COMMAND, 30, np.random.default_rng(2)) for _ in range(2)
