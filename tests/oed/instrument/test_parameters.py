@@ -29,7 +29,7 @@ def correlated() -> ParameterVector:
     )
 
 
-def test_unknowns_of_set_ups_follow_those_of_the_machine() -> None:
+def test_unknowns_of_set_ups_follow_those_of_the_machine():
     vector = ParameterVector(a3_head.machine, [CUP])
     count = len(a3_head.machine.parameters)
     assert vector.names[count:] == ("cup.cup_x", "cup.cup_y", "cup.cup_z")
@@ -50,7 +50,7 @@ def test_unknowns_of_set_ups_follow_those_of_the_machine() -> None:
         ParameterVector(a3_head.machine, [CUP, CUP])
 
 
-def test_common_causes_correlate_the_prior(correlated: ParameterVector) -> None:
+def test_common_causes_correlate_the_prior(correlated):
     covariance, tolerance = correlated.prior_covariance, correlated.tolerance
     assert np.diag(covariance) == pytest.approx(tolerance**2)
     place = [correlated.names.index(n) for n in ("dq1", "dq2")]
@@ -62,9 +62,7 @@ def test_common_causes_correlate_the_prior(correlated: ParameterVector) -> None:
     np.testing.assert_allclose(root @ root, wanted, atol=1e-12)
 
 
-def test_prior_units_are_those_of_the_root(
-    correlated: ParameterVector, rng: np.random.Generator
-) -> None:
+def test_prior_units_are_those_of_the_root(correlated, rng):
     plain = ParameterVector(a3_head.machine, [CUP])
     for vector in (plain, correlated):
         root = vector.prior_root()
@@ -75,7 +73,7 @@ def test_prior_units_are_those_of_the_root(
         np.testing.assert_allclose(vector.from_prior_units(z), wanted, atol=1e-15)
 
 
-def test_bounds_refuse_what_is_outside() -> None:
+def test_bounds_refuse_what_is_outside():
     bounded = [
         dataclasses.replace(p, bounds=(-1e-3, 2e-3)) if p.name == "dq2" else p
         for p in a3_head.machine.parameters
@@ -98,7 +96,7 @@ def series(instrument: Instrument, runs: list[str]) -> Series:
     return Series("s", numbers, numbers, numbers, index, run)
 
 
-def test_readings_see_their_reference() -> None:
+def test_readings_see_their_reference():
     against_teach = series(ball_bar.instrument, ["a", "a", "b"])
     assert against_teach.index.tolist() == [[0, 3], [1, 3], [2, 3]]
     against_first = series(relative.rm5, ["a", "a", "b", "b", "b"])
@@ -106,7 +104,7 @@ def test_readings_see_their_reference() -> None:
     assert against_first.run.tolist() == ["a", "b", "b"]
 
 
-def test_readings_taken_keep_the_poses_that_they_see() -> None:
+def test_readings_taken_keep_the_poses_that_they_see():
     taken = series(ball_bar.instrument, ["a", "a", "b"]).take(np.array([2, 0]))
     assert taken.reading_commands()[:, 0].tolist() == [2.0, 0.0]
     assert taken.command[taken.index[:, 1], 0].tolist() == [3.0, 3.0]
@@ -114,7 +112,7 @@ def test_readings_taken_keep_the_poses_that_they_see() -> None:
     assert len(taken.command) == 3
 
 
-def test_passes_go_forward_and_backward() -> None:
+def test_passes_go_forward_and_backward():
     whole = series(ball_bar.instrument, ["a", "a", "b"])
     passes = whole.expand_passes(Protocol(both_directions=True, average=False))
     assert passes.reading_commands()[:, 0].tolist() == [0, 1, 1, 0, 2, 2]
@@ -132,7 +130,7 @@ def test_passes_go_forward_and_backward() -> None:
     assert len(np.unique(separate.index[:, 0])) == len(passes)
 
 
-def test_values_belong_to_readings_of_their_series() -> None:
+def test_values_belong_to_readings_of_their_series():
     """Values 1 of two channels in the first series, 4 and 5 of the second's one."""
     first, second = (series(ball_bar.instrument, ["a"] * n) for n in (2, 3))
     taken, places = TakenReadings.of_values(
@@ -160,21 +158,21 @@ def toy() -> Instrument:
     )
 
 
-def test_some_channels_keep_the_instruments_order_and_sources() -> None:
+def test_some_channels_keep_the_instruments_order_and_sources():
     some = toy().take_channels(["c", "a"])
     assert [c.name for c in some.channels] == ["a", "c"]
     assert [float(v) for v in some.observe([], {}, {})] == [1.0, 3.0]
     assert np.array(some.sources([], {}, {})).tolist() == [[1.0, 2.0], [5.0, 6.0]]
 
 
-def test_the_first_channel_has_the_fixed_reading() -> None:
+def test_the_first_channel_has_the_fixed_reading():
     first, rest = toy().take_channels(["a", "c"]), toy().take_channels(["b", "c"])
     assert first.fixed_reading is not None
     assert rest.fixed_reading is None
     assert (toy().arity, relative.rm5.arity, pose_tracker.position.arity) == (2, 2, 1)
 
 
-def test_channels_that_are_not_there_are_refused() -> None:
+def test_channels_that_are_not_there_are_refused():
     with pytest.raises(ValueError, match="has no channel"):
         toy().take_channels(["a", "d"])
     with pytest.raises(ValueError, match="at least"):

@@ -22,13 +22,10 @@ from oed.mechanism import AssemblyError
 from oed.model import Parameter
 
 TOOL = 0.05
-LONGER = (0.0, 0.0, TOOL)
 
 
 def wrong(m: Measurement, rng: np.random.Generator, n: int = 5) -> np.ndarray:
-    """Parameter vectors (n, ...) of wrong machines, frame parameters and nuisances
-    included.
-    """
+    """Parameter vectors (n, ...) of wrong machines, frame parameters and nuisances included."""
     return m.nominal + np.array(
         [p.tolerance for p in m.parameters]
     ) * rng.standard_normal((n, len(m.names)))
@@ -36,9 +33,7 @@ def wrong(m: Measurement, rng: np.random.Generator, n: int = 5) -> np.ndarray:
 
 @pytest.mark.parametrize("tool", [0.0, TOOL])
 @pytest.mark.parametrize("taught", [True, False])
-def test_ball_bar_readings_and_rows_are_the_oracles(
-    rng: np.random.Generator, taught: bool, tool: float
-) -> None:
+def test_ball_bar_readings_and_rows_are_the_oracles(rng, taught, tool):
     m = a3_plans.measurement(taught=taught, tools=[tool])
     (setup,) = m.setups
     command = CASES["a3_head"].commands(rng, 40) + np.array([tool, 0, 0])
@@ -47,91 +42,45 @@ def test_ball_bar_readings_and_rows_are_the_oracles(
     theta = wrong(m, rng)
     p, offset = theta[:, :24], theta[:, 24:]
     cup = a3.taught_cup(p, offset, z, tool) if taught else np.array([0, 0, z]) + offset
-    assert (
-        np.abs(
-            m.readings([series], theta)
-            - a3.ball_bar_reading(p[:, None], q, cup[:, None], tool)
-        ).max()
-        < 1e-12
-    )
+    exact = a3.ball_bar_reading(p[:, None], q, cup[:, None], tool)
+    assert np.abs(m.readings([series], theta) - exact).max() < 1e-12
     nominal_cup = np.array([0, 0, z])
     rows = a3.bar_rows(*np.maximum(command, [0, -9, 1e-3]).T, nominal_cup, tool, taught)
     upright = command[:, 2] < 1e-3
     assert np.abs(m.jacobian([series], m.nominal) - rows)[~upright].max() < 1e-12 * 10
 
 
-def test_heights_are_the_oracles(rng: np.random.Generator) -> None:
-    m = Measurement(
-        a3_head.machine, [mount(height_probe.instrument, "probe", tool=LONGER)]
-    )
-    command = CASES["a3_head"].commands(rng, 20) + np.array([TOOL, 0, 0])
-    theta = wrong(m, rng)
-    tip = a3.forward(
-        theta[:, None, :24], a3.inverse_nominal(*command.T, TOOL), TOOL
-    ).tip
-    assert (
-        np.abs(
-            m.readings([m.series("probe", command)], theta)
-            - tip[..., 2]
-            - theta[:, 24:]
-        ).max()
-        < 1e-13
-    )
-
-
-def test_calliper_distances_are_the_oracles(rng: np.random.Generator) -> None:
-    """Three runs of different length; the first pose of each is its reference and no
-    reading.
-    """
+def test_calliper_distances_are_the_oracles(rng):
+    """Three runs of different length; the first pose of each is its reference and no reading."""
     m = Measurement(linear_delta.machine, [mount(calliper.instrument, "calliper")])
     command = CASES["linear_delta"].commands(rng, 9)
     runs = ["a", "b", "a", "a", "b", "c", "b", "c", "a"]
     series = m.series("calliper", command, run=runs)
     assert series.run.tolist() == ["a", "a", "b", "b", "c", "a"]
     theta = wrong(m, rng)
-    point = delta.nozzle(
-        series.q,
-        theta[:, None, 0],
-        theta[:, None, 1:4],
-        theta[:, None, 4:7],
-        theta[:, None, 7:10],
-    )
+    p = theta[:, None]
+    point = delta.nozzle(series.q, p[..., 0], p[..., 1:4], p[..., 4:7], p[..., 7:10])
     pairs = [(2, 0), (3, 0), (4, 1), (6, 1), (7, 5), (8, 0)]
-    distance = np.stack(
-        [np.linalg.norm(point[:, i] - point[:, j], axis=-1) for i, j in pairs], axis=-1
-    )
-    assert (
-        np.abs(m.readings([series], theta) - (1 + theta[:, 10:]) * distance).max()
-        < 1e-13
-    )
+    distance = [np.linalg.norm(point[:, i] - point[:, j], axis=-1) for i, j in pairs]
+    exact = (1 + theta[:, 10:]) * np.stack(distance, axis=-1)
+    assert np.abs(m.readings([series], theta) - exact).max() < 1e-13
     assert (series.reading_commands() == command[[2, 3, 4, 6, 7, 8]]).all()
 
 
-def test_a_controller_that_knows_better_sends_other_joints(
-    rng: np.random.Generator,
-) -> None:
-    """With the true parameters the controller reaches what it was told: height, and the
-    taught cup, are exact.
-    """
+def test_a_controller_that_knows_better_sends_other_joints(rng):
+    """With the true parameters height and the taught cup are exact."""
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     truth = wrong(m, rng, 1)[0]
     truth[24] = 0.0
     command = CASES["a3_head"].commands(rng, 20)
-    assert (
-        np.abs(
-            m.readings([m.series("probe", command, controller=truth[:24])], truth)
-            - command[:, 0]
-        ).max()
-        < 1e-14
-    )
-    assert (
-        np.abs(m.readings([m.series("probe", command)], truth) - command[:, 0]).max()
-        > 1e-4
-    )
+    knowing = m.series("probe", command, controller=truth[:24])
+    assert np.abs(m.readings([knowing], truth) - command[:, 0]).max() < 1e-14
+    plain = m.readings([m.series("probe", command)], truth)
+    assert np.abs(plain - command[:, 0]).max() > 1e-4
 
 
 @pytest.mark.parametrize("name", list(CASES["a3_head"].setups))
-def test_taking_readings_of_a_series(rng: np.random.Generator, name: str) -> None:
+def test_taking_readings_of_a_series(rng, name):
     m = Measurement(a3_head.machine, [CASES["a3_head"].setups[name]])
     runs = np.repeat(["a", "b", "c"], 5) if name == "calliper" else None
     series = m.series(name, CASES["a3_head"].commands(rng, 15), run=runs)
@@ -152,32 +101,24 @@ def test_taking_readings_of_a_series(rng: np.random.Generator, name: str) -> Non
     assert len(part.q) < len(series.q)
 
 
-def test_a_bar_leads_the_tool_on_a_sphere() -> None:
-    """theta held on the sphere equals the oracle's bisection; where the bar cannot be
-    held, it says so.
-    """
+def test_a_bar_leads_the_tool_on_a_sphere():
+    """By the oracle's bisection; where the bar cannot be held, it says so."""
     m = a3_plans.measurement()
     psi = np.linspace(0, 2 * np.pi, 25)
     command = np.column_stack([np.full(25, a3_plans.HOME_Z + 0.12), psi, np.zeros(25)])
     found, possible = commands_at_fixed_reading(m, "cup", command, "theta")
     assert possible.all()
-    assert (
-        np.abs(
-            found[:, 2]
-            - a3.circle_theta(command[:, 0], psi, np.array([0, 0, a3.Z_TEACH]))
-        ).max()
-        < 1e-11
-    )
+    exact = a3.circle_theta(command[:, 0], psi, np.array([0, 0, a3.Z_TEACH]))
+    assert np.abs(found[:, 2] - exact).max() < 1e-11
     assert (command[:, 2] == 0).all()
     assert np.abs(m.readings([m.series("cup", found)], m.nominal) - 0.3).max() < 1e-12
-    short = Measurement(
-        m.machine, [mount(ball_bar.instrument, "bar", teach=(1.286, 0, 0), length=0.05)]
-    )
+    bar = mount(ball_bar.instrument, "bar", teach=(1.286, 0, 0), length=0.05)
+    short = Measurement(m.machine, [bar])
     _, possible = commands_at_fixed_reading(short, "bar", command, "theta")
     assert not possible.any()
 
 
-def test_only_a_bar_holds_a_reading() -> None:
+def test_only_a_bar_holds_a_reading():
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     with pytest.raises(
         ValueError, match="height_probe holds no reading by design: give theta itself"
@@ -190,41 +131,28 @@ def test_only_a_bar_holds_a_reading() -> None:
 def two_channels() -> Instrument:
     """An instrument with two channels and an unknown, written down here."""
     return Instrument(
-        name="two",
-        source="this test",
+        name="two", source="this test", settings=(), cost=Cost(1.0, 1.0),
         channels=(Channel("along", "m", 1e-6), Channel("angle", "rad", 2e-6)),
-        settings=(),
         nuisances=(Parameter("gain", 1.0, 0.1, "1"),),
-        cost=Cost(1.0, 1.0),
         observe=lambda frames, s, k: [
-            s["gain"] * frames[0].point[0],
-            s["gain"] * frames[0].rotation[0, 2],
+            s["gain"] * frames[0].point[0], s["gain"] * frames[0].rotation[0, 2],
         ],
-    )
+    )  # fmt: skip
 
 
-def test_several_set_ups_and_channels_are_laid_out_in_order(
-    rng: np.random.Generator,
-) -> None:
-    m = Measurement(
-        a3_head.machine,
-        [mount(two_channels(), "two"), mount(height_probe.instrument, "probe")],
-    )
+def test_several_set_ups_and_channels_are_laid_out_in_order(rng):
+    setups = [mount(two_channels(), "two"), mount(height_probe.instrument, "probe")]
+    m = Measurement(a3_head.machine, setups)
     command = CASES["a3_head"].commands(rng, 6)
     series = [m.series("probe", command[:2]), m.series("two", command[2:])]
     theta = wrong(m, rng)
     assert m.names[24:] == ("two.gain", "probe.offset")
     pose = a3.forward(theta[:, None, :24], a3.inverse_nominal(*command.T))
     heights = pose.tip[:, :2, 2] + theta[:, 25:]
-    both = theta[:, 24, None, None] * np.stack(
-        [pose.tip[:, 2:, 0], pose.R[:, 2:, 0, 2]], axis=-1
-    )
-    assert (
-        np.abs(
-            m.readings(series, theta) - np.hstack([heights, both.reshape(5, -1)])
-        ).max()
-        < 1e-13
-    )
+    seen = np.stack([pose.tip[:, 2:, 0], pose.R[:, 2:, 0, 2]], axis=-1)
+    both = theta[:, 24, None, None] * seen
+    exact = np.hstack([heights, both.reshape(5, -1)])
+    assert np.abs(m.readings(series, theta) - exact).max() < 1e-13
     assert m.sigma(series) == pytest.approx([20e-6] * 2 + [1e-6, 2e-6] * 4)
     h = m.jacobian(series, theta[0])
     assert h.shape == (10, 26)
@@ -233,24 +161,7 @@ def test_several_set_ups_and_channels_are_laid_out_in_order(
     assert h[2:, 24] == pytest.approx(both[0].ravel() / theta[0, 24], abs=1e-13)
 
 
-def test_scales_of_the_columns() -> None:
-    m = a3_plans.measurement()
-    assert m.length_factors == pytest.approx([1.0] * 21 + [a3.D] * 3 + [1.0] * 3)
-    assert identifiability.column_scale(m, "length") == pytest.approx(
-        np.r_[a3.SCALE, 1, 1, 1]
-    )
-    assert identifiability.column_scale(m, "si") == pytest.approx(np.ones(27))
-    assert identifiability.column_scale(m, "tolerance") == pytest.approx(m.tolerance)
-    frame = [m.names[k] for k in np.flatnonzero(m.tolerance == 0)]
-    assert sorted(frame) == sorted(a3_head.machine.frame)
-    assert sorted(np.flatnonzero(m.free[:24])) == sorted(a3.EQ17)
-    with pytest.raises(ValueError, match=r"none of .*'length'"):
-        identifiability.column_scale(m, "mm")
-
-
-def test_posterior_covariance_in_units_of_the_tolerances(
-    rng: np.random.Generator,
-) -> None:
+def test_posterior_covariance_in_units_of_the_tolerances(rng):
     for n in (2, 5, 9):
         h = 10.0 ** rng.uniform(-2, 3, n)[:, None] * rng.standard_normal((n, 6))
         assert identifiability.posterior_covariance(h) == pytest.approx(
@@ -258,27 +169,11 @@ def test_posterior_covariance_in_units_of_the_tolerances(
         )
     blind = np.array([[1e6, 1e6, 0.0]])
     assert identifiability.posterior_covariance(blind)[2].tolist() == [0.0, 0.0, 1.0]
-    assert blind @ identifiability.posterior_covariance(
-        blind
-    ) @ blind.T == pytest.approx(1.0, abs=1e-3)
+    shared = blind @ identifiability.posterior_covariance(blind) @ blind.T
+    assert shared == pytest.approx(1.0, abs=1e-3)
 
 
-def test_only_whitened_rows_carry_the_noise() -> None:
-    m = a3_plans.measurement()
-    series = a3_plans.circles(m, 3)
-    h, sigma = m.jacobian([series], m.nominal), m.sigma([series])
-    assert identifiability.scaled(m, [series], m.nominal, "tolerance") == pytest.approx(
-        h * m.tolerance / sigma[:, None]
-    )
-    assert identifiability.scaled(m, [series], m.nominal, "length") == pytest.approx(
-        h / m.length_factors
-    )
-    assert (identifiability.scaled(m, [series], m.nominal, "si") == h).all()
-
-
-def test_a_pose_that_cannot_be_assembled_at_some_parameters(
-    rng: np.random.Generator,
-) -> None:
+def test_a_pose_that_cannot_be_assembled_at_some_parameters(rng):
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
     series = m.series("probe", CASES["linear_delta"].commands(rng, 5))
     theta = np.tile(m.nominal, (3, 1))
@@ -290,9 +185,7 @@ def test_a_pose_that_cannot_be_assembled_at_some_parameters(
         m.readings([series], theta)
 
 
-def test_slopes_where_readings_were_asked_for_solve_no_pose_again(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slopes_where_readings_were_asked_for_solve_no_pose_again(rng, monkeypatch):
     m, other = a3_plans.measurement(), a3_plans.measurement()
     (setup,) = m.setups
     some, more = (m.series(setup, CASES["a3_head"].commands(rng, 12)) for _ in range(2))
@@ -322,10 +215,8 @@ def test_slopes_where_readings_were_asked_for_solve_no_pose_again(
         m.readings([series], theta)
 
 
-def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
-    """Parameters by their tolerances, readings by their noise: 2000 draws, so each
-    spread is known to 1.6 %.
-    """
+def test_virtual_machines_scatter_as_stated(rng):
+    """2000 draws: each spread is known to 1.6 %."""
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
     truth = draw_parameters(m, rng, 2000)
     spread = truth.std(axis=0) / np.where(m.free, m.tolerance, 1.0)
@@ -339,18 +230,15 @@ def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
     assert draw_parameters(m, rng).shape == m.nominal.shape
 
 
-def test_machines_with_joints_of_their_own(rng: np.random.Generator) -> None:
+def test_machines_with_joints_of_their_own(rng):
     """Readings and slopes of several machines at once are those of each alone."""
     m = a3_plans.measurement(taught=True, tools=[TOOL])
     (setup,) = m.setups
     theta = wrong(m, rng, 3)
     command = CASES["a3_head"].commands(rng, 12) + np.array([TOOL, 0, 0])
     alone = [m.series(setup, command, controller=p[:24]) for p in theta]
-    together = dataclasses.replace(
-        alone[0],
-        q=np.array([s.q for s in alone]),
-        start=np.array([s.start for s in alone]),
-    )
+    q, start = np.array([s.q for s in alone]), np.array([s.start for s in alone])
+    together = dataclasses.replace(alone[0], q=q, start=start)
     y, slopes = m.readings([together], theta), m.jacobian([together], theta)
     for k, series in enumerate(alone):
         assert y[k] == pytest.approx(m.readings([series], theta[k]), abs=1e-12)
@@ -360,9 +248,7 @@ def test_machines_with_joints_of_their_own(rng: np.random.Generator) -> None:
         assert (one.q == series.take(np.array([3, 1])).q).all()
 
 
-def test_readings_that_are_not_wanted_are_not_computed(
-    rng: np.random.Generator,
-) -> None:
+def test_readings_that_are_not_wanted_are_not_computed(rng):
     m = a3_plans.measurement(taught=True, tools=[TOOL])
     (setup,) = m.setups
     command = CASES["a3_head"].commands(rng, 12) + np.array([TOOL, 0, 0])
@@ -372,3 +258,16 @@ def test_readings_that_are_not_wanted_are_not_computed(
     expected = m.readings([series], theta)
     assert y[wanted] == pytest.approx(expected[wanted], abs=1e-12)
     assert np.isnan(y[~wanted]).all()
+
+
+def test_only_whitened_rows_carry_the_noise():
+    m = a3_plans.measurement()
+    series = a3_plans.circles(m, 3)
+    h, sigma = m.jacobian([series], m.nominal), m.sigma([series])
+    assert identifiability.scaled(m, [series], m.nominal, "tolerance") == pytest.approx(
+        h * m.tolerance / sigma[:, None]
+    )
+    assert identifiability.scaled(m, [series], m.nominal, "length") == pytest.approx(
+        h / m.length_factors
+    )
+    assert (identifiability.scaled(m, [series], m.nominal, "si") == h).all()

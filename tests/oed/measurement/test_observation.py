@@ -24,9 +24,7 @@ def circle() -> tuple[Measurement, Series]:
     return m, m.series("bar", command, run=["a"] * 5 + ["b"] * 3)
 
 
-def test_slopes_of_a_reading_are_its_differences(
-    circle: tuple[Measurement, Series],
-) -> None:
+def test_slopes_of_a_reading_are_its_differences(circle):
     _, series = circle
     model = ObservationModel(a3_head.machine, BAR)
     inputs = [*(series.start[k] for k in series.pose_indices()), np.zeros(3)]
@@ -61,9 +59,7 @@ def sharing(setup: Setup, channel: int, shared: float) -> Setup:
     return dataclasses.replace(setup, instrument=instrument)
 
 
-def test_noise_carried_along_falls_with_the_distance(
-    circle: tuple[Measurement, Series],
-) -> None:
+def test_noise_carried_along_falls_with_the_distance(circle):
     _, series = circle
     setup = sharing(stating(correlated=0.4, reach=2.0), 0, 0.6)
     m = Measurement(a3_head.machine, [setup])
@@ -77,7 +73,7 @@ def test_noise_carried_along_falls_with_the_distance(
     assert noise.sigma == pytest.approx(np.sqrt(np.diag(covariance)))
 
 
-def test_channels_with_common_sources_have_a_covariance() -> None:
+def test_channels_with_common_sources_have_a_covariance():
     setup = mount(laser_ball_bar.instrument, "laser", **GIMBAL)
     m = Measurement(prs_spindle.machine, [setup])
     series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
@@ -87,7 +83,7 @@ def test_channels_with_common_sources_have_a_covariance() -> None:
     assert np.abs(covariances[0] - np.diag(np.diag(covariances[0]))).max() > 0.0
 
 
-def test_a_level_is_shared_by_its_channel_alone() -> None:
+def test_a_level_is_shared_by_its_channel_alone():
     setup = sharing(mount(laser_ball_bar.instrument, "laser", **GIMBAL), 1, 0.5)
     m = Measurement(prs_spindle.machine, [setup])
     series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
@@ -99,7 +95,7 @@ def test_a_level_is_shared_by_its_channel_alone() -> None:
     np.testing.assert_allclose(errors[0, :, 0], wanted)
 
 
-def test_runs_are_chains_of_readings(circle: tuple[Measurement, Series]) -> None:
+def test_runs_are_chains_of_readings(circle):
     m, series = circle
     structure = reading_structure(m, [series], m.nominal)
     assert structure.unit == pytest.approx(np.full(8, 0.5e-6))
@@ -107,22 +103,15 @@ def test_runs_are_chains_of_readings(circle: tuple[Measurement, Series]) -> None
     assert structure.position.tolist() == [*range(5), *range(3)]
 
 
-def test_a_machine_near_nominal_stays_in_its_mode(
-    circle: tuple[Measurement, Series],
-) -> None:
+def test_a_machine_near_nominal_stays_in_its_mode(circle):
     m, series = circle
     assert m.mode_jumps([series], m.nominal) == (0, len(series.command))
 
 
-def test_a_coordinate_is_solved_where_there_is_a_solution() -> None:
+def test_a_coordinate_is_solved_where_there_is_a_solution():
     """z with x^2 + z^2 = 1 within 0 to 1; there is none from x = 1 on."""
     command = np.array([[0.6, 9.0], [0.0, 9.0], [1.2, 9.0]])
-    solved, found = _solve_coordinate(
-        lambda c: np.square(c).sum(axis=1),
-        1.0,
-        command,
-        1,
-        Coordinate("z", "m", 0, 1.5),
-    )
+    axis, square = Coordinate("z", "m", 0, 1.5), lambda c: np.square(c).sum(axis=1)
+    solved, found = _solve_coordinate(square, 1.0, command, 1, axis)
     assert found.tolist() == [True, True, False]
     assert solved[:2] == pytest.approx(np.array([[0.6, 0.8], [0.0, 1.0]]))

@@ -1,7 +1,6 @@
 """Level, dial gauges and autocollimator on a platform that is turned by known angles."""
 
 import dataclasses
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,18 +23,18 @@ def read(kind: object, angles: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", INSTRUMENTS, ids=lambda k: k.name)
 @pytest.mark.parametrize("axis", range(3))
-def test_a_turn_about_one_axis_is_read_with_its_sign(kind: object, axis: int) -> None:
+def test_a_turn_about_one_axis_is_read_with_its_sign(kind, axis):
     """By hand: 2 mrad about x lifts v; -3 mrad about y lifts u; 5 mrad turns u to y."""
     expected = np.array(ANGLES[axis])[: len(kind.channels)]
     assert read(kind, ANGLES[axis]) == pytest.approx(expected, abs=1e-15)
 
 
-def test_rows_can_be_taken_one_by_one() -> None:
+def test_rows_can_be_taken_one_by_one():
     alone = orientation.instrument.take_channels(["read_spin"])
     assert read(alone, ANGLES[2]) == pytest.approx([5e-3], abs=1e-15)
 
 
-def test_zeros_are_held_unless_freed() -> None:
+def test_zeros_are_held_unless_freed():
     m = Measurement(a3_head.machine, [mount(orientation.level, "level")])
     assert not m.freed(["level.*"]).any()
     freed = mount(orientation.level, "level", tolerances={"zero_x": 1e-5})
@@ -59,6 +58,6 @@ SPINNING = dataclasses.replace(planar_2dof.machine, platform=_about_z)
 @pytest.mark.parametrize(
     "machine", [linear_delta.machine, planar_2dof.machine, SPINNING]
 )
-def test_a_platform_that_does_not_tilt_has_nothing_for_a_level(machine: Any) -> None:
+def test_a_platform_that_does_not_tilt_has_nothing_for_a_level(machine):
     with pytest.raises(ValueError, match="its platform keeps the orientation"):
         Measurement(machine, [mount(orientation.level, "level")])

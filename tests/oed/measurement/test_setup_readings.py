@@ -23,7 +23,7 @@ def oracle(joints: np.ndarray, p: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return np.linalg.norm(tool - cup - shift, axis=1)
 
 
-def test_each_pose_may_have_changes_of_its_own(rng: np.random.Generator) -> None:
+def test_each_pose_may_have_changes_of_its_own(rng):
     theta = M.nominal + M.tolerance * rng.standard_normal(len(M.nominal))
     poses = len(SERIES.q)
     joints = 1e-5 * rng.standard_normal((poses, 3))
@@ -35,7 +35,7 @@ def test_each_pose_may_have_changes_of_its_own(rng: np.random.Generator) -> None
     assert found == pytest.approx(exact, abs=1e-11)
 
 
-def test_slopes_are_differences_of_exact_readings(rng: np.random.Generator) -> None:
+def test_slopes_are_differences_of_exact_readings(rng):
     theta = M.nominal + M.tolerance * rng.standard_normal(len(M.nominal))
     poses, step = len(SERIES.q), 1e-6
     still, same = np.zeros((poses, COUNT)), np.zeros((len(SERIES), 3))
@@ -59,7 +59,7 @@ def test_slopes_are_differences_of_exact_readings(rng: np.random.Generator) -> N
         assert jacobian[:, k] == pytest.approx(exact, abs=1e-8)
 
 
-def test_nominal_slopes_over_the_cup_are_unit_vectors() -> None:
+def test_nominal_slopes_over_the_cup_are_unit_vectors():
     """A cup that moves by d shortens the bar by its part along the bar."""
     zero = np.zeros((len(SERIES.q), COUNT))
     tips = np.array(

@@ -1,8 +1,6 @@
 """Set-ups on one station: several nests that one tracker reads share its registration."""
 
 import dataclasses
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ import sample
 from shipped_models import hexapod, pose_tracker
 
 from oed import Measurement, mount
-from pkm_studies.commands import main
 
 position = pose_tracker.position
 machine = hexapod.machine
@@ -53,7 +50,7 @@ def measurement(station: str) -> Measurement:
     return Measurement(machine, setups)
 
 
-def test_three_nests_of_one_tracker_have_six_unknowns() -> None:
+def test_three_nests_of_one_tracker_have_six_unknowns():
     """Their slopes are the sums of those over three trackers' frames."""
     apart, shared = measurement(""), measurement("tracker")
     count = len(machine.parameters)
@@ -75,80 +72,33 @@ def test_three_nests_of_one_tracker_have_six_unknowns() -> None:
     np.testing.assert_allclose(np.abs(moved), expected, atol=1e-12)
 
 
-def test_a_study_states_a_station(tmp_path: Path) -> None:
+def test_a_study_states_a_station(tmp_path):
     resolved = sample.resolved(STUDY, tmp_path)
     everything = resolved.measurement_with(resolved.setups)
-    shared = {
-        p.name: p.tolerance
-        for p in everything.parameters
-        if p.name.startswith("tracker.")
-    }
+    tracker = [p for p in everything.parameters if p.name.startswith("tracker.")]
+    shared = {p.name: p.tolerance for p in tracker}
     assert len(shared) == 6
     assert shared["tracker.shift_x"] == pytest.approx(5e-3)
     assert not [name for name in everything.names if name.startswith(("one.", "two."))]
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (
-            "-30.0, 40.0, 0.0]\n",
-            "-30.0, 40.0, 0.0]\ntolerance = { shift_x_mm = 1.0 }\n",
-        ),
-        ('"pose_tracker_position"\ntool_mm = [-', '"length_gauge"\ntool_mm = [-'),
-        ('0]\nstation = "tracker"\n\n[[prior', '0]\nstation = "one"\n\n[[prior'),
-    ],
-)
-def test_a_station_of_unlike_setups_is_refused(
-    old: str, new: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("old", "new"), [
+    ("-30.0, 40.0, 0.0]\n", "-30.0, 40.0, 0.0]\ntolerance = { shift_x_mm = 1.0 }\n",),
+    ('"pose_tracker_position"\ntool_mm = [-', '"length_gauge"\ntool_mm = [-'),
+    ('0]\nstation = "tracker"\n\n[[prior', '0]\nstation = "one"\n\n[[prior'),
+])  # fmt: skip
+def test_a_station_of_unlike_setups_is_refused(old, new, tmp_path):
     error = sample.refused(STUDY, (old, new), folder=tmp_path)
     assert "setup[2].station" in str(error)
     assert "one instrument and the same tolerances" in str(error)
 
 
-def test_the_machines_page_says_towards_what_an_axis_tilts(capsys) -> None:
-    """The crank of hexapod_rus at -15 deg swings about (sin, cos, 0) of that angle."""
-    assert main(["list", "machines", "--json"]) == 0
-    entries = {e["name"]: e for e in json.loads(capsys.readouterr().out)}
-    about = {c["name"]: c["about"] for c in entries["hexapod_rus"]["columns"]}
-    assert about["tilt1a_deg"].startswith("tilt of the axis of crank 1 towards (")
-    towards = np.array(
-        [
-            [
-                float(v)
-                for v in about[f"tilt1{k}_deg"].split("(")[1].split(")")[0].split(",")
-            ]
-            for k in "ab"
-        ]
-    )
-    angle = np.radians(-15.0)
-    axis = np.array([np.sin(angle), -np.cos(angle), 0.0])
-    np.testing.assert_allclose(towards @ axis, 0.0, atol=2e-3)
-    np.testing.assert_allclose(towards @ towards.T, np.eye(2), atol=5e-3)
-    for entry in entries.values():
-        parameters = [c for c in entry["columns"] if c["role"] == "parameter"]
-        assert parameters
-        assert all(c["about"] for c in parameters), entry["name"]
-
-
-def test_the_workspace_holds_for_the_reference_tool(tmp_path: Path) -> None:
-    """A nest 300 mm beside the axis rises by 300 mm sin 14 deg where the platform tilts.
-
-    The reference tool stays in the middle: the pose is inside, whatever the nest's z.
-    """
+def test_the_workspace_holds_for_the_reference_tool(tmp_path):
+    """A nest 300 mm beside the axis rises where the platform tilts; the pose is inside."""
     high = 550.0 + 300.0 * np.sin(np.radians(14.0))
-    grid = f"""
-[[design.reference]]
-name = "tilted"
-setup = "one"
-x_mm = [{300.0 * np.cos(np.radians(14.0)):.6f}]
-y_mm = [0.0]
-z_mm = [{high:.6f}]
-rx_deg = [0.0]
-ry_deg = [-14.0]
-spin_deg = [0.0]
-"""
+    x, z = f"x_mm = [{300.0 * np.cos(np.radians(14.0)):.6f}]", f"z_mm = [{high:.6f}]"
+    turn = "y_mm = [0.0]\nrx_deg = [0.0]\nry_deg = [-14.0]\nspin_deg = [0.0]"
+    grid = f'\n[[design.reference]]\nname = "tilted"\nsetup = "one"\n{x}\n{z}\n{turn}\n'
     far = STUDY.replace("[50.0, 0.0, 0.0]", "[300.0, 0.0, 0.0]")
     (plan,) = sample.resolved(far + grid, tmp_path).reference_plans
     kinematics = Measurement(machine, []).kinematics

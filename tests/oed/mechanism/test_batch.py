@@ -38,16 +38,12 @@ def same(got: list[np.ndarray], want: list[np.ndarray]) -> bool:
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_batches_of_any_size_equal_numpy(
-    function: BatchedFunction, rng: np.random.Generator, n: int
-) -> None:
+def test_batches_of_any_size_equal_numpy(function, rng, n):
     a, b = rng.uniform(1, 2, (n, 3)), rng.uniform(1, 2, (n, 2))
     assert same(function(a, b), expected(a, b))
 
 
-def test_one_row_serves_all(
-    function: BatchedFunction, rng: np.random.Generator
-) -> None:
+def test_one_row_serves_all(function, rng):
     a, b = rng.uniform(1, 2, (70, 3)), rng.uniform(1, 2, 2)
     wide = np.tile(b, (70, 1))
     assert same(function(a, b), expected(a, wide))
@@ -55,9 +51,7 @@ def test_one_row_serves_all(
     assert same(function(a[0], b), expected(a[:1], wide[:1]))
 
 
-def test_results_are_not_overwritten_by_the_next_call(
-    function: BatchedFunction, rng: np.random.Generator
-) -> None:
+def test_results_are_not_overwritten_by_the_next_call(function, rng):
     a, b = rng.uniform(1, 2, (10, 3)), rng.uniform(1, 2, (10, 2))
     first = function(a, b)
     kept = [r.copy() for r in first]
@@ -65,9 +59,7 @@ def test_results_are_not_overwritten_by_the_next_call(
     assert all((r == k).all() for r, k in zip(first, kept, strict=True))
 
 
-def test_inputs_may_be_views_and_are_left_alone(
-    function: BatchedFunction, rng: np.random.Generator
-) -> None:
+def test_inputs_may_be_views_and_are_left_alone(function, rng):
     a, b = rng.uniform(1, 2, (3, 12)).T[::2], rng.uniform(1, 2, (6, 4))[:, ::2]
     before = a.copy(), b.copy()
     assert same(function(a, b), expected(*before))
@@ -75,7 +67,7 @@ def test_inputs_may_be_views_and_are_left_alone(
     assert (b == before[1]).all()
 
 
-def test_an_empty_input_and_an_empty_batch() -> None:
+def test_an_empty_input_and_an_empty_batch():
     none = ca.SX.sym("none", 0)
     square = BatchedFunction("g", [A, none], [A**2, ca.jacobian(A, none)])
     value, slope = square(np.full((5, 3), 2.0), np.zeros((5, 0)))
@@ -84,6 +76,6 @@ def test_an_empty_input_and_an_empty_batch() -> None:
     assert square(np.zeros((0, 3)), np.zeros((0, 0)))[0].shape == (0, 3)
 
 
-def test_a_batch_of_the_wrong_length_is_refused(function: BatchedFunction) -> None:
+def test_a_batch_of_the_wrong_length_is_refused(function):
     with pytest.raises(ValueError, match="broadcast"):
         function(np.ones((4, 3)), np.ones((3, 2)))

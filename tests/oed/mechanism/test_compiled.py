@@ -11,7 +11,7 @@ from kernel.mechanism.compiling import both, compiled, compiled_files, needs_com
 from oed.mechanism import BatchedFunction, batch, newton, systems
 from oed.mechanism import compiled as lanes
 from oed.mechanism.batch import CompileSettingError
-from oed.mechanism.systems import AdjointRows, SolvedSystems
+from oed.mechanism.systems import SolvedSystems
 
 __all__ = ["compiled_files"]
 pytestmark = [needs_compiler, pytest.mark.usefixtures("compiled_files")]
@@ -25,7 +25,7 @@ def batched(inputs: list[ca.SX], outputs: list[ca.SX]) -> BatchedFunction:
     return compiled(lambda: BatchedFunction("f", inputs, outputs))
 
 
-def test_a_point_does_not_depend_on_its_neighbours(rng: np.random.Generator) -> None:
+def test_a_point_does_not_depend_on_its_neighbours(rng):
     function = batched([A, Z], [ca.sin(A) * Z, A @ Z.T / A[0]])
     a, z = rng.uniform(1.0, 2.0, (2, 20, 2))
     together = function(a, z)
@@ -35,7 +35,7 @@ def test_a_point_does_not_depend_on_its_neighbours(rng: np.random.Generator) -> 
             assert every[k].tolist() == alone[0].tolist()
 
 
-def test_inputs_lie_anywhere(rng: np.random.Generator) -> None:
+def test_inputs_lie_anywhere(rng):
     function = batched([A, Z], [A + 2.0 * Z])
     wide = rng.uniform(1.0, 2.0, (30, 8))
     a, z = wide[::2, 1:3], wide[::-2, ::4]  # rows apart, columns apart
@@ -45,14 +45,14 @@ def test_inputs_lie_anywhere(rng: np.random.Generator) -> None:
     assert function(np.zeros((0, 2)), z[3])[0].shape == (0, 2)
 
 
-def test_inputs_of_another_size_are_refused() -> None:
+def test_inputs_of_another_size_are_refused():
     function = batched([A, Z], [A + Z])
     for a, z in (((9, 3), (9, 2)), ((9, 2), (9, 1)), ((9, 2), (8, 2))):
         with pytest.raises(ValueError, match=r"entries|broadcast"):
             function(np.ones(a), np.ones(z))
 
 
-def test_a_very_long_function_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_very_long_function_is_not_compiled(monkeypatch):
     monkeypatch.setattr(batch, "MAX_INSTRUCTIONS", 3)
     function = batched([A, Z], [A + Z])
     assert function(np.ones(2), np.ones(2))[0].tolist() == [[2.0, 2.0]]
@@ -81,7 +81,7 @@ def solve(equations: ca.SX, start: np.ndarray, a: np.ndarray) -> SolvedSystems:
 
 
 @pytest.mark.parametrize("n", COUNTS)
-def test_solutions_are_the_closed_form(rng: np.random.Generator, n: int) -> None:
+def test_solutions_are_the_closed_form(rng, n):
     a = rng.uniform(1.0, 1.2, (n, 2))
     z = np.column_stack([np.sqrt(a[:, 0]), a[:, 1] / np.sqrt(a[:, 0])])
     x, solved, near = solve(SQUARES, z + rng.uniform(-0.05, 0.05, z.shape), a)
@@ -90,14 +90,14 @@ def test_solutions_are_the_closed_form(rng: np.random.Generator, n: int) -> None
     np.testing.assert_allclose(x, z, rtol=4e-16, atol=0.0)
 
 
-def test_what_has_no_solution_is_not_solved_and_disturbs_no_other() -> None:
+def test_what_has_no_solution_is_not_solved_and_disturbs_no_other():
     a = np.array([[1.0, 1.0], [-1.0, 1.0], [np.nan, 1.0], [1.21, 1.1]])
     x, solved, _ = solve(SQUARES, np.full((4, 2), 1.05), a)
     assert solved.tolist() == [True, False, False, True]
     np.testing.assert_allclose(x[[0, 3]], [[1.0, 1.0], [1.1, 1.0]], rtol=1e-15)
 
 
-def test_a_double_root_is_not_solved() -> None:
+def test_a_double_root_is_not_solved():
     """Steps halve there: a short one does not show that the error is short."""
     equations = ca.vertcat((Z[0] - A[0]) ** 2, Z[1] - A[1])
     a = np.ones((3, 2))
@@ -105,14 +105,14 @@ def test_a_double_root_is_not_solved() -> None:
     assert not solve(equations, start, a).solved.any()
 
 
-def test_a_step_longer_than_the_longest_is_left_to_careful_steps() -> None:
+def test_a_step_longer_than_the_longest_is_left_to_careful_steps():
     a, start = np.ones((2, 2)), np.array([[1.3, 1.0], [1.01, 1.0]])
     _, solved, near = solve(SQUARES, start, a)
     assert solved.tolist() == [False, True]
     assert not near.any()
 
 
-def test_a_system_does_not_depend_on_its_neighbours(rng: np.random.Generator) -> None:
+def test_a_system_does_not_depend_on_its_neighbours(rng):
     """Some are solved in one step, others in four."""
     a = np.column_stack([rng.uniform(1.0, 1.2, 40), np.ones(40)])
     start = np.sqrt(a) + rng.uniform(-0.1, 0.1, (40, 2)) * (np.arange(40)[:, None] % 3)
@@ -122,7 +122,7 @@ def test_a_system_does_not_depend_on_its_neighbours(rng: np.random.Generator) ->
         assert alone.values[0].tolist() == together.values[k].tolist()
 
 
-def test_each_point_chooses_its_pivots() -> None:
+def test_each_point_chooses_its_pivots():
     """The pivot of the first system is 0 in the second: no order serves both."""
     turned = ca.vertcat(
         ca.cos(A[0]) * Z[0] + ca.sin(A[0]) * Z[1], -ca.sin(A[0]) * Z[0] + Z[1]
@@ -133,7 +133,7 @@ def test_each_point_chooses_its_pivots() -> None:
     assert np.abs(x).max() < 1e-15
 
 
-def test_factors_are_those_of_lapack(rng: np.random.Generator) -> None:
+def test_factors_are_those_of_lapack(rng):
     matrices = rng.standard_normal((50, 5, 5))
     right = rng.standard_normal((50, 5))
     found = systems.factors(matrices).solve(right.T.copy()).T
@@ -142,13 +142,7 @@ def test_factors_are_those_of_lapack(rng: np.random.Generator) -> None:
     assert (error < 1e-15 * np.maximum(np.linalg.cond(matrices), 10.0)).all()
 
 
-def pull_back(
-    inputs: list[ca.SX],
-    outputs: list[ca.SX],
-    values: list[np.ndarray],
-    right: np.ndarray,
-    scale: np.ndarray,
-) -> AdjointRows:
+def pull_back(inputs, outputs, values, right, scale):
     """Rows compiled, and with the same digits without."""
     fast, plain = both(lambda: BatchedFunction("f", inputs, outputs))
     rows, other = (f.pull_back(values, right, scale) for f in (fast, plain))
@@ -161,7 +155,7 @@ def pull_back(
 
 
 @pytest.mark.parametrize("n", [1, 37, 300])
-def test_rows_by_adjoints_are_those_of_lapack(rng: np.random.Generator, n: int) -> None:
+def test_rows_by_adjoints_are_those_of_lapack(rng, n):
     size = 5
     entries, factors = ca.SX.sym("entries", size * size), ca.SX.sym("factors", size)
     by = ca.SX.sym("by", size, 3)
@@ -172,13 +166,12 @@ def test_rows_by_adjoints_are_those_of_lapack(rng: np.random.Generator, n: int) 
     slopes = rng.standard_normal((n, size, 3))
     right = rng.standard_normal((n, 2, size))
     scale = np.array([1.0, 0.5, 2.0, 1.0, 3.0])
-    rows = pull_back(
+    inputs, outputs = (
         [entries, ca.vec(by), factors],
         [ca.reshape(entries, size, size), row],
-        [m.transpose(0, 2, 1).reshape(n, -1) for m in (matrices, slopes)],
-        right,
-        scale,
     )
+    given = [m.transpose(0, 2, 1).reshape(n, -1) for m in (matrices, slopes)]
+    rows = pull_back(inputs, outputs, given, right, scale)
     adjoint = np.linalg.solve(matrices.transpose(0, 2, 1), right.transpose(0, 2, 1))
     want = adjoint.transpose(0, 2, 1) @ slopes
     np.testing.assert_allclose(rows.values, want, rtol=1e-11, atol=1e-12)
@@ -189,15 +182,12 @@ def test_rows_by_adjoints_are_those_of_lapack(rng: np.random.Generator, n: int) 
     np.testing.assert_allclose(rows.condition, norm / volume, rtol=1e-9)
 
 
-def test_a_singular_matrix_has_no_finite_condition() -> None:
+def test_a_singular_matrix_has_no_finite_condition():
     entries, factors = ca.SX.sym("entries", 4), ca.SX.sym("factors", 2)
     matrices = np.array([[1.0, 2.0, 2.0, 4.0], [1.0, 0.0, 0.0, 1.0]])
+    outputs = [ca.reshape(entries, 2, 2), factors.T]
     rows = pull_back(
-        [entries, factors],
-        [ca.reshape(entries, 2, 2), factors.T],
-        [matrices],
-        np.ones((2, 1, 2)),
-        np.ones(2),
+        [entries, factors], outputs, [matrices], np.ones((2, 1, 2)), np.ones(2)
     )
     assert np.isfinite(rows.condition).tolist() == [False, True]
 
@@ -206,9 +196,7 @@ def test_a_singular_matrix_has_no_finite_condition() -> None:
 
 
 @pytest.mark.parametrize("cores", [2, 3])
-def test_cores_share_points_and_change_no_digit(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, cores: int
-) -> None:
+def test_cores_share_points_and_change_no_digit(rng, monkeypatch, cores):
     monkeypatch.setattr(lanes, "MIN_SHARED_POINTS", 16)
     function = batched([A, Z], [ca.exp(A) * ca.sin(Z)])
     a, z = rng.uniform(1.0, 2.0, (2, 101, 2))
@@ -219,9 +207,7 @@ def test_cores_share_points_and_change_no_digit(
 
 
 @pytest.mark.parametrize(("stated", "most"), [("1", 1), ("", math.inf), ("0", 1)])
-def test_a_stated_number_of_threads_holds(
-    monkeypatch: pytest.MonkeyPatch, stated: str, most: float
-) -> None:
+def test_a_stated_number_of_threads_holds(monkeypatch, stated, most):
     monkeypatch.setenv("OMP_NUM_THREADS", stated)
     assert 1 <= lanes._cores() <= most
 
@@ -239,9 +225,7 @@ def is_compiled(function: BatchedFunction) -> bool:
 
 
 @pytest.mark.usefixtures("unset")
-def test_a_function_is_compiled_beside_the_work(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_function_is_compiled_beside_the_work(monkeypatch):
     """Then another, of another machine, finds the file once a look would pay."""
     monkeypatch.setattr(lanes, "MIN_SHARED_POINTS", 10**9)
     function = BatchedFunction("f", [A, Z], [ca.sin(A) * Z])
@@ -256,7 +240,7 @@ def test_a_function_is_compiled_beside_the_work(
 
 
 @pytest.mark.usefixtures("unset")
-def test_a_call_that_is_longer_than_the_compilation_waits_for_it() -> None:
+def test_a_call_that_is_longer_than_the_compilation_waits_for_it():
     function = BatchedFunction("f", [A, Z], [ca.cos(A) * Z + 3.0])
     x = np.ones((200, 2))
     job = batch.CompiledJob(lanes.Evaluation, function._function, "")
@@ -264,7 +248,7 @@ def test_a_call_that_is_longer_than_the_compilation_waits_for_it() -> None:
     np.testing.assert_array_equal(job.ready.run([x, x], 200)[0], function(x, x)[0])
 
 
-def test_the_variable_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_variable_decides(monkeypatch):
     def setting(value: str) -> bool:
         monkeypatch.setenv(batch.COMPILE_VARIABLE, value)
         return is_compiled(BatchedFunction("f", [A, Z], [ca.sin(A) * Z]))

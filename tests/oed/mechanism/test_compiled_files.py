@@ -65,7 +65,7 @@ def load(text: str) -> Any:
     return library.functions
 
 
-def test_a_text_is_compiled_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_is_compiled_once(folder, monkeypatch):
     assert load(text_of(41)).answer() == 41
     (file,) = folder.iterdir()
     forget()
@@ -75,9 +75,7 @@ def test_a_text_is_compiled_once(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
-def test_another_compiler_or_processor_compiles_anew(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_compiler_or_processor_compiles_anew(folder, monkeypatch):
     load(text_of(42))
     for identity in ("another", "a third"):
         known = compiler.find_compiler(os.environ["PATH"])
@@ -89,14 +87,14 @@ def test_another_compiler_or_processor_compiles_anew(
     assert len([*folder.iterdir()]) == 3
 
 
-def test_machines_of_other_dimensions_share_a_file(folder: Path) -> None:
+def test_machines_of_other_dimensions_share_a_file(folder):
     for number in (0.5, 0.7):
         function = compiled(lambda n=number: BatchedFunction("f", [X], [n * X + 1.0]))
         np.testing.assert_array_equal(function(POINTS)[0], number * POINTS + 1.0)
     assert len([*folder.iterdir()]) == 1
 
 
-def test_two_processes_compile_at_once(folder: Path, tmp_path: Path) -> None:
+def test_two_processes_compile_at_once(folder, tmp_path):
     start = str(time.time() + 3.0)
     command = [sys.executable, "-c", PROGRAM, str(folder), text_of(43), start]
     processes = [
@@ -109,7 +107,7 @@ def test_two_processes_compile_at_once(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty"])
-def test_a_damaged_file_is_compiled_anew(folder: Path, damage: str) -> None:
+def test_a_damaged_file_is_compiled_anew(folder, damage):
     load(text_of(44))
     (file,) = folder.iterdir()
     content = bytearray(file.read_bytes())
@@ -122,9 +120,7 @@ def test_a_damaged_file_is_compiled_anew(folder: Path, damage: str) -> None:
     assert [compiler._is_whole(f) for f in folder.iterdir()] == [True]
 
 
-def test_without_a_compiler_the_interpreter_serves(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_a_compiler_the_interpreter_serves(folder, monkeypatch, tmp_path):
     assert runs_compiled()
     forget()
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -133,8 +129,8 @@ def test_without_a_compiler_the_interpreter_serves(
 
 @pytest.mark.parametrize("program", ["exit 1", "echo no library > $OUT", "sleep 60"])
 def test_where_the_compiler_fails_the_interpreter_serves(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str
-) -> None:
+    folder, monkeypatch, tmp_path, program
+):
     """It ends with an error; it writes something else; it does not end."""
     script = tmp_path / "cc"
     find_output = 'while [ "$1" != -o ]; do shift; done; OUT="$2"'
@@ -149,8 +145,8 @@ def test_where_the_compiler_fails_the_interpreter_serves(
 
 
 def test_a_compiler_that_does_not_know_the_processor_serves(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    folder, monkeypatch, tmp_path
+):
     known = compiler.find_compiler(os.environ["PATH"])
     script = tmp_path / "cc"
     script.write_text(
@@ -162,17 +158,13 @@ def test_a_compiler_that_does_not_know_the_processor_serves(
     assert runs_compiled()
 
 
-def test_where_the_folder_cannot_be_the_interpreter_serves(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_folder_cannot_be_the_interpreter_serves(folder, monkeypatch):
     folder.write_text("a file in its place")
     assert not runs_compiled()
     assert folder.read_text() == "a file in its place"
 
 
-def test_a_folder_that_is_only_read_serves_what_it_has(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_is_only_read_serves_what_it_has(folder, monkeypatch):
     """Permissions do not stop the administrator: the write itself fails here."""
     assert runs_compiled()
 
@@ -189,23 +181,15 @@ def test_a_folder_that_is_only_read_serves_what_it_has(
     assert not [*folder.iterdir()]
 
 
-def test_a_folder_where_others_write_is_not_used(folder: Path) -> None:
+@pytest.mark.parametrize("writable", ["compiled", "."])
+def test_a_folder_that_others_can_write_or_replace_is_not_used(folder, writable):
     folder.mkdir()
-    folder.chmod(0o777)
+    (folder.parent / writable).chmod(0o777)
     assert not runs_compiled()
     assert not [*folder.iterdir()]
 
 
-def test_a_folder_in_which_others_can_replace_it_is_not_used(folder: Path) -> None:
-    folder.mkdir()
-    folder.parent.chmod(0o777)
-    assert not runs_compiled()
-    assert not [*folder.iterdir()]
-
-
-def test_a_compiler_of_the_current_folder_is_not_called(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_compiler_of_the_current_folder_is_not_called(tmp_path, monkeypatch):
     forget()
     script = tmp_path / "cc"
     script.write_text("#!/bin/sh\n", encoding="utf-8")
@@ -216,7 +200,7 @@ def test_a_compiler_of_the_current_folder_is_not_called(
     forget()
 
 
-def test_the_folder_stays_small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_stays_small(folder, monkeypatch):
     monkeypatch.setattr(compiler, "MAX_FILES", 2)
     for number in range(4):
         load(text_of(number))
@@ -224,7 +208,7 @@ def test_the_folder_stays_small(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     assert load(text_of(0)).answer() == 0  # this process has it still
 
 
-def test_a_program_that_ends_ends_its_compiler(tmp_path: Path) -> None:
+def test_a_program_that_ends_ends_its_compiler(tmp_path):
     """It does not wait for it, and leaves no file."""
     script = tmp_path / "cc"
     script.write_text("#!/bin/sh\nexec sleep 60\n")

@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
-from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, cables_planar, linear_delta
 
 from oed.mechanism import (
@@ -36,9 +35,7 @@ def direction(rng: np.random.Generator) -> np.ndarray:
     return tolerance * rng.standard_normal(len(NOMINAL))
 
 
-def test_joints_of_a_redundant_machine_follow_all_its_equations(
-    rng: np.random.Generator,
-) -> None:
+def test_joints_of_a_redundant_machine_follow_all_its_equations(rng):
     """A cable that starts elsewhere is paid out by as much: no other cable pulls at it."""
     machine = cables_planar.machine
     command = rng.uniform(-0.3, 0.3, (4, 2))
@@ -48,7 +45,7 @@ def test_joints_of_a_redundant_machine_follow_all_its_equations(
     assert np.abs(model.remaining).max() < 1e-12
 
 
-def test_an_error_model_is_the_slope_of_exact_errors(direction: np.ndarray) -> None:
+def test_an_error_model_is_the_slope_of_exact_errors(direction):
     """By differences, with a tool that is beside the axis; what is held stays in place."""
     model = ErrorModel.of(A3, COMMAND, TOOL)
     _, q = A3.inverse(COMMAND, tool=TOOL)
@@ -76,19 +73,8 @@ def test_an_error_model_is_the_slope_of_exact_errors(direction: np.ndarray) -> N
     assert np.abs(held).max() < 1e-9 * size
 
 
-def test_a_displacement_is_a_shift_and_a_rotation_vector() -> None:
-    turn = np.array([[0.0, 0.3, 0.0], [0.1, -0.2, 0.05]])
-    rotations = Rotation.from_rotvec(turn).as_matrix()
-    start = np.tile(Rotation.from_euler("z", 0.7).as_matrix(), (2, 1, 1))
-    points = np.arange(6.0).reshape(2, 3)
-    twist = pose_errors.twist_between(start, points, rotations @ start, points + 1.0)
-    assert twist == pytest.approx(np.hstack([np.ones((2, 3)), turn]))
-
-
 @pytest.mark.parametrize("index", [[0, 1, 2], [1] * 6, [0, 2] * 6])
-def test_slopes_pulled_back_are_those_of_the_sensitivity(
-    index: list[int], rng: np.random.Generator
-) -> None:
+def test_slopes_pulled_back_are_those_of_the_sensitivity(index, rng):
     """Whether readings see poses of their own, one pose, or few."""
     x, q = A3.inverse(COMMAND)
     adjoints = PoseAdjoints(A3.slopes, x[None], q[None], NOMINAL[None])
@@ -98,7 +84,7 @@ def test_slopes_pulled_back_are_those_of_the_sensitivity(
     assert adjoints.pull_back(slopes, poses)[0] == pytest.approx(wanted, abs=1e-12)
 
 
-def test_forward_undoes_inverse_and_slopes_are_differences() -> None:
+def test_forward_undoes_inverse_and_slopes_are_differences():
     expressions = machine_expressions(a3_head.machine)
     inverse = InverseKinematics(a3_head.machine, expressions)
     x, q = inverse.solve(COMMAND, NOMINAL, np.zeros(3))
@@ -115,7 +101,7 @@ def test_forward_undoes_inverse_and_slopes_are_differences() -> None:
     np.testing.assert_allclose(over_joint[..., 0], slope, atol=1e-8)
 
 
-def test_what_is_out_of_reach_is_listed_with_its_command() -> None:
+def test_what_is_out_of_reach_is_listed_with_its_command():
     command = np.array([[0.0, 0.0, 0.05], [9.0, 0.0, 0.05]])
     with pytest.raises(AssemblyError, match="out of reach") as error:
         Kinematics(linear_delta.machine).inverse(command)
@@ -134,7 +120,7 @@ def short_arms() -> Machine:
     )
 
 
-def test_where_home_fails_as_well_the_commands_are_listed() -> None:
+def test_where_home_fails_as_well_the_commands_are_listed():
     command = np.array([[0.01, 0.0, 0.05], [0.0, 0.02, 0.05]])
     with pytest.raises(AssemblyError, match="out of reach") as error:
         Kinematics(short_arms()).inverse(command)
@@ -142,7 +128,7 @@ def test_where_home_fails_as_well_the_commands_are_listed() -> None:
     assert error.value.first == pytest.approx(command[0])
 
 
-def test_a_machine_that_assembles_has_no_open_equation() -> None:
+def test_a_machine_that_assembles_has_no_open_equation():
     machine = linear_delta.machine
     closest = closest_closure(machine, np.array([0.01, 0.02, 0.05]))
     assert closest.still_open == ()

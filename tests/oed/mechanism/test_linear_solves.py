@@ -13,7 +13,7 @@ SINGULAR = np.array([[1.0, 2.0], [2.0, 4.0]])
 RIGHT = np.array([[3.0, 0.0], [1.0, 2.0]])
 
 
-def test_a_singular_pose_leaves_the_solutions_of_the_others() -> None:
+def test_a_singular_pose_leaves_the_solutions_of_the_others():
     """Wherever it stands among them."""
     by_hand = np.array([[2.0, 1.0], [1.0, -1.0]])
     for place in range(3):
@@ -25,14 +25,14 @@ def test_a_singular_pose_leaves_the_solutions_of_the_others() -> None:
             assert solutions[other] == pytest.approx(by_hand)
 
 
-def test_a_pose_without_numbers_beside_a_singular_one_has_none() -> None:
+def test_a_pose_without_numbers_beside_a_singular_one_has_none():
     matrices = np.stack([REGULAR, SINGULAR, np.full((2, 2), np.nan)])
     solutions = solve_linear(matrices, np.stack([RIGHT] * 3))
     assert np.isfinite(solutions[0]).all()
     assert np.isnan(solutions[1:]).all()
 
 
-def test_blocks_of_systems_are_solved_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_of_systems_are_solved_as_one(monkeypatch):
     """Square roots, of which one fails, in blocks of two."""
     goal = np.array([0.01, 0.04, -1.0, 0.09, 0.16])
 

@@ -12,7 +12,7 @@ from oed.mechanism import Kinematics, closest_closure
 machine = linear_delta.machine
 
 
-def test_a_machine_that_does_not_assemble_can_be_looked_at() -> None:
+def test_a_machine_that_does_not_assemble_can_be_looked_at():
     """Carriages level with the tool at the centre: the arm's ends are a radius apart."""
     radius, arm, endstop = 0.16175, 0.345, 0.420
     level = endstop + np.sqrt(arm**2 - radius**2)
@@ -26,9 +26,7 @@ def test_a_machine_that_does_not_assemble_can_be_looked_at() -> None:
     np.testing.assert_allclose(guess.lines[0], [[0.0, 0.0, 0.05], [1.0, 1.0, 1.0]])
 
 
-def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(
-    rng: np.random.Generator,
-) -> None:
+def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(rng):
     """The cranks are those of the same pose without a tool, within half a turn."""
     kinematics = Kinematics(hexapod_rus.machine)
     tool = np.array([0.15, 0.0, 0.03])

@@ -1,7 +1,5 @@
 """NumPy operations and compiled functions: each digit is that of CasADi's interpreter."""
 
-from collections.abc import Callable
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ from kernel.mechanism.compiling import (
 from oed.mechanism import BatchedFunction, batch
 from oed.mechanism import compiled as lanes
 from oed.mechanism.graph import read_graph
-from oed.mechanism.tape import LIBRARY_POINTS, TAPE_SIZES, ArrayTape
+from oed.mechanism.tape import TAPE_SIZES, ArrayTape
 
 __all__ = ["compiled_files"]
 
@@ -23,33 +21,18 @@ X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 #: one output for each operation
 OUTPUTS = {
     "arithmetic": X + Y * 3.0 - X / Y + (-X) ** 2 + 2 * X + 1 / Y,
-    "power": X**Y,
-    "constant power": X**2.5,
-    "root": ca.sqrt(X),
-    "exp": ca.exp(X),
-    "log": ca.log(X),
-    "sin": ca.sin(X),
-    "cos": ca.cos(X),
-    "both": ca.sin(X * Y) * ca.cos(X * Y),
-    "tan": ca.tan(X),
-    "asin": ca.asin(X / 9),
-    "acos": ca.acos(X / 9),
-    "atan": ca.atan(X),
-    "atan2": ca.atan2(X, Y),
-    "sinh": ca.sinh(X),
-    "cosh": ca.cosh(X),
-    "tanh": ca.tanh(X),
-    "hypot": ca.hypot(X, Y),
-    "copysign": ca.copysign(X, Y),
-    "sign": ca.sign(X),
-    "abs": ca.fabs(X),
+    "power": X**Y, "constant power": X**2.5, "root": ca.sqrt(X), "exp": ca.exp(X),
+    "log": ca.log(X), "sin": ca.sin(X), "cos": ca.cos(X),
+    "both": ca.sin(X * Y) * ca.cos(X * Y), "tan": ca.tan(X), "asin": ca.asin(X / 9),
+    "acos": ca.acos(X / 9), "atan": ca.atan(X), "atan2": ca.atan2(X, Y),
+    "sinh": ca.sinh(X), "cosh": ca.cosh(X), "tanh": ca.tanh(X), "hypot": ca.hypot(X, Y),
+    "copysign": ca.copysign(X, Y), "sign": ca.sign(X), "abs": ca.fabs(X),
     "least": ca.fmin(X, Y) + ca.fmax(X, 1.0),
     "rounded": ca.floor(3 * X) + ca.ceil(3 * Y) + ca.fmod(X, Y),
     "if": ca.if_else(X < Y, X, 5.0) + ca.if_else(ca.logic_and(X <= 1, Y != 1), Y, 0),
     "or": ca.if_else(ca.logic_or(ca.logic_not(X), X == Y), 1.0, X),
-    "constant": ca.SX(4.0),
-    "input": X,
-}
+    "constant": ca.SX(4.0), "input": X,
+}  # fmt: skip
 SPECIAL = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e-310, 1e300])
 COUNTS = (1, 9, 192, 255, 300, 2 * max(TAPE_SIZES) + 7)
 
@@ -71,9 +54,7 @@ def _is_same(one: np.ndarray, other: np.ndarray) -> bool:
 @needs_compiler
 @pytest.mark.usefixtures("compiled_files")
 @pytest.mark.parametrize("count", COUNTS)
-def test_three_ways_have_the_same_digits(
-    count: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_three_ways_have_the_same_digits(count, rng, monkeypatch):
     """CasADi's own call is the oracle of the first points."""
     outputs = list(OUTPUTS.values())
     fast = compiled(lambda: BatchedFunction("f", [X, Y], outputs))
@@ -95,19 +76,8 @@ def test_three_ways_have_the_same_digits(
             assert _is_same(values[k], np.array(wanted).ravel()), name
 
 
-def test_sines_are_those_of_mathematics() -> None:
-    angles = np.linspace(-30.0, 30.0, LIBRARY_POINTS + 3)[:, None]
-    tape = ArrayTape(ca.Function("f", [X], [ca.sin(X), ca.cos(X)]))
-    sine, cosine = np.empty_like(angles), np.empty_like(angles)
-    tape.run([angles], [sine, cosine])
-    np.testing.assert_allclose(sine, np.sin(angles), rtol=1e-15, atol=1e-16)
-    np.testing.assert_allclose(cosine, np.cos(angles), rtol=1e-15, atol=1e-16)
-
-
 @pytest.mark.parametrize("special", [ca.erf, ca.log1p])
-def test_an_unknown_operation_is_left_to_the_interpreter(
-    special: Callable[..., ca.SX],
-) -> None:
+def test_an_unknown_operation_is_left_to_the_interpreter(special):
     function = ca.Function("f", [X], [special(X)])
     assert not ArrayTape(function).is_known
     assert read_graph(function) is None
@@ -116,7 +86,7 @@ def test_an_unknown_operation_is_left_to_the_interpreter(
     assert [float(function(a)) for a in x[:5]] == values[:5, 0].tolist()
 
 
-def test_the_graph_tells_what_an_input_changes_and_a_value_needs() -> None:
+def test_the_graph_tells_what_an_input_changes_and_a_value_needs():
     a, b = ca.SX.sym("a"), ca.SX.sym("b")
     graph = read_graph(ca.Function("f", [a, b], [ca.sin(a) * b, ca.sqrt(b)]))
     varying = graph.varying([0])

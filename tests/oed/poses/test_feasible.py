@@ -1,6 +1,4 @@
-"""Which candidates can be taken, against the oracles' geometry, dense sampling and
-virtual machines.
-"""
+"""Which candidates can be taken: the oracles' geometry, sampling, virtual machines."""
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ from oed.poses import ReadingLimits
 from oed.poses.feasible import DirectionCone
 
 
-def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> None:
+def test_joint_travel_is_reported_joint_by_joint(rng):
     m = a3_plans.measurement(taught=False)
     command = CASES["a3_head"].commands(rng, 300)
     q = a3.inverse_nominal(*command.T)
@@ -36,10 +34,8 @@ def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> No
         ReadingLimits(joints={"q9": (0.0, 1.0)}).check(m, m.series("cup", command))
 
 
-def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
-    """The A3 reaches struts of 0.2 to 1.2 m; a series from joints beyond that is
-    refused.
-    """
+def test_the_machines_own_joint_range_holds_without_being_asked():
+    """The A3 reaches struts of 0.2 to 1.2 m; a series from joints beyond that is refused."""
     m = Measurement(a3_head.machine, [mount(height_probe.instrument, "probe")])
     q = np.array([[0.3, 0.3, 0.3], [0.19, 0.19, 0.19], [1.2, 1.2, 1.2]])
     feasibility = ReadingLimits().check(m, m.series_from_joints("probe", q))
@@ -49,12 +45,8 @@ def test_the_machines_own_joint_range_holds_without_being_asked() -> None:
     }
 
 
-def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
-    rng: np.random.Generator,
-) -> None:
-    """phi_x of the planar machine holds the struts' directions: its condition number is
-    cot of half their angle.
-    """
+def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(rng):
+    """The condition number of the struts' directions is cot of half their angle."""
     m, command, series = planar_series(rng)
     along = command[:, None] - planar.sliders(planar.inverse(command), planar.NOMINAL)
     half = np.arccos((along[:, 0] * along[:, 1]).sum(-1) / planar.L**2) / 2
@@ -68,7 +60,7 @@ def test_nearness_to_a_singular_pose_is_the_angle_between_the_struts(
     assert (feasibility.allowed == (expected >= limit)).all()
 
 
-def test_travel_of_the_bar_about_its_length(rng: np.random.Generator) -> None:
+def test_travel_of_the_bar_about_its_length(rng):
     m, command, series = planar_series(rng)
     off = np.abs(np.linalg.norm(tips(command) - CUP, axis=1) - LENGTH)
     feasibility = ReadingLimits(travel=0.2).check(m, series)
@@ -85,12 +77,8 @@ def test_travel_of_the_bar_about_its_length(rng: np.random.Generator) -> None:
         ReadingLimits(travel=0.1).check(probe, probe.series("probe", command))
 
 
-def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
-    rng: np.random.Generator,
-) -> None:
-    """20000 machines of the oracle, with correlated errors: bar lengths near the ends
-    of the travel.
-    """
+def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(rng):
+    """20000 machines of the oracle, with correlated errors, near the ends of the travel."""
     draws, travel = 20000, 1.5e-3
     m = bar()
     command = places(rng, 30)
@@ -115,9 +103,7 @@ def test_the_chance_to_stay_within_the_travel_is_that_of_exact_machines(
     assert np.abs(probability - counted).mean() < 0.004
 
 
-def test_a_known_machine_stays_within_the_travel_or_not(
-    rng: np.random.Generator,
-) -> None:
+def test_a_known_machine_stays_within_the_travel_or_not(rng):
     m, _, series = planar_series(rng)
     sure = ReadingLimits(travel=0.2).travel_probability(m, series, np.zeros((10, 10)))
     assert (sure == ReadingLimits(travel=0.2).check(m, series).allowed).all()
@@ -129,7 +115,7 @@ def test_a_known_machine_stays_within_the_travel_or_not(
         ReadingLimits(travel=0.2).travel_probability(m, series, np.eye(7))
 
 
-def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
+def test_the_first_channel_has_the_travel(rng):
     """RM 5 reads dy and dz from the first pose of a line: only dy has the travel."""
     m = Measurement(planar_2dof.machine, [mount(relative.rm5, "rm5")])
     assert len(m.setups["rm5"].sigma) == 2
@@ -143,7 +129,7 @@ def test_the_first_channel_has_the_travel(rng: np.random.Generator) -> None:
     assert (chance == feasibility.allowed).all()
 
 
-def test_a_reading_falls_with_its_reference_pose() -> None:
+def test_a_reading_falls_with_its_reference_pose():
     m = Measurement(planar_2dof.machine, [mount(calliper.instrument, "calliper")])
     command = np.array([[0.0, 1.4], [0.1, 0.2], [0.2, 0.2], [0.0, 0.1], [0.1, 0.3]])
     series = m.series("calliper", command, run=["high", "high", "high", "low", "low"])
@@ -160,10 +146,8 @@ def angle(direction: np.ndarray, axis: np.ndarray) -> np.ndarray:
     )
 
 
-def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) -> None:
-    """The oracle gives tool point and orientation from the joints; the cup is at the
-    teach pose's tool point.
-    """
+def test_solid_angles_at_cup_and_tool_are_the_oracles(rng):
+    """The oracle gives the tool point; the cup is at the teach pose's."""
     command = CASES["a3_head"].commands(rng, 300)
     m = a3_plans.measurement()
     real = a3.forward(np.zeros((1, 24)), a3.inverse_nominal(*command.T))
@@ -187,7 +171,7 @@ def test_solid_angles_at_cup_and_tool_are_the_oracles(rng: np.random.Generator) 
 
 
 @pytest.mark.parametrize("given", [True, False])
-def test_a_cup_that_is_given_wins(rng: np.random.Generator, given: bool) -> None:
+def test_a_cup_that_is_given_wins(rng, given):
     m, command, series = planar_series(rng)
     cup = np.array([0.0, -1.0, -1.0]) if given else CUP
     limits = ReadingLimits(

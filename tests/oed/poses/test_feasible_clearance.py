@@ -27,10 +27,8 @@ from oed.poses.feasible import (
 
 
 @pytest.mark.parametrize("others", [(), ("length",)])
-def test_a_bar_is_held_where_its_settings_say(others: tuple[str, ...]) -> None:
-    """At the three settings of its place, whether it has others or none; without one of
-    them, at the tool point of its teach pose.
-    """
+def test_a_bar_is_held_where_its_settings_say(others):
+    """At the three settings of its place, else at the tool point of its teach pose."""
     place = dict(zip(("at_x", "at_y", "at_z"), CUP, strict=True))
     mounted = bar().setups["bar"]
     settings = {**place, **dict.fromkeys(others, 0.3)}
@@ -49,12 +47,8 @@ def test_a_bar_is_held_where_its_settings_say(others: tuple[str, ...]) -> None:
     assert held_at(settings) == pytest.approx(tips(np.array([teach]))[0])
 
 
-def test_distances_of_segments_are_the_least_found_by_search(
-    rng: np.random.Generator,
-) -> None:
-    """Random, touching, parallel, collinear and shrunken segments, against bounded
-    minimisation of the square.
-    """
+def test_distances_of_segments_are_the_least_found_by_search(rng):
+    """Random, touching, parallel, collinear and shrunken segments, by minimisation."""
     a0, a1, b0, b1 = rng.standard_normal((4, 60, 3))
     a1[0], b1[1] = a0[0], b0[1]  # one is a point
     a1[2], b1[2] = a0[2], b0[2]  # both are
@@ -73,14 +67,8 @@ def test_distances_of_segments_are_the_least_found_by_search(
             )
 
         starts = [(0.1, 0.1), (0.9, 0.1), (0.1, 0.9), (0.9, 0.9)]
-        return float(
-            np.sqrt(
-                min(
-                    minimize(square, s, bounds=[(0, 1), (0, 1)], tol=1e-14).fun
-                    for s in starts
-                )
-            )
-        )
+        box = {"bounds": [(0, 1), (0, 1)], "tol": 1e-14}
+        return float(np.sqrt(min(minimize(square, s, **box).fun for s in starts)))
 
     assert distance == pytest.approx([searched(i) for i in range(60)], abs=2e-6)
     assert distance == pytest.approx(segment_distance(b1, b0, a1, a0), abs=1e-14)
@@ -88,7 +76,7 @@ def test_distances_of_segments_are_the_least_found_by_search(
     assert distance[5] == pytest.approx(0.0, abs=1e-14)
 
 
-def test_distances_of_a_crossing_and_of_a_point() -> None:
+def test_distances_of_a_crossing_and_of_a_point():
     x, y, z = np.eye(3)
     assert segment_distance(-x, x, -y + 2 * z, y + 2 * z) == pytest.approx(2.0)
     assert segment_distance(-x, x, 2 * x - y, 2 * x + y) == pytest.approx(1.0)
@@ -113,12 +101,8 @@ def sampled(ends: np.ndarray, centre: np.ndarray, n: int = 2001) -> np.ndarray:
     return np.asarray(np.linalg.norm(points - centre, axis=-1).min(axis=-1))
 
 
-def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
-    rng: np.random.Generator,
-) -> None:
-    """Lines 0 and 2 of the skeleton are the guides, which are left out; of the A3 all
-    lines, with a longer tool.
-    """
+def test_clearance_of_struts_and_bar_is_that_of_sampled_points(rng):
+    """Lines 0 and 2 of the skeleton are the guides, which are left out."""
     m, command, series = planar_series(rng)
     centre = np.array([0.05, 0.3, 1.0])
     at_guide = sphere((0.0, -2.2, 0.2), 0.45)
@@ -128,13 +112,8 @@ def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
     )
     feasibility = ReadingLimits(surroundings=about).check(m, series)
     link = sampled(struts(command), centre).min(axis=1) - 0.2 - 0.03
-    rod = (
-        sampled(
-            np.stack([np.broadcast_to(CUP, (200, 3)), tips(command)], axis=1), centre
-        )
-        - 0.2
-        - 0.01
-    )
+    rods = np.stack([np.broadcast_to(CUP, (200, 3)), tips(command)], axis=1)
+    rod = sampled(rods, centre) - 0.2 - 0.01
     assert feasibility.details["clearance"] == pytest.approx(
         np.minimum(link, rod), abs=1e-4
     )
@@ -152,9 +131,7 @@ def test_clearance_of_struts_and_bar_is_that_of_sampled_points(
     ).all()
 
 
-def test_clearance_of_a_whole_skeleton_with_a_longer_tool(
-    rng: np.random.Generator,
-) -> None:
+def test_clearance_of_a_whole_skeleton_with_a_longer_tool(rng):
     m = a3_plans.measurement(tools=[0.25])
     series = m.series(
         "cup250", CASES["a3_head"].commands(rng, 20) + np.array([0.25, 0, 0])
@@ -166,19 +143,15 @@ def test_clearance_of_a_whole_skeleton_with_a_longer_tool(
     points = np.linspace(wall.start, wall.end, 401)
     for k in (0, 5, 19):
         tip = m.kinematics.frames(series.start[k : k + 1], np.array([0, 0, 0.25]))[1][0]
-        lines = [
-            np.array(v)
-            for v in m.kinematics.skeleton(
-                series.start[k], series.q[k], m.machine.nominal
-            )
-        ]
+        nominal, x, q = m.machine.nominal, series.start[k], series.q[k]
+        lines = [np.array(v) for v in m.kinematics.skeleton(x, q, nominal)]
         lines.append(np.stack([lines[-1][-1], tip]))
         ends = np.concatenate([np.stack([v[:-1], v[1:]], axis=1) for v in lines])
         expected = min(sampled(ends, point, 801).min() for point in points) - 0.05
         assert clearance[k] == pytest.approx(expected, abs=1e-4)
 
 
-def test_incomplete_surroundings_are_refused() -> None:
+def test_incomplete_surroundings_are_refused():
     with pytest.raises(ValueError, match="at least one obstacle"):
         Surroundings(obstacles=(), bar=0.01)
     with pytest.raises(ValueError, match="nothing that moves is checked"):
@@ -187,17 +160,8 @@ def test_incomplete_surroundings_are_refused() -> None:
         dataclasses.replace(planar_2dof.machine, skeleton=None),
         list(bar().setups.values()),
     )
+    ball = (sphere((0.0, 0.0, 0.0), 0.1),)
     with pytest.raises(ValueError, match="has no skeleton"):
-        Clearance(
-            bare,
-            "bar",
-            Surroundings(obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01),
-        )
+        Clearance(bare, "bar", Surroundings(obstacles=ball, links=0.01))
     with pytest.raises(ValueError, match="lines 0 to 3"):
-        Clearance(
-            bar(),
-            "bar",
-            Surroundings(
-                obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01, ignore=(4,)
-            ),
-        )
+        Clearance(bar(), "bar", Surroundings(obstacles=ball, links=0.01, ignore=(4,)))

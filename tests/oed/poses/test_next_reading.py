@@ -21,9 +21,7 @@ def exact(belief: Belief, rows: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("channels", [1, 2])
-def test_variances_are_those_of_the_summed_information(
-    channels: int, belief: Belief, rng: np.random.Generator
-) -> None:
+def test_variances_are_those_of_the_summed_information(channels, belief, rng):
     blocks = rng.standard_normal((5, channels, 4))
     after = belief.variances_after(blocks)
     for block, variances in zip(blocks, after, strict=True):
@@ -35,9 +33,7 @@ def test_variances_are_those_of_the_summed_information(
     assert belief.best_candidate(blocks) == int(np.argmin(scores))
 
 
-def test_limits_count_for_what_lacks_them(
-    belief: Belief, rng: np.random.Generator
-) -> None:
+def test_limits_count_for_what_lacks_them(belief, rng):
     blocks = rng.standard_normal((8, 1, 4))
     first = np.sqrt(belief.variances[0])
     limits = np.array([0.1 * first, np.nan])
@@ -48,9 +44,7 @@ def test_limits_count_for_what_lacks_them(
     assert belief.open_components(None) == [0, 1]
 
 
-def test_no_single_exchange_betters_the_remaining_readings(
-    belief: Belief, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_single_exchange_betters_the_remaining_readings(belief, rng, monkeypatch):
     blocks = rng.standard_normal((9, 1, 4))
     monkeypatch.setattr(next_reading, "MAX_SWEEPS", 20)  # until nothing changes
 
@@ -65,9 +59,7 @@ def test_no_single_exchange_betters_the_remaining_readings(
     assert alone[0] == min(alone)
 
 
-def test_the_fewest_readings_are_those_of_all_plans(
-    belief: Belief, rng: np.random.Generator
-) -> None:
+def test_the_fewest_readings_are_those_of_all_plans(belief, rng):
     """Readings may be taken again."""
     blocks = rng.standard_normal((6, 1, 4))
     limits = 0.6 * np.sqrt(belief.variances)
@@ -75,11 +67,8 @@ def test_the_fewest_readings_are_those_of_all_plans(
     def reaches(plan: tuple[int, ...]) -> bool:
         return bool((exact(belief, blocks[list(plan), 0]) <= limits**2).all())
 
-    sizes = (
-        size
-        for size in range(1, 7)
-        if any(map(reaches, itertools.combinations_with_replacement(range(6), size)))
-    )
+    plans = itertools.combinations_with_replacement
+    sizes = (n for n in range(1, 7) if any(map(reaches, plans(range(6), n))))
     fewest = next(sizes)
     found = belief.fewest_remaining(blocks, 20, limits)
     assert found is not None

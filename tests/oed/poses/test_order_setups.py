@@ -1,6 +1,5 @@
 """Orders with reference readings and set-ups."""
 
-from collections.abc import Callable
 from itertools import combinations, pairwise, product
 
 import numpy as np
@@ -12,9 +11,7 @@ from oed.instrument import mount
 from oed.poses import order
 
 
-def replay(
-    pose: np.ndarray, move: Callable[[int, int], float], reading: Callable[[int], float]
-) -> list[float]:
+def replay(pose, move, reading):
     """When each reading begins, for a machine that stands at its first pose at 0."""
     clock = [0.0]
     for a, b in pairwise(pose):
@@ -24,9 +21,7 @@ def replay(
 
 @pytest.mark.parametrize("with_runs", [True, False])
 @pytest.mark.parametrize("seed", range(6))
-def test_reference_readings_cost_the_least_of_all_ways_to_place_them(
-    seed: int, with_runs: bool
-) -> None:
+def test_reference_readings_cost_the_least_of_all_ways_to_place_them(seed, with_runs):
     rng = np.random.default_rng(seed)
     distance, to_reference, from_reference = problem(seed, 8)
     reading, stay = rng.uniform(0.5, 1.5, 8), 2.0
@@ -64,7 +59,7 @@ def test_reference_readings_cost_the_least_of_all_ways_to_place_them(
         order.interleave(path, reading, 1.0, to_reference, from_reference, stay)
 
 
-def test_without_need_the_reference_is_read_first_and_last_alone() -> None:
+def test_without_need_the_reference_is_read_first_and_last_alone():
     path = order.order_poses(plane(1, 20), np.random.default_rng(0))
     timed = order.interleave(
         path, 6.0, 1e6, np.full(20, 3.0), np.full(20, 2.0), 10.0, begin=100.0
@@ -73,24 +68,16 @@ def test_without_need_the_reference_is_read_first_and_last_alone() -> None:
     assert timed.seconds == pytest.approx(100 + 10 + 2 + path.length + 20 * 6 + 3 + 10)
 
 
-def test_set_ups_are_ordered_with_least_remounting() -> None:
-    """Two tools, two cup places, two bars and a calliper: each difference is paid once,
-    in Gray's order.
-    """
+def test_set_ups_are_ordered_with_least_remounting():
+    """Each difference of set-ups is paid once, in Gray's order."""
     places = {
         0: {"at_x": 0.0, "at_y": 0.0, "at_z": 0.0},
         1: {"at_x": 0.0, "at_y": 0.3, "at_z": 0.0},
     }
-    setups = [
-        mount(
-            ball_bar.free_cup,
-            f"{tool}{place}{length}",
-            tool=(0.0, 0.0, tool),
-            length=length,
-            **places[place],
-        )
-        for tool, place, length in product((0.0, 0.05), (0, 1), (0.15, 0.3))
-    ]
+    setups = []
+    for tool, place, length in product((0.0, 0.05), (0, 1), (0.15, 0.3)):
+        bar = {"tool": (0.0, 0.0, tool), "length": length, **places[place]}
+        setups.append(mount(ball_bar.free_cup, f"{tool}{place}{length}", **bar))
     setups.append(mount(calliper.instrument, "calliper"))
     changes = order.ChangeTimes(tool=600.0, place=100.0, settings=10.0)
     costs, first = order.remounting(setups, changes)
@@ -110,7 +97,7 @@ def test_set_ups_are_ordered_with_least_remounting() -> None:
     assert path.exact
 
 
-def test_taught_set_ups_move_with_their_teach_pose() -> None:
+def test_taught_set_ups_move_with_their_teach_pose():
     setups = [
         mount(ball_bar.instrument, n, teach=t)
         for n, t in (("a", (0.0, 0.2)), ("b", (0.3, 0.2)))
@@ -121,7 +108,7 @@ def test_taught_set_ups_move_with_their_teach_pose() -> None:
     assert costs.tolist() == [[0.0, 100.0], [100.0, 0.0]]
 
 
-def test_orders_of_set_ups_are_the_cheapest_of_all_permutations() -> None:
+def test_orders_of_set_ups_are_the_cheapest_of_all_permutations():
     for seed in range(6):
         costs, first, _ = problem(seed, 6)
         path = order.order_setups(costs, np.random.default_rng(0), first)

@@ -1,6 +1,4 @@
-"""Polished readings of machines: rows against the readings' own finite differences,
-gains, holds, ranges.
-"""
+"""Polished readings: rows by finite differences, gains, holds, ranges."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,31 +10,23 @@ from shipped_models import ball_bar, pose_tracker
 from kernel import a3_plans
 from kernel.cases import CASES, reading_series
 from oed import identifiability
-from oed.design import CRITERIA, Criterion
-from oed.design.forms import Determinant, PowerMean
+from oed.design import CRITERIA
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from oed.poses import polish, reading_plan
 
 PAIRS = [
-    ("a3_head", "ball_bar"),
-    ("a3_head", "pose_tracker"),
-    ("hexapod", "ball_bar_free_cup"),
-    ("planar_2dof", "rm5"),
-    ("linear_delta", "ball_bar"),
-    ("cable_robot", "redundancy"),
+    ("a3_head", "ball_bar"), ("a3_head", "pose_tracker"),
+    ("hexapod", "ball_bar_free_cup"), ("planar_2dof", "rm5"),
+    ("linear_delta", "ball_bar"), ("cable_robot", "redundancy"),
     ("prs_spindle", "laser_ball_bar"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("machine", "setup"), PAIRS)
 @pytest.mark.parametrize("scaling", ["si", "length", "tolerance"])
-def test_rows_are_slopes_of_the_readings(
-    machine: str, setup: str, scaling: identifiability.Scaling
-) -> None:
-    """At random commands, against differences of the exact readings over each
-    parameter.
-    """
+def test_rows_are_slopes_of_the_readings(machine, setup, scaling):
+    """At random commands, against differences of the exact readings over each parameter."""
     m, series = reading_series(CASES[machine], setup, np.random.default_rng(4), 5)
     series = _away_from_home(m, series, setup, machine)
     mounted = m.setups[setup]
@@ -64,9 +54,7 @@ def test_rows_are_slopes_of_the_readings(
 
 
 def _away_from_home(m: Measurement, series: Series, setup: str, machine: str) -> Series:
-    """Other commands than the upright pose, at which tilts have no second derivative,
-    in the same runs.
-    """
+    """Not the upright pose, at which tilts have no second derivative; the same runs."""
     case = CASES[machine]
     n = len(series.q) - (m.setups[setup].teach is not None)
     command = case.commands(np.random.default_rng(5), n + 1)[1:]
@@ -76,9 +64,7 @@ def _away_from_home(m: Measurement, series: Series, setup: str, machine: str) ->
     return dataclasses.replace(series, q=q, start=x, command=command)
 
 
-def _symbolic(
-    m: Measurement, series: Series, scaling: identifiability.Scaling
-) -> np.ndarray:
+def _symbolic(m, series, scaling):
     setup = m.setups[series.setup]
     one = reading_plan.symbolic_reading(m, setup, scaling, np.eye(len(m.parameters)))
     settings = np.array([setup.settings[s.name] for s in setup.instrument.settings])
@@ -118,9 +104,7 @@ def _on_hold(result: polish.PolishResult, travel: float = 0.0) -> None:
     assert not m.machine.out_of_range(series.command[: len(series)], setup.tool)
 
 
-def _check_values(
-    result: polish.PolishResult, start: Series, before: Measurement
-) -> None:
+def _check_values(result, start, before):
     """Values are those of the determinant over the 18 directions seen, formed anew."""
     rows = a3_plans.rows(before, [start])
     basis = np.linalg.svd(rows)[2][:18].T
@@ -134,26 +118,13 @@ def _check_values(
 
 
 FREE: dict[str, tuple[bool, Mapping[str, tuple[float, float]]]] = {
-    "taught": (True, {}),
     "taught, length": (True, {"length": (0.28, 0.32)}),
-    "free cup": (
-        False,
-        {"at_x": (-0.05, 0.05), "at_y": (-0.05, 0.05), "at_z": (1.25, 1.32)},
-    ),
     "free cup, tool": (False, {"tool_z": (-0.02, 0.05)}),
 }
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        "taught, length",
-        "free cup, tool",
-        pytest.param("taught", marks=pytest.mark.slow),
-        pytest.param("free cup", marks=pytest.mark.slow),
-    ],
-)
-def test_polished_bar_stays_on_hold(case: str) -> None:
+@pytest.mark.parametrize("case", FREE)
+def test_polished_bar_stays_on_hold(case):
     taught, ranges = FREE[case]
     m = a3_plans.measurement(taught=taught)
     start = _start(m)
@@ -175,16 +146,15 @@ def test_polished_bar_stays_on_hold(case: str) -> None:
     for name, (lower, upper) in ranges.items():
         value = setup.tool[2] if name == "tool_z" else setup.settings[name]
         assert lower <= value <= upper
-    assert any(
-        v != m.setups["cup"].settings[n] for n, v in setup.settings.items()
-    ) == bool(ranges and "tool" not in case)
+    settings = m.setups["cup"].settings
+    assert (setup.settings != settings) == ("length" in ranges)
     assert taught == (setup.teach is not None)
     if taught:
         assert result.series[0].command[-1] == pytest.approx(setup.teach, abs=0)
     assert setup.teach == m.setups["cup"].teach
 
 
-def test_travel_gives_room() -> None:
+def test_travel_gives_room():
     m = a3_plans.measurement()
     start = _start(m)
     exact = polish.polish_readings(m, [start], scaling="length", iterations=150)
@@ -195,7 +165,7 @@ def test_travel_gives_room() -> None:
     assert roomy.value_after > exact.value_after
 
 
-def test_a_search_cut_short_is_never_worse() -> None:
+def test_a_search_cut_short_is_never_worse():
     m = a3_plans.measurement()
     none = polish.polish_readings(m, [_start(m)], scaling="length", iterations=0)
     assert none.value_after >= none.value_before
@@ -206,17 +176,8 @@ def test_a_search_cut_short_is_never_worse() -> None:
 # -- other machines --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "criterion",
-    [
-        Determinant(13),
-        pytest.param(CRITERIA.build("A", 13), marks=pytest.mark.slow),
-        pytest.param(PowerMean(4.0), marks=pytest.mark.slow),
-        CRITERIA.build("Ds", 13, np.eye(13)[:, :7]),
-    ],
-    ids=["D", "A", "power", "Ds"],
-)
-def test_planar_with_a_tracker(criterion: Criterion) -> None:
+def test_planar_with_a_tracker():
+    criterion = CRITERIA.build("Ds", 13, np.eye(13)[:, :7])
     machine = CASES["planar_2dof"].machine
     m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
     command = CASES["planar_2dof"].commands(np.random.default_rng(1), 8)
@@ -232,7 +193,7 @@ def test_planar_with_a_tracker(criterion: Criterion) -> None:
     assert not machine.out_of_range(result.series[0].command)
 
 
-def test_impossible_requests_are_refused() -> None:
+def test_impossible_requests_are_refused():
     m = a3_plans.measurement()
     start = _start(m)
     off = m.series("cup", start.command[:-1] + np.array([1e-4, 0.0, 0.0]))
@@ -251,7 +212,7 @@ def test_impossible_requests_are_refused() -> None:
         )
 
 
-def test_two_setups_share_nothing_but_the_machine() -> None:
+def test_two_setups_share_nothing_but_the_machine():
     setups = [
         mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0)),
         mount(pose_tracker.position, "tracker"),

@@ -1,7 +1,6 @@
 """Polished readings of a gantry and of a bar, against the oracles and differences."""
 
 import dataclasses
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -14,7 +13,7 @@ from kernel import a3_plans
 from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.poses import polish_readings
-from oed.poses.polish import IPOPT_OPTIONS, PolishProgram
+from oed.poses.polish import IPOPT_OPTIONS
 from oed.poses.reading_plan import (
     ReadingPlan,
     find_fault,
@@ -23,7 +22,6 @@ from oed.poses.reading_plan import (
     move_to_commands,
     restore_hold,
     symbolic_pose,
-    symbolic_reading,
     tool_shift,
 )
 
@@ -39,7 +37,7 @@ CIRCLES = a3_plans.circles(BAR, 6)
 # -- slopes and poses ------------------------------------------------------------------
 
 
-def test_equations_of_a_pose_hold_at_the_oracles_joints() -> None:
+def test_equations_of_a_pose_hold_at_the_oracles_joints():
     pose = symbolic_pose(planar_2dof.machine)
     for command in COMMAND:
         q = planar_geometry.inverse(command)
@@ -49,7 +47,7 @@ def test_equations_of_a_pose_hold_at_the_oracles_joints() -> None:
         assert np.abs(off).max() > 1e-4
 
 
-def test_the_determinant_is_that_of_the_struts_directions() -> None:
+def test_the_determinant_is_that_of_the_struts_directions():
     """Rows of phi_x are unit vectors along the struts, over the lever squared."""
     pose, lever = symbolic_pose(planar_2dof.machine), planar_2dof.machine.lever
     for command in COMMAND:
@@ -61,28 +59,10 @@ def test_the_determinant_is_that_of_the_struts_directions() -> None:
     assert abs(home_determinant(PLANAR)) > 0.0
 
 
-def test_rows_of_a_reading_are_differences_of_the_oracles_poses() -> None:
-    setup = PLANAR.setups["tracker"]
-    reading = symbolic_reading(PLANAR, setup, "si", np.eye(len(PLANAR.nominal)))
-    settings = [setup.settings[s.name] for s in setup.instrument.settings]
-    step = 1e-6
-    for command in COMMAND:
-        q = planar_geometry.inverse(command)
-        arguments = (command, q, np.array(settings), np.zeros(3))
-        rows = np.asarray(reading.rows(*arguments)).T
-        for k, change in enumerate(step * np.eye(7)):
-            ahead = planar_geometry.forward(q, planar_geometry.NOMINAL + change)
-            behind = planar_geometry.forward(q, planar_geometry.NOMINAL - change)
-            exact = (ahead - behind) / (2.0 * step)
-            assert rows[:, k] == pytest.approx([0.0, *exact], abs=1e-8)
-        value = np.asarray(reading.value(*arguments)).ravel()
-        assert value == pytest.approx([0.0, *command], abs=1e-12)
-
-
 # -- plans -----------------------------------------------------------------------------
 
 
-def test_readings_at_other_commands_have_the_oracles_joints() -> None:
+def test_readings_at_other_commands_have_the_oracles_joints():
     plan = move_to_commands(ReadingPlan(PLANAR, (READ,)), [COMMAND + 0.05])
     (series,) = plan.series
     assert series.q == pytest.approx(planar_geometry.inverse(COMMAND + 0.05), abs=1e-9)
@@ -101,7 +81,7 @@ def length_errors(plan: ReadingPlan) -> np.ndarray:
     return np.abs(np.linalg.norm(pairs, axis=1) - length)
 
 
-def test_a_moved_bar_comes_back_to_its_length() -> None:
+def test_a_moved_bar_comes_back_to_its_length():
     start = ReadingPlan(BAR, (CIRCLES,))
     assert start.has_teach_pose(CIRCLES)
     command = CIRCLES.command.copy()
@@ -121,7 +101,7 @@ def test_a_moved_bar_comes_back_to_its_length() -> None:
     assert find_fault(restored, {}, None, None) is None
 
 
-def test_variables_beyond_their_range_are_a_fault() -> None:
+def test_variables_beyond_their_range_are_a_fault():
     plan = ReadingPlan(BAR, (CIRCLES,))
     (name,) = BAR.setups
     fault = find_fault(plan, {name: {"length": (0.31, 0.32)}}, None, None)
@@ -144,7 +124,7 @@ def log_det(measurement: Measurement, command: np.ndarray) -> float:
     return float(np.linalg.slogdet(white.T @ white + np.eye(white.shape[1]))[1])
 
 
-def test_polished_readings_gain_and_no_small_move_gains_more() -> None:
+def test_polished_readings_gain_and_no_small_move_gains_more():
     prior = np.eye(int(PLANAR.free.sum()))
     result = polish_readings(PLANAR, [READ], prior=prior)
     (series,) = result.series
@@ -160,18 +140,7 @@ def test_polished_readings_gain_and_no_small_move_gains_more() -> None:
         assert log_det(PLANAR, moved) <= after + 1e-3
 
 
-def test_a_programme_begins_at_its_start() -> None:
-    start = ReadingPlan(PLANAR, (READ,))
-    program = PolishProgram(start, {"tracker": {}}, None, None)
-    values = np.concatenate(program._start_values)
-    (series,) = program.plan(values).series
-    assert series.command == pytest.approx(COMMAND)
-    assert series.q == pytest.approx(planar_geometry.inverse(COMMAND), abs=1e-9)
-
-
-def test_a_file_of_the_current_folder_does_not_steer_the_solver(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_of_the_current_folder_does_not_steer_the_solver(tmp_path, monkeypatch):
     """IPOPT reads `ipopt.opt` of that folder, unless it is told not to."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ipopt.opt").write_text("max_iter 0\n", encoding="utf-8")
