@@ -33,9 +33,7 @@ def dense(structure: ReadingStructure, laws: Laws, k: int) -> np.ndarray:
     return noise + structure.effects @ structure.effects.T
 
 
-def test_products_and_determinant_are_those_of_dense_matrices(
-    structure: ReadingStructure, laws: Laws
-) -> None:
+def test_products_and_determinant_are_those_of_dense_matrices(structure, laws):
     y = np.random.default_rng(3).standard_normal((len(structure), 4))
     whitening = laws.whitening(structure)
     determinant_first = laws.whitening(structure).log_determinant
@@ -49,9 +47,7 @@ def test_products_and_determinant_are_those_of_dense_matrices(
         assert determinant_first[k] == pytest.approx(log_determinant, abs=1e-8)
 
 
-def test_readings_of_each_law_of_their_own(
-    structure: ReadingStructure, laws: Laws
-) -> None:
+def test_readings_of_each_law_of_their_own(structure, laws):
     y = np.random.default_rng(4).standard_normal((len(laws), len(structure), 1))
     gram = laws.whitening(structure).gram(y)
     for k in range(len(laws)):
@@ -59,9 +55,7 @@ def test_readings_of_each_law_of_their_own(
         assert gram[k, 0, 0] == pytest.approx(exact, rel=1e-9)
 
 
-def test_noise_under_a_law_whitens_with_the_effects(
-    structure: ReadingStructure, laws: Laws
-) -> None:
+def test_noise_under_a_law_whitens_with_the_effects(structure, laws):
     noise = laws.noise(structure)
     unit = structure.unit
     precision = np.linalg.inv(dense(structure, laws, 0) * unit[:, None] * unit)
@@ -76,18 +70,7 @@ def test_noise_under_a_law_whitens_with_the_effects(
     assert noise.sigma == pytest.approx(of_dense, rel=1e-9)
 
 
-def test_draws_have_the_covariance(structure: ReadingStructure, laws: Laws) -> None:
-    count = 4000
-    errors = laws.take([0] * count).whitening(structure).draw(np.random.default_rng(5))
-    wanted = np.diag(dense(structure, laws, 0))
-    ratio = (errors**2).mean(axis=0) / wanted
-    # 4000 draws: a standard error of 2.2 %
-    assert np.abs(ratio - 1.0).max() < 0.12
-
-
-def test_what_effects_explain_is_not_far_off(
-    structure: ReadingStructure, laws: Laws
-) -> None:
+def test_what_effects_explain_is_not_far_off(structure, laws):
     residual = 10.0 * structure.effects[:, 0]
     slopes = np.zeros((len(structure), 1))
     law = laws.take([0])
@@ -97,8 +80,8 @@ def test_what_effects_explain_is_not_far_off(
 
 @pytest.mark.parametrize("scale", [1e-2, 1e-4, 1e-7])
 def test_the_evidence_of_a_law_far_below_the_stated_noise_is_no_garbage(
-    structure: ReadingStructure, scale: float
-) -> None:
+    structure, scale
+):
     """Against a triangle of all columns, which squares no condition number."""
     rng = np.random.default_rng(7)
     law = Laws.stated(structure, scale=scale)
@@ -123,3 +106,12 @@ def test_the_evidence_of_a_law_far_below_the_stated_noise_is_no_garbage(
     spread = np.sqrt(np.diag(root[:, -6:] @ root[:, -6:].T))
     own = np.linalg.norm(solutions.root[0], axis=1)
     assert own == pytest.approx(spread, rel=3e-2)
+
+
+def test_draws_have_the_covariance(structure, laws):
+    count = 4000
+    errors = laws.take([0] * count).whitening(structure).draw(np.random.default_rng(5))
+    wanted = np.diag(dense(structure, laws, 0))
+    ratio = (errors**2).mean(axis=0) / wanted
+    # 4000 draws: a standard error of 2.2 %
+    assert np.abs(ratio - 1.0).max() < 0.12

@@ -1,7 +1,6 @@
 """The noise process: linear-time whitening against dense matrices, and its draws."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from kernel import bar_circles
 from oed.instrument import mount
 from oed.measurement import Measurement, reading_structure
 from oed.noise import Laws, ReadingStructure
-from oed.noise_law import NoisePosterior, NoisePrior, ResidualModel, detect_outliers
+from oed.noise_law import NoisePosterior, NoisePrior, ResidualModel
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 
@@ -61,9 +60,7 @@ def covariance(structure: ReadingStructure, laws: Laws, k: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["circles", "laser"])
-def test_whitening_is_that_of_dense_matrices(
-    name: str, request: pytest.FixtureRequest
-) -> None:
+def test_whitening_is_that_of_dense_matrices(name, request):
     structure = request.getfixturevalue(name)
     rng = np.random.default_rng(0)
     prior = NoisePrior.of(structure)
@@ -83,7 +80,7 @@ def test_whitening_is_that_of_dense_matrices(
         assert whitening.log_determinant[k] == pytest.approx(log_determinant, abs=1e-9)
 
 
-def test_draws_have_the_covariance(circles: ReadingStructure) -> None:
+def test_draws_have_the_covariance(circles):
     laws = Laws(*(np.array(v) for v in ([[1.5]], [0.6], [5.0], [0.7], [0.4])))
     many = laws.take([0] * 20_000).whitening(circles)
     errors = many.draw(np.random.default_rng(1))
@@ -92,7 +89,7 @@ def test_draws_have_the_covariance(circles: ReadingStructure) -> None:
     assert np.abs(errors.T @ errors / 20_000 - dense).max() < 6.0 * standard_error * 1.5
 
 
-def test_standardised_laser_readings_have_unit_noise(laser: ReadingStructure) -> None:
+def test_standardised_laser_readings_have_unit_noise(laser):
     assert laser.decouple is not None
     values = np.random.default_rng(2).standard_normal((5, len(laser)))
     assert pytest.approx(values) == laser.standardise(laser.restore(values).T).T
@@ -106,7 +103,7 @@ def median(posterior: NoisePosterior, values: np.ndarray) -> float:
     return float(values[order][np.searchsorted(share, 0.5)])
 
 
-def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
+def test_runs_that_shift_are_recognised(circles):
     """A level of two sigma at each run moves the posterior of the level, not the scale."""
     rng = np.random.default_rng(3)
     structure = dataclasses.replace(
@@ -126,18 +123,3 @@ def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
         assert 0.6 < median(posterior, laws.scale[:, 0]) < 1.6
     assert medians[0] < 0.8
     assert medians[1] > 1.5
-
-
-def test_outliers_are_named() -> None:
-    rng = np.random.default_rng(5)
-    residual = rng.standard_normal(60)
-    residual[17] += 50.0
-    inverse = np.linalg.inv(np.eye(60) + np.ones((60, 60)))
-    covariance = SimpleNamespace(
-        precision=inverse.__matmul__, precision_diagonal=lambda: np.diag(inverse)
-    )
-    result = detect_outliers(residual, covariance)
-    # what all readings share is hardly held by others, and moves on at each turn
-    assert not result.has_converged
-    assert int(np.argmax(np.abs(result.pseudo_residual - residual))) == 17
-    assert abs(result.pseudo_residual[17]) < 10.0

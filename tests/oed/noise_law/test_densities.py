@@ -10,7 +10,7 @@ from oed.noise_law import outliers
 
 
 @pytest.mark.parametrize("shape", outliers.CANDIDATE_DENSITIES, ids=str)
-def test_a_shape_is_a_density_with_its_score(shape: outliers.ErrorDensity) -> None:
+def test_a_shape_is_a_density_with_its_score(shape):
     def density(e: float) -> float:
         return float(np.exp(shape.log_density(np.array(e))))
 
@@ -21,7 +21,7 @@ def test_a_shape_is_a_density_with_its_score(shape: outliers.ErrorDensity) -> No
     assert shape.weight(e) * e == pytest.approx(-slope, rel=1e-4, abs=1e-7)
 
 
-def test_a_student_is_scipy_s_and_its_information_is_known() -> None:
+def test_a_student_is_scipy_s_and_its_information_is_known():
     e = np.linspace(-20.0, 20.0, 41)
     for n in outliers.STUDENT_DOF:
         assert outliers.StudentT(n).log_density(e) == pytest.approx(
@@ -32,13 +32,10 @@ def test_a_student_is_scipy_s_and_its_information_is_known() -> None:
         )
 
 
-def test_few_strays_cost_next_to_no_information() -> None:
-    """At most that of as many readings lost, and less than if the noise were as large
-    as its variance says.
-    """
-    for share, wild in itertools.product(
-        outliers.OUTLIER_SHARES, outliers.OUTLIER_SCALES
-    ):
+def test_few_strays_cost_next_to_no_information():
+    """Less than if the noise were as large as its variance says."""
+    shares, scales = outliers.OUTLIER_SHARES, outliers.OUTLIER_SCALES
+    for share, wild in itertools.product(shares, scales):
         information = outliers.fisher_information(
             outliers.ContaminatedNormal(share, wild)
         )
@@ -46,21 +43,12 @@ def test_few_strays_cost_next_to_no_information() -> None:
         assert information > 1.0 - 4.0 * share
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        outliers.StudentT(3.0),
-        outliers.StudentT(6.0),
-        outliers.ContaminatedNormal(0.02, 10.0),
-    ],
-    ids=str,
-)
-def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(
-    shape: outliers.ErrorDensity,
-) -> None:
-    """Log likelihood ratios of a shift by a tenth, one reading in ten thousand; a
-    normal law of the same variance in place of the score's would tell far less.
-    """
+@pytest.mark.parametrize("shape", [
+    outliers.StudentT(3.0), outliers.StudentT(6.0),
+    outliers.ContaminatedNormal(0.02, 10.0),
+], ids=str)  # fmt: skip
+def test_a_pseudo_error_tells_of_a_small_change_what_the_error_does(shape):
+    """Log likelihood ratios of a shift by a tenth, one reading in ten thousand."""
     rng = np.random.default_rng(5)
     if isinstance(shape, outliers.StudentT):
         e = rng.standard_t(shape.dof, 10_000)

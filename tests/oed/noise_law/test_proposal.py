@@ -15,14 +15,14 @@ from oed.noise_law.marginal import (
 MODE, ROOT = np.array([1.0, -2.0]), np.array([[2.0, 0.0], [0.5, 0.3]])
 
 
-def test_a_split_student_of_equal_widths_is_scipys(rng: np.random.Generator) -> None:
+def test_a_split_student_of_equal_widths_is_scipys(rng):
     split = SplitStudent(MODE, ROOT, np.full(2, 1.5), np.full(2, 1.5))
     points = MODE + rng.standard_normal((20, 2))
     exact = stats.multivariate_t(MODE, 2.25 * ROOT @ ROOT.T, df=STUDENT_DOF)
     assert split.log_density(points) == pytest.approx(exact.logpdf(points))
 
 
-def test_a_split_student_has_the_mass_of_its_widths_on_either_side() -> None:
+def test_a_split_student_has_the_mass_of_its_widths_on_either_side():
     split = SplitStudent(np.zeros(1), np.eye(1), np.array([1.0]), np.array([3.0]))
 
     def density(u: float) -> float:
@@ -37,7 +37,7 @@ def test_a_split_student_has_the_mass_of_its_widths_on_either_side() -> None:
     assert np.median(points[points > 0.0]) == pytest.approx(ahead, rel=1e-2)
 
 
-def test_widths_are_those_of_the_cost() -> None:
+def test_widths_are_those_of_the_cost():
     """Of a normal density that is twice as wide ahead of the mode as behind it."""
 
     def cost(u: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ def test_widths_are_those_of_the_cost() -> None:
     assert split.ahead == pytest.approx([2.0])
 
 
-def test_kernels_are_a_mixture_of_scipys(rng: np.random.Generator) -> None:
+def test_kernels_are_a_mixture_of_scipys(rng):
     centres, weights = np.array([[0.0, 0.0], [3.0, 1.0]]), np.array([0.2, 0.8])
     mixture = KernelMixture(centres, weights, ROOT)
     points = rng.standard_normal((15, 2))
@@ -61,9 +61,7 @@ def test_kernels_are_a_mixture_of_scipys(rng: np.random.Generator) -> None:
     assert drawn.mean(axis=0) == pytest.approx(weights @ centres, abs=0.05)
 
 
-def test_kernels_of_equal_weights_follow_silvermans_rule(
-    rng: np.random.Generator,
-) -> None:
+def test_kernels_of_equal_weights_follow_silvermans_rule(rng):
     draws = rng.standard_normal((200, 2)) @ ROOT.T
     mixture = kernels_at(draws, np.full(200, -7.0))
     assert mixture.weights == pytest.approx(np.full(200, 1.0 / 200.0))
@@ -72,12 +70,12 @@ def test_kernels_of_equal_weights_follow_silvermans_rule(
     assert mixture.root @ mixture.root.T == pytest.approx(expected)
 
 
-def test_weights_count_by_their_square_root() -> None:
+def test_weights_count_by_their_square_root():
     mixture = kernels_at(np.array([[0.0], [1.0]]), np.log([0.2, 0.8]))
     assert mixture.weights == pytest.approx([1.0 / 3.0, 2.0 / 3.0])
 
 
-def test_few_laws_of_ten_coordinates_are_wasted() -> None:
+def test_few_laws_of_ten_coordinates_are_wasted():
     """Of a normal density, whose integral is 1 whatever the number of coordinates."""
 
     def cost(u: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """What else to record: moments over courses, errors by dense updates, and the table."""
 
-from pathlib import Path
-
 import design_sample
 import numpy as np
 import pytest
@@ -59,19 +57,13 @@ def unknowns(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return 0.5 * rng.standard_normal((4, 6)), information, slopes, rng.random(2)
 
 
-def dense(
-    white: np.ndarray,
-    information: np.ndarray,
-    slopes: np.ndarray,
-    rest: np.ndarray,
-    times: float,
-) -> np.ndarray:
+def dense(white, information, slopes, rest, times):
     covariance = np.linalg.inv(information + times * white.T @ white)
     squares = np.einsum("ncu,uv,ncv->nc", slopes, covariance, slopes)
     return rest + squares.mean(axis=0)
 
 
-def test_repeated_readings_leave_what_a_dense_update_leaves() -> None:
+def test_repeated_readings_leave_what_a_dense_update_leaves():
     arguments = unknowns(np.random.default_rng(1))
     error = remaining_error(*arguments)
     for times in (0.0, 1.0, 7.5, 1e9):
@@ -79,7 +71,7 @@ def test_repeated_readings_leave_what_a_dense_update_leaves() -> None:
     assert error.after(np.inf) == pytest.approx(dense(*arguments, 1e9), rel=1e-6)
 
 
-def test_equal_times_are_where_the_errors_meet() -> None:
+def test_equal_times_are_where_the_errors_meet():
     arguments = unknowns(np.random.default_rng(2))
     error, unit = remaining_error(*arguments), dense(*arguments, 1.0)
     reached = dense(*arguments, 6.0)
@@ -94,7 +86,7 @@ def play(state):  # type: ignore[no-untyped-def]
     yield Column("leg 1", PLAY, joints={0: -0.5 * state.motion_sign[:, 0]})
 
 
-def test_a_side_that_is_not_recorded_is_scatter() -> None:
+def test_a_side_that_is_not_recorded_is_scatter():
     """Play of one drive: half of it times the slope, and no mean."""
     measurement = Measurement(machine, [mount(pose_tracker.position, "tracker")])
     y, z = np.meshgrid(np.linspace(-1.0, 1.0, 4), np.linspace(0.3, 1.2, 3))
@@ -125,7 +117,7 @@ def test_a_side_that_is_not_recorded_is_scatter() -> None:
     assert np.ptp(times.mean(axis=0)) < 0.2 * np.ptp(times)
 
 
-def test_a_recorded_course_is_known_and_another_is_not() -> None:
+def test_a_recorded_course_is_known_and_another_is_not():
     """Readings with a shared effect, by the covariance of the readings alone."""
     rng = np.random.default_rng(4)
     changes, tool = rng.standard_normal((2, 6, 3)), rng.standard_normal((2, 4, 2, 3))
@@ -149,7 +141,7 @@ def test_a_recorded_course_is_known_and_another_is_not() -> None:
         assert error.after(1.0) == pytest.approx(left + rest, rel=1e-9)
 
 
-def test_the_table_of_a_design(tmp_path: Path) -> None:
+def test_the_table_of_a_design(tmp_path):
     """More of what legs do is known with more thermometers, and less is left."""
     resolved = sample.resolved(STUDY, tmp_path)
     design = select_design(resolved, np.random.default_rng(0))
