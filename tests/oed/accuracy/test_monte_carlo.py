@@ -10,7 +10,7 @@ MACHINES, POSES, SAMPLES = 2000, 5, 200
 
 
 @pytest.mark.parametrize("share", [0.025, 0.5, 0.95])
-def test_a_quantile_of_normal_numbers(share: float, rng: np.random.Generator) -> None:
+def test_a_quantile_of_normal_numbers(share, rng):
     """sqrt(p (1 - p) / m) over the density, of David and Nagaraja 2003."""
     exact = np.sqrt(share * (1.0 - share) / MACHINES)
     exact /= stats.norm.pdf(stats.norm.ppf(share))
@@ -23,9 +23,7 @@ def test_a_quantile_of_normal_numbers(share: float, rng: np.random.Generator) ->
     assert np.std(values) == pytest.approx(exact, rel=0.2)
 
 
-def test_poses_of_one_machine_are_no_independent_draws(
-    rng: np.random.Generator,
-) -> None:
+def test_poses_of_one_machine_are_no_independent_draws(rng):
     """Errors of a machine that all its poses share: five poses count as one."""
     pooled, squares = [], []
     for _ in range(SAMPLES):
@@ -39,7 +37,7 @@ def test_poses_of_one_machine_are_no_independent_draws(
     assert np.mean(np.array(squares)[:, 1]) == pytest.approx(800**-0.5, rel=0.05)
 
 
-def test_draws_of_a_chain_are_worth_less(rng: np.random.Generator) -> None:
+def test_draws_of_a_chain_are_worth_less(rng):
     values = rng.standard_normal(MACHINES)
     alone = prediction.quantile(values, 0.5)
     related = prediction.quantile(values, 0.5, worth=MACHINES / 4)
@@ -47,7 +45,7 @@ def test_draws_of_a_chain_are_worth_less(rng: np.random.Generator) -> None:
     assert related.error == pytest.approx(2.0 * alone.error, rel=0.2)
 
 
-def test_every_drawn_figure_of_a_spread_has_its_error(rng: np.random.Generator) -> None:
+def test_every_drawn_figure_of_a_spread_has_its_error(rng):
     size = np.abs(rng.standard_normal((MACHINES, 1)))
     spreads = [
         Spread.of_errors(size * rng.standard_normal((MACHINES, POSES)))

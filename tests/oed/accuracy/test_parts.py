@@ -14,18 +14,11 @@ from oed.measurement import Measurement, draw_parameters
 from oed.mechanism import AssemblyError
 
 
-def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(
-    rng: np.random.Generator,
-) -> None:
+def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(rng):
     """An error that is the same at all poses, of 2 um, read to 1 um at 6 of 10."""
     size, uncertainty, count = 2e-6, 1e-6, 6
-    promise = Promise(
-        names=("z",),
-        maps=np.ones((10, 1, 1)),
-        covariances=[np.eye(1)],
-        rms=np.array([size]),
-        uncertainty=np.array([uncertainty]),
-    )
+    stated = {"rms": np.array([size]), "uncertainty": np.array([uncertainty])}
+    promise = Promise(("z",), np.ones((10, 1, 1)), [np.eye(1)], **stated)
     plan = promise.limits_at(np.arange(count), rng, miss=1.5, false_alarm=0.1)
     at_promise, beyond = (
         stats.ncx2(count, count * (factor * size / uncertainty) ** 2)
@@ -39,25 +32,7 @@ def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(
     assert plan.false_alarm == pytest.approx(0.1, abs=1e-3)
 
 
-def test_machines_near_nominal_have_its_variance(rng: np.random.Generator) -> None:
-    """With a thousandth of the tolerances the mean over machines is that of the slopes."""
-    narrow = [
-        dataclasses.replace(p, tolerance=1e-3 * p.tolerance)
-        for p in planar_2dof.machine.parameters
-    ]
-    machine = planar_2dof.machine.with_parameters(narrow)
-    m = Measurement(machine, [mount(relative.rm5, "ruler")])
-    command = np.array([[-0.5, 0.2], [0.0, 0.2], [0.5, 0.2], [1.0, 0.6]])
-    series = [m.series("ruler", command, run=["a"] * 4)]
-    drawn = variance_over_machines(m, series, command, ["home"], rng)["home"]
-    covariance = BudgetModel.of(m, series, m.nominal).covariance()
-    raw = ErrorMaps.of(m.kinematics, command, "home").raw
-    count = len(machine.parameters)
-    nominal = np.einsum("nkp,pq,nkq->nk", raw, covariance[:count, :count], raw)
-    assert drawn == pytest.approx(nominal, rel=1e-2, abs=1e-3 * nominal.max())
-
-
-def test_machines_that_do_not_assemble_are_left_out(rng: np.random.Generator) -> None:
+def test_machines_that_do_not_assemble_are_left_out(rng):
     """Against the maps about each machine that assembles at all commands."""
     wide = [
         dataclasses.replace(p, tolerance=20.0 * p.tolerance)

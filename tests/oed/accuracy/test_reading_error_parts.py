@@ -5,16 +5,14 @@ import pytest
 
 from kernel import bar_circles
 from oed.accuracy import budget
-from oed.noise import Laws, ReadingStructure
+from oed.noise import ReadingStructure
 from oed.noise_law import NoisePrior
 
 FACTORS = (
-    {},
-    {budget.CARRIED: 0.0},
-    {budget.LEVELS: 0.5, budget.SEAT: 0.0},
+    {}, {budget.CARRIED: 0.0}, {budget.LEVELS: 0.5, budget.SEAT: 0.0},
     {budget.COURSE: 0.5},
     {budget.instrument_source("bar"): 0.1, budget.BEYOND: 0.0},
-)
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +21,7 @@ def circles() -> ReadingStructure:
     return bar_circles.circles(40)
 
 
-def covariance(
-    structure: ReadingStructure, laws: Laws, factors: dict[str, float]
-) -> np.ndarray:
+def covariance(structure, laws, factors):
     """The sum of the module's docstring, matrix by matrix, of one instrument."""
     share, scale = laws.correlated[0], laws.scale[0, structure.group]
     same_chain = structure.chain[:, None] == structure.chain
@@ -50,9 +46,7 @@ def covariance(
 
 
 @pytest.mark.parametrize("factors", FACTORS)
-def test_errors_with_factors_are_those_of_dense_matrices(
-    circles: ReadingStructure, factors: dict[str, float]
-) -> None:
+def test_errors_with_factors_are_those_of_dense_matrices(circles, factors):
     rng = np.random.default_rng(2)
     prior = NoisePrior.of(circles)
     laws = prior.laws(rng.standard_normal((1, prior.dimensions)))

@@ -1,11 +1,8 @@
 """Errors that add up to the noise of readings against dense covariances."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from kernel.dense_noise import dense_covariance
 from oed.accuracy.budget import (
     BEYOND,
     CARRIED,
@@ -18,13 +15,8 @@ from oed.noise import Laws, ReadingStructure, SharedError
 
 N = 12
 #: scales above and below the stated noise, a share carried along, a level, a seat
-LAWS = Laws(
-    np.array([[1.5, 0.8]]),
-    np.array([0.4]),
-    np.array([3.0]),
-    np.array([0.7]),
-    np.array([0.5]),
-)
+ONE = [np.array([x]) for x in (0.4, 3.0, 0.7, 0.5)]  # correlated, reach, level, seat
+LAWS = Laws(np.array([[1.5, 0.8]]), *ONE)
 BAR, CUP = instrument_source("bar"), instrument_source("cup")
 
 
@@ -45,35 +37,7 @@ def structure(rng: np.random.Generator) -> ReadingStructure:
     )
 
 
-def with_errors(structure: ReadingStructure, laws: Laws) -> np.ndarray:
-    return dense_covariance(structure, laws)
-
-
-def test_an_error_is_taken_out_by_a_factor_of_nothing(
-    structure: ReadingStructure, rng: np.random.Generator
-) -> None:
-    errors = errors_of_readings(structure, LAWS, ["bar"] * 6 + ["cup"] * 6)
-    values = rng.standard_normal((N, 2))
-    single = np.diag((1.0 - 0.4) * LAWS.scale[0, structure.group] ** 2)
-    no_share = dataclasses.replace(LAWS, correlated=np.zeros(1))
-    without = {
-        SEAT: with_errors(structure, dataclasses.replace(LAWS, seat=np.zeros(1))),
-        LEVELS: with_errors(structure, dataclasses.replace(LAWS, level=np.zeros(1))),
-        CARRIED: with_errors(structure, no_share)
-        - np.diag(LAWS.scale[0, structure.group] ** 2)
-        + single,
-    }
-    for name, dense in without.items():
-        exact = np.linalg.solve(dense, values)
-        assert errors.weigh(values, {name: 0.0}) == pytest.approx(exact), name
-    twice = with_errors(structure, LAWS) + 3.0 * np.diag(errors.variances[CUP])
-    exact = np.linalg.solve(twice, values)
-    assert errors.weigh(values, {CUP: 2.0}) == pytest.approx(exact)
-
-
-def test_noise_above_the_stated_one_is_its_own_source(
-    structure: ReadingStructure, rng: np.random.Generator
-) -> None:
+def test_noise_above_the_stated_one_is_its_own_source(structure, rng):
     errors = errors_of_readings(structure, LAWS, ["bar"] * 6 + ["cup"] * 6)
     assert set(errors.names) == {BAR, CUP, BEYOND, LEVELS, SEAT, CARRIED}
     first = np.repeat([1.0, 0.0], 6)

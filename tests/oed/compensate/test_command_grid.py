@@ -20,12 +20,7 @@ def as_is(command: np.ndarray) -> np.ndarray:
     return np.broadcast_to(np.eye(2), (len(command), 2, 2))
 
 
-def chosen(
-    axes: tuple[GridAxis, ...],
-    correction: np.ufunc,
-    target: float,
-    largest: int = 10_000,
-) -> CommandGrid:
+def chosen(axes, correction, target, largest=10000):
     rng = np.random.default_rng(5)
     return CommandGrid.choose(axes, correction, as_is, np.full(2, target), largest, rng)
 
@@ -36,7 +31,7 @@ def parabolas(command: np.ndarray) -> np.ndarray:
     return np.stack([first, np.zeros(len(first))], axis=1)[:, None]
 
 
-def test_a_parabola_gets_the_nodes_that_its_curvature_needs() -> None:
+def test_a_parabola_gets_the_nodes_that_its_curvature_needs():
     """Along both axes the error is equally large, so one has twice the intervals."""
     axes = (GridAxis("a", "m", -1.0, 1.0), GridAxis("b", "m", -1.0, 1.0))
     grid = chosen(axes, parabolas, 1e-3)
@@ -52,7 +47,7 @@ def test_a_parabola_gets_the_nodes_that_its_curvature_needs() -> None:
     assert len(grid.commands) == math.prod(grid.counts)
 
 
-def test_a_limit_stops_the_refinement_and_says_what_it_costs() -> None:
+def test_a_limit_stops_the_refinement_and_says_what_it_costs():
     axes = (GridAxis("a", "m", -1.0, 1.0), GridAxis("b", "m", -1.0, 1.0))
     grid = chosen(axes, parabolas, 1e-3, largest=60)
     assert not grid.is_fine
@@ -63,7 +58,7 @@ def test_a_limit_stops_the_refinement_and_says_what_it_costs() -> None:
     assert chosen(held, parabolas, 1e-3).counts[1] == 1
 
 
-def test_interpolation_goes_on_over_the_end_of_a_turn() -> None:
+def test_interpolation_goes_on_over_the_end_of_a_turn():
     def waves(command: np.ndarray) -> np.ndarray:
         values = np.stack([np.sin(command[:, 0]), np.cos(3.0 * command[:, 0])], axis=1)
         return values[:, None]
@@ -81,7 +76,7 @@ def test_interpolation_goes_on_over_the_end_of_a_turn() -> None:
     assert np.sqrt(np.mean(error**2, axis=0)) == pytest.approx(grid.errors[0], rel=0.1)
 
 
-def test_the_box_of_commands_closes_a_turn_that_they_go_round() -> None:
+def test_the_box_of_commands_closes_a_turn_that_they_go_round():
     machine = a3_head.machine
 
     def psi(places: np.ndarray) -> tuple[float, float, bool]:
@@ -100,7 +95,7 @@ def test_the_box_of_commands_closes_a_turn_that_they_go_round() -> None:
     assert not any(axis.turn for axis in GridAxis.of_box(hexapod.machine, lattice))
 
 
-def test_a_table_may_reach_further_than_its_errors_count() -> None:
+def test_a_table_may_reach_further_than_its_errors_count():
     """The far half bends a hundred times as much; nobody asks what is lost there."""
 
     def bent(command: np.ndarray) -> np.ndarray:
@@ -121,7 +116,7 @@ def test_a_table_may_reach_further_than_its_errors_count() -> None:
     assert longer.shrunk(0.5).evaluated == (0.25, 0.75)
 
 
-def test_motion_of_components_agrees_with_moved_joints() -> None:
+def test_motion_of_components_agrees_with_moved_joints():
     kinematics = Kinematics(a3_head.machine)
     nominal = a3_head.machine.nominal
     command = np.array([[1.1, 0.7, 0.3], [1.2, -2.0, 0.5]])

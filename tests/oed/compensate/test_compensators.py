@@ -23,13 +23,8 @@ def reached(joints: np.ndarray, truth: np.ndarray, command: np.ndarray) -> np.nd
     """Errors (n, 3) in z, psi, theta of the oracle's machine."""
     real = a3.forward(truth, joints)
     psi, theta, _ = a3.euler(real.R)
-    return np.column_stack(
-        [
-            real.tip[:, 2] - command[:, 0],
-            wrapped(psi - command[:, 1]),
-            theta - command[:, 2],
-        ]
-    )
+    height, turn = real.tip[:, 2] - command[:, 0], wrapped(psi - command[:, 1])
+    return np.column_stack([height, turn, theta - command[:, 2]])
 
 
 def linear_joints(p: np.ndarray, command: np.ndarray) -> np.ndarray:
@@ -44,9 +39,7 @@ def cut_off(p: np.ndarray, command: np.ndarray) -> np.ndarray:
     return A3.error_components(command, twist)[:, 2:5]
 
 
-def test_corrected_commands_do_it_with_an_unchanged_controller(
-    rng: np.random.Generator,
-) -> None:
+def test_corrected_commands_do_it_with_an_unchanged_controller(rng):
     corrected = A3.corrected_commands(CIRCLE, TABLE3)
     error = reached(a3.inverse_nominal(*corrected.T), TABLE3, CIRCLE)
     assert np.abs(error).max() <= 1e-9
@@ -60,9 +53,7 @@ def test_corrected_commands_do_it_with_an_unchanged_controller(
 
 
 @pytest.mark.parametrize("home_mm", [1.0, 3.0, 10.0])
-def test_the_cut_off_of_the_linear_one_is_predicted(
-    rng: np.random.Generator, home_mm: float
-) -> None:
+def test_the_cut_off_of_the_linear_one_is_predicted(rng, home_mm):
     """From parameters known to 1 %, to within 10 % of what the oracle's machine shows."""
     z = rng.uniform(0.0, 0.2, 60) + a3.D + a3.C
     psi, theta = rng.uniform(0.0, 6.28, 60), np.deg2rad(rng.uniform(5.0, 35.0, 60))
@@ -77,11 +68,8 @@ def test_the_cut_off_of_the_linear_one_is_predicted(
     assert rms[0] > 1e-7
 
 
-def test_table_3_at_35_degrees_and_100_mm_before_and_after() -> None:
-    """Predicted from the slopes or through the closure, realised by the oracle.
-
-    `docs/errata.md` compares with the printed Table 4.
-    """
+def test_table_3_at_35_degrees_and_100_mm_before_and_after():
+    """Predicted and realised by the oracle; `docs/errata.md` compares with Table 4."""
     model = ErrorModel.of(A3, CIRCLE)
     predicted = (A3.error_components_jacobian(CIRCLE) @ model.raw @ TABLE3)[:, 2:5]
     before = reached(a3.inverse_nominal(*CIRCLE.T), TABLE3, CIRCLE)
@@ -102,7 +90,7 @@ def test_table_3_at_35_degrees_and_100_mm_before_and_after() -> None:
     assert expected.mean(axis=0) == pytest.approx(mean, rel=0.1)
 
 
-def test_table_3_in_the_frames_that_a_tracker_can_have() -> None:
+def test_table_3_in_the_frames_that_a_tracker_can_have():
     """Why the printed Table 4 differs: a free zero of psi, and z along home's axis."""
     before = reached(a3.inverse_nominal(*CIRCLE.T), TABLE3, CIRCLE)
     psi = np.rad2deg(before[:, 1])
@@ -124,6 +112,3 @@ def test_table_3_in_the_frames_that_a_tracker_can_have() -> None:
     rest[:3] = 0.0
     after = reached(linear_joints(rest, CIRCLE) - TABLE3[:3], TABLE3, CIRCLE)
     assert np.abs(after[:, 0]).max() == pytest.approx(0.198e-3, rel=5e-3)
-
-
-# -- tables ----------------------------------------------------------------------------

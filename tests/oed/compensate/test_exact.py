@@ -21,15 +21,13 @@ def truth(rng: np.random.Generator) -> np.ndarray:
     return machine.nominal + sd * rng.standard_normal(len(sd))
 
 
-def test_corrections_join_those_of_a_nominal_controller(truth: np.ndarray) -> None:
+def test_corrections_join_those_of_a_nominal_controller(truth):
     nominal = planar_geometry.inverse(COMMAND)
     joints = nominal + joint_corrections(PLANAR, COMMAND, truth)
     assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
 
 
-def test_a_redundant_machine_holds_the_command_by_the_corrected_one(
-    rng: np.random.Generator,
-) -> None:
+def test_a_redundant_machine_holds_the_command_by_the_corrected_one(rng):
     """Four cables for two coordinates: real joints belong to no nominal command."""
     kinematics = Kinematics(cables_planar.build({"anchor": planar_cables.ANCHORS}))
     machine = kinematics.machine
@@ -44,7 +42,7 @@ def test_a_redundant_machine_holds_the_command_by_the_corrected_one(
     assert np.array(held) == pytest.approx(command, abs=2e-8)
 
 
-def test_a_command_that_no_nominal_one_holds_is_refused() -> None:
+def test_a_command_that_no_nominal_one_holds_is_refused():
     """Cables this far off turn a platform over on the way; the other poses are exact."""
     kinematics = Kinematics(cables_spatial.machine)
     machine, rng = kinematics.machine, np.random.default_rng(0)
@@ -64,7 +62,7 @@ def test_a_command_that_no_nominal_one_holds_is_refused() -> None:
     assert np.abs(left).max() < 1e-9
 
 
-def test_a_command_near_a_tilt_of_zero_is_found() -> None:
+def test_a_command_near_a_tilt_of_zero_is_found():
     """A tilt of 0.3 deg, sought from an upright tool whose direction is any other."""
     kinematics = Kinematics(a3_head.machine)
     command = np.tile([1.2676, 1.3, 0.006], (36, 1))

@@ -20,7 +20,7 @@ COMMAND = np.array([[0.4, 0.3], [-1.2, 1.1]])
 
 
 @pytest.mark.parametrize("reference", ["absolute", "home"])
-def test_rounded_joints_move_the_platform(reference: str) -> None:
+def test_rounded_joints_move_the_platform(reference):
     """Errors as large as the differences of the oracle's poses."""
     poses = np.vstack([COMMAND, HOME])
     rounded = np.round(planar_geometry.inverse(poses, TRUTH), 4)
@@ -31,7 +31,7 @@ def test_rounded_joints_move_the_platform(reference: str) -> None:
     assert errors == pytest.approx(expected, abs=1e-9)
 
 
-def test_what_no_joint_drives_is_known() -> None:
+def test_what_no_joint_drives_is_known():
     nothing = driven_errors(PLANAR, COMMAND, TRUTH, "home", believed=TRUTH)
     assert nothing == pytest.approx(0.0, abs=1e-12)
     kinematics = Kinematics(a3_head.machine)
@@ -48,18 +48,12 @@ def test_what_no_joint_drives_is_known() -> None:
     )
 
 
-def test_a_coarse_table_leaves_the_errors_of_its_interpolation() -> None:
+def test_a_coarse_table_leaves_the_errors_of_its_interpolation():
     """At the same random places, with corrections and poses by the oracle."""
     axes = (GridAxis("y", "m", -1.2, 1.2), GridAxis("z", "m", 0.0, 1.2))
     grid = CommandGrid(axes, (3, 2), np.zeros((1, 2)), False)
-    found = interpolation_errors(
-        PLANAR,
-        grid,
-        TRUTH,
-        "absolute",
-        np.random.default_rng(8),
-        FurtherAxes.of(PLANAR),
-    )
+    axes, rng = FurtherAxes.of(PLANAR), np.random.default_rng(8)
+    found = interpolation_errors(PLANAR, grid, TRUTH, "absolute", rng, axes)
     y, z = np.linspace(-1.2, 1.2, 3), np.linspace(0.0, 1.2, 2)
     nodes = np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1)
     corrections = planar_geometry.inverse(nodes, TRUTH) - planar_geometry.inverse(nodes)

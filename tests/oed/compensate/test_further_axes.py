@@ -21,7 +21,7 @@ def command() -> np.ndarray:
     return commands[commands[:, 2] > np.deg2rad(2.0)]
 
 
-def test_offsets_are_what_the_oracles_head_is_off(command: np.ndarray) -> None:
+def test_offsets_are_what_the_oracles_head_is_off(command):
     """Along x and y at the tool, and by the rotation about the tool axis."""
     further = FurtherAxes.of(A3)
     assert [axis.name for axis in further.axes][-1] == TURN
@@ -38,7 +38,7 @@ def test_offsets_are_what_the_oracles_head_is_off(command: np.ndarray) -> None:
     assert offsets[:, 2] == pytest.approx(about, abs=1e-8)
 
 
-def test_twists_of_offsets_have_these_offsets(command: np.ndarray) -> None:
+def test_twists_of_offsets_have_these_offsets(command):
     further = FurtherAxes.of(A3)
     offsets = np.random.default_rng(4).standard_normal((len(command), 3))
     twists = further.twists(command, offsets)
@@ -46,7 +46,7 @@ def test_twists_of_offsets_have_these_offsets(command: np.ndarray) -> None:
     assert again == pytest.approx(offsets)
 
 
-def test_a_machine_that_drives_all_has_none() -> None:
+def test_a_machine_that_drives_all_has_none():
     further = FurtherAxes.of(Kinematics(planar_2dof.machine))
     assert len(further) == 0
     nominal = planar_2dof.machine.nominal

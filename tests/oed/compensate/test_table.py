@@ -16,11 +16,11 @@ def bilinear(places: np.ndarray) -> np.ndarray:
     return np.column_stack([2.0 + a - 3.0 * b + a * b, 5.0 * b])
 
 
-def test_nodes_are_the_product_of_the_knots() -> None:
+def test_nodes_are_the_product_of_the_knots():
     assert grid_nodes(KNOTS) == pytest.approx(np.array(list(itertools.product(*KNOTS))))
 
 
-def test_a_bilinear_function_is_reproduced_and_its_border_holds() -> None:
+def test_a_bilinear_function_is_reproduced_and_its_border_holds():
     """Along an axis of one knot nothing varies."""
     nodes = grid_nodes(KNOTS)
     table = InterpolationTable(
@@ -31,7 +31,7 @@ def test_a_bilinear_function_is_reproduced_and_its_border_holds() -> None:
     assert table.at(places) == pytest.approx(bilinear(inside))
 
 
-def test_a_full_turn_goes_on() -> None:
+def test_a_full_turn_goes_on():
     turn = np.linspace(0.0, 2.0 * np.pi, 5)
     table = InterpolationTable(
         ("psi",), (turn,), np.array([1.0, 3.0, 5.0, 2.0, 1.0])[:, None], (True,)
@@ -41,7 +41,7 @@ def test_a_full_turn_goes_on() -> None:
         assert table.at(place + 2.0 * np.pi * turns) == pytest.approx(2.0)
 
 
-def test_values_of_another_shape_and_descending_knots_are_refused() -> None:
+def test_values_of_another_shape_and_descending_knots_are_refused():
     with pytest.raises(ValueError, match="needs values of that shape"):
         InterpolationTable(("a",), (np.arange(3.0),), np.zeros((2, 1)))
     with pytest.raises(ValueError, match="knots of a must ascend"):

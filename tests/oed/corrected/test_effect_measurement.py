@@ -28,7 +28,7 @@ def theta(rng: np.random.Generator) -> np.ndarray:
     return np.append(of_base, SIZES * rng.standard_normal(2))
 
 
-def test_readings_are_the_machines_plus_the_effects(rng: np.random.Generator) -> None:
+def test_readings_are_the_machines_plus_the_effects(rng):
     point = theta(rng)
     expected = BASE.readings([SERIES], point[:-2]) + COLUMNS @ point[-2:] + OFFSET
     assert BOTH.readings([SERIES], point) == pytest.approx(expected, abs=1e-12)
@@ -36,7 +36,7 @@ def test_readings_are_the_machines_plus_the_effects(rng: np.random.Generator) ->
     assert BOTH.tolerance[-2:] == pytest.approx(SIZES)
 
 
-def test_slopes_are_differences_of_readings(rng: np.random.Generator) -> None:
+def test_slopes_are_differences_of_readings(rng):
     point, step = theta(rng), 1e-6
     slopes = BOTH.jacobian([SERIES], point)
     for k, change in enumerate(step * np.eye(len(point))):
@@ -46,7 +46,7 @@ def test_slopes_are_differences_of_readings(rng: np.random.Generator) -> None:
         assert slopes[:, k] == pytest.approx(expected, abs=1e-7)
 
 
-def test_some_readings_have_their_rows(rng: np.random.Generator) -> None:
+def test_some_readings_have_their_rows(rng):
     rows, point = np.array([0, 2]), theta(rng)
     part = SERIES.take(rows)
     some = BOTH.taken_measurement([TakenReadings(SERIES, part, rows)])
@@ -56,6 +56,6 @@ def test_some_readings_have_their_rows(rng: np.random.Generator) -> None:
     assert some.readings([part], point) == pytest.approx(every[values], abs=1e-12)
 
 
-def test_a_coefficient_is_as_long_as_its_change_of_the_readings() -> None:
+def test_a_coefficient_is_as_long_as_its_change_of_the_readings():
     expected = SIZES * np.sqrt((COLUMNS**2).mean(axis=0))
     assert BOTH.length_factors[-2:] == pytest.approx(expected)

@@ -14,9 +14,7 @@ from oed.gap import GapProblem
 PLAY = np.array([3.0, -2.0, 4.0])
 
 
-def dense_evidence(
-    problem: GapProblem, columns: np.ndarray, residual: np.ndarray
-) -> float:
+def dense_evidence(problem, columns, residual):
     """-1/2 log(|C + U U^T| / |C|) - N/2 log r^T (C + U U^T)^-1 r, C = 1 + H H^T."""
     n = len(problem)
     without = np.eye(n) + problem.slopes @ problem.slopes.T
@@ -38,9 +36,7 @@ def problem() -> GapProblem:
     return circles.with_residual(change + noise)
 
 
-def test_evidence_is_that_of_dense_covariances(
-    problem: GapProblem, rng: np.random.Generator
-) -> None:
+def test_evidence_is_that_of_dense_covariances(problem, rng):
     evidence = form_evidence(problem)
     columns = rng.standard_normal((len(problem), 4))
     expected = dense_evidence(problem, columns, problem.residual)
@@ -59,7 +55,7 @@ def test_evidence_is_that_of_dense_covariances(
     assert evidence.unexplained(columns, problem.residual) == pytest.approx(square)
 
 
-def test_the_form_of_highest_evidence_is_chosen(problem: GapProblem) -> None:
+def test_the_form_of_highest_evidence_is_chosen(problem):
     """Distances at which play is taken up are alike where circles are far between."""
     (form,) = choose_forms(problem, [backlash.effect])
 

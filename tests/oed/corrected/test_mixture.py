@@ -7,20 +7,19 @@ distribution.
 
 import numpy as np
 import pytest
-from scipy import optimize, special, stats
+from scipy import optimize, special
 from shipped_models import backlash
 
-from kernel.answer_mixture import EFFECTS, Case, case, readings
-from oed.corrected import AnswerFits, AnswerMixture
-from oed.corrected.answer_fits import AnswerPosterior
-from oed.estimation import Estimate, identify
+from kernel.answer_mixture import EFFECTS, case, readings
+from oed.corrected import AnswerFits
+from oed.estimation import identify
 from oed.gap import AnswerContent
 from oed.result import AnswerRecord
 
 __all__ = ["case"]  # fixtures
 
 
-def test_mean_and_covariance_are_those_of_the_dense_mixture(case: Case) -> None:
+def test_mean_and_covariance_are_those_of_the_dense_mixture(case):
     means = np.array([a.mean for a in case.answers])
     mean = case.shares @ means
     free = case.mixture.answers[0].covariance.diagonal() > 0.0
@@ -38,9 +37,7 @@ def test_mean_and_covariance_are_those_of_the_dense_mixture(case: Case) -> None:
     assert (within[free] < 0.97 * sd[free] ** 2).any()
 
 
-def mixture_quantile(
-    level: float, shares: np.ndarray, means: np.ndarray, sds: np.ndarray
-) -> float:
+def mixture_quantile(level, shares, means, sds):
     """Quantile of a mixture of normals, by bisection."""
 
     def excess(x: float) -> float:
@@ -51,7 +48,7 @@ def mixture_quantile(
     return float(optimize.brentq(excess, low, high, xtol=1e-15))
 
 
-def test_intervals_are_quantiles_of_the_dense_mixture(case: Case) -> None:
+def test_intervals_are_quantiles_of_the_dense_mixture(case):
     levels = (0.025, 0.5, 0.975)
     quantiles = case.mixture.quantiles(levels)
     sd = np.sqrt(np.diag(case.mixture.covariance))
@@ -63,7 +60,7 @@ def test_intervals_are_quantiles_of_the_dense_mixture(case: Case) -> None:
             assert abs(quantiles[row, k] - exact) < 0.12 * sd[k]
 
 
-def test_draws_have_the_shares_and_the_moments_of_the_mixture(case: Case) -> None:
+def test_draws_have_the_shares_and_the_moments_of_the_mixture(case):
     drawn = case.mixture.draw(np.random.default_rng(2), 3000)
     counts = np.bincount(drawn.answer, minlength=3) / 3000
     assert counts == pytest.approx(case.mixture.shares, abs=1e-3)
@@ -80,7 +77,7 @@ def test_draws_have_the_shares_and_the_moments_of_the_mixture(case: Case) -> Non
         assert (acts == (drawn.answer == number)).all()
 
 
-def test_an_answer_below_the_least_share_is_left_out_and_said(case: Case) -> None:
+def test_an_answer_below_the_least_share_is_left_out_and_said(case):
     given = readings()
     plain = identify(given.measurement, given.series, given.y)
     records = [AnswerRecord((), 0.99), AnswerRecord(("backlash",), 0.01)]
@@ -97,7 +94,7 @@ def test_an_answer_below_the_least_share_is_left_out_and_said(case: Case) -> Non
     assert mixture.mean == pytest.approx(plain.theta)
 
 
-def test_without_an_answer_that_is_likely_enough_there_is_no_mixture() -> None:
+def test_without_an_answer_that_is_likely_enough_there_is_no_mixture():
     """Not one that takes no gap for sure."""
     given = readings()
     plain = identify(given.measurement, given.series, given.y)
@@ -106,64 +103,3 @@ def test_without_an_answer_that_is_likely_enough_there_is_no_mixture() -> None:
     )
     forms = [AnswerContent({}, unknown=False)]
     assert fits.fit([AnswerRecord((), 0.01)], forms, plain) is None
-
-
-def drawn_answers(
-    rng: np.random.Generator, estimate: Estimate
-) -> tuple[np.ndarray, AnswerMixture]:
-    """Parameters of a linear machine of one of three kinds, and the mixture over them.
-
-    No effect, or one of two that look partly like the geometry, each with its columns'
-    coefficients N(0, 1). The estimate is of another machine, which nothing here asks for.
-    """
-    slopes = rng.standard_normal((10, 3))
-    kinds = [
-        np.zeros((10, 0)),
-        slopes[:, :1] + 0.5 * rng.standard_normal((10, 1)),
-        slopes[:, 1:2] - slopes[:, 2:] + 0.5 * rng.standard_normal((10, 1)),
-    ]
-    acting = kinds[rng.integers(3)]
-    theta = rng.standard_normal(3)
-    y = slopes @ theta + acting @ rng.standard_normal(acting.shape[1])
-    y = y + rng.standard_normal(10)
-    log_evidence, moments = [], []
-    for columns in kinds:
-        prior = np.eye(10) + slopes @ slopes.T + columns @ columns.T
-        gain = np.linalg.solve(prior, slopes).T
-        log_evidence.append(stats.multivariate_normal(cov=prior).logpdf(y))
-        moments.append((gain @ y, np.eye(3) - gain @ slopes))
-    answers = [
-        AnswerPosterior(
-            effects=(),
-            unseen=False,
-            probability=float(share),
-            mean=mean,
-            covariance=covariance,
-            theta=rng.multivariate_normal(mean, covariance, 400),
-            estimate=estimate,
-            noise_law=np.zeros((400, 0)),
-        )
-        for share, (mean, covariance) in zip(
-            special.softmax(log_evidence), moments, strict=True
-        )
-    ]
-    return theta, AnswerMixture(tuple(answers), 0.0)
-
-
-def test_intervals_of_the_mixture_hold_where_those_of_the_best_answer_do_not() -> None:
-    rng = np.random.default_rng(8)
-    given = readings()
-    estimate = identify(given.measurement, given.series, given.y)
-    inside, inside_best, errors, errors_best = [], [], [], []
-    for _ in range(600):
-        theta, mixture = drawn_answers(rng, estimate)
-        low, high = mixture.quantiles((0.025, 0.975))
-        inside.append((low < theta) & (theta < high))
-        best = mixture.answers[int(np.argmax(mixture.shares))]
-        half = 1.96 * np.sqrt(np.diag(best.covariance))
-        inside_best.append(np.abs(theta - best.mean) < half)
-        errors.append((mixture.mean - theta) ** 2)
-        errors_best.append((best.mean - theta) ** 2)
-    assert 0.93 < np.mean(inside) < 0.97  # the standard error is below .01
-    assert np.mean(inside_best) < 0.90
-    assert np.mean(errors) < 0.97 * np.mean(errors_best)

@@ -51,7 +51,7 @@ def read_field(rng: np.random.Generator, nodes: int = 20) -> ErrorField:
 
 
 @pytest.mark.parametrize(("order", "nu"), [("3/2", 1.5), ("5/2", 2.5)])
-def test_a_kernel_is_materns(order: str, nu: float, rng: np.random.Generator) -> None:
+def test_a_kernel_is_materns(order, nu, rng):
     length = np.array([0.5, 2.0])
     first, second = rng.uniform(-1, 1, (4, 2)), rng.uniform(-1, 1, (6, 2))
     distance = np.array(
@@ -93,7 +93,7 @@ def dense(field: ErrorField, command: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return gain @ field.errors, covariance
 
 
-def test_a_field_is_conditioned_on_its_readings(rng: np.random.Generator) -> None:
+def test_a_field_is_conditioned_on_its_readings(rng):
     field = read_field(rng)
     command = rng.uniform(LOW, HIGH, (4, 2))
     mean, covariance = dense(field, command)
@@ -103,7 +103,7 @@ def test_a_field_is_conditioned_on_its_readings(rng: np.random.Generator) -> Non
     assert np.sqrt(np.abs(np.diag(home))) == pytest.approx([0.0, 0.0], abs=1e-8)
 
 
-def test_noise_of_a_node_is_not_copied(rng: np.random.Generator) -> None:
+def test_noise_of_a_node_is_not_copied(rng):
     """One node in 41 that is off by five times its noise: the field follows half of it."""
     command = rng.uniform(LOW, HIGH, (41, 2))
     errors, sigma = bent(command), np.broadcast_to(SIGMA, (41, 2))
@@ -115,7 +115,7 @@ def test_noise_of_a_node_is_not_copied(rng: np.random.Generator) -> None:
     assert (change > 0.0).all()
 
 
-def test_left_out_nodes_are_predicted_by_the_others(rng: np.random.Generator) -> None:
+def test_left_out_nodes_are_predicted_by_the_others(rng):
     field = read_field(rng)
     residual, sd = (values.ravel()[field.read] for values in field.left_out())
     keep = np.arange(len(field.errors)) // 2 != 3
@@ -131,7 +131,7 @@ def test_left_out_nodes_are_predicted_by_the_others(rng: np.random.Generator) ->
     assert (sd[6:8] > field.sigma[6:8]).all()
 
 
-def test_repeats_are_averaged_and_gaps_passed_over(rng: np.random.Generator) -> None:
+def test_repeats_are_averaged_and_gaps_passed_over(rng):
     command = rng.uniform(LOW, HIGH, (15, 2))
     errors = bent(command)
     sigma = np.broadcast_to(SIGMA, errors.shape)
@@ -147,7 +147,7 @@ def test_repeats_are_averaged_and_gaps_passed_over(rng: np.random.Generator) -> 
     assert 0.65 < np.median(twofold / at) < 0.95
 
 
-def test_no_kernel_of_a_grid_is_more_probable(rng: np.random.Generator) -> None:
+def test_no_kernel_of_a_grid_is_more_probable(rng):
     field = read_field(rng, 14)
 
     def log_posterior(kernel: Kernel) -> float:
@@ -171,9 +171,7 @@ def test_no_kernel_of_a_grid_is_more_probable(rng: np.random.Generator) -> None:
         field.model.fit(np.eye(3, 2), np.zeros((3, 2)), sigma)
 
 
-def test_a_design_predicts_what_dense_conditioning_says(
-    rng: np.random.Generator,
-) -> None:
+def test_a_design_predicts_what_dense_conditioning_says(rng):
     """The modes represent 99.9 % of the field, so predictions are that near."""
     lattice = np.array([(y, z) for y in (-1.2, 0.0, 0.7, 1.2) for z in (0.0, 0.8, 1.5)])
     errors = model(rng, 40)
@@ -187,15 +185,10 @@ def test_a_design_predicts_what_dense_conditioning_says(
     read = errors.rows(chosen)
     noise = joint_size(errors.rows(np.vstack([lattice, errors.command])), SIGMA[None])
     field = read_field(rng)
+    prior = type(field.prior)(errors.home_place, TREND_SIZE * size, noise)
+    order, sigma = np.arange(16), np.tile(SIGMA, 8)
     field = ErrorField(
-        errors,
-        read,
-        np.arange(16),
-        np.arange(16) // 2,
-        np.zeros(16),
-        np.tile(SIGMA, 8),
-        kernel,
-        type(field.prior)(errors.home_place, TREND_SIZE * size, noise),
+        errors, read, order, order // 2, np.zeros(16), sigma, kernel, prior
     )
     _, covariance = dense(field, errors.command)
     expected = np.sqrt(np.diag(covariance).reshape(-1, 2).mean(axis=0))

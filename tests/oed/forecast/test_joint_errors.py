@@ -22,7 +22,7 @@ def longer(command: np.ndarray, k: int) -> np.ndarray:
     return (ahead - behind) / (2.0 * step)
 
 
-def test_a_longer_strut_moves_the_platform_here_and_less_at_home() -> None:
+def test_a_longer_strut_moves_the_platform_here_and_less_at_home():
     rows = JointErrors(PLANAR, COMMAND, "home", NOTHING).rows(COMMAND)
     for k in (0, 1):
         assert rows.local[:, :, k] == pytest.approx(longer(COMMAND, k), abs=1e-7)
@@ -33,7 +33,7 @@ def test_a_longer_strut_moves_the_platform_here_and_less_at_home() -> None:
     assert not absolute.at_home.any()
 
 
-def test_parameters_are_known_by_their_standard_deviations() -> None:
+def test_parameters_are_known_by_their_standard_deviations():
     spread = np.zeros((7, 1))
     spread[0] = 2e-6  # the distance of the columns
     rows = JointErrors(PLANAR, COMMAND, "home", spread).rows(COMMAND)
@@ -43,7 +43,7 @@ def test_parameters_are_known_by_their_standard_deviations() -> None:
     )
 
 
-def test_places_go_round_and_fill_minus_one_to_one(rng: np.random.Generator) -> None:
+def test_places_go_round_and_fill_minus_one_to_one(rng):
     low, high = [1.066, 0.0, 0.1], [1.266, 2.0 * np.pi, 0.6]
     model = JointErrors(
         HEAD, rng.uniform(low, high, (50, 3)), "home", np.zeros((24, 0))
@@ -62,7 +62,7 @@ def test_places_go_round_and_fill_minus_one_to_one(rng: np.random.Generator) -> 
     assert differences == pytest.approx(np.abs(scaled - scaled[0]), abs=1e-9)
 
 
-def test_psi_of_an_upright_tool_has_no_meaning() -> None:
+def test_psi_of_an_upright_tool_has_no_meaning():
     model = JointErrors(HEAD, np.array([[1.1, 0.0, 0.3]]), "home", np.zeros((24, 0)))
     command = np.array([[1.1, 0.0, 0.3], [1.1, 0.0, 0.0]])
     meaningful = model.meaningful(command)
