@@ -17,9 +17,7 @@ ORDERS = [
 
 
 @pytest.mark.parametrize("stated", ORDERS, ids=lambda o: o.formula)
-def test_angles_and_rotations_undo_each_other(
-    stated: Orientation, rng: np.random.Generator
-) -> None:
+def test_angles_and_rotations_undo_each_other(stated, rng):
     angles = {n: rng.uniform(-0.9, 0.9, 20) for n in stated.names}
     if stated.axis_only and stated.factors[0][0] == "z":
         angles["b"] = np.abs(angles["b"])  # a nutation
@@ -32,7 +30,7 @@ def test_angles_and_rotations_undo_each_other(
     assert stated.angles(np.eye(3)[None])  # regular where nothing is turned
 
 
-def test_a_product_without_an_inverse_says_so() -> None:
+def test_a_product_without_an_inverse_says_so():
     stated = Orientation.rotation(("z", "a"), ("x", "b"), ("z", "c"))
     with pytest.raises(ValueError, match="has no inverse"):
         stated.angles(np.eye(3)[None])

@@ -1,6 +1,4 @@
-"""Modes of random smooth curves and fields, against Matern's covariance by another
-quadrature.
-"""
+"""Modes of random smooth curves and fields, against Matern's covariance by another quadrature."""
 
 import numpy as np
 import pytest
@@ -24,19 +22,15 @@ def _correlation(way: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _curves(reach: float, count: int, straight: int) -> np.ndarray:
+    how = {"correlation_length": reach, "count": count, "detrend": straight}
     return np.column_stack(
-        [
-            smooth_basis.curve_mode(
-                NODES, k, correlation_length=reach, count=count, detrend=straight
-            )
-            for k in range(count)
-        ]
+        [smooth_basis.curve_mode(NODES, k, **how) for k in range(count)]
     )
 
 
 @pytest.mark.parametrize("reach", [0.2, 0.5])
 @pytest.mark.parametrize("straight", [0, 1, 2])
-def test_modes_have_the_covariance_of_the_curve(reach: float, straight: int) -> None:
+def test_modes_have_the_covariance_of_the_curve(reach, straight):
     made, lines = _curves(reach, 60, straight), np.vander(NODES, straight)
     inner = lines.T @ (WEIGHTS[:, None] * lines)
     left = np.eye(len(NODES)) - lines @ np.linalg.solve(inner, lines.T * WEIGHTS)
@@ -47,20 +41,16 @@ def test_modes_have_the_covariance_of_the_curve(reach: float, straight: int) -> 
 
 
 @pytest.mark.parametrize("straight", [0, 1, 2])
-def test_modes_are_orthogonal_the_largest_first(straight: int) -> None:
+def test_modes_are_orthogonal_the_largest_first(straight):
     made = _curves(0.5, 8, straight)
     inner = made.T @ (WEIGHTS[:, None] * made)
     assert np.abs(inner - np.diag(np.diag(inner))).max() < 2e-3
     assert (np.diff(np.diag(inner)) < 0.0).all()
-    assert (
-        np.abs(np.vander(NODES, straight).T @ (WEIGHTS[:, None] * made)).max(
-            initial=0.0
-        )
-        < 1e-3
-    )
+    straight_part = np.vander(NODES, straight).T @ (WEIGHTS[:, None] * made)
+    assert np.abs(straight_part).max(initial=0.0) < 1e-3
 
 
-def test_a_curve_stays_as_it_is_beyond_its_span() -> None:
+def test_a_curve_stays_as_it_is_beyond_its_span():
     ends = smooth_basis.curve_mode(
         np.array([-5.0, -1.0, 1.0, 5.0]), 0, correlation_length=0.5, count=4
     )
@@ -70,8 +60,8 @@ def test_a_curve_stays_as_it_is_beyond_its_span() -> None:
 
 @pytest.mark.parametrize("reach", [0.3, 0.8])
 def test_a_field_has_the_covariance_between_its_places_and_is_the_same_in_the_same_place(
-    reach: float, rng: np.random.Generator
-) -> None:
+    reach, rng
+):
     there = rng.uniform(-1.0, 1.0, (40, 3))
     places = np.vstack([there, there[::-1]])  # there and back
     made = smooth_basis.field_modes(
@@ -83,16 +73,15 @@ def test_a_field_has_the_covariance_between_its_places_and_is_the_same_in_the_sa
     assert made.shape[1] <= 40
 
 
-def test_a_field_is_told_by_as_few_modes_as_hold_its_share(
-    rng: np.random.Generator,
-) -> None:
+def test_a_field_is_told_by_as_few_modes_as_hold_its_share(rng):
     places = rng.uniform(-1.0, 1.0, (60, 2))
-    every, some, few = (
-        smooth_basis.field_modes(
-            places, correlation_length=0.8, energy_share=s, count=c
-        )
-        for s, c in ((1.0, 99), (0.9, 99), (0.9, 3))
-    )
+    limits = [
+        {"energy_share": s, "count": c} for s, c in ((1.0, 99), (0.9, 99), (0.9, 3))
+    ]
+    modes = [
+        smooth_basis.field_modes(places, correlation_length=0.8, **d) for d in limits
+    ]
+    every, some, few = modes
     told = np.cumsum(np.square(every).sum(axis=0)) / 60.0
     assert told[some.shape[1] - 1] >= 0.9 > told[some.shape[1] - 2]
     assert some == pytest.approx(every[:, : some.shape[1]])

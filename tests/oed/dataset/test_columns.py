@@ -1,8 +1,6 @@
 """Columns, dialects and rows of a readings file, part by part."""
 
 import dataclasses
-import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,7 +15,7 @@ from shipped_models import (
 )
 
 from oed.base import consecutive_slices
-from oed.dataset import columns, csv_input, csv_output, data, dialect, table
+from oed.dataset import columns, csv_input, csv_output, data, table
 from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table import check_rows
@@ -33,29 +31,23 @@ def read(*rows: list[str], separator: str = ",") -> ReadingsFile:
     return table.from_rows(numbered, "x.csv", separator=separator)
 
 
-@pytest.mark.parametrize(
-    ("name", "stem", "unit", "factor"),
-    [
-        ("z_mm", "z", "m", 1e-3),
-        ("read_alpha_mrad", "read_alpha", "rad", 1e-3),
-        ("feed_mm_min", "feed", "m/s", 1e-3 / 60.0),
-        ("direction", "direction", "1", 1.0),
-    ],
-)
-def test_a_column_states_its_unit(
-    name: str, stem: str, unit: str, factor: float
-) -> None:
+@pytest.mark.parametrize(("name", "stem", "unit", "factor"), [
+    ("z_mm", "z", "m", 1e-3),
+    ("read_alpha_mrad", "read_alpha", "rad", 1e-3),
+    ("feed_mm_min", "feed", "m/s", 1e-3 / 60.0), ("direction", "direction", "1", 1.0),
+])  # fmt: skip
+def test_a_column_states_its_unit(name, stem, unit, factor):
     column = columns.ReadingsColumn.parse(name)
     assert (column.stem, column.unit) == (stem, unit)
     assert column.factor == pytest.approx(factor)
 
 
-def test_a_column_without_a_known_unit_is_refused() -> None:
+def test_a_column_without_a_known_unit_is_refused():
     with pytest.raises(UnitError):
         columns.ReadingsColumn.parse("z_furlong")
 
 
-def test_columns_are_written_as_they_are_read() -> None:
+def test_columns_are_written_as_they_are_read():
     for stem, unit, value in (("z", "m", 0.0123), ("psi", "rad", 0.5), ("q", "K", 2.0)):
         column = columns.ReadingsColumn.of(stem, unit)
         assert float(columns.cell(value, unit)) * column.factor == pytest.approx(value)
@@ -63,7 +55,7 @@ def test_columns_are_written_as_they_are_read() -> None:
     assert columns.cell(np.nan, "m") == ""
 
 
-def test_covariates_are_known_by_their_stems() -> None:
+def test_covariates_are_known_by_their_stems():
     assert columns.temperature_body("temp_bar") == "bar"
     assert columns.temperature_body("temp_") is None
     assert columns.ReadingsColumn.of_covariate("length") is None
@@ -76,47 +68,11 @@ def test_covariates_are_known_by_their_stems() -> None:
     assert len(columns.tension_columns(cables_planar.machine)) == count
 
 
-def test_a_dialect_is_recognised_by_the_header() -> None:
-    split = dialect.SplitText.of("# a remark\nsetup;run;order;z_mm\na;1;1;2,5\n")
-    assert split.separator == ";"
-    assert split.text.startswith("setup;")
-    assert dialect.with_decimal_points(["2,5", "1.234,5"], ";") == ["2.5", "1.234,5"]
-    assert dialect.with_decimal_points(["2,5"], ",") == ["2,5"]
-    assert dialect.decode("\ufeffz".encode()) == "z"
-    assert dialect.decode("z".encode("utf-16")) == "z"
-    assert dialect.commented(["a", "b"]) == "# a\n# b\n"
-    assert dialect.is_unread("")
-    assert not dialect.is_unread("z_mm")
-
-
-def test_rows_become_numbers_and_labels() -> None:
+def test_rows_become_numbers_and_labels():
     rows = read(["a", "1", "2", "5,5", "-1", ""], separator=";")
     assert rows.frame["z"].tolist() == [0.0055]
     assert rows.frame["length"].isna().all()
     check_rows(rows)
-
-
-@pytest.mark.parametrize(
-    ("row", "column"),
-    [
-        (["", "1", "1", "5", "1", "2"], "setup"),
-        (["a", "1", "1.5", "5", "1", "2"], "order"),
-        (["a", "1", "1", "5", "2", "2"], "direction"),
-    ],
-)
-def test_a_row_that_contradicts_itself_is_refused(row: list[str], column: str) -> None:
-    with pytest.raises(ReadingsError) as error:
-        check_rows(read(row))
-    assert error.value.column == column
-
-
-def test_a_remedy_names_what_belongs_together() -> None:
-    poses = [["z", "psi"], ["q1", "q2"]]
-    assert table.cell_remedy("q2", poses).endswith("all of q1, q2")
-    assert "leave the cell empty" in table.cell_remedy("length", poses)
-    assert "keep one row in 3 " in str(
-        table.too_many(2 * table.MAX_READINGS + 1, "rows", "x.csv")
-    )
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +80,7 @@ def planar() -> Measurement:
     return Measurement(planar_2dof.machine, [mount(relative.rm5, "ruler")])
 
 
-def test_known_columns_are_those_of_machine_and_instruments(
-    planar: Measurement,
-) -> None:
+def test_known_columns_are_those_of_machine_and_instruments(planar):
     expected = csv_input.expected_columns(planar)
     assert expected["y"] == expected["dz"] == "m"
     assert csv_input.pose_groups(planar)[0] == ["y", "z"]
@@ -142,7 +96,7 @@ def test_known_columns_are_those_of_machine_and_instruments(
         csv_input.check_setups(rows, planar)
 
 
-def test_a_pose_is_filled_whole_or_not_at_all() -> None:
+def test_a_pose_is_filled_whole_or_not_at_all():
     rows = read(["a", "1", "1", "5", "1", "2"], ["a", "1", "2", "", "", ""])
     first, second = (np.array([k]) for k in (0, 1))
     filled = csv_input.filled_columns(rows, ["z", "length"], first)
@@ -153,7 +107,7 @@ def test_a_pose_is_filled_whole_or_not_at_all() -> None:
         csv_input.filled_columns(rows, ["z", "length", "q"], first)
 
 
-def test_references_of_runs_are_rows_without_readings(planar: Measurement) -> None:
+def test_references_of_runs_are_rows_without_readings(planar):
     command = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
     series = planar.series("ruler", command, run=["a"] * 3)
     readings = data.from_series([series], np.array([1e-6, 2e-6, np.nan, 4e-6]), planar)
@@ -167,7 +121,7 @@ def test_references_of_runs_are_rows_without_readings(planar: Measurement) -> No
     assert consecutive_slices([2, 0, 3]) == (slice(0, 2), slice(2, 2), slice(2, 5))
 
 
-def test_a_table_has_two_hundred_columns_at_most() -> None:
+def test_a_table_has_two_hundred_columns_at_most():
     """Columns without a name count as well."""
     for spare, accepted in ((194, True), (195, False)):
         header, cells = [*HEADER, *[""] * spare], ["a", "1", "1", "5", "1", "2"]
@@ -179,7 +133,7 @@ def test_a_table_has_two_hundred_columns_at_most() -> None:
             table.from_rows(numbered, "x.csv")
 
 
-def test_blocks_of_rows_make_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_of_rows_make_one_table(monkeypatch):
     rows = [["a", str(k % 2), str(k), f"{k}.5", "", "2"] for k in range(1, 8)]
     whole = read(*rows).frame
     monkeypatch.setattr(table, "ROWS_AT_ONCE", 3)
@@ -189,24 +143,7 @@ def test_blocks_of_rows_make_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
         read(*rows)  # of the first column, though an earlier block has another
 
 
-def test_memory_is_that_of_the_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(table, "ROWS_AT_ONCE", 500)
-    path = tmp_path / "long.csv"
-    lines = [f"a,circle,{k},{k / 7:.6f},1,{k / 9:.6f}\n" for k in range(8_000)]
-    path.write_text(",".join(HEADER) + "\n" + "".join(lines), encoding="utf-8")
-    tracemalloc.start()
-    try:
-        frame = table.read(path).frame
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert len(frame) == len(lines)
-    assert peak < 10 * path.stat().st_size
-
-
-def test_cables_that_stretch_are_longer_than_paid_out() -> None:
+def test_cables_that_stretch_are_longer_than_paid_out():
     machine = dataclasses.replace(
         cables_planar.machine,
         cable_stiffness=(1e4,) * len(cables_planar.machine.joints),

@@ -1,7 +1,5 @@
 """Lines with # above the header of a readings file."""
 
-from pathlib import Path
-
 import pytest
 import sample
 
@@ -23,9 +21,7 @@ def head() -> Measurement:
         "sep=,\n# Excel's line first\n",
     ],
 )
-def test_comments_above_the_header_are_no_rows(
-    tmp_path: Path, head: Measurement, above: str
-) -> None:
+def test_comments_above_the_header_are_no_rows(tmp_path, head, above):
     """Read as without them; errors count the lines as the file has them."""
     plain, commented = tmp_path / "a.csv", tmp_path / "b.csv"
     plain.write_text(sample.READINGS)
@@ -39,7 +35,7 @@ def test_comments_above_the_header_are_no_rows(
     assert f"row {lines + 3}, column length_mm" in str(caught.value)
 
 
-def test_comments_alone_are_no_readings(tmp_path: Path, head: Measurement) -> None:
+def test_comments_alone_are_no_readings(tmp_path, head):
     path = tmp_path / "c.csv"
     path.write_text("# nothing else\n")
     with pytest.raises(dataset.ReadingsError, match="no header below the comments"):

@@ -1,9 +1,6 @@
-"""Readings: what is read back is what was written; what cannot be used is refused with
-row and column.
-"""
+"""Readings: what is read back is what was written; what cannot be used is refused."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,8 +10,8 @@ from dataset_files import loaded, refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed import dataset, units
-from oed.dataset import Dataset, ReadingsError, columns
+from oed import dataset
+from oed.dataset import Dataset, ReadingsError
 from oed.measurement import Measurement
 
 
@@ -28,9 +25,7 @@ def delta() -> Measurement:
     return sample.resolved(sample.DELTA).measurement
 
 
-def test_commands_covariates_and_readings_come_in_si(
-    head: Measurement, tmp_path: Path
-) -> None:
+def test_commands_covariates_and_readings_come_in_si(head, tmp_path):
     found = loaded(sample.READINGS, head, tmp_path)
     np.testing.assert_allclose(found.y, [0.300001, 0.300002, 0.299999], rtol=1e-15)
     (series,) = found.series
@@ -45,9 +40,7 @@ def test_commands_covariates_and_readings_come_in_si(
     assert found.dropped == 1
 
 
-def test_the_first_row_of_a_run_is_its_reference(
-    delta: Measurement, tmp_path: Path
-) -> None:
+def test_the_first_row_of_a_run_is_its_reference(delta, tmp_path):
     found = loaded(sample.DELTA_READINGS, delta, tmp_path)
     assert found.setups == ("probe", "calliper")
     probe, calliper = found.series
@@ -65,9 +58,7 @@ def head_of(found: Dataset) -> list[str]:
     return list(found.covariates["setup"])
 
 
-def test_a_run_without_readings_goes_with_its_reference(
-    delta: Measurement, tmp_path: Path
-) -> None:
+def test_a_run_without_readings_goes_with_its_reference(delta, tmp_path):
     text = sample.changed(sample.DELTA_READINGS, (",64.8", ","))
     found = loaded(text, delta, tmp_path)
     assert found.dropped == 1
@@ -75,16 +66,14 @@ def test_a_run_without_readings_goes_with_its_reference(
     assert list(found.series[1].run) == ["d1"]
 
 
-def test_rows_are_taken_in_time(head: Measurement, tmp_path: Path) -> None:
+def test_rows_are_taken_in_time(head, tmp_path):
     first, *rows = sample.READINGS.splitlines()
     found = loaded("\n".join([first, *reversed(rows)]), head, tmp_path)
     assert list(found.covariates["order"]) == [1, 1, 2]
     assert list(found.covariates["run"]) == ["high", "low", "low"]
 
 
-def test_files_are_taken_together_and_must_not_meet(
-    head: Measurement, tmp_path: Path
-) -> None:
+def test_files_are_taken_together_and_must_not_meet(head, tmp_path):
     paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
     paths[0].write_text(sample.READINGS, encoding="utf-8")
     paths[1].write_text(
@@ -99,6 +88,7 @@ def test_files_are_taken_together_and_must_not_meet(
 # -- round trip ------------------------------------------------------------------------
 
 number = st.floats(min_value=-1.0, max_value=1.0, allow_nan=False, width=64)
+SHARED = [HealthCheck.function_scoped_fixture]
 row = st.tuples(
     st.floats(1.066, 1.266),
     st.floats(-2.0 * math.pi, 2.0 * math.pi),
@@ -109,15 +99,9 @@ row = st.tuples(
 )
 
 
-@settings(
-    max_examples=40,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=40, deadline=None, suppress_health_check=SHARED)
 @given(rows=st.lists(row, min_size=1, max_size=12))
-def test_what_is_written_is_read_back(
-    rows: list, head: Measurement, tmp_path: Path
-) -> None:
+def test_what_is_written_is_read_back(rows, head, tmp_path):
     rows = sorted(
         rows, key=lambda r: [r[3] for r in rows].index(r[3])
     )  # runs come one after the other
@@ -146,18 +130,12 @@ def test_what_is_written_is_read_back(
     assert list(tmp_path.iterdir()) == [path]
 
 
-@settings(
-    max_examples=15,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=15, deadline=None, suppress_health_check=SHARED)
 @given(
     lengths=st.lists(st.integers(2, 4), min_size=1, max_size=4),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_joints_and_references_are_read_back(
-    lengths: list[int], seed: int, delta: Measurement, tmp_path: Path
-) -> None:
+def test_joints_and_references_are_read_back(lengths, seed, delta, tmp_path):
     rng = np.random.default_rng(seed)
     q = rng.uniform(0.38, 0.42, (sum(lengths), 3))
     run = [f"run {k}" for k, n in enumerate(lengths) for _ in range(n)]
@@ -178,7 +156,7 @@ def test_joints_and_references_are_read_back(
     )
 
 
-def test_series_of_one_set_up_keep_their_runs_apart(delta: Measurement) -> None:
+def test_series_of_one_set_up_keep_their_runs_apart(delta):
     q = np.full((3, 3), 0.400) + np.arange(3)[:, None] * 0.001
     twice = [
         delta.series_from_joints("calliper", q),
@@ -189,28 +167,8 @@ def test_series_of_one_set_up_keep_their_runs_apart(delta: Measurement) -> None:
     assert list(made.covariates["order"]) == [2, 3, 2, 3]
 
 
-def test_a_plan_to_fill_in_has_empty_readings(
-    head: Measurement, tmp_path: Path
-) -> None:
+def test_a_plan_to_fill_in_has_empty_readings(head, tmp_path):
     series = head.series("cup", np.array([[1.1, 0.0, 0.5]]))
     text = dataset.to_csv(dataset.from_series([series], np.array([np.nan]), head))
     assert text.splitlines()[1].endswith(",")
     assert "no reading was taken" in str(refused(text, head, tmp_path))
-
-
-# -- columns ---------------------------------------------------------------------------
-
-
-@given(
-    stem=st.from_regex(r"[a-z]+[0-9]?", fullmatch=True),
-    unit=st.sampled_from(sorted(units.UNITS)),
-)
-def test_a_column_says_its_unit(stem: str, unit: str) -> None:
-    if stem in columns.UNITLESS or (stem, unit) == ("feed", "mm_min"):
-        return
-    column = columns.ReadingsColumn.parse(f"{stem}_{unit}")
-    assert (column.stem, column.unit, column.factor) == (
-        stem,
-        units.si_unit(unit),
-        units.factor(unit),
-    )

@@ -45,32 +45,23 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_a_spreadsheet_gives_the_same_readings(name: str, tmp_path: Path) -> None:
+def test_a_spreadsheet_gives_the_same_readings(name, tmp_path):
     expected = frame(tmp_path / "plain.csv", PLAIN.encode())
     assert expected["length"].to_numpy()[0] == pytest.approx(0.300001)
     got = frame(tmp_path / "excel.csv", WRITTEN[name])
     pd.testing.assert_frame_equal(got, expected)
 
 
-@pytest.mark.parametrize(
-    ("text", "where", "words"),
-    [
-        (GERMAN.replace("300,001", "1.300,001"), "row 2, column length_mm", "thousand"),
-        (GERMAN.replace("300,001", "300,0,1"), "row 2, column length_mm", "300,0,1"),
-        (PLAIN.replace("300.001", '"300,001"'), "row 2, column length_mm", "point"),
-        (GERMAN.replace("300,001", "300,001;loose"), "row 2", "11 cells"),
-        (GERMAN.replace(";300,001", ""), "row 2", "9 cells"),
-        (
-            GERMAN.replace("\n", ";\n").replace("300,001;", "300,001;loose"),
-            "row 2, column",
-            "name it in the header",
-        ),
-        (GERMAN.replace("setup;", "sets;"), "row 1, column setup", "missing"),
-    ],
-)
-def test_what_is_ambiguous_is_refused(
-    text: str, where: str, words: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("text", "where", "words"), [
+    (GERMAN.replace("300,001", "1.300,001"), "row 2, column length_mm", "thousand"),
+    (GERMAN.replace("300,001", "300,0,1"), "row 2, column length_mm", "300,0,1"),
+    (PLAIN.replace("300.001", '"300,001"'), "row 2, column length_mm", "point"),
+    (GERMAN.replace("300,001", "300,001;loose"), "row 2", "11 cells"),
+    (GERMAN.replace(";300,001", ""), "row 2", "9 cells"),
+    (GERMAN.replace("\n", ";\n").replace("300,001;", "300,001;loose"), "row 2, column", "name it in the header"),
+    (GERMAN.replace("setup;", "sets;"), "row 1, column setup", "missing"),
+])  # fmt: skip
+def test_what_is_ambiguous_is_refused(text, where, words, tmp_path):
     path = tmp_path / "r.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ReadingsError) as error:
@@ -79,7 +70,7 @@ def test_what_is_ambiguous_is_refused(
     assert words in str(error.value)
 
 
-def test_remarks_may_be_numbered_and_are_not_read(tmp_path: Path) -> None:
+def test_remarks_may_be_numbered_and_are_not_read(tmp_path):
     lines = PLAIN.splitlines()
     text = "\n".join([f"{lines[0]},remark,Remark_2", *[f"{x},a,1" for x in lines[1:]]])
     got = frame(tmp_path / "r.csv", text.encode())

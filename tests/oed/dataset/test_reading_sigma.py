@@ -71,9 +71,7 @@ def loaded(text: str, measurement: Measurement, folder: Path) -> dataset.Dataset
     return dataset.load(path, measurement)
 
 
-def test_the_fit_is_weighted_least_squares(
-    measurement: Measurement, text: str, tmp_path: Path
-) -> None:
+def test_the_fit_is_weighted_least_squares(measurement, text, tmp_path):
     data = loaded(text, measurement, tmp_path)
     sd = stated(text)
     np.testing.assert_allclose(measurement.sigma(data.series), sd, rtol=1e-12)
@@ -96,9 +94,7 @@ def test_the_fit_is_weighted_least_squares(
     np.testing.assert_allclose(np.diag(own), np.diag(covariance), rtol=1e-3)
 
 
-def test_every_step_takes_the_noise_of_the_readings(
-    measurement: Measurement, text: str, tmp_path: Path
-) -> None:
+def test_every_step_takes_the_noise_of_the_readings(measurement, text, tmp_path):
     data = loaded(text, measurement, tmp_path)
     sd = stated(text)
     structure = reading_structure(measurement, data.series, measurement.nominal)
@@ -123,9 +119,7 @@ def test_every_step_takes_the_noise_of_the_readings(
     np.testing.assert_allclose(taken, sd.reshape(-1, 3)[order], rtol=1e-12)
 
 
-def test_a_file_written_back_has_the_same_noise(
-    measurement: Measurement, text: str, tmp_path: Path
-) -> None:
+def test_a_file_written_back_has_the_same_noise(measurement, text, tmp_path):
     data = loaded(text, measurement, tmp_path)
     again = loaded(dataset.to_csv(data), measurement, tmp_path)
     np.testing.assert_allclose(
@@ -134,7 +128,7 @@ def test_a_file_written_back_has_the_same_noise(
     assert "sigma_read_x_mm" in dataset.to_csv(data).splitlines()[0]
 
 
-def test_channels_of_common_sources_scale_with_their_reading() -> None:
+def test_channels_of_common_sources_scale_with_their_reading():
     """A laser ball bar's error inside grows with the stated one of each channel."""
     setup = mount(laser, "bar", at_x=0.0, at_y=0.0, at_z=-0.4)
     bar = Measurement(machine, [setup])
@@ -145,13 +139,10 @@ def test_channels_of_common_sources_scale_with_their_reading() -> None:
     np.testing.assert_allclose(after / before, factor.ravel(), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("cell", "words"),
-    [("0", "no reading has such"), ("-3", "no reading has such"), ("x", "finite")],
-)
-def test_what_is_no_standard_deviation_is_refused(
-    cell: str, words: str, measurement: Measurement, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("cell", "words"), [
+    ("0", "no reading has such"), ("-3", "no reading has such"), ("x", "finite"),
+])  # fmt: skip
+def test_what_is_no_standard_deviation_is_refused(cell, words, measurement, tmp_path):
     lines = [
         "setup,run,order,x_mm,y_mm,z_mm,read_x_mm,read_y_mm,read_z_mm,sigma_read_x_um",
         f"tracker,1,1,0,0,40,0,0,40,{cell}",
@@ -161,9 +152,7 @@ def test_what_is_no_standard_deviation_is_refused(
     assert "sigma_read_x_um" in str(caught.value)
 
 
-def test_the_noise_of_a_channel_that_nobody_reads_is_refused(
-    measurement: Measurement, tmp_path: Path
-) -> None:
+def test_the_noise_of_a_channel_that_nobody_reads_is_refused(measurement, tmp_path):
     lines = [
         "setup,run,order,x_mm,y_mm,z_mm,read_x_mm,read_y_mm,read_z_mm,sigma_height_um",
         "tracker,1,1,0,0,40,0,0,40,5",

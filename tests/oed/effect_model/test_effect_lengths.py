@@ -11,9 +11,7 @@ from oed.effect_model import Column, Effect, State
 
 
 @pytest.mark.parametrize("effect", [backlash.effect, friction.effect])
-def test_travel_after_a_reversal_is_in_proportion_to_the_expected_size(
-    effect: Effect,
-) -> None:
+def test_travel_after_a_reversal_is_in_proportion_to_the_expected_size(effect):
     usual = effect.constants["distance"]
     larger = effect.with_expected_size("m", 5.0 * effect.proportional["distance"])
     assert larger.constants["distance"] == pytest.approx([5.0 * d for d in usual])
@@ -23,10 +21,8 @@ def test_travel_after_a_reversal_is_in_proportion_to_the_expected_size(
 
 
 @pytest.mark.parametrize("size", [0.5e-6, 30e-6])
-def test_scales_keep_their_ratio_to_the_expected_size(size: float) -> None:
-    """The largest textbook column of the unit has the size; by hand, all others follow.
-    Columns of another unit stay as they are.
-    """
+def test_scales_keep_their_ratio_to_the_expected_size(size):
+    """The largest textbook column of the unit has the size; others of the unit follow."""
     scales = {"leg 1": 4e-6, "leg 2": 8e-6, "bend": 16e-6, "warm": 3.0}
 
     def columns(state: State) -> list[Column]:
@@ -48,7 +44,7 @@ def test_scales_keep_their_ratio_to_the_expected_size(size: float) -> None:
 
 
 @pytest.mark.parametrize("machine", ["a3_head", "linear_delta"])
-def test_joints_displace_the_tool_as_far_as_they_can(machine: str) -> None:
+def test_joints_displace_the_tool_as_far_as_they_can(machine):
     """What they do to the tool is a projection: 1 m along what they reach, else nothing."""
     (state, *_) = effects_sample.session(machine).states
     moved = state.twist[:, :3] @ state.joints_per_displacement
@@ -64,9 +60,7 @@ def test_joints_displace_the_tool_as_far_as_they_can(machine: str) -> None:
 
 
 @pytest.mark.parametrize("effect", [friction.effect, servo_lag.effect])
-def test_forms_over_the_rate_are_those_of_the_same_session_at_another_feed(
-    effect: Effect,
-) -> None:
+def test_forms_over_the_rate_are_those_of_the_same_session_at_another_feed(effect):
     """What changes with the rate does so over the session's own feeds."""
     (state, *_) = effects_sample.session("a3_head").states
     assert state.max_feed > 0.0
@@ -83,15 +77,12 @@ def test_forms_over_the_rate_are_those_of_the_same_session_at_another_feed(
             np.testing.assert_allclose(change, wanted, rtol=1e-9)
 
 
-def test_an_effect_knows_units_covariates_and_its_grid() -> None:
+def test_an_effect_knows_units_covariates_and_its_grid():
+    constants, column = {"tau": (1.0, 2.0), "share": (0.5,)}, Column("leg 1 rise", 1.0)
+    needs, units = ("time or temp_leg",), {"* rise": "K"}
+    what = {"columns": lambda state: [column], "needs": needs, "units": units}
     effect = Effect(
-        name="warm",
-        source="by hand",
-        about="",
-        columns=lambda state: [Column("leg 1 rise", 1.0)],
-        needs=("time or temp_leg",),
-        constants={"tau": (1.0, 2.0), "share": (0.5,)},
-        units={"* rise": "K"},
+        name="warm", source="by hand", about="", constants=constants, **what
     )
     assert effect.varies_with_time
     assert not dataclasses.replace(effect, needs=("direction: both",)).varies_with_time

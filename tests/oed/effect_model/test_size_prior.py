@@ -5,11 +5,11 @@ import pytest
 from scipy import integrate, stats
 
 from oed.effect_model import Effect
-from oed.effect_model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
+from oed.effect_model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES
 
 
 @pytest.mark.parametrize("prior", [EFFECT_SIZES, UNKNOWN_SIZES])
-def test_the_prior_is_proper_and_ascends(prior: SizePrior) -> None:
+def test_the_prior_is_proper_and_ascends(prior):
     assert np.exp(prior.log_shares).sum() == pytest.approx(1.0)
     assert (np.diff(prior.values) > 0.0).all()
     assert np.diff(np.log10(prior.values)) == pytest.approx(0.5, abs=0.03)
@@ -21,7 +21,7 @@ def _density(beta: float) -> float:
     return float(np.exp(EFFECT_SIZES.log_shares) @ of_sizes)
 
 
-def test_a_decade_more_costs_a_decade_of_density_and_no_square() -> None:
+def test_a_decade_more_costs_a_decade_of_density_and_no_square():
     """About 1 / |beta| from 100 to 30 000 expected sizes; a normal one falls by e^-50."""
     for beta in (100.0, 300.0, 1000.0, 3000.0):
         assert _density(10.0 * beta) / _density(beta) == pytest.approx(0.1, rel=0.5)
@@ -29,7 +29,7 @@ def test_a_decade_more_costs_a_decade_of_density_and_no_square() -> None:
     assert 2.0 * whole[0] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_sizes_that_nothing_shows_are_no_hypotheses() -> None:
+def test_sizes_that_nothing_shows_are_no_hypotheses():
     """But for the largest usual one; what is far keeps its share among those that show."""
     seen, weak = np.exp(EFFECT_SIZES.log_visible_shares(np.array([1.0, 1e-6])))
     usual = len(EFFECT_SIZES.usual)
@@ -40,13 +40,12 @@ def test_sizes_that_nothing_shows_are_no_hypotheses() -> None:
     assert weak.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("scale", "unit", "limit"),
-    [(3.0, "K", 100.0 / 3.0), (4e-6, "m", 1e4), (1e-3, "m", 1e3), (50e-6, "1", 1e4)],
-)
+@pytest.mark.parametrize(("scale", "unit", "limit"), [
+    (3.0, "K", 100.0 / 3.0), (4e-6, "m", 1e4), (1e-3, "m", 1e3), (50e-6, "1", 1e4),
+])  # fmt: skip
 def test_no_machine_has_a_hundred_kelvin_a_metre_or_ten_thousand_expected_sizes(
-    scale: float, unit: str, limit: float
-) -> None:
+    scale, unit, limit
+):
     effect = Effect(
         name="any", source="", about="", columns=lambda state: (), units={"*": unit}
     )

@@ -35,17 +35,13 @@ def of_forms(problem: GapProblem, columns: ExpectedColumns) -> np.ndarray:
     return np.hstack(parts)
 
 
-def test_columns_are_combinations_of_the_signatures(
-    problem: GapProblem, columns: ExpectedColumns
-) -> None:
+def test_columns_are_combinations_of_the_signatures(problem, columns):
     combined = of_forms(problem, columns) @ columns.mixing
     scale = np.abs(combined).max()
     assert columns.discrepancy.columns == pytest.approx(combined, abs=1e-9 * scale)
 
 
-def test_other_readings_of_the_session_change_as_they_would_in_it(
-    problem: GapProblem, columns: ExpectedColumns
-) -> None:
+def test_other_readings_of_the_session_change_as_they_would_in_it(problem, columns):
     session = SessionStates(
         problem.measurement, problem.covariates, problem.states, problem.gravity
     )
@@ -61,9 +57,7 @@ def members_of(columns: ExpectedColumns) -> list[np.ndarray]:
     return [np.flatnonzero(discrepancy.group == g) for g in groups]
 
 
-def test_few_columns_hold_the_variance_of_a_group(
-    problem: GapProblem, columns: ExpectedColumns
-) -> None:
+def test_few_columns_hold_the_variance_of_a_group(problem, columns):
     discrepancy, every = columns.discrepancy, of_forms(problem, columns)
     number = discrepancy.names.index("screw_cyclic: leg 1")
     members = members_of(columns)[number]
@@ -76,9 +70,7 @@ def test_few_columns_hold_the_variance_of_a_group(
     assert 1.0 - 2.0 * (1.0 - VARIANCE_SHARE) < kept / whole < 1.0 + 1e-9
 
 
-def test_unknown_effects_are_as_large_as_known_ones(
-    problem: GapProblem, columns: ExpectedColumns
-) -> None:
+def test_unknown_effects_are_as_large_as_known_ones(problem, columns):
     white = problem.in_noise_units(columns.discrepancy.columns)
     members = members_of(columns)
     sizes = np.array([np.sqrt((white[:, m] ** 2).sum(axis=1).mean()) for m in members])
@@ -88,19 +80,17 @@ def test_unknown_effects_are_as_large_as_known_ones(
     assert sizes[unknown] == pytest.approx(typical, rel=0.02)
 
 
-def test_what_a_machine_cannot_have_is_left_out(columns: ExpectedColumns) -> None:
+def test_what_a_machine_cannot_have_is_left_out(columns):
     names = {name.partition(":")[0] for name in columns.discrepancy.names}
     assert {"backlash", "encoder_scale", "screw_cyclic"} <= names
     assert "bar_length" not in names  # no bar in these set-ups
 
 
-def test_no_effects_give_no_columns(problem: GapProblem) -> None:
+def test_no_effects_give_no_columns(problem):
     assert ExpectedColumns.of(problem, [bar_length.effect]) is None
 
 
-def test_workspace_maps_are_the_forward_kinematics(
-    problem: GapProblem, columns: ExpectedColumns
-) -> None:
+def test_workspace_maps_are_the_forward_kinematics(problem, columns):
     """Scale errors of both joints: commanded joints, changed, through the closure."""
     measurement: Measurement = problem.measurement
     kinematics = measurement.kinematics

@@ -1,6 +1,4 @@
-"""States in which a machine is used: one tool for a command, and no motion beyond what was
-recorded.
-"""
+"""States of use: one tool for a command, no motion beyond what was recorded."""
 
 import itertools
 
@@ -24,14 +22,9 @@ machine = hexapod.machine
 FEED = 0.025
 NESTS = {"one": (0.15, 0.0, 0.03), "two": (-0.08, 0.13, 0.03)}
 #: neighbours differ by 30 mm or by 8 degrees alone
-COMMAND = np.array(
-    [
-        [x, 0.0, HEIGHT, rx, ry, 0.0]
-        for x, rx, ry in itertools.product(
-            (-0.015, 0.015), np.deg2rad([-4.0, 4.0]), np.deg2rad([-4.0, 4.0])
-        )
-    ]
-)
+TILTS = np.deg2rad([-4.0, 4.0])
+PLACES = itertools.product((-0.015, 0.015), TILTS, TILTS)
+COMMAND = np.array([[x, 0.0, HEIGHT, rx, ry, 0.0] for x, rx, ry in PLACES])
 
 
 def session(names: tuple[str, ...], feed: float = FEED) -> GapProblem:
@@ -46,14 +39,8 @@ def session(names: tuple[str, ...], feed: float = FEED) -> GapProblem:
         tool = np.array(NESTS[name])
         command = machine.with_tool(machine.home_command + offset, tool)
         series.append(m.series(name, command))
-    rows = pd.DataFrame(
-        {
-            "setup": np.repeat(names, 12),
-            "run": "1",
-            "order": [*range(12)] * len(names),
-            "feed": feed,
-        }
-    )
+    setups, order = np.repeat(names, 12), [*range(12)] * len(names)
+    rows = pd.DataFrame({"setup": setups, "run": "1", "order": order, "feed": feed})
     return assemble(m, tuple(series), rows)
 
 
@@ -63,21 +50,15 @@ def in_use(problem: GapProblem, used: dict[str, np.ndarray] | None = None):
 
 
 @pytest.mark.parametrize("names", [("one", "two"), ("two", "one")])
-def test_a_command_has_the_reference_tool_whatever_the_setups_have(
-    names: tuple[str, ...],
-) -> None:
+def test_a_command_has_the_reference_tool_whatever_the_setups_have(names):
     """The tool point is at the x, y, z commanded; effects move it as the joints say."""
     problem = session(names)
     state = in_use(problem)
     np.testing.assert_allclose(state.tool[:-1], COMMAND[:, :3], atol=1e-9)
     columns = ExpectedColumns.of(problem, [encoder_scale.effect], unknown=False)
-    maps = columns.workspace_maps(
-        SessionStates(problem.measurement, problem.covariates, problem.states, DOWN),
-        problem.theta,
-        COMMAND,
-        "absolute",
-        np.random.default_rng(1),
-    )
+    p, rng = problem, np.random.default_rng(1)
+    states = SessionStates(p.measurement, p.covariates, p.states, DOWN)
+    maps = columns.workspace_maps(states, p.theta, COMMAND, "absolute", rng)
     m = problem.measurement
     pose, joints = m.kinematics.inverse(COMMAND)
     (form,) = columns.forms
@@ -92,7 +73,7 @@ def test_a_command_has_the_reference_tool_whatever_the_setups_have(
     np.testing.assert_allclose(maps.raw[:, :3, 0], tip - COMMAND[:, :3], atol=1e-8)
 
 
-def test_a_longer_tool_is_zeroed_at_home_with_that_tool() -> None:
+def test_a_longer_tool_is_zeroed_at_home_with_that_tool():
     """At home nothing is left of any error, whatever the tool."""
     tool = np.array([0.0, 0.0, -0.12])
     kinematics = session(("one",)).measurement.kinematics
@@ -103,10 +84,8 @@ def test_a_longer_tool_is_zeroed_at_home_with_that_tool() -> None:
     assert np.abs(errors).max() < 1e-12
 
 
-def test_legs_are_no_faster_than_their_platform_joints() -> None:
-    """Whether it moves or turns, a platform joint at a distance r of the tool point goes
-    at most at (1 + r / lever) times the feed, and its leg no faster.
-    """
+def test_legs_are_no_faster_than_their_platform_joints():
+    """A joint at r of the tool point goes at most at (1 + r / lever) times the feed."""
     problem = session(("one", "two"))
     state = in_use(problem, {"feed": np.array([FEED])})
     reach = np.hypot(PLATFORM, ABOVE)
@@ -114,7 +93,7 @@ def test_legs_are_no_faster_than_their_platform_joints() -> None:
     assert 0.1 * FEED < rate.max() <= FEED * (1.0 + reach / machine.lever)
 
 
-def test_joints_go_no_faster_than_recorded_unless_a_feed_in_use_says_so() -> None:
+def test_joints_go_no_faster_than_recorded_unless_a_feed_in_use_says_so():
     problem = session(("one", "two"), feed=1e-3)
     state = in_use(problem)
     for name in ("rate", "acceleration"):
@@ -125,7 +104,7 @@ def test_joints_go_no_faster_than_recorded_unless_a_feed_in_use_says_so() -> Non
     assert ratio.min() >= FEED / 1e-3 * (1.0 - 1e-9)
 
 
-def test_the_joints_are_those_that_hold_the_command_on_the_identified_machine() -> None:
+def test_the_joints_are_those_that_hold_the_command_on_the_identified_machine():
     """A leg 5 mm longer: its joint differs by some 5 mm, and the tool stays in place."""
     problem = session(("one",))
     theta = problem.theta.copy()

@@ -28,19 +28,18 @@ def columns(name: str, state: State) -> dict[str, Column]:
     return {c.name: c for c in made}
 
 
-def test_an_error_of_the_tool_displaces_it_along_one_axis(state: State) -> None:
+def test_an_error_of_the_tool_displaces_it_along_one_axis(state):
     terms = place_terms(state)
     for k in (0, 3):
         moved = np.zeros((len(state), 3))
-        for joint, change in columns("unknown tool place", state)[
-            f"z {k + 1}"
-        ].joints.items():
+        term = columns("unknown tool place", state)[f"z {k + 1}"]
+        for joint, change in term.joints.items():
             moved += state.twist[:, :3, joint] * change[:, None]
         assert moved[:, 2] == pytest.approx(terms[:, k], abs=1e-6)
         assert np.abs(moved[:, :2]).max() < 1e-6
 
 
-def test_an_error_with_the_direction_changes_its_sign(state: State) -> None:
+def test_an_error_with_the_direction_changes_its_sign(state):
     there, back = state.direction > 0, state.direction < 0
     plain = columns("unknown tool place", state)["z 1"]
     reversing = columns("unknown tool direction", state)["z 1"]
@@ -49,7 +48,7 @@ def test_an_error_with_the_direction_changes_its_sign(state: State) -> None:
         assert change[back] == pytest.approx(-plain.joints[joint][back])
 
 
-def test_joints_err_one_by_one_and_readings_by_channel(state: State) -> None:
+def test_joints_err_one_by_one_and_readings_by_channel(state):
     of_joints = columns("unknown joints time", state)
     assert {c.label for c in of_joints.values()} == {
         f"leg {i + 1}" for i in state.limbs
@@ -62,7 +61,7 @@ def test_joints_err_one_by_one_and_readings_by_channel(state: State) -> None:
     assert all(c.scale == UNIT_SIZE for c in of_readings.values())
 
 
-def test_terms_are_independent_and_fall_with_their_order(state: State) -> None:
+def test_terms_are_independent_and_fall_with_their_order(state):
     places, times = place_terms(state), course_terms(state)
     assert places.shape == (len(state), WORKSPACE_TERMS)
     assert times.shape == (len(state), TIME_TERMS)

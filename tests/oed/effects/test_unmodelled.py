@@ -1,6 +1,6 @@
 """What an effect outside the model does, through calibration, on the oracle's A3 head."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +11,7 @@ from shipped_models import gravity, leg_thermal, servo_lag, step
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import BudgetModel, ErrorMaps, Prediction, Reference
+from oed.accuracy import BudgetModel, ErrorMaps, Prediction
 from oed.effect_model import Column, Effect, State
 from oed.effects import ExpectedEffects, SessionStates
 from oed.effects.unmodelled import _joint_maps
@@ -19,25 +19,18 @@ from oed.estimation import identify
 from oed.gap import DOWN, assemble
 
 
-def expected_of(
-    effects: Sequence[Effect], command: np.ndarray, reference: Reference = "home"
-) -> ExpectedEffects | None:
+def expected_of(effects, command, reference="home"):
     """What effects do to the plan of the warm head, at commands of its workspace."""
     m = a3_plans.measurement()
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
-    return ExpectedEffects.of(
-        problem,
-        SessionStates(m, rows, problem.states, DOWN),
-        BudgetModel.of(m, problem.series, m.nominal),
-        ErrorMaps.of(m.kinematics, command, reference),
-        effects,
-        reference,
-        np.random.default_rng(3),
-    )
+    states = SessionStates(m, rows, problem.states, DOWN)
+    budget = BudgetModel.of(m, problem.series, m.nominal)
+    maps, rng = ErrorMaps.of(m.kinematics, command, reference), np.random.default_rng(3)
+    return ExpectedEffects.of(problem, states, budget, maps, effects, reference, rng)
 
 
-def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -> None:
+def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry():
     """A nominal head whose leg 2 grows by 11.5 ppm a kelvin: no noise, no statistics."""
     m = a3_plans.measurement()
     series, rows = planned(m)
@@ -70,9 +63,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
 
 
-def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leaves() -> (
-    None
-):
+def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leaves():
     """Dense matrices; the leg's columns are differences of the oracle's head."""
     m = a3_plans.measurement()
     series, rows = planned(m)
@@ -113,9 +104,7 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     assert leg.without[:, z] == pytest.approx(geometry, rel=0.02)
 
 
-def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent() -> (
-    None
-):
+def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent():
     """A leg that is too long is its zero offset; what no parameter is stays whole."""
 
     def of(change: Callable[[State], np.ndarray]) -> Prediction:
@@ -138,7 +127,7 @@ def test_an_effect_that_is_a_parameter_costs_nothing_where_parameters_are_sent()
     assert added > 30e-6**2
 
 
-def test_an_incident_is_looked_for_but_not_counted_on() -> None:
+def test_an_incident_is_looked_for_but_not_counted_on():
     assert step.effect.incident
     assert expected_of([step.effect], a3_plans.workspace()[::30]) is None
 
@@ -148,7 +137,7 @@ def covariance_of_parameters(h: np.ndarray) -> np.ndarray:
     return np.linalg.inv(np.eye(h.shape[1]) + h.T @ h / NOISE**2)
 
 
-def test_an_effect_acts_in_the_states_of_use() -> None:
+def test_an_effect_acts_in_the_states_of_use():
     """Twice as warm as stated for half the poses, cold for the others; the rest as before."""
     m = a3_plans.measurement()
     series, rows = planned(m)
@@ -167,30 +156,25 @@ def test_an_effect_acts_in_the_states_of_use() -> None:
     assert 0.2 < np.mean(at > 0.0) < 0.8
     assert after.temperature["leg2"][-1] == before.temperature["leg2"][-1]
     np.testing.assert_array_equal(after.joints, before.joints)
-    column = next(
-        c
-        for c in leg_thermal.effect.columns(after, tau=1800.0)
-        if c.name == "leg 2 per kelvin"
-    )
+    columns = leg_thermal.effect.columns(after, tau=1800.0)
+    column = next(c for c in columns if c.name == "leg 2 per kelvin")
     growth = column.joints[WARM_LEG][:-1]
     assert growth == pytest.approx(after.joints[:-1, WARM_LEG] * (at - start))
 
 
-def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
+def test_effects_that_need_what_no_plan_states_are_left_out():
     expected = expected_of(
         [gravity.effect, servo_lag.effect], a3_plans.workspace()[::30]
     )
     assert [e.effect.name for e in expected.effects] == ["gravity"]
 
 
-def test_nothing_is_expected_of_effects_that_need_what_no_plan_states() -> None:
+def test_nothing_is_expected_of_effects_that_need_what_no_plan_states():
     """One machine's only effect depends on the feed, which the rows do not have."""
     assert expected_of([servo_lag.effect], a3_plans.workspace()[::30]) is None
 
 
-def test_compensation_takes_away_what_the_parameters_mimic(
-    rng: np.random.Generator,
-) -> None:
+def test_compensation_takes_away_what_the_parameters_mimic(rng):
     """All of an effect that is an error of parameters; nothing where nothing is sent."""
     raw = rng.standard_normal((5, 3, 4))
     shift = rng.standard_normal((4, 2))

@@ -6,7 +6,7 @@ from scipy import stats
 from oed.fit_limits import ALARM_PROBABILITY, chi2_is_large, noise_ratio
 
 
-def test_chi2_is_large_by_its_law() -> None:
+def test_chi2_is_large_by_its_law():
     limit = stats.chi2.isf(ALARM_PROBABILITY, 30)
     assert not chi2_is_large(0.999 * limit, 30)
     assert chi2_is_large(1.001 * limit, 30)

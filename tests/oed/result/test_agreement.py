@@ -103,14 +103,14 @@ CONTRADICTIONS: list[tuple[Change, str]] = [
 ]
 
 
-def test_the_whole_result_agrees() -> None:
+def test_the_whole_result_agrees():
     """And so do the other samples; otherwise the refusals below would say nothing."""
     for build in (whole, report_fixture.sample, report_fixture.bare):
         assert not list(breaches(report_fixture.result_of(build())))
 
 
 @pytest.mark.parametrize(("change", "field"), CONTRADICTIONS)
-def test_a_contradiction_is_named_by_its_field(change: Change, field: str) -> None:
+def test_a_contradiction_is_named_by_its_field(change, field):
     plain = whole()
     change(plain)
     result = msgspec.json.decode(msgspec.json.encode(plain), type=StudyResult)
@@ -128,17 +128,12 @@ def positioning(unit: str) -> dict[str, object]:
     return {"targets": 5, "approaches": 5, **sizes, **missing, "unit": unit}
 
 
-@pytest.mark.parametrize(
-    ("name", "shown", "field"),
-    [
-        ("z", "um", None),
-        ("z", "furlong", "verification.positioning.z.unit"),
-        ("y", "um", "verification.positioning"),
-    ],
-)
-def test_positioning_is_of_the_components_in_a_known_unit(
-    name: str, shown: str, field: str | None
-) -> None:
+@pytest.mark.parametrize(("name", "shown", "field"), [
+    ("z", "um", None),
+    ("z", "furlong", "verification.positioning.z.unit"),
+    ("y", "um", "verification.positioning"),
+])  # fmt: skip
+def test_positioning_is_of_the_components_in_a_known_unit(name, shown, field):
     plain = whole()
     plain["verification"] = {
         "passed": True,
@@ -164,14 +159,11 @@ def budget() -> dict[str, object]:
     }
 
 
-@pytest.mark.parametrize(
-    "part",
-    [
-        *(f"lines/1/{name}" for name in ("share", "size", "without", "halved")),
-        *(f"unmodelled/1/{name}" for name in ("size", "with_it", "far")),
-    ],
-)
-def test_a_line_of_a_budget_is_named_by_its_number(part: str) -> None:
+@pytest.mark.parametrize("part", [
+    *(f"lines/1/{name}" for name in ("share", "size", "without", "halved")),
+    *(f"unmodelled/1/{name}" for name in ("size", "with_it", "far")),
+])  # fmt: skip
+def test_a_line_of_a_budget_is_named_by_its_number(part):
     plain = whole()
     plain["prediction"]["budget"] = json.loads(json.dumps(budget()))
     assert not list(breaches(report_fixture.result_of(plain)))
@@ -182,7 +174,7 @@ def test_a_line_of_a_budget_is_named_by_its_number(part: str) -> None:
 
 
 @pytest.mark.parametrize(("change", "field"), OTHER_TYPES)
-def test_another_type_is_refused_by_its_field(change: Change, field: str) -> None:
+def test_another_type_is_refused_by_its_field(change, field):
     plain = whole()
     change(plain)
     with pytest.raises(msgspec.ValidationError, match=field):
@@ -196,13 +188,13 @@ def fields(found: Iterator[Breach]) -> list[str]:
     return [one.field for one in found]
 
 
-def test_numbers_that_no_result_has_are_found_anywhere() -> None:
+def test_numbers_that_no_result_has_are_found_anywhere():
     tree = {"a": [1.0, {"b": float("inf")}], "c": (2.0, -1e101), "d": "text"}
     assert fields(value_breaches((), tree)) == ["a[2].b", "c[2]"]
 
 
 @pytest.mark.parametrize("place", ["seconds", "estimate/chi2", "estimate/residuals/3"])
-def test_the_field_of_a_number_that_no_result_has_is_its_place(place: str) -> None:
+def test_the_field_of_a_number_that_no_result_has_is_its_place(place):
     """It is the whole path, and nothing stands before it."""
     plain = whole()
     put(place, 1e101)(plain)
@@ -211,7 +203,7 @@ def test_the_field_of_a_number_that_no_result_has_is_its_place(place: str) -> No
     assert path in fields(breaches(result))
 
 
-def test_the_message_has_both_sides() -> None:
+def test_the_message_has_both_sides():
     plain = whole()
     drop("estimate/residuals/3")(plain)
     (length,) = breaches(report_fixture.result_of(plain))

@@ -2,7 +2,6 @@
 
 import functools
 import warnings
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -21,8 +20,7 @@ from pkm_studies.commands import main
 
 #: one of each kind; tests/oed/result has all
 MUTATIONS: list[tuple[Change, str]] = [
-    (drop("machine"), "machine"),
-    (put("estimate/colour", "blue"), "colour"),
+    (drop("machine"), "machine"), (put("estimate/colour", "blue"), "colour"),
     (drop("machine/parameters/0/name"), "machine.parameters[1].name"),
     (put("seed", "three"), "seed"),
     (twice("gap/traces/0/after"), "gap.traces[1].after"),
@@ -30,13 +28,11 @@ MUTATIONS: list[tuple[Change, str]] = [
     (put("gap/verdict", "maybe"), "gap.verdict"),
     (put("identifiability/rank", 99), "identifiability.rank"),
     (put("estimate/chi2", 1e300), "estimate.chi2"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("change", "field"), MUTATIONS)
-def test_a_contradiction_is_refused_with_its_field(
-    change: Change, field: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_contradiction_is_refused_with_its_field(change, field, tmp_path, capsys):
     plain = whole()
     change(plain)
     (tmp_path / "result.json").write_bytes(msgspec.json.encode(plain))
@@ -49,7 +45,7 @@ def test_a_contradiction_is_refused_with_its_field(
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
 
-def test_units_of_effects_are_known() -> None:
+def test_units_of_effects_are_known():
     """SI units of the catalogue, as products of base units, and not of others."""
     effects = [effect for _, effect in catalogue.named_items("effects").values()]
     written = {unit for effect in effects for unit in effect.units.values()}
@@ -60,9 +56,7 @@ def test_units_of_effects_are_known() -> None:
 
 
 @pytest.mark.parametrize("text", ['{"schema": NaN}', '{"schema"', "[]", "nan"])
-def test_a_file_that_is_no_result(
-    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_no_result(text, tmp_path, capsys):
     (tmp_path / "result.json").write_text(text, encoding="utf-8")
     assert main(["report", str(tmp_path)]) == 2
     assert "this is no result" in capsys.readouterr().err
@@ -120,7 +114,7 @@ def mutate(tree: Any, draw: st.DataObject) -> None:
     suppress_health_check=[HealthCheck.too_slow],
 )
 @given(st.data())
-def test_what_is_not_refused_can_be_shown(draw: st.DataObject) -> None:
+def test_what_is_not_refused_can_be_shown(draw):
     """All text of the report; its pictures take too long for so many."""
     plain = whole()
     mutate(plain, draw)

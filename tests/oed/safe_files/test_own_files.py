@@ -18,7 +18,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()} - {safe_files.LIST_NAME}
 
 
-def test_an_unchanged_file_is_replaced(tmp_path: Path) -> None:
+def test_an_unchanged_file_is_replaced(tmp_path):
     path = tmp_path / "a.txt"
     for content in (b"1", b"2", b"1"):
         assert write_own(path, content) == path
@@ -27,7 +27,7 @@ def test_an_unchanged_file_is_replaced(tmp_path: Path) -> None:
     assert names(tmp_path) == {"a.txt"}
 
 
-def test_a_changed_file_stays_and_the_new_one_gets_a_number(tmp_path: Path) -> None:
+def test_a_changed_file_stays_and_the_new_one_gets_a_number(tmp_path):
     path = tmp_path / "a.txt"
     write_own(path, b"1")
     path.write_bytes(b"mine")
@@ -36,16 +36,13 @@ def test_a_changed_file_stays_and_the_new_one_gets_a_number(tmp_path: Path) -> N
     assert latest(path) == tmp_path / "a-2.txt"
     (tmp_path / "a-2.txt").write_bytes(b"mine as well")
     assert write_own(path, b"4") == tmp_path / "a-3.txt"
-    assert [p.read_bytes() for p in sorted(tmp_path.glob("a*"))] == [
-        b"mine as well",
-        b"4",
-        b"mine",
-    ]
+    kept = [p.read_bytes() for p in sorted(tmp_path.glob("a*"))]
+    assert kept == [b"mine as well", b"4", b"mine"]
     path.unlink()
     assert write_own(path, b"5") == path == latest(path)
 
 
-def test_a_file_that_nobody_listed_stays(tmp_path: Path) -> None:
+def test_a_file_that_nobody_listed_stays(tmp_path):
     """Also where the list is gone or broken; a digest known otherwise is one's own."""
     path = tmp_path / "a.txt"
     path.write_bytes(b"old")
@@ -59,15 +56,13 @@ def test_a_file_that_nobody_listed_stays(tmp_path: Path) -> None:
     assert path.read_bytes() == b"newer"
 
 
-def test_the_same_content_is_no_other_file(tmp_path: Path) -> None:
+def test_the_same_content_is_no_other_file(tmp_path):
     path = tmp_path / "a.txt"
     path.write_bytes(b"same")
     assert write_own(path, b"same") == path
 
 
-def test_a_failure_leaves_everything_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch):
     def full(part: Path) -> None:
         raise OSError(28, "No space left on device", str(part))
 
@@ -82,7 +77,7 @@ def test_a_failure_leaves_everything_as_it_was(
     assert names(tmp_path) == {"a.txt"}
 
 
-def test_files_set_aside_get_names_that_are_free(tmp_path: Path) -> None:
+def test_files_set_aside_get_names_that_are_free(tmp_path):
     path = tmp_path / "result.json"
     for text in "ab":
         path.write_text(text)
@@ -101,7 +96,7 @@ with whole_file(Path(sys.argv[1])) as part:
 """
 
 
-def test_what_a_killed_process_left_goes_at_the_next_write(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_goes_at_the_next_write(tmp_path):
     """Files of other names, of other computers and of running processes stay."""
     path = tmp_path / "report.html"
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False)
@@ -125,7 +120,7 @@ def test_what_a_killed_process_left_goes_at_the_next_write(tmp_path: Path) -> No
     assert names(tmp_path) == {"report.html", *stay}
 
 
-def test_errors_never_name_the_temporary_file(tmp_path: Path) -> None:
+def test_errors_never_name_the_temporary_file(tmp_path):
     """As where the name is just short enough for the file itself."""
     long = tmp_path / ("n" * 250)
     with pytest.raises(OSError, match="too long") as error:

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(
 OTHER = 12345
 
 
-def test_a_folder_and_all_that_are_made_above_it_are_the_user_s(tmp_path: Path) -> None:
+def test_a_folder_and_all_that_are_made_above_it_are_the_user_s(tmp_path):
     earlier = os.umask(0)
     try:
         assert make_private(tmp_path / "a" / "b" / "c")
@@ -26,9 +26,7 @@ def test_a_folder_and_all_that_are_made_above_it_are_the_user_s(tmp_path: Path) 
 
 @pytest.mark.parametrize("mode", [0o757, 0o722, 0o702])
 @pytest.mark.parametrize("depth", [0, 1, 2])
-def test_who_can_write_above_a_folder_can_replace_it(
-    tmp_path: Path, mode: int, depth: int
-) -> None:
+def test_who_can_write_above_a_folder_can_replace_it(tmp_path, mode, depth):
     folder = tmp_path / "a" / "b" / "c"
     assert make_private(folder)
     (folder, *folder.parents)[depth].chmod(mode)
@@ -36,15 +34,13 @@ def test_who_can_write_above_a_folder_can_replace_it(
     assert not is_private(folder)
 
 
-def test_a_folder_like_tmp_may_lie_above(tmp_path: Path) -> None:
+def test_a_folder_like_tmp_may_lie_above(tmp_path):
     """Everybody writes there, and nobody replaces another's folder."""
     tmp_path.chmod(0o1777)
     assert make_private(tmp_path / "mine")
 
 
-def test_the_group_of_this_user_alone_may_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_group_of_this_user_alone_may_write(tmp_path, monkeypatch):
     folder = tmp_path / "a" / "b"
     assert make_private(folder)
     folder.parent.chmod(0o775)
@@ -54,7 +50,7 @@ def test_the_group_of_this_user_alone_may_write(
     assert is_private(folder)
 
 
-def test_a_link_leads_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_link_leads_nowhere(tmp_path, monkeypatch):
     """But one of the administrator, who is none of the users here."""
     made = tmp_path / "elsewhere" / "compiled"
     assert make_private(made)
@@ -82,9 +78,7 @@ def owned_by_this_user(below: Path):
     return owned
 
 
-def test_another_user_s_folder_is_not_private(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_user_s_folder_is_not_private(tmp_path, monkeypatch):
     assert make_private(tmp_path / "a")
     monkeypatch.setattr(os, "getuid", lambda: OTHER)
     assert not is_private(tmp_path / "a")

@@ -37,12 +37,12 @@ def at_nominal(**value: float) -> dict[str, object]:
     return {"parameters": parameters}
 
 
-def test_a_fit_like_its_noise_has_no_objection() -> None:
+def test_a_fit_like_its_noise_has_no_objection():
     assert trust.objections(good()) == []
     assert trust.objections(good(estimate=None)) == []
 
 
-def test_a_fit_that_fails_its_check_is_objected_to() -> None:
+def test_a_fit_that_fails_its_check_is_objected_to():
     mistakes = [{"what": "in um, not in mm", "evidence": "1000 times"}]
     (mistaken,) = trust.objections(
         good(checked={"bad_fit": True, "mistakes": mistakes})
@@ -53,7 +53,7 @@ def test_a_fit_that_fails_its_check_is_objected_to() -> None:
     assert "10.0 times the stated noise" in sentence
 
 
-def test_parameters_far_from_nominal_are_named() -> None:
+def test_parameters_far_from_nominal_are_named():
     near = good(estimate=at_nominal(value=3.9))
     far = good(estimate=at_nominal(value=-4.1))
     assert trust.objections(near) == []
@@ -63,7 +63,7 @@ def test_parameters_far_from_nominal_are_named() -> None:
     assert trust.objections(known) == []
 
 
-def test_a_gap_bends_a_fit_without_it() -> None:
+def test_a_gap_bends_a_fit_without_it():
     """Unless all that rests on the result is over all hypotheses."""
     gap = whole()["gap"]
     (sentence,) = trust.objections(good(gap=gap | {"mixture": None}))
@@ -72,14 +72,14 @@ def test_a_gap_bends_a_fit_without_it() -> None:
     assert trust.objections(good(gap=gap)) == []
 
 
-def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
+def test_a_gap_that_is_less_likely_than_none_bends_nothing():
     gap = whole()["gap"]
     (first, *_) = gap["answers"]
     unlikely = gap | {"answers": [first | {"probability": 0.4, "unseen": 0.0}, NOTHING]}
     assert trust.objections(good(gap=unlikely)) == []
 
 
-def test_rows_left_out_are_counted_in_words() -> None:
+def test_rows_left_out_are_counted_in_words():
     row = {"setup": "s", "run": "1", "order": 1, "row": 2, "pull": 9.0}
     section = good(checked={"outliers": [row], "doubtful": [row, row]}).goodness
     assert isinstance(section, GoodnessSection)
@@ -88,7 +88,7 @@ def test_rows_left_out_are_counted_in_words() -> None:
     assert GoodnessSection.without_rows(0, "set aside") == ""
 
 
-def test_the_corrected_model_is_final_where_there_is_one() -> None:
+def test_the_corrected_model_is_final_where_there_is_one():
     both, plain = result_of(), result_of(corrected=None)
     assert both.final_estimate is both.corrected
     assert isinstance(both.corrected, CorrectedSection)
