@@ -68,16 +68,6 @@ def test_problem_a_by_d() -> None:
     assert choice.efficiency == pytest.approx(np.exp((reached - upper) / 21), abs=1e-6)
 
 
-@pytest.mark.slow
-def test_problem_a_by_e() -> None:
-    rows = rows_a()
-    choice = choose(rows, 30, np.random.default_rng(1), "E", rounds=20)
-    least = float(np.linalg.eigvalsh(rows[choice.indices].T @ rows[choice.indices])[0])
-    assert len(set(choice.indices.tolist())) == 30
-    assert choice.value == pytest.approx(least, rel=1e-9)
-    assert 19.4 <= least <= choice.bound
-
-
 def test_twenty_thousand_candidates_are_certified() -> None:
     rows = rows_a(20_000)
     relaxed = relax(rows, 30)

@@ -128,17 +128,6 @@ def test_the_realised_error_is_that_of_the_compensated_machine(
     assert row["realised_z_um"] == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.slow
-def test_processes_are_as_many_as_cores_by_default(
-    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    out = tmp_path / "out"
-    options = ["--out", str(out), "--seeds", "1"]
-    assert main(["campaign", str(campaign), *options]) == 0
-    assert len(pd.read_csv(out / "cases.csv")) == 4
-
-
 def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
     loaded = tables.load_campaign(campaign)
     rows = []

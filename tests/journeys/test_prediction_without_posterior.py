@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import bad_fit_sample
@@ -14,7 +13,6 @@ from oracles import a3_geometry as a3
 
 import oed
 from oed.linear_algebra import covariance_root
-from pkm_studies.commands import main
 from pkm_studies.stages.predict import prediction
 
 
@@ -75,28 +73,3 @@ def test_the_prediction_is_that_of_the_posterior(fitted: oed.EstimateView) -> No
     for name, spread in without.items():
         exact = sampled[name].after.rms
         assert spread.after.rms == pytest.approx(exact, rel=0.08), name
-
-
-@pytest.mark.slow
-def test_held_out_readings_are_predicted_as_by_the_posterior(tmp_path: Path) -> None:
-    """Readings with the long tool from those with the short one."""
-    sections = {}
-    for name in ("false", "true"):
-        folder = tmp_path / name
-        folder.mkdir()
-        readings = bar_readings.a3_readings(0)
-        path, table = bad_fit_sample.write(folder, readings)
-        text = bad_fit_sample.WITHOUT_REPORT.replace(
-            "enabled = false", f"enabled = {name}\ness = 1500"
-        )
-        options = f'[readings]\nfiles = ["{table.name}"]\npredict = ["long_tool"]\n'
-        path.write_text(f"{text}\n{options}", encoding="utf-8")
-        out = folder / "out"
-        main(["run", str(path), "--quiet", "--out", str(out)])
-        result = json.loads((out / "result.json").read_text(encoding="utf-8"))
-        assert not [w for w in result.get("warnings", []) if "not predicted" in w]
-        (sections[name],) = result["held_out"]
-    without, sampled = sections["false"], sections["true"]
-    assert without["rms"] == pytest.approx(sampled["rms"], rel=0.1)
-    assert without["half_widths"] == pytest.approx(sampled["half_widths"], rel=0.3)
-    assert without["coverage"] > 0.8

@@ -72,14 +72,3 @@ def test_the_example_ends_with_the_file_that_a_controller_reads(
     written = rows(tmp_path / "out" / "small")
     assert len(written) > 5
     assert any("q1" in name for name in written[0])
-
-
-@pytest.mark.slow
-def test_the_example_runs_as_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    run_example(ROOT / "studies" / "a3_ball_bar.study.toml")
-    written = rows(tmp_path / "out" / "a3_ball_bar")
-    assert len(written) > 50
-    assert any("q1" in name for name in written[0])

@@ -1,11 +1,6 @@
 """A run that is killed and called again ends as the unbroken one."""
 
 import json
-import os
-import random
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -66,46 +61,5 @@ def test_run_resumes_by_itself(
     resumed = [a for a in command(study, tmp_path / "killed") if a != "--quiet"]
     assert main(resumed) == 1
     assert "posterior, resumed after 50 steps" in capsys.readouterr().out
-    assert written(tmp_path / "killed") == written(tmp_path / "unbroken")
-    assert names(tmp_path / "killed") == names(tmp_path / "unbroken")
-
-
-@pytest.mark.slow
-def test_killed_ten_times_at_random_in_earnest(tmp_path: Path) -> None:
-    """SIGKILL at ten random times, wherever the run is; then to its end."""
-    study = tmp_path / "s.study.toml"
-    (tmp_path / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
-    study.write_text(
-        sample.changed(STUDY, ("steps = 100", "steps = 600")), encoding="utf-8"
-    )
-    calls = {
-        name: [
-            sys.executable,
-            "-m",
-            "pkm_studies.commands.cli",
-            *command(study, tmp_path / name),
-        ]
-        for name in ("unbroken", "killed")
-    }
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    begin = time.monotonic()
-    # the sample's readings are made up, so that their fit is bad
-    assert (
-        subprocess.run(calls["unbroken"], check=False, env=environment).returncode == 1
-    )
-    duration = time.monotonic() - begin
-    rng = random.Random(11)
-    kills = 0
-    while kills < 10:
-        process = subprocess.Popen(calls["killed"], env=environment)
-        try:
-            process.wait(timeout=rng.uniform(0.2, 0.9) * duration)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            kills += 1
-        for path in (tmp_path / "killed").glob("*.json"):
-            json.loads(path.read_text(encoding="utf-8"))
-    assert subprocess.run(calls["killed"], check=False, env=environment).returncode == 1
     assert written(tmp_path / "killed") == written(tmp_path / "unbroken")
     assert names(tmp_path / "killed") == names(tmp_path / "unbroken")

@@ -101,28 +101,6 @@ def decides_alike(machine: Any, adviser: Adviser) -> bool:
 
 @needs_browser
 @pytest.mark.slow
-def test_a_session_of_30_readings(opened: Any, tmp_path: Path) -> None:
-    """A3 head: every decision is the command's, the state follows within 0.8 s."""
-    study = Path("a3_ball_bar")
-    adviser = Adviser(Study.load(shipped.study_path(study)))
-    path = tmp_path / "poses.csv"
-    with served(study, server.PageOptions(path)) as (machine, port):
-        operator, page = Operator(machine), opened(port)
-        seconds = []
-        for number in range(1, 31):
-            seconds.append(enter(page, operator.display(), number))
-            assert len(rows(path)) == number
-            assert decides_alike(machine, adviser)
-        assert "Stop: the 30 readings of the plan are taken." in page.text_content(
-            "#pose"
-        )
-        assert axe_faults(page) == []
-    print(f"seconds: 95 % {np.quantile(seconds, 0.95):.3f}, most {max(seconds):.3f}")
-    assert np.quantile(seconds, 0.95) < MAX_SECONDS
-
-
-@needs_browser
-@pytest.mark.slow
 def test_a_session_with_everything_that_goes_wrong(opened: Any, tmp_path: Path) -> None:
     """Hexapod, 40 readings: a typing error, a wrong reading, an undo, a reload."""
     study = Path("hexapod_ball_bar")

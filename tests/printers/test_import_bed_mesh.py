@@ -151,29 +151,3 @@ def test_real_meshes(
     result = virtual.run(config, tmp_path / name)
     assert {section.verdict for section in result.held_out} == {verdict}
     assert {section.n for section in result.held_out} == {count}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("calliper", "flatness", "low", "high"),
-    [(None, (0.03, 0.06, 0.1), 0.90, 0.99), (0.05, (0.03,), 0.93, 0.97)],
-)
-def test_coverage_over_a_hundred_printers(
-    calliper: float | None,
-    flatness: tuple[float, ...],
-    low: float,
-    high: float,
-    tmp_path: Path,
-) -> None:
-    """Bands of 95 %: of 100 um assumed, and in the proportion of Klipper's weights."""
-    rng = np.random.default_rng(7)
-    shares = []
-    for k in range(100):
-        true, sigma = virtual.drawn(rng), rng.choice(flatness)
-        lines = virtual.heights(true, rng, sigma)
-        if calliper is not None:
-            lines += virtual.distances(true, rng, calliper)
-        mesh = virtual.mesh_heights(true, virtual.FIRMWARE, rng, sigma)
-        result = virtual.run(virtual.configuration(lines, mesh), tmp_path / str(k))
-        shares.append(result.held_out[0].coverage)
-    assert low <= np.mean(shares) <= high

@@ -99,19 +99,6 @@ def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(
     assert (errors < 2.5 * predicted).all()
 
 
-@pytest.mark.slow
-def test_twenty_printers_are_as_good_as_predicted(tmp_path: Path) -> None:
-    results = [calibrated(seed, tmp_path / str(seed)) for seed in range(20)]
-    beds, errors, predicted = (
-        np.array(column) for column in zip(*results, strict=True)
-    )
-    assert (beds < 2.0 * NOISE).all()
-    ratio = np.sqrt((errors**2).mean(axis=0) / (predicted**2).mean(axis=0))
-    # errors along x and y are those of the two slopes: 20 printers give the ratio to 11 %
-    assert 0.9 < ratio[2] < 1.1
-    assert (np.abs(ratio[:2] - 1.0) < 0.3).all()
-
-
 # -- the choice of factors, and what few heights hide ----------------------------------
 
 #: a level printer of the oracle's deltas, whose bed leans

@@ -192,31 +192,6 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
 # -- commands ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("machine", "instrument"),
-    [
-        ("micro_cmm", "passive_joint"),
-        ("micro_cmm", "locked_joint"),
-        ("delta", "touch_plane"),
-        ("hexapod", "seat"),
-    ],
-)
-def test_a_new_study_is_sound_and_runs(
-    machine: str, instrument: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    new = ["new", "draft", "--machine", machine, "--instrument", instrument]
-    assert main(new) == 0
-    study = tmp_path / "draft.study.toml"
-    text = study.read_text()
-    options = "[report]\nhtml = false\npdf = false\n[posterior]\nenabled = false\n"
-    study.write_text(f"{text}\n{options}")
-    assert main(["check", str(study)]) == 0
-    assert main(["run", str(study), "--out", "out", "--quiet"]) == 0
-    assert (tmp_path / "out" / "poses.csv").exists()
-
-
 def test_a_lock_without_its_joint_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

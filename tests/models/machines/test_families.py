@@ -67,17 +67,6 @@ def test_a_drawn_machine_closes_in_the_mode_that_is_meant(
     assert _refusal(name, rng) is None
 
 
-@pytest.mark.slow
-def test_two_hundred_drawn_machines_close_or_are_refused_with_a_sentence() -> None:
-    rng = np.random.default_rng(28)
-    names = list(FAMILIES)
-    refusals = [_refusal(names[k % len(names)], rng) for k in range(200)]
-    sentences = [r for r in refusals if r is not None]
-    print(f"{len(sentences)} of {len(refusals)} refused", *sentences, sep="\n")
-    assert all("pose" in sentence for sentence in sentences)
-    assert len(sentences) <= 10
-
-
 STUDY = """\
 schema = 1
 name = "tricept"

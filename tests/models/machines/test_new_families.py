@@ -120,15 +120,6 @@ def test_a_new_study_passes_its_check(name: str, oed: Run, tmp_path: Path) -> No
     assert study(name, oed, tmp_path).is_file()
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("own_folder")
-@pytest.mark.parametrize("name", NAMES)
-def test_a_new_study_runs_at_once(name: str, oed: Run, tmp_path: Path) -> None:
-    file = study(name, oed, tmp_path)
-    code, _, err = oed("run", file, "--out", tmp_path / "out", "--quiet")
-    assert code == 0, err
-
-
 @pytest.mark.parametrize("end", ["base", "platform"])
 def test_legs_whose_revolute_axes_disagree_are_refused(end: str) -> None:
     family = model("tripod_upr_spr").family

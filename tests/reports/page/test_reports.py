@@ -171,15 +171,6 @@ def test_the_study_file_and_the_seed_are_shown(full: tuple[Path, Path]) -> None:
     assert "<tags>" not in page
 
 
-@pytest.mark.slow
-def test_the_same_result_gives_the_same_page(
-    full: tuple[Path, Path], result: StudyResult, tmp_path: Path
-) -> None:
-    page, book = write_report(result, tmp_path)
-    assert page.read_bytes() == full[0].read_bytes()
-    assert book.read_bytes() == full[1].read_bytes()
-
-
 def test_users_settings_change_nothing(tmp_path: Path) -> None:
     drawing = report_fixture.sample()["drawing"]
     drawn = result_of(report_fixture.bare() | {"drawing": drawing})

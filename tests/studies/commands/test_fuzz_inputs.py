@@ -8,7 +8,6 @@ import functools
 import tempfile
 from pathlib import Path
 
-import pytest
 import sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -121,8 +120,3 @@ def fuzz(studies: int, readings: int, *, same_every_time: bool) -> None:
 
 def test_200_mutations() -> None:
     fuzz(*DEFAULT, same_every_time=True)
-
-
-@pytest.mark.slow
-def test_2000_mutations() -> None:
-    fuzz(*NIGHTLY, same_every_time=False)

@@ -37,16 +37,3 @@ def test_a_huge_reading_is_named(
     assert (
         "row 3, column length_mm = 1e300: no number of a session is so large" in error
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("table", ["walkers = 5\nsteps = 10", "steps = 1", "thin = 9"])
-def test_a_posterior_of_few_steps_says_so(
-    table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study = tmp_path / "s.study.toml"
-    text = f"{sample.STUDY}[readings]\nsimulate = true\n[posterior]\n{table}\n"
-    study.write_text(text, encoding="utf-8")
-    assert main(["run", str(study), "--out", str(tmp_path / "out")]) == 0
-    out = capsys.readouterr().out
-    assert ("raise [posterior] steps" in out) == ("steps" in table)

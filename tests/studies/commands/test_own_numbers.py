@@ -220,22 +220,3 @@ def test_the_command_says_what_it_lacks(tmp_path: Path, oed: Run) -> None:
     )
     assert code == 2
     assert "--set: this is no TOML" in error
-
-
-@pytest.mark.slow  # posterior and diagnosis of a whole command: 10 s
-def test_the_whole_command(tmp_path: Path, oed: Run) -> None:
-    true = ANCHORS + SHIFT
-    read = reached(PLACES, ANCHORS, true)
-    read += np.random.default_rng(2).normal(0.0, 0.5, PLACES.shape)
-    file = write(
-        tmp_path / "sheet.csv", "X;Y;X measured;Y measured", np.c_[PLACES, read]
-    )
-    own = ("--machine", "cables_planar", "--set", ANCHOR_TEXT)
-    code, out, error = oed(
-        "identify", *own, "--readings", file, "--out", tmp_path / "o"
-    )
-    assert code == 0, error
-    assert "Is the calibration good? No" in out
-    assert "Parameters: anchor1x" in out
-    code, _, error = oed("compensate", tmp_path / "o", "--to", "csv")
-    assert code == 0, error

@@ -203,17 +203,6 @@ def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
     assert staged.theta == pytest.approx(estimate.theta)
 
 
-@pytest.mark.slow
-def test_effects_may_be_asked_for(readings, estimate) -> None:
-    assert estimate.state.mixture is None
-    asked = oed.identify(readings, effects="encoder_scale")
-    named = {name for a in asked.state.mixture.answers for name in a.effects}
-    assert named <= {"encoder_scale", "unknown"}
-    assert oed.identify(readings, effects="none").state.mixture is None
-    with pytest.raises(oed.InputError, match="no such effect"):
-        oed.identify(readings, effects=["wind"])
-
-
 def test_a_posterior_goes_to_arviz(estimate) -> None:
     posterior = oed.sample(estimate)
     tree = posterior.to_arviz()

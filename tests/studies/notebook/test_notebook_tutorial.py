@@ -39,15 +39,6 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_diagnosis_names_what_the_virtual_machine_has(
-    names: dict[str, Any],
-) -> None:
-    assert names["diagnosis"].section.selected == ["backlash"]
-    assert names["diagnosis"].section.where[0].block == "leg 2"
-    assert "backlash" in names["diagnosis"].title
-
-
-@pytest.mark.slow
 def test_the_design_is_drawn_over_its_commands(names: dict[str, Any]) -> None:
     drawn = names["design"].plot(_new_axes())
     poses = names["design"].section.poses

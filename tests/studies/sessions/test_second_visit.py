@@ -1,7 +1,5 @@
 """A second visit as a user does it: advised, printed, read and diagnosed with the first."""
 
-import csv
-import json
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -68,37 +66,6 @@ def worded(record: SecondVisitRecord) -> SecondVisitRecord:
     return msgspec.structs.replace(
         record, words=diagnosis.second_visit_sentences(record)
     )
-
-
-@pytest.mark.slow
-def test_two_visits_name_what_one_leaves_open(tmp_path: Path, oed: Run) -> None:
-    """Lines without a load leave gravity in a class; one line under it names it."""
-    every, first, second = (tmp_path / f"{n}.csv" for n in ("all", "first", "second"))
-    assert oed("simulate", "planar_gap", "--out", every)[0] == 0
-    header, *rows = every.read_text().splitlines(keepends=True)
-    first.write_text("".join([header, *(r for r in rows if "(2)" not in r)]))
-    loaded = [r for r in rows if r.startswith("rm5,z=0mm (2)")]
-    second.write_text("".join([header, *loaded]))
-    one, both = tmp_path / "one", tmp_path / "both"
-    oed("diagnose", "planar_gap", "--readings", first, "--out", one, "--quiet")
-    result = json.loads((one / "result.json").read_text())
-    assert result["gap"]["verdict"] == "class"
-    advised = result["gap"]["second_visit"]
-    assert advised["probability_after"] > advised["probability_now"]
-    assert 1500.0 in {run["condition"]["payload"] for run in advised["runs"]}
-    lines = (one / "second_visit.csv").read_text().splitlines()
-    table = list(csv.reader(line for line in lines if not line.startswith("#")))
-    assert len(table) - 1 == sum(advised["poses"]) <= 18
-    code, printed, _ = oed("next", "planar_gap", "--after", one)
-    assert code == 0
-    assert advised["runs"][0]["run"] in printed
-    oed(
-        *("diagnose", "planar_gap", "--readings", second),
-        *("--after", one, "--out", both, "--quiet"),
-    )
-    gap = json.loads((both / "result.json").read_text())["gap"]
-    assert set(gap["selected"]) == {"gravity", "frame_bending"}
-    assert gap["confusable"] == []
 
 
 def test_next_needs_readings_or_a_diagnosis(oed: Run, tmp_path: Path) -> None:

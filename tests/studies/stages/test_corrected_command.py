@@ -197,15 +197,6 @@ def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
     assert "<p>The fit is bad" not in (folder / "page.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
-def test_one_effect_of_two_resolves_nothing(folder: Path, tmp_path: Path) -> None:
-    study, readings = folder / "loads.study.toml", folder / "loads.readings.csv"
-    options = ["--with", "frame_bending", "--out", tmp_path / "out"]
-    assert run("identify", study, "--readings", readings, *options) == 1
-    result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
-    assert result["goodness"]["bad_fit"]
-
-
 # -- acceptance ------------------------------------------------------------------------
 
 
@@ -293,19 +284,3 @@ def test_the_report_has_the_corrected_model_and_the_acceptance_test(
     for text in (*headings, "Uncertainty budget", "sizes of the effects"):
         assert text in page
     assert "The acceptance test is failed" in page
-
-
-@pytest.mark.slow
-def test_the_sampled_posterior_is_that_of_the_estimate(folder: Path) -> None:
-    study = folder / "sampled.study.toml"
-    text = (folder / "loads.study.toml").read_text()
-    study.write_text(text.replace("enabled = false", "enabled = true\ness = 300"))
-    readings, out = folder / "loads.readings.csv", folder / "sampled"
-    options = ["--with", "gravity,frame_bending", "--out", out]
-    assert run("identify", study, "--readings", readings, *options) == 0
-    corrected = load_result(out).corrected
-    for name, p in corrected.parameters.items():
-        draws = corrected.posterior[name]
-        assert abs(draws.mean - p.value) < 0.3 * p.sd, name
-        assert draws.sd == pytest.approx(p.sd, rel=0.25), name
-    assert set(corrected.effects) <= set(corrected.posterior)

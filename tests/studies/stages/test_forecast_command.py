@@ -217,21 +217,6 @@ def test_an_empty_sheet_is_refused(
     assert "no error was measured" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_a_component_that_was_not_read_is_named(
-    planned: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    nodes = filled(planned, "y_only.csv", forecast_data.SIGMA)
-    header, *lines = nodes.read_text().splitlines()
-    cut = [line.rsplit(",", 1)[0] + "," for line in lines]
-    nodes.write_text("\n".join([header, *cut]) + "\n")
-    out = planned / "y_only"
-    assert (
-        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
-    )
-    assert "z: not measured" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(("reference", "count"), [("home", 1), ("absolute", 0)])
 def test_only_errors_against_home_leave_home_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], reference: str, count: int

@@ -191,36 +191,6 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     assert decoded["prediction"] is None
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_mixture")
-def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
-    oed: Run, tmp_path: Path
-) -> None:
-    # `oed run` predicts the accuracy of effects that it can test alone
-    stated = sample.changed(
-        FEW + PREDICTION,
-        ("[noise]", "[noise]\nestimate = false"),
-        (', "effects.py:cold"', ""),
-    )
-    study = gap_fixture.written(tmp_path, stated)
-    assert oed("simulate", study, "--out", "r.csv")[0] == 0
-    assert oed("diagnose", study, "--out", "simulated", "--quiet") == (0, "", "")
-    assert oed(
-        "diagnose", study, "--readings", "r.csv", "--out", "recorded", "--quiet"
-    ) == (0, "", "")
-    simulated, recorded = (
-        json.loads((tmp_path / n / "result.json").read_text())["gap"]
-        for n in ("simulated", "recorded")
-    )
-    assert simulated["words"] == recorded["words"]
-    for a, b in zip(simulated["traces"], recorded["traces"], strict=True):
-        for key in ("run", "direction", "payload_N"):
-            assert a[key] == b[key]
-        np.testing.assert_allclose(a["after"], b["after"], atol=2e-4)
-    assert oed("run", study, "--out", "whole", "--quiet") == (0, "", "")
-    assert json.loads((tmp_path / "whole/result.json").read_text())["gap"] == simulated
-
-
 def test_claims_can_point_into_the_diagnosis(virtual: Diagnosed) -> None:
     assert virtual.code == 1
     assert (

@@ -293,31 +293,6 @@ def test_how_much_better_is_a_share_or_a_factor() -> None:
     assert more_accurate(11.44, 1.0) == "11.4 times as accurate"
 
 
-@pytest.mark.slow
-def test_in_the_time_of_the_papers_circles_a_gauge_and_bars_are_three_times_as_accurate(
-    tmp_path: Path,
-) -> None:
-    """The plan of 22 minutes on 200 virtual machines, and the paper's circles."""
-    path = Path(__file__).parents[3] / "studies" / "a3_budget.study.toml"
-    text = changed(
-        path.read_text(encoding="utf-8"), ("budget_min = 109.0", "budget_min = 22.0")
-    )
-    text = text[: text.index("[expect]")]
-    plan = plan_of(stages.plan_study(study.Study.parse(text, path), tmp_path))
-    (paper,) = plan.compared
-    assert plan.cost <= paper.sequence.minutes * (1 + 1e-9)
-    gain = {k: v / plan.accuracy[k] for k, v in paper.sequence.accuracy.items()}
-    assert gain["z_um"] >= 3.0
-    assert min(gain.values()) >= 1.5
-    for stage in plan.stages:
-        assert all(0.8 <= v <= 1.25 for v in stage.realised.values()), (
-            stage.measurement,
-            stage.realised,
-        )
-        assert stage.coverage is not None
-        assert 0.93 <= stage.coverage <= 0.97
-
-
 @pytest.mark.parametrize(
     ("change", "field"),
     [
