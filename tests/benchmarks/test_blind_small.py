@@ -71,7 +71,7 @@ def small() -> list[Scored]:
     ]
 
 
-def test_the_small_benchmark_is_passed(small: list[Scored]) -> None:
+def test_the_small_benchmark_is_passed(small):
     """One slip is granted each: of four cases, a rate of 5 % makes two a matter of 1 %."""
     assert len(small) == sum(count for *_, count in SMALL)
     alarms = [s.first for s in small if s.kind == "null" and s.detected]
@@ -89,7 +89,7 @@ def test_the_small_benchmark_is_passed(small: list[Scored]) -> None:
 
 
 @pytest.mark.parametrize("law", ["white", "correlated", "heavy", "run", "combined"])
-def test_false_alarms_of_each_noise_law(law: str) -> None:
+def test_false_alarms_of_each_noise_law(law):
     """Of ten sets without a gap at most two alarm: at a rate of 5 % three or more are a
     matter of 1.2 %.
     """

@@ -1,7 +1,5 @@
 """The third world: its physics against closed forms, its machines, one case."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,7 +11,7 @@ from benchmarks.third.machines import MACHINES, change, session
 COULOMB, BRISTLE = 30.0, 1e6  # N, N/m
 
 
-def test_friction_slides_steadily_and_springs_before_it_slides() -> None:
+def test_friction_slides_steadily_and_springs_before_it_slides():
     time = np.linspace(0.0, 10.0, 200)
     for speed in (2e-3, -20e-3):
         force = physics.lugre(speed * time, time, np.array(COULOMB), BRISTLE, 50.0)
@@ -24,7 +22,7 @@ def test_friction_slides_steadily_and_springs_before_it_slides() -> None:
     assert force[-1] == pytest.approx(BRISTLE * creep[-1], rel=2e-3)
 
 
-def test_friction_is_the_solution_of_its_equation() -> None:
+def test_friction_is_the_solution_of_its_equation():
     def rate(t: float, z: np.ndarray) -> np.ndarray:
         speed = 6e-3 * np.cos(t)
         return speed - BRISTLE * abs(speed) * z / physics.stribeck(speed, COULOMB)
@@ -36,7 +34,7 @@ def test_friction_is_the_solution_of_its_equation() -> None:
     assert np.abs(force - BRISTLE * solution.y[0]).max() < 0.01 * COULOMB
 
 
-def test_servo_answers_a_step_of_force_as_three_poles_do() -> None:
+def test_servo_answers_a_step_of_force_as_three_poles_do():
     time = np.linspace(0.0, 1.0, 20001)
     force = 10.0 * (time > 0.0)
     error = physics.servo_error(force, time, mass=40.0, bandwidth=12.0)
@@ -44,7 +42,7 @@ def test_servo_answers_a_step_of_force_as_three_poles_do() -> None:
     assert np.abs(error - exact).max() < 2e-3 * exact.max()
 
 
-def test_play_is_taken_up_after_a_reversal() -> None:
+def test_play_is_taken_up_after_a_reversal():
     path = np.concatenate([np.arange(0, 30), np.arange(30, 0, -1)]) * 1e-6
     lag = physics.play(path, 5e-6)
     assert lag[20] == pytest.approx(-5e-6)
@@ -52,7 +50,7 @@ def test_play_is_taken_up_after_a_reversal() -> None:
     assert lag[-1] == pytest.approx(5e-6)
 
 
-def test_heat_that_comes_in_is_stored_or_leaves() -> None:
+def test_heat_that_comes_in_is_stored_or_leaves():
     rng = np.random.default_rng(1)
     capacity, to_room = rng.uniform(5e2, 5e3, 4), np.array([1.0, 0.5, 0.0, 4.0])
     conductance = np.triu(rng.uniform(0.5, 3.0, (4, 4)), 1)
@@ -66,7 +64,7 @@ def test_heat_that_comes_in_is_stored_or_leaves() -> None:
     assert to_room @ rise[-1] == pytest.approx(power[0].sum(), rel=1e-6)
 
 
-def test_a_loose_joint_is_in_equilibrium() -> None:
+def test_a_loose_joint_is_in_equilibrium():
     load = np.linspace(-400.0, 400.0, 101)
     shift = physics.contact(load, 8e-6)
     assert physics.contact_force(shift, 8e-6, 3e9, 2e5) == pytest.approx(load)
@@ -76,8 +74,8 @@ def test_a_loose_joint_is_in_equilibrium() -> None:
 
 @pytest.mark.parametrize("number", range(3))
 def test_geometry_alone_is_no_fault_here_and_in_the_toolkit(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    number, tmp_path, monkeypatch
+):
     rng = np.random.default_rng(number)
     machine = MACHINES[number]()
     drawn_world = faults.world(session(machine, rng), rng)
@@ -95,7 +93,7 @@ def test_geometry_alone_is_no_fault_here_and_in_the_toolkit(
     assert np.abs(rest).max() < 1e-3
 
 
-def test_size_of_a_fault_is_as_drawn() -> None:
+def test_size_of_a_fault_is_as_drawn():
     _, label, values = world.drawn(4)
     _, again, same = world.drawn(4)
     assert (label["kind"], label["machine"]) == ("single", "delta")

@@ -12,7 +12,7 @@ NO_GENERATOR = not (GENERATOR / "make.py").is_file()
 
 
 @pytest.mark.skipif(NO_GENERATOR, reason="needs the second generator")
-def test_a_run_that_is_read_again_reads_the_same() -> None:
+def test_a_run_that_is_read_again_reads_the_same():
     """A null case without noise at the poses of its own first run of the planar machine."""
     make = later.modules(GENERATOR)
     first = later.draw(make, "planar", "null", "white", 0.0, (7, 1))
@@ -46,7 +46,7 @@ def record(before: bool, after: bool | None, predicted: float = 0.9) -> dict[str
     return {**found, "visited": True, "predicted": predicted, **second}
 
 
-def test_the_answer_that_stands_is_the_last_one() -> None:
+def test_the_answer_that_stands_is_the_last_one():
     cases_of = [record(True, None), record(False, True), record(False, False)]
     text = cases.table([*cases_of, {"failure": "out of reach"}])
     assert "4 cases, 1 left out, 2 visited again" in text

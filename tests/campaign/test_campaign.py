@@ -68,9 +68,7 @@ def assert_refused(
 
 
 @pytest.mark.slow
-def test_a_campaign_interrupted_ends_as_an_unbroken_one(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_campaign_interrupted_ends_as_an_unbroken_one(campaign, tmp_path, capsys):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert run(campaign, whole) == 0
     printed = capsys.readouterr().out
@@ -101,9 +99,7 @@ def test_a_campaign_interrupted_ends_as_an_unbroken_one(
 
 
 @pytest.mark.slow
-def test_the_realised_error_is_that_of_the_compensated_machine(
-    campaign: Path, tmp_path: Path
-) -> None:
+def test_the_realised_error_is_that_of_the_compensated_machine(campaign, tmp_path):
     """One case again, step by step, by the notebook's functions."""
     import oed
 
@@ -128,7 +124,7 @@ def test_the_realised_error_is_that_of_the_compensated_machine(
     assert row["realised_z_um"] == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
+def test_a_summary_counts_failures_and_means(campaign):
     loaded = tables.load_campaign(campaign)
     rows = []
     for setting in loaded.settings():
@@ -168,13 +164,8 @@ def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
     ],
 )
 def test_bad_campaigns_are_refused_by_field(
-    campaign: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    old: str,
-    new: str,
-    words: str,
-) -> None:
+    campaign, tmp_path, capsys, old, new, words
+):
     campaign.write_text(sample.changed(CAMPAIGN, (old, new)), encoding="utf-8")
     assert_refused(campaign, tmp_path / "out", words, capsys)
     assert not (tmp_path / "out").exists()
@@ -218,9 +209,7 @@ def own(tmp_path: Path) -> Path:
     return path
 
 
-def test_cases_of_a_function_have_their_rows_and_means(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cases_of_a_function_have_their_rows_and_means(own, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(own, out) == 0
     assert "12 cases in 2 combinations; 1 failed." in capsys.readouterr().out
@@ -246,7 +235,7 @@ def test_cases_of_a_function_have_their_rows_and_means(
     assert "--seeds 7" in capsys.readouterr().err
 
 
-def test_a_summary_of_a_user_s_own(own: Path, tmp_path: Path) -> None:
+def test_a_summary_of_a_user_s_own(own, tmp_path):
     text = sample.changed(OWN, ("seeds = 6", 'summary = "own.py:spread"\nseeds = 6'))
     own.write_text(text, encoding="utf-8")
     assert run(own, tmp_path / "out") == 0
@@ -271,14 +260,7 @@ def test_a_summary_of_a_user_s_own(own: Path, tmp_path: Path) -> None:
         ('"singular"', '"taken"', "'seed', which names another column"),
     ],
 )
-def test_bad_case_functions_are_refused(
-    own: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    old: str,
-    new: str,
-    words: str,
-) -> None:
+def test_bad_case_functions_are_refused(own, tmp_path, capsys, old, new, words):
     own.write_text(sample.changed(OWN, (old, new)), encoding="utf-8")
     assert_refused(own, tmp_path / "out", words, capsys)
 
@@ -295,9 +277,7 @@ def test_bad_case_functions_are_refused(
         "other",
     ],
 )
-def test_a_broken_case_is_set_aside_and_computed_again(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | str
-) -> None:
+def test_a_broken_case_is_set_aside_and_computed_again(own, tmp_path, capsys, content):
     out = tmp_path / "out"
     assert run(own, out) == 0
     whole = (out / "cases.csv").read_bytes()
@@ -317,7 +297,7 @@ def test_a_broken_case_is_set_aside_and_computed_again(
     assert "no whole case" not in capsys.readouterr().out
 
 
-def test_no_text_of_a_case_is_a_formula(own: Path, tmp_path: Path) -> None:
+def test_no_text_of_a_case_is_a_formula(own, tmp_path):
     """A spreadsheet would evaluate it; Parquet keeps it as it is."""
     changes = (
         ('["plain", "singular"]', '["=cmd()"]'),
@@ -340,15 +320,13 @@ def test_no_text_of_a_case_is_a_formula(own: Path, tmp_path: Path) -> None:
     assert "'-text" in (out / "cases.csv").read_text()
 
 
-def test_a_failure_in_another_process_is_the_user_s_too(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failure_in_another_process_is_the_user_s_too(own, tmp_path, capsys):
     own.write_text(sample.changed(OWN, ('"singular"', '"bug"')), encoding="utf-8")
     assert run(own, tmp_path / "out", "--workers", "2") == 2
     assert "KeyError" in capsys.readouterr().err
 
 
-def test_a_folder_of_another_campaign_is_left_alone(own: Path, tmp_path: Path) -> None:
+def test_a_folder_of_another_campaign_is_left_alone(own, tmp_path):
     loaded = tables.load_campaign(own)
     out = tmp_path / "out"
     runner.run_cases(loaded, out, workers=1)
@@ -359,17 +337,13 @@ def test_a_folder_of_another_campaign_is_left_alone(own: Path, tmp_path: Path) -
     assert before == {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
 
-def test_a_scheduler_that_is_not_there_is_said(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scheduler_that_is_not_there_is_said(campaign, tmp_path, capsys):
     assert run(campaign, tmp_path / "out", "--scheduler", "no address") == 2
     assert "--scheduler" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_processes_and_a_cluster_give_the_same_table(
-    campaign: Path, tmp_path: Path
-) -> None:
+def test_processes_and_a_cluster_give_the_same_table(campaign, tmp_path):
     import distributed  # takes a second to import
 
     loaded = tables.load_campaign(campaign)

@@ -91,9 +91,7 @@ def kill_at(campaign: Path, out: Path, count: int, delay: float) -> None:
 @pytest.mark.skipif(
     not Path("/proc/self/environ").exists(), reason="needs the processes of Linux"
 )
-def test_a_campaign_killed_five_times_ends_as_an_unbroken_one(
-    campaign: Path, tmp_path: Path
-) -> None:
+def test_a_campaign_killed_five_times_ends_as_an_unbroken_one(campaign, tmp_path):
     broken, whole = tmp_path / "broken", tmp_path / "whole"
     rng = np.random.default_rng()  # another moment in every run of this test
     total = 4 * SEEDS
@@ -111,9 +109,7 @@ def test_a_campaign_killed_five_times_ends_as_an_unbroken_one(
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no process ends by SIGKILL")
-def test_a_campaign_survives_the_death_of_a_worker(
-    campaign: Path, tmp_path: Path
-) -> None:
+def test_a_campaign_survives_the_death_of_a_worker(campaign, tmp_path):
     """A case kills the worker that computes it first; another one repeats the case."""
     import distributed  # takes a second to import
 

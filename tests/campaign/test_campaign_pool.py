@@ -74,9 +74,7 @@ class Cluster(ModuleType):
             yield future
 
 
-def test_items_go_to_a_cluster_and_come_back_with_their_results(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_items_go_to_a_cluster_and_come_back_with_their_results(monkeypatch):
     """Neighbours to each worker, and of others the last ones; late workers help."""
     cluster = Cluster()
     monkeypatch.setitem(sys.modules, "distributed", cluster)
@@ -113,7 +111,7 @@ print(faults(), int(keep_freed_memory()), faults())
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the GNU C library's")
-def test_freed_memory_stays_in_a_process_that_dask_has_started() -> None:
+def test_freed_memory_stays_in_a_process_that_dask_has_started():
     environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
     [line] = printed_by(ARRAYS, environment=environment)
     before, is_set, after = map(int, line.split())
@@ -122,7 +120,7 @@ def test_freed_memory_stays_in_a_process_that_dask_has_started() -> None:
     assert after < 0.05 * before
 
 
-def test_processes_share_items_and_take_those_of_others() -> None:
+def test_processes_share_items_and_take_those_of_others():
     items = [0.02] * 2 + [0.0] * 7
     come = list(jobs.pool_results(_nap, items, workers=2))
     assert sorted(item for item, _ in come) == sorted(items)

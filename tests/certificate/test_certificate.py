@@ -155,7 +155,7 @@ def schema(folder: Path) -> etree.XMLSchema:
     return etree.XMLSchema(etree.parse(folder / "dcc.xsd"))
 
 
-def test_the_xml_is_valid(folder: Path, tmp_path: Path, oed: Run) -> None:
+def test_the_xml_is_valid(folder, tmp_path, oed):
     known = schema(tmp_path)
     with_acceptance(folder, oed)
     state(folder, "z_um = 30.0\narm1_mm = 0.1\n")
@@ -184,7 +184,7 @@ def text(node: Any) -> str:
     return str(node["dcc:content"]["#text"])
 
 
-def test_a_public_reader_reads_the_values_back(folder: Path, oed: Run) -> None:
+def test_a_public_reader_reads_the_values_back(folder, oed):
     from dccXMLJSONConv.dccConv import XMLToJson
 
     state(folder, "z_um = 30.0\n")
@@ -224,7 +224,7 @@ def test_a_public_reader_reads_the_values_back(folder: Path, oed: Run) -> None:
     assert (folder / "certificate.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_probabilities_against_other_code(rng: np.random.Generator) -> None:
+def test_probabilities_against_other_code(rng):
     normal = stats.norm(0.3, 0.2)
     inside = normal.cdf(0.5) - normal.cdf(-0.5)
     assert parameter_within(0.3, 0.2, -0.5, 0.5) == pytest.approx(inside)
@@ -243,7 +243,7 @@ def test_probabilities_against_other_code(rng: np.random.Generator) -> None:
     assert p == pytest.approx(share, abs=0.005)
 
 
-def test_conformity_of_the_machine(folder: Path, oed: Run) -> None:
+def test_conformity_of_the_machine(folder, oed):
     with_acceptance(folder, oed)
     section = stored(folder).estimate
     off = stored(folder).prediction.components["z"].after.rms
@@ -267,7 +267,7 @@ def test_conformity_of_the_machine(folder: Path, oed: Run) -> None:
     assert promised == pytest.approx([1e-6 * acceptance.components["z"].promised] * 2)
 
 
-def test_verdicts_follow_the_stated_rule(folder: Path, oed: Run) -> None:
+def test_verdicts_follow_the_stated_rule(folder, oed):
     """A prediction conforms where an acceptance test confirms it, and never alone."""
     tolerance = "z_um = 1e6\nx_um = 0.001\n"
     assert certified(folder, tolerance).verdicts == ["cannot tell", "fail"]
@@ -278,7 +278,7 @@ def test_verdicts_follow_the_stated_rule(folder: Path, oed: Run) -> None:
     assert set(build.certify_folder(folder)[0].verdicts) == {None}
 
 
-def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:
+def test_what_is_not_stated_is_asked_for(folder, oed):
     code, _, error = oed("certificate", folder)
     assert code == 2
     assert "certificate.toml" in error
@@ -310,7 +310,7 @@ def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:
     assert not nowhere.parent.exists()
 
 
-def test_warnings_of_the_fit_are_stated(folder: Path) -> None:
+def test_warnings_of_the_fit_are_stated(folder):
     result = stored(folder)
     section = msgspec.structs.replace(result.estimate, warnings=["Something is odd."])
     result = msgspec.structs.replace(result, estimate=section)
@@ -319,7 +319,7 @@ def test_warnings_of_the_fit_are_stated(folder: Path) -> None:
     assert "Something is odd." in (folder / "certificate.xml").read_text("utf-8")
 
 
-def test_a_virtual_machine_gets_none(folder: Path, oed: Run) -> None:
+def test_a_virtual_machine_gets_none(folder, oed):
     result = stored(folder)
     section = result.estimate
     p = msgspec.structs.replace(section.parameters["arm1"], truth=345.0)

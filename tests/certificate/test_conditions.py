@@ -7,7 +7,7 @@ from result_sample import whole
 from pkm_certificate import build
 
 
-def test_without_a_correction_the_accuracy_is_over_all_answers() -> None:
+def test_without_a_correction_the_accuracy_is_over_all_answers():
     """As the acceptance test promises it: the compensation sent holds no effects."""
     result = report_fixture.result_of(whole())
     sent_alone = msgspec.structs.replace(result, corrected=None)

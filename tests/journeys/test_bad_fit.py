@@ -21,8 +21,8 @@ def identify(folder: Path, readings: bar_readings.Readings, text: str = STUDY) -
 
 @pytest.mark.mistakes
 def test_a_mistake_is_the_first_line_and_predicts_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, capsys, monkeypatch
+):
     readings = bar_readings.a3_readings(0)
     ranked = explain.candidates
 
@@ -48,9 +48,7 @@ def test_a_mistake_is_the_first_line_and_predicts_nothing(
     assert 0 < page.index(first) < page.index('id="identif')
 
 
-def test_an_outlier_is_named_and_set_aside(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_outlier_is_named_and_set_aside(tmp_path, capsys):
     readings = bar_readings.a3_readings(0)
     y = readings.y.copy()
     y[17] += 50 * bar_readings.SIGMA

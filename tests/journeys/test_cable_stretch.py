@@ -86,9 +86,7 @@ def _drawing() -> planar_cables.Robot:
     return planar_cables.Robot(planar_cables.ANCHORS, np.zeros(4), np.zeros(4))
 
 
-def test_known_stretch_is_taken_off_the_recorded_drums(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_known_stretch_is_taken_off_the_recorded_drums(tmp_path, rng):
     robot = _drawing()
     text, at = _robot_file(rng, robot, 0.0)
     (tmp_path / "drums.csv").write_text(text, encoding="utf-8")
@@ -102,7 +100,7 @@ def test_known_stretch_is_taken_off_the_recorded_drums(
     assert stretch.min() > 1e-4
 
 
-def test_commands_stretch_as_well(tmp_path: Path) -> None:
+def test_commands_stretch_as_well(tmp_path):
     """Two cables of unlike stiffness, one tension not recorded: |A - E| (1 + T / E A)."""
     anchors = np.array([[-1.0, 0.9], [1.0, 0.8]])
     at, tension = np.array([[0.1, -0.2], [-0.3, 0.2]]), np.array([30.0, 150.0])
@@ -134,9 +132,7 @@ def _identified(
     )
 
 
-def test_with_a_known_stiffness_the_robot_is_calibrated(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_with_a_known_stiffness_the_robot_is_calibrated(tmp_path, rng):
     robot = planar_cables.drawn(rng)
     text, _ = _robot_file(rng, robot, DRUM)
     study = _study(f"stiffness_N = {STIFFNESS}")
@@ -151,9 +147,7 @@ def test_with_a_known_stiffness_the_robot_is_calibrated(
         assert abs(value - truth[name]) < 4.5 * sd
 
 
-def test_an_unknown_compliance_is_estimated(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_an_unknown_compliance_is_estimated(tmp_path, rng):
     """1 / (E A) in its unit, where the readings without the effect fit badly."""
     text, _ = _robot_file(rng, planar_cables.drawn(rng), DRUM)
     options = ("--with", "cable_stretch")
@@ -172,9 +166,7 @@ def test_an_unknown_compliance_is_estimated(
 
 @pytest.mark.slow
 @pytest.mark.mistakes
-def test_the_diagnosis_names_the_stretch(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_the_diagnosis_names_the_stretch(tmp_path, rng):
     """Constraints that read 0 by definition are no deviations from the nominal machine."""
     path, data = tmp_path / "cables.study.toml", tmp_path / "drums.csv"
     path.write_text(_study("", effects='"catalogue"'), encoding="utf-8")
@@ -188,9 +180,7 @@ def test_the_diagnosis_names_the_stretch(
     assert not any("mistaken" in sentence for sentence in result.headline)
 
 
-def test_without_tensions_a_warning_says_what_is_missing(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_without_tensions_a_warning_says_what_is_missing(tmp_path, rng):
     robot = planar_cables.drawn(rng)
     q = robot.lengths(rng.uniform(-0.5, 0.5, (READINGS, 2)))
     q += DRUM * rng.standard_normal(q.shape)
@@ -210,9 +200,7 @@ def test_without_tensions_a_warning_says_what_is_missing(
         ("tension_5_N", ("40", "30"), "unknown column"),
     ],
 )
-def test_tensions_that_make_no_sense_are_refused(
-    tmp_path: Path, column: str, cells: tuple[str, str], words: str
-) -> None:
+def test_tensions_that_make_no_sense_are_refused(tmp_path, column, cells, words):
     header = f"setup,run,order,q1_mm,q2_mm,q3_mm,q4_mm,{column}"
     rows = [
         f"drums,a,{i + 1},1280,1280,1280,1280,{cell}" for i, cell in enumerate(cells)
@@ -223,7 +211,7 @@ def test_tensions_that_make_no_sense_are_refused(
     assert words in str(error)
 
 
-def test_a_stiffness_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_stiffness_that_is_none_is_refused(tmp_path):
     (tmp_path / "drums.csv").write_text("", encoding="utf-8")
     assert "must be above 0" in str(refused(_study("stiffness_N = 0"), folder=tmp_path))
     two = refused(_study("stiffness_N = [1, 2]"), folder=tmp_path)

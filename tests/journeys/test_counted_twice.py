@@ -75,7 +75,7 @@ def variants(folder: Path) -> list[str]:
     return [f"{name}.readings.csv" for name in tables]
 
 
-def test_the_prior_has_the_readings_already(session: Path, oed: Run) -> None:
+def test_the_prior_has_the_readings_already(session, oed):
     again = study(session, 2, '[prior]\nearlier = "first"')
     for name in variants(session):
         for command in ("identify", "diagnose"):
@@ -98,7 +98,7 @@ def test_the_prior_has_the_readings_already(session: Path, oed: Run) -> None:
     assert (code, "would count twice" in error) == (2, True), error
 
 
-def test_a_diagnosis_after_another(session: Path, oed: Run) -> None:
+def test_a_diagnosis_after_another(session, oed):
     given = ("diagnose", study(session, 1), "--quiet", "--readings")
     assert oed(*given, "r1.readings.csv", "--out", "d1")[0] == 0
     for name in variants(session):

@@ -58,9 +58,7 @@ def gap(
     return result | {"study": name}
 
 
-def test_nothing_is_named_that_the_covariates_cannot_support(
-    gap: dict[str, Any],
-) -> None:
+def test_nothing_is_named_that_the_covariates_cannot_support(gap):
     """In no answer, no class and no odds; each with the column that is missing."""
     named = {
         n for a in gap["answers"] for c in [a["effects"], *a["classes"]] for n in c
@@ -77,7 +75,7 @@ def test_nothing_is_named_that_the_covariates_cannot_support(
         assert column in gap["about"][effect]["column"]
 
 
-def test_the_verdict_is_what_the_plots_can_bear(gap: dict[str, Any]) -> None:
+def test_the_verdict_is_what_the_plots_can_bear(gap):
     """No cause is claimed, and no certainty on the delta: see the module."""
     if gap["study"] == "delta_v400":
         (answer, *_) = gap["answers"]
@@ -94,7 +92,7 @@ def test_the_verdict_is_what_the_plots_can_bear(gap: dict[str, Any]) -> None:
     assert gap["rms_after"] == gap["rms_before"]
 
 
-def test_closure_is_reported_even_if_nil(gap: dict[str, Any]) -> None:
+def test_closure_is_reported_even_if_nil(gap):
     """Of both splits; where no gap is claimed it is that of the likeliest effect, if
     any, and is not proved.
     """

@@ -36,8 +36,8 @@ def result(
     [("cable_healthy", 45.0, 70.0), ("h4_none_controller", 24.0, 38.0)],
 )
 def test_effects_that_do_not_act_cost_no_accuracy(
-    shared_data: Path, tmp_path: Path, name: str, low: float, high: float
-) -> None:
+    shared_data, tmp_path, name, low, high
+):
     """By least squares alone x errs by 55 um (cables) and by 30 um (H4)."""
     folder = shared_data.parent / "inputs" / name
     if not folder.is_dir():
@@ -51,9 +51,7 @@ def test_effects_that_do_not_act_cost_no_accuracy(
         assert abs(value - estimate["value"]) < 2.0 * estimate["prior_sd"]
 
 
-def test_nests_beside_the_axis_have_a_diagnosis(
-    shared_data: Path, tmp_path: Path
-) -> None:
+def test_nests_beside_the_axis_have_a_diagnosis(shared_data, tmp_path):
     folder = shared_data.parent / "inputs" / "rss_off_axis_nest"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")

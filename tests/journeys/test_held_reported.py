@@ -45,9 +45,7 @@ pdf = false
 
 
 @pytest.mark.parametrize("lean", [0.0, -4e-3])
-def test_a_lean_of_the_bed_is_reported(
-    lean: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lean_of_the_bed_is_reported(lean, tmp_path, capsys):
     study, table = tmp_path / "lean.study.toml", tmp_path / "r.csv"
     study.write_text(STUDY, encoding="utf-8")
     command = bed(25)
@@ -79,7 +77,7 @@ def test_a_lean_of_the_bed_is_reported(
 
 
 @pytest.mark.slow
-def test_belts_that_shrink_to_nothing_are_no_finding(tmp_path: Path) -> None:
+def test_belts_that_shrink_to_nothing_are_no_finding(tmp_path):
     """Scales of all belts at -1 close any loop, with the anchors at one place."""
     folder = Path(__file__).resolve().parents[3] / "shared" / "inputs" / "four_belts"
     if not folder.is_dir():
@@ -97,7 +95,7 @@ def test_belts_that_shrink_to_nothing_are_no_finding(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_causes_that_belts_do_not_have_are_not_named(tmp_path: Path) -> None:
+def test_causes_that_belts_do_not_have_are_not_named(tmp_path):
     """With the scales of two belts free, pitch and runout fit what was read, and make
     what was withheld thousands of times worse.
     """

@@ -28,9 +28,7 @@ def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
     return json.loads(text)["goodness"]
 
 
-def test_noise_above_the_stated_one_is_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_noise_above_the_stated_one_is_reported(tmp_path, capsys):
     """Readings scatter by 1.25 um, stated are 0.5 um."""
     goodness = fit(tmp_path, bar_readings.a3_readings(1, noise=1.25e-6), ESTIMATED)
     names = ["cup.length", "long_tool.length"]
@@ -48,7 +46,7 @@ def test_noise_above_the_stated_one_is_reported(
     assert sentence in page
 
 
-def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
+def test_runs_that_shift_are_reported(tmp_path):
     """Circles shifted by 4 um: an error of the run, not of single readings."""
     readings = bar_readings.a3_readings(2)
     shift = np.repeat([4e-6, -4e-6, 3e-6, -3e-6], bar_readings.POINTS)
@@ -58,9 +56,7 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
 
 
-def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
-    tmp_path: Path,
-) -> None:
+def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(tmp_path):
     """Circles shifted by 2 and 3 um: not by the stated noise of 0.5 um, but by a law of runs."""
     readings = bar_readings.a3_readings(2)
     shift = np.repeat([3e-6, -3e-6, 2e-6, -2e-6], bar_readings.POINTS)
@@ -82,7 +78,7 @@ def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
     assert "By the noise law as estimated" in page
 
 
-def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
+def test_noise_as_stated_departs_from_nothing(tmp_path):
     goodness = fit(tmp_path, bar_readings.a3_readings(0), WITHOUT_REPORT)
     assert not goodness["noise_words"]
     assert not any(record["departs"] for record in goodness["noise"].values())
@@ -90,7 +86,7 @@ def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
     assert goodness["p_low"] + goodness["p_high"] == pytest.approx(1.0)
 
 
-def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
+def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path):
     study = (
         sample.STUDY + "\n[readings]\nsimulate = true\n[posterior]\nenabled = false\n"
     )
@@ -114,7 +110,5 @@ def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
         (300.0, float("inf"), "over about 300 readings"),
     ],
 )
-def test_a_reach_is_what_the_runs_can_show(
-    reach: float, longest: float, words: str
-) -> None:
+def test_a_reach_is_what_the_runs_can_show(reach, longest, words):
     assert reach_phrase(reach, longest) == words

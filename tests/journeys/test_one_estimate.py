@@ -39,7 +39,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, dict]:
     return stages.diagnose_study(study, readings, folder / "out", seed=1), truth
 
 
-def test_one_value_and_one_deviation(case: tuple[StudyResult, dict]) -> None:
+def test_one_value_and_one_deviation(case):
     result, truth = case
     gap, corrected = result.gap, result.corrected
     assert truth["effect"] in gap.selected
@@ -55,7 +55,7 @@ def test_one_value_and_one_deviation(case: tuple[StudyResult, dict]) -> None:
         assert gap.constants[effect] == constants
 
 
-def test_it_is_that_of_the_machine(case: tuple[StudyResult, dict]) -> None:
+def test_it_is_that_of_the_machine(case):
     result, truth = case
     estimates = {
         c.name: c for c in result.gap.coefficients if c.effect == truth["effect"]

@@ -30,15 +30,8 @@ def study(tmp_path: Path) -> Path:
     ],
 )
 def test_what_came_before_a_failure_is_written(
-    command: str,
-    step: str,
-    computed: str,
-    absent: str,
-    study: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    command, step, computed, absent, study, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(order, step, mock.Mock(side_effect=FAILURE))
     out = tmp_path / "out"
     assert main([command, str(study), "--out", str(out), "--quiet"]) == 2
@@ -51,9 +44,7 @@ def test_what_came_before_a_failure_is_written(
     assert any("12 of 65 poses" in warning for warning in result["warnings"])
 
 
-def test_a_failure_takes_no_earlier_result(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_takes_no_earlier_result(study, tmp_path, monkeypatch):
     out = tmp_path / "out"
     arguments = ["run", str(study), "--out", str(out), "--quiet"]
     assert main(arguments) == 0
@@ -63,9 +54,7 @@ def test_a_failure_takes_no_earlier_result(
     assert (out / "result-earlier.json").read_bytes() == whole
 
 
-def test_nothing_is_written_where_nothing_was_computed(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_written_where_nothing_was_computed(study, tmp_path, monkeypatch):
     out = tmp_path / "out"
     monkeypatch.setattr(order, "take_readings", mock.Mock(side_effect=FAILURE))
     assert main(["run", str(study), "--out", str(out), "--quiet"]) == 2

@@ -25,7 +25,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> oed.EstimateView:
     return oed.identify(oed.read_readings(study, table))
 
 
-def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> None:
+def test_draws_give_the_readings_that_were_taken(fitted):
     """By the oracle: normal draws of the covariance move them by micrometres more."""
     state = fitted.state
     assert state.posterior is None
@@ -63,7 +63,7 @@ def exact_readings(state: object, theta: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def test_the_prediction_is_that_of_the_posterior(fitted: oed.EstimateView) -> None:
+def test_the_prediction_is_that_of_the_posterior(fitted):
     without = oed.predict(fitted).section.components
     study = fitted.state.study
     table = msgspec.structs.replace(study.posterior, enabled=True)

@@ -5,7 +5,6 @@ import re
 import shlex
 from pathlib import Path
 
-import pytest
 import sample
 
 from pkm_studies.commands import main
@@ -52,9 +51,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(lines))
 
 
-def test_the_example_ends_with_the_file_that_a_controller_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_ends_with_the_file_that_a_controller_reads(tmp_path, monkeypatch):
     """With a study of seconds in the place of the README's."""
     monkeypatch.chdir(tmp_path)
     text = sample.changed(

@@ -38,9 +38,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir() if path.name[0] != "."}
 
 
-def test_run_resumes_by_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_run_resumes_by_itself(tmp_path, monkeypatch, capsys):
     study = tmp_path / "s.study.toml"
     study.write_text(STUDY, encoding="utf-8")
     (tmp_path / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")

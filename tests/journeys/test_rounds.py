@@ -202,7 +202,7 @@ def check_convergence(machines: Sequence[Outcome]) -> None:
     assert columns.table == pytest.approx(columns.exact, rel=0.05)
 
 
-def test_two_rounds_converge(tmp_path: Path) -> None:
+def test_two_rounds_converge(tmp_path):
     check_convergence([two_rounds(1, tmp_path)])
 
 
@@ -292,7 +292,7 @@ class PaperHead:
 
 
 @pytest.mark.slow
-def test_the_two_steps_of_the_paper(tmp_path: Path) -> None:
+def test_the_two_steps_of_the_paper(tmp_path):
     """Home errors in three rounds, then all errors of its Table 3 in a fourth."""
     fine = {k: v for k, v in a3.TABLE3.items() if k != "ds"}
     truth = a3.errors(**fine | {"dq": ROUGH_HOME + fine["dq"]})

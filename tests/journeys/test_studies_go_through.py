@@ -6,14 +6,12 @@ that cannot be simulated by its nature is skipped with the command's own refusal
 
 import csv
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from pkm_studies.study import SUFFIX
 
-Run = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = sorted(
     p.name.removesuffix(SUFFIX) for p in (ROOT / "studies").glob(f"*{SUFFIX}")
@@ -50,7 +48,7 @@ def filled_in(acceptance: Path) -> Path:
 
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("name", NAMES)
-def test_a_study_goes_through(name: str, seed: int, oed: Run, tmp_path: Path) -> None:
+def test_a_study_goes_through(name, seed, oed, tmp_path):
     study, readings = study_file(name, seed, tmp_path), tmp_path / "s.readings.csv"
     code, _, refusal = oed("simulate", study, "--out", readings)
     if code:

@@ -42,9 +42,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
     return {name: run(folder / name, text) for name, text in lines.items()}
 
 
-def test_readings_of_a_machine_are_asked_by_default(
-    results: dict[str, dict[str, Any]],
-) -> None:
+def test_readings_of_a_machine_are_asked_by_default(results):
     """Which effects act, unless the study keeps them out."""
     assert results["none"]["gap"] is None
     assert results["default"]["gap"]["mixture"] is not None
@@ -58,9 +56,7 @@ def test_readings_of_a_machine_are_asked_by_default(
     assert default == every
 
 
-def test_small_effects_widen_the_accuracy_by_their_evidence(
-    results: dict[str, dict[str, Any]],
-) -> None:
+def test_small_effects_widen_the_accuracy_by_their_evidence(results):
     """A rigid head: the rigid answer leads, and small effects count beside it."""
     mixture = results["default"]["gap"]["mixture"]
     nothing = {
@@ -76,7 +72,7 @@ def test_small_effects_widen_the_accuracy_by_their_evidence(
     assert 1.0 < np.median(ratio) < 1.5
 
 
-def test_a_name_that_is_no_effect_is_refused() -> None:
+def test_a_name_that_is_no_effect_is_refused():
     text = sample.changed(
         sample.STUDY, ("[noise]", "[identify]\neffects = 3\n\n[noise]")
     )
@@ -137,9 +133,7 @@ def wrong_scale(
         return {n: with_wrong_scale(folder / n, e) for n, e in allowed.items()}
 
 
-def test_a_bad_fit_is_good_where_effects_explain_it(
-    wrong_scale: dict[str, tuple[dict[str, Any], int]],
-) -> None:
+def test_a_bad_fit_is_good_where_effects_explain_it(wrong_scale):
     alone, code = wrong_scale["none"]
     assert code == 1
     assert alone["goodness"]["bad_fit"]
@@ -154,9 +148,7 @@ def test_a_bad_fit_is_good_where_effects_explain_it(
     assert named > 0.95
 
 
-def test_the_controller_gets_parameters_that_take_up_effects(
-    wrong_scale: dict[str, tuple[dict[str, Any], int]],
-) -> None:
+def test_the_controller_gets_parameters_that_take_up_effects(wrong_scale):
     """Less is left than with the machine's parameters, and as much as predicted."""
     result, _ = wrong_scale["some"]
     mixture = result["gap"]["mixture"]
@@ -180,9 +172,7 @@ def test_the_controller_gets_parameters_that_take_up_effects(
     assert 0.8 < total["sent"] / np.linalg.norm(predicted) < 1.25
 
 
-def test_readings_that_are_held_out_lie_within_the_bands(
-    wrong_scale: dict[str, tuple[dict[str, Any], int]],
-) -> None:
+def test_readings_that_are_held_out_lie_within_the_bands(wrong_scale):
     """Every third pose is predicted: with the leg's scale, bands hold and are narrow."""
     rms, coverage = {}, {}
     for effects, (result, _) in wrong_scale.items():
@@ -196,9 +186,7 @@ def test_readings_that_are_held_out_lie_within_the_bands(
 
 
 @pytest.mark.parametrize("table", ["design", "plan", "identify"])
-def test_a_check_names_a_misspelt_effect(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str
-) -> None:
+def test_a_check_names_a_misspelt_effect(tmp_path, capsys, table):
     text = 'schema = 1\nname = "slip"\n[machine]\nmodel = "planar_2dof"\n'
     text += '[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
     path = tmp_path / "slip.study.toml"

@@ -1,7 +1,6 @@
 """`[noise]` of a study: amounts that are stated, what they change, what is refused."""
 
 import json
-from pathlib import Path
 
 import bad_fit_sample
 import bar_readings
@@ -18,7 +17,7 @@ def noise(*lines: str) -> str:
     return sample.changed(sample.STUDY, (NOISE, "\n".join([NOISE, *lines])))
 
 
-def test_amounts_reach_the_set_up_in_si() -> None:
+def test_amounts_reach_the_set_up_in_si():
     stated = ("seating_um = 0.3", "length_run_um = 0", "carried = 0.2")
     more = ("reach_readings = 5", "outlier_share = 0.01")
     (setup,) = sample.resolved(noise(*stated, *more)).setups.values()
@@ -30,7 +29,7 @@ def test_amounts_reach_the_set_up_in_si() -> None:
     assert (statement.student_dof, statement.outlier_share) == (None, 0.01)
 
 
-def test_a_number_for_one_set_up_goes_before_one_for_all() -> None:
+def test_a_number_for_one_set_up_goes_before_one_for_all():
     text = noise("seating_um = 0.3", "[noise.cup]", "seating_um = 0")
     (setup,) = sample.resolved(text).setups.values()
     assert setup.statement.seating == 0.0
@@ -52,13 +51,13 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("lines", list(REFUSED))
-def test_what_cannot_be_is_refused(lines: str) -> None:
+def test_what_cannot_be_is_refused(lines):
     error = sample.refused(noise(lines))
     assert error.field.startswith("noise.")
     assert REFUSED[lines] in str(error)
 
 
-def test_seating_is_refused_where_nothing_is_seated() -> None:
+def test_seating_is_refused_where_nothing_is_seated():
     text = sample.changed(
         sample.DELTA, ("[[setup]]", "[noise]\nseating_um = 1\n\n[[setup]]")
     )
@@ -67,7 +66,7 @@ def test_seating_is_refused_where_nothing_is_seated() -> None:
     assert "no run of probe, calliper seats anything anew" in error.problem
 
 
-def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
+def test_a_stated_law_is_narrower_and_reported(tmp_path):
     """Intervals of a bar whose cup stays, and the numbers of the law that are left."""
     readings, results = bar_readings.a3_readings(0), {}
     stated = (

@@ -1,7 +1,6 @@
 """`[[prior.correlated]]` of a study: what it changes, what is refused."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ def prior(lines: str) -> str:
     return sample.changed(sample.STUDY, ("[design]", lines + "[design]"))
 
 
-def test_legs_of_one_batch_are_correlated() -> None:
+def test_legs_of_one_batch_are_correlated():
     resolved = sample.resolved(prior(LEGS))
     m = resolved.measurement_with(resolved.setups)
     covariance = m.prior_covariance
@@ -27,7 +26,7 @@ def test_legs_of_one_batch_are_correlated() -> None:
     assert not covariance[np.ix_(legs, others)].any()
 
 
-def test_later_tables_win() -> None:
+def test_later_tables_win():
     pair = LEGS.replace('"dq*"', '"dq1", "dq2"').replace("0.9", "0.5")
     resolved = sample.resolved(prior(LEGS.replace("0.9", "0.6") + pair))
     m = resolved.measurement_with(resolved.setups)
@@ -46,13 +45,13 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("lines", list(REFUSED))
-def test_what_cannot_be_is_refused(lines: str) -> None:
+def test_what_cannot_be_is_refused(lines):
     error = sample.refused(prior(lines))
     assert error.field.startswith("prior.correlated[1]")
     assert REFUSED[lines] in str(error)
 
 
-def test_a_design_for_correlated_legs_counts_them_once(tmp_path: Path) -> None:
+def test_a_design_for_correlated_legs_counts_them_once(tmp_path):
     """Legs of one batch are known better before, so that readings gain less."""
     options = "[readings]\nsimulate = true\n[posterior]\nenabled = false\n[expect]"
     gains = {}
@@ -80,7 +79,7 @@ def test_a_design_for_correlated_legs_counts_them_once(tmp_path: Path) -> None:
 BOUNDS = '[[prior.bounds]]\nparameters = ["dq1"]\nlower_mm = 0.0\nupper_mm = 2.0\n\n'
 
 
-def test_bounds_are_of_the_value() -> None:
+def test_bounds_are_of_the_value():
     resolved = sample.resolved(prior(BOUNDS))
     m = resolved.measurement_with(resolved.setups)
     first = m.names.index("dq1")
@@ -101,7 +100,7 @@ BOUNDS_REFUSED = {
 
 
 @pytest.mark.parametrize("lines", list(BOUNDS_REFUSED))
-def test_bounds_that_cannot_be_are_refused(lines: str) -> None:
+def test_bounds_that_cannot_be_are_refused(lines):
     error = sample.refused(prior(lines))
     assert error.field.startswith("prior.bounds")
     assert BOUNDS_REFUSED[lines] in str(error)

@@ -34,9 +34,7 @@ def write(folder: Path, runs: list[str]) -> tuple[Path, Path]:
 
 @pytest.mark.slow
 @pytest.mark.mistakes
-def test_a_turned_run_is_the_first_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_turned_run_is_the_first_line(tmp_path, capsys):
     study, readings = write(tmp_path, ["80-1"])
     options = ["--with", "backlash,leg_thermal", "--out", str(tmp_path / "out")]
     command = ["identify", str(study), "--readings", str(readings), *options]
@@ -51,9 +49,7 @@ def test_a_turned_run_is_the_first_line(
     assert any("80-1" in w for w in result["corrected"]["warnings"])
 
 
-def test_check_names_runs_whose_order_and_direction_contradict(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_names_runs_whose_order_and_direction_contradict(tmp_path, capsys):
     study, readings = write(tmp_path, ["80-1"])
     assert main(["check", str(study), str(readings)]) == 1
     out = capsys.readouterr().out

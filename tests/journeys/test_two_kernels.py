@@ -86,7 +86,7 @@ def pairs(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not _is_dynamic(), reason="NumPy's BLAS has one kernel alone")
-def test_another_kernel_changes_nothing_but_rounding(tmp_path: Path) -> None:
+def test_another_kernel_changes_nothing_but_rounding(tmp_path):
     (tmp_path / "s.study.toml").write_text(STUDY, "utf-8")
     (first, page, words), (second, other_page, other_words) = (
         run(tmp_path, kernel) for kernel in KERNELS

@@ -169,7 +169,7 @@ def in_both(commands: list[list[str]], tmp_path: Path, monkeypatch, capsys) -> l
     return outputs
 
 
-def test_the_advice_states_angles_in_their_unit(tmp_path, monkeypatch, capsys) -> None:
+def test_the_advice_states_angles_in_their_unit(tmp_path, monkeypatch, capsys):
     commands = [
         ["simulate", "units.study.toml", "--out", "r.csv"],
         ["next", "units.study.toml", "--readings", "r.csv"],
@@ -183,7 +183,7 @@ def test_the_advice_states_angles_in_their_unit(tmp_path, monkeypatch, capsys) -
 
 
 @pytest.mark.slow
-def test_every_printed_value_has_its_own_unit(tmp_path, monkeypatch, capsys) -> None:
+def test_every_printed_value_has_its_own_unit(tmp_path, monkeypatch, capsys):
     commands = [
         ["run", "units.study.toml", "--out", "out"],
         ["compensate", "out", "--to", "csv", "--force"],

@@ -5,7 +5,6 @@ import re
 import socket
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +19,7 @@ from pkm_studies.study import Study
 # -- measuring -------------------------------------------------------------------------
 
 
-def test_page_and_command_decide_alike(machine: Any, page_study: Path) -> None:
+def test_page_and_command_decide_alike(machine, page_study):
     """After each reading, `oed next` on the page's file says the same pose and figures."""
     opened, client, operator = machine
     adviser = Adviser(Study.load(page_study))
@@ -46,7 +45,7 @@ def test_page_and_command_decide_alike(machine: Any, page_study: Path) -> None:
     )
 
 
-def test_what_is_shown_is_what_is_written(machine: Any) -> None:
+def test_what_is_shown_is_what_is_written(machine):
     """Commands have the decimals that the operator sees, and the clock runs."""
     opened, client, operator = machine
     take(client, operator.display())
@@ -57,7 +56,7 @@ def test_what_is_shown_is_what_is_written(machine: Any) -> None:
     assert second["remark"] == "bar seated anew"
 
 
-def test_an_implausible_reading_is_asked_about_first(machine: Any) -> None:
+def test_an_implausible_reading_is_asked_about_first(machine):
     opened, client, operator = machine
     for _ in range(3):
         take(client, operator.display())
@@ -72,7 +71,7 @@ def test_an_implausible_reading_is_asked_about_first(machine: Any) -> None:
     assert len(rows(opened.session.log.path)) == 4
 
 
-def test_no_number_is_no_reading(machine: Any) -> None:
+def test_no_number_is_no_reading(machine):
     opened, client, _ = machine
     for text in ("", "abc", "1.2.3", "1,234.5", "nan", "inf", "1e3", "3" * 30, "0x10"):
         status, answer = take(client, [text], confirmed=True)
@@ -81,7 +80,7 @@ def test_no_number_is_no_reading(machine: Any) -> None:
     assert not opened.session.log.path.exists()
 
 
-def test_undo_keeps_the_value_in_the_remark(machine: Any) -> None:
+def test_undo_keeps_the_value_in_the_remark(machine):
     opened, client, operator = machine
     entries = operator.display()
     take(client, entries)
@@ -94,7 +93,7 @@ def test_undo_keeps_the_value_in_the_remark(machine: Any) -> None:
     assert "Reading 1 of" in state["parts"]["pose"] != before
 
 
-def test_a_pose_is_read_again(machine: Any) -> None:
+def test_a_pose_is_read_again(machine):
     opened, client, operator = machine
     take(client, operator.display())
     client.post("/repeat", version=client.state()["version"], again=True)
@@ -104,7 +103,7 @@ def test_a_pose_is_read_again(machine: Any) -> None:
         assert first[name] == second[name]
 
 
-def test_rows_of_a_plan_and_of_a_user_stay(machine: Any) -> None:
+def test_rows_of_a_plan_and_of_a_user_stay(machine):
     """Semicolons, decimal commas, other units and remarks are those of the file."""
     opened, client, operator = machine
     take(client, operator.display())
@@ -133,7 +132,7 @@ def test_rows_of_a_plan_and_of_a_user_stay(machine: Any) -> None:
     assert "planned by hand" in after
 
 
-def test_a_broken_file_is_told_and_taken_up_again(machine: Any) -> None:
+def test_a_broken_file_is_told_and_taken_up_again(machine):
     opened, client, operator = machine
     take(client, operator.display())
     path = opened.session.log.path
@@ -149,7 +148,7 @@ def test_a_broken_file_is_told_and_taken_up_again(machine: Any) -> None:
 # -- two at once -----------------------------------------------------------------------
 
 
-def test_two_pages_never_write_one_reading_twice(machine: Any) -> None:
+def test_two_pages_never_write_one_reading_twice(machine):
     """Both send for the same state at once: one is taken, the other is told."""
     opened, client, operator = machine
     for number in range(3):
@@ -178,7 +177,7 @@ def test_two_pages_never_write_one_reading_twice(machine: Any) -> None:
         assert len(rows(opened.session.log.path)) == number + 1
 
 
-def test_an_entry_that_is_sent_again_is_taken_once(machine: Any) -> None:
+def test_an_entry_that_is_sent_again_is_taken_once(machine):
     opened, client, operator = machine
     entry = {
         "version": client.state()["version"],
@@ -189,7 +188,7 @@ def test_an_entry_that_is_sent_again_is_taken_once(machine: Any) -> None:
     assert len(rows(opened.session.log.path)) == 1
 
 
-def test_a_change_by_an_editor_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_change_by_an_editor_is_not_overwritten(tmp_path):
     log = ReadingsLog(tmp_path / "poses.csv")
     first = log.write(readings_log.ABSENT, log.read().replace_rows([{"setup": "a"}]))
     log.path.write_text("setup\nof the user\n", encoding="utf-8")
@@ -198,7 +197,7 @@ def test_a_change_by_an_editor_is_not_overwritten(tmp_path: Path) -> None:
     assert log.path.read_text("utf-8") == "setup\nof the user\n"
 
 
-def test_pages_hear_of_each_reading(machine: Any) -> None:
+def test_pages_hear_of_each_reading(machine):
     """An event arrives for a reading that another page takes, within a second."""
     _, client, operator = machine
     line = socket.create_connection(("127.0.0.1", client.port), timeout=5)
@@ -230,14 +229,14 @@ def test_pages_hear_of_each_reading(machine: Any) -> None:
         ("123.45", None),
     ],
 )
-def test_a_slip_is_named(text: str, words: str | None) -> None:
+def test_a_slip_is_named(text, words):
     assert typed.slip(text, 300.11, 300.13) == words
 
 
 # -- poses that cannot be driven to ----------------------------------------------------
 
 
-def test_a_skipped_pose_is_advised_no_more(machine: Any, page_study: Path) -> None:
+def test_a_skipped_pose_is_advised_no_more(machine, page_study):
     """Neither by the page nor by the command, before and after readings; it can be undone."""
     opened, client, operator = machine
     adviser, path = Adviser(Study.load(page_study)), opened.session.log.path
@@ -262,14 +261,14 @@ def test_a_skipped_pose_is_advised_no_more(machine: Any, page_study: Path) -> No
     assert client.post("/unskip", version=client.state()["version"])[0] == 422
 
 
-def test_a_reading_with_a_remark_on_skips_is_a_reading(machine: Any) -> None:
+def test_a_reading_with_a_remark_on_skips_is_a_reading(machine):
     opened, client, operator = machine
     take(client, operator.display(), remark="skipped breakfast")
     assert opened.session.state.advice.skipped == ()
     assert "skipped." not in client.state()["parts"]["pose"]
 
 
-def test_a_job_s_error_is_shown_below_its_stages(tmp_path: Path) -> None:
+def test_a_job_s_error_is_shown_below_its_stages(tmp_path):
     """A command that prints stages, then fails: its error reaches the page."""
     job = BackgroundCommand()
     readings = tmp_path / "none.csv"

@@ -25,7 +25,7 @@ def chosen(part: str) -> str:
     return selected.rpartition('="')[2].rstrip('"')
 
 
-def test_the_side_is_said_and_its_sign_written(machine: Any) -> None:
+def test_the_side_is_said_and_its_sign_written(machine):
     """Backlash of the head shows from both sides only; nothing is noted by itself."""
     opened, client, operator = machine
     part = client.state()["parts"]["pose"]
@@ -44,7 +44,7 @@ def test_the_side_is_said_and_its_sign_written(machine: Any) -> None:
     assert taken.covariates["direction"].tolist()[:2] == [1.0, -1.0]
 
 
-def test_an_undone_reading_does_not_count(machine: Any) -> None:
+def test_an_undone_reading_does_not_count(machine):
     _, client, operator = machine
     take(client, operator.display(), direction="+1")
     _, state = client.post("/undo", version=client.state()["version"])
@@ -52,7 +52,7 @@ def test_an_undone_reading_does_not_count(machine: Any) -> None:
 
 
 @pytest.mark.parametrize("word", ["1", "0", "+2", "=1+1", "<b>"])
-def test_another_sign_is_refused(machine: Any, word: str) -> None:
+def test_another_sign_is_refused(machine, word):
     opened, client, operator = machine
     status, answer = take(client, operator.display(), direction=word)
     assert status == 422
@@ -60,7 +60,7 @@ def test_another_sign_is_refused(machine: Any, word: str) -> None:
     assert not opened.session.log.path.exists()
 
 
-def test_passes_both_ways_are_told_apart(tmp_path: Path) -> None:
+def test_passes_both_ways_are_told_apart(tmp_path):
     """Each pose read from both sides: no run pretends a path, no finding complains."""
     lines = "both_directions = true\naverage = false\n"
     with page_of(tmp_path, lines) as (opened, port):
@@ -85,7 +85,7 @@ def test_passes_both_ways_are_told_apart(tmp_path: Path) -> None:
         assert not [words for words in findings if "direction" in words]
 
 
-def test_the_mean_of_both_directions_has_no_sign(tmp_path: Path) -> None:
+def test_the_mean_of_both_directions_has_no_sign(tmp_path):
     with page_of(tmp_path, "both_directions = true\n") as (opened, port):
         client, operator = page_server.Client(port), page_server.Operator(opened)
         part = client.state()["parts"]["pose"]

@@ -101,7 +101,7 @@ def decides_alike(machine: Any, adviser: Adviser) -> bool:
 
 @needs_browser
 @pytest.mark.slow
-def test_a_session_with_everything_that_goes_wrong(opened: Any, tmp_path: Path) -> None:
+def test_a_session_with_everything_that_goes_wrong(opened, tmp_path):
     """Hexapod, 40 readings: a typing error, a wrong reading, an undo, a reload."""
     study = Path("hexapod_ball_bar")
     adviser = Adviser(Study.load(shipped.study_path(study)))
@@ -140,9 +140,7 @@ def test_a_session_with_everything_that_goes_wrong(opened: Any, tmp_path: Path) 
 
 @needs_browser
 @pytest.mark.slow
-def test_everyone_can_read_the_page(
-    opened: Any, page_study: Path, tmp_path: Path
-) -> None:
+def test_everyone_can_read_the_page(opened, page_study, tmp_path):
     """No fault of accessibility, nothing wider than the window, at any size and theme."""
     options = server.PageOptions(tmp_path / "poses.csv", wanted="z_um=50")
     with served(page_study, options) as (machine, port):
@@ -164,9 +162,7 @@ def test_everyone_can_read_the_page(
 
 @needs_browser
 @pytest.mark.slow
-def test_two_browsers_show_one_state(
-    opened: Any, page_study: Path, tmp_path: Path
-) -> None:
+def test_two_browsers_show_one_state(opened, page_study, tmp_path):
     with served(page_study, server.PageOptions(tmp_path / "poses.csv")) as (
         machine,
         port,
@@ -182,9 +178,7 @@ def test_two_browsers_show_one_state(
 
 @needs_browser
 @pytest.mark.slow
-def test_from_readings_to_the_controller(
-    opened: Any, page_study: Path, tmp_path: Path
-) -> None:
+def test_from_readings_to_the_controller(opened, page_study, tmp_path):
     """With the page alone: fit, result, compensation file."""
     with served(page_study, server.PageOptions(tmp_path / "poses.csv")) as (
         machine,
@@ -207,7 +201,7 @@ def test_from_readings_to_the_controller(
 
 @needs_browser
 @pytest.mark.slow
-def test_from_sizes_to_the_first_reading(opened: Any, tmp_path: Path) -> None:
+def test_from_sizes_to_the_first_reading(opened, tmp_path):
     """With the page alone: a family's sizes, an error at its field, the machine's page."""
     with served(tmp_path, server.PageOptions()) as (_, port):
         page = opened(port)
@@ -256,7 +250,7 @@ def started(study: Path, path: Path) -> tuple[subprocess.Popen[str], Client]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such signal")
-def test_nothing_is_lost_at_50_sudden_ends(page_study: Path, tmp_path: Path) -> None:
+def test_nothing_is_lost_at_50_sudden_ends(page_study, tmp_path):
     """Killed at random moments: what was confirmed is in the file, once, and it is whole."""
     rng, path = random.Random(7), tmp_path / "poses.csv"
     confirmed: dict[str, str] = {}

@@ -8,7 +8,6 @@ import threading
 import time
 import types
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,9 +29,7 @@ from pkm_studies.base import InputError
         (r"R=(?P<length_mm>\S+)", "R=abc", None)
     ],
 )  # fmt: skip
-def test_a_line_becomes_numbers(
-    tmp_path: Path, pattern: str, line: str, values: dict[str, float] | None
-) -> None:
+def test_a_line_becomes_numbers(tmp_path, pattern, line, values):
     offers: list[Offer] = []
     Feed(str(tmp_path), pattern, offers.append).take_line(line)
     assert [offer.values for offer in offers] == (
@@ -45,12 +42,12 @@ def test_a_line_becomes_numbers(
     [("absent.csv", ""), ("tcp://nowhere", "(?P<a_mm>.)"), ("tcp://h:1", ""), (".", "(?P<length>.)"),
      (".", "("), (".", "no group")],
 )  # fmt: skip
-def test_what_no_line_can_be_is_refused(source: str, pattern: str) -> None:
+def test_what_no_line_can_be_is_refused(source, pattern):
     with pytest.raises(InputError):
         Feed(source, pattern, lambda _: None)
 
 
-def test_readings_arrive_by_tcp(machine: Any) -> None:
+def test_readings_arrive_by_tcp(machine):
     """A gauge that sends a line: the entry shows it, and the page takes it at once."""
     opened, client, operator = machine
     gauge = socket.create_server(("127.0.0.1", 0))
@@ -80,7 +77,7 @@ def test_readings_arrive_by_tcp(machine: Any) -> None:
         opened.offer, opened.doubt = None, ""
 
 
-def test_a_file_that_grows_is_followed(tmp_path: Path) -> None:
+def test_a_file_that_grows_is_followed(tmp_path):
     path = tmp_path / "gauge.csv"
     path.write_text("no;length_mm\n1;300.1\n", encoding="utf-8")
     offers: list[Offer] = []
@@ -104,7 +101,7 @@ def lines_of(source: Iterator[str]) -> queue.Queue[str]:
     return lines
 
 
-def test_a_line_counts_where_its_beginning_and_its_end_were_seen() -> None:
+def test_a_line_counts_where_its_beginning_and_its_end_were_seen():
     """However the bytes are cut: `900.2` of `900.2903` and `9.1234` of `1799.1234`."""
     sent = b"99.1234\r\n1799.1234\n900.2903\r900.2"
     for size in range(1, len(sent)):
@@ -114,7 +111,7 @@ def test_a_line_counts_where_its_beginning_and_its_end_were_seen() -> None:
         assert next(x for p in parts for x in begun.add(p)) == "99.1234"
 
 
-def test_a_lost_connection_leaves_no_half_line() -> None:
+def test_a_lost_connection_leaves_no_half_line():
     gauge = socket.create_server(("127.0.0.1", 0))
     feed_lines = feed._tcp_lines(("127.0.0.1", gauge.getsockname()[1]))
     lines = lines_of(feed_lines)
@@ -127,7 +124,7 @@ def test_a_lost_connection_leaves_no_half_line() -> None:
     assert lines.empty()
 
 
-def test_a_serial_line_is_joined_in_the_midst(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_serial_line_is_joined_in_the_midst(monkeypatch):
     class Port(io.BytesIO):
         in_waiting = 3
 
@@ -139,8 +136,8 @@ def test_a_serial_line_is_joined_in_the_midst(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_line_that_was_half_written_at_the_start_does_not_count(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(feed, "PAUSE", 0.01)
     path = tmp_path / "gauge.txt"
     path.write_text("1700.5\n179", encoding="utf-8")
@@ -155,9 +152,7 @@ def test_a_line_that_was_half_written_at_the_start_does_not_count(
     assert lines.empty()
 
 
-def test_a_file_that_takes_another_s_place_gives_no_half_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_takes_another_s_place_gives_no_half_line(tmp_path, monkeypatch):
     monkeypatch.setattr(feed, "PAUSE", 0.01)
     path = tmp_path / "gauge.txt"
     path.write_text("1.5\n", encoding="utf-8")
@@ -167,9 +162,7 @@ def test_a_file_that_takes_another_s_place_gives_no_half_line(
     assert lines.get(timeout=10.0) == "1800.5"
 
 
-def test_a_long_file_is_read_to_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_file_is_read_to_its_end(tmp_path, monkeypatch):
     """Parts as small as here never end a line by themselves."""
     monkeypatch.setattr(feed, "PAUSE", 0.001)
     monkeypatch.setattr(feed, "MAX_STREAM_BYTES", 64)
@@ -184,9 +177,7 @@ def test_a_long_file_is_read_to_its_end(
     assert got == [f"no;length_mm\n{k};301.{k}" for k in range(40)]
 
 
-def test_a_line_that_is_too_long_is_passed_over_and_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_that_is_too_long_is_passed_over_and_said(tmp_path, monkeypatch):
     """No part of it is a line of its own, and the next one counts."""
     monkeypatch.setattr(feed, "MAX_STREAM_BYTES", 3 * feed.MAX_LINE_BYTES)
     monkeypatch.setattr(feed, "PAUSE", 0.001)
@@ -208,7 +199,7 @@ def test_a_line_that_is_too_long_is_passed_over_and_said(
     assert followed.problem == ""
 
 
-def test_a_remark_that_is_too_long_is_refused() -> None:
+def test_a_remark_that_is_too_long_is_refused():
     assert clean_remark("warm\n spindle") == "warm spindle"
     with pytest.raises(InputError, match="201 characters are too many"):
         clean_remark("x" * 201)

@@ -3,7 +3,6 @@
 import json
 import random
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from page.page_server import Client, rows, served, take
@@ -123,7 +122,7 @@ KINDS: tuple[Callable[[random.Random, int], Request], ...] = (
 )  # fmt: skip
 
 
-def test_strangers_are_refused(machine: Any) -> None:
+def test_strangers_are_refused(machine):
     """500 requests: nothing is written, nothing but refusals comes back."""
     opened, client, _ = machine
     rng = random.Random(3)
@@ -146,7 +145,7 @@ def test_strangers_are_refused(machine: Any) -> None:
     assert not opened.job.state.name
 
 
-def test_an_address_has_at_most_512_characters(machine: Any) -> None:
+def test_an_address_has_at_most_512_characters(machine):
     """Of the path and of the query together, without the question mark."""
     _, client, _ = machine
     for start, answer in (("/state?", 200), ("/", 404)):
@@ -155,7 +154,7 @@ def test_an_address_has_at_most_512_characters(machine: Any) -> None:
         assert client.ask("GET", f"{longest}x")[0] == 414
 
 
-def test_a_script_in_a_remark_is_text(machine: Any) -> None:
+def test_a_script_in_a_remark_is_text(machine):
     opened, client, operator = machine
     script = "</script><script>alert(1)</script>\n=cmd|'/c calc'!A1"
     take(client, operator.display(), remark=script)
@@ -172,7 +171,7 @@ def test_a_script_in_a_remark_is_text(machine: Any) -> None:
     assert row["remark"].startswith("'=")
 
 
-def test_other_computers_need_the_token(page_study: Path, tmp_path: Path) -> None:
+def test_other_computers_need_the_token(page_study, tmp_path):
     with served(
         page_study, server.PageOptions(tmp_path / "poses.csv"), token="right"
     ) as (_, port):

@@ -1,6 +1,5 @@
 """Studies from the page's form, and results as cards: what is written, what is refused."""
 
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -19,7 +18,7 @@ def form(**values: Any) -> NewStudy:
     return NewStudy(machine="delta", instrument="pose_tracker_position", **values)
 
 
-def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
+def test_the_file_has_what_the_form_says(tmp_path):
     """Sizes, time and wanted accuracy stand in the study that the command reads."""
     sizes = {"arm_mm": "350.0", "angle_deg": "[210, 330, 90]", "lean_deg": ""}
     page = StudyForm(tmp_path)
@@ -38,19 +37,19 @@ def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
     assert shown["arm_mm"].label == "arm [mm]"
 
 
-def test_a_derived_list_has_a_cell_for_each_cable(tmp_path: Path) -> None:
+def test_a_derived_list_has_a_cell_for_each_cable(tmp_path):
     shown = {field.key: field for field in StudyForm(tmp_path).sizes("cable_robot")}
     assert shown["stiffness_N"].rows == [[""] * len(shown["anchor_mm"].rows)]
     assert shown["gear"].rows == [shown["gear"].rows[0][:1] * 4]
 
 
-def test_one_number_for_all_is_the_same_list(tmp_path: Path) -> None:
+def test_one_number_for_all_is_the_same_list(tmp_path):
     """The form shows three arms of 345; left as they are, the study states none."""
     path = StudyForm(tmp_path).write(form(sizes={"arm_mm": "[345, 345, 345]"}))
     assert Study.load(path).machine.geometry == {}
 
 
-def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
+def test_the_forms_file_waits_for_what_must_be_measured(tmp_path):
     path = StudyForm(tmp_path).write(
         NewStudy(machine="a3_head", instrument="laser_ball_bar")
     )
@@ -74,16 +73,14 @@ def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
         ({"wanted": {"q_um": "3"}}, "wanted.q_um"),
     ],
 )
-def test_an_error_stands_at_its_field(
-    tmp_path: Path, values: dict[str, Any], field: str
-) -> None:
+def test_an_error_stands_at_its_field(tmp_path, values, field):
     with pytest.raises(FieldError) as error:
         StudyForm(tmp_path).write(form(**values))
     assert error.value.name == field
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_of_the_user_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_file_of_the_user_is_not_overwritten(tmp_path):
     (tmp_path / "mine.study.toml").write_text("of the user", encoding="utf-8")
     with pytest.raises(FieldError) as error:
         StudyForm(tmp_path).write(form(name="mine"))
@@ -91,13 +88,13 @@ def test_a_file_of_the_user_is_not_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / "mine.study.toml").read_text("utf-8") == "of the user"
 
 
-def test_no_file_of_code_is_a_machine(tmp_path: Path) -> None:
+def test_no_file_of_code_is_a_machine(tmp_path):
     (tmp_path / "mine.py").write_text("raise SystemExit('ran')\n", encoding="utf-8")
     with pytest.raises(FieldError):
         StudyForm(tmp_path).drawing(NewStudy(machine="mine.py"))
 
 
-def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
+def test_results_of_a_folder_are_cards(tmp_path):
     """Two results, one of them in a folder outside that a link names: it stays out."""
     shelf, outside = tmp_path / "shelf", tmp_path / "outside"
     result = msgspec.json.encode(report_fixture.result_of(report_fixture.bare()))
@@ -120,7 +117,7 @@ def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
         assert [p.name for p in (shelf / "a").iterdir()] == ["result.json"]
 
 
-def test_an_acceptance_test_is_judged(tmp_path: Path) -> None:
+def test_an_acceptance_test_is_judged(tmp_path):
     """Against the rms by hand: 3 and 4 um are 3.54 um; what is no such file is not stored."""
     demand = PromiseRecord(
         promised=3.0, limit=3.6, unit="um", uncertainty=0.6, power=0.9

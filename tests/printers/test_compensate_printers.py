@@ -1,6 +1,5 @@
 """`oed compensate` for delta printers: the firmware of the oracle reads the file."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import compensation_sample as sample
@@ -16,7 +15,6 @@ from shipped_models import linear_delta
 from oed.compensate import compensated_joints
 from oed.mechanism import Kinematics
 
-Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops
 DELTA = linear_delta.machine.nominal + np.array(
     [3e-4, -5e-4, -6e-4, 4e-4, 1e-3, -2e-3, 0.0, 2e-4, 1.2e-3, -1e-4]
@@ -44,9 +42,7 @@ def firmware(kind: str, text: str) -> Firmware:
 
 
 @pytest.mark.parametrize("kind", SUFFIXES)
-def test_the_firmware_reproduces_the_compensated_pose(
-    kind: str, oed: Run, delta_folder: Path, rng: np.random.Generator
-) -> None:
+def test_the_firmware_reproduces_the_compensated_pose(kind, oed, delta_folder, rng):
     code, out, _ = oed("compensate", delta_folder, "--to", kind)
     assert code == 0
     assert "printed digits cost at most x 0.0" in out
@@ -59,9 +55,7 @@ def test_the_firmware_reproduces_the_compensated_pose(
     assert np.abs(q - exact).max() < digits
 
 
-def test_adjustments_are_those_that_every_version_takes(
-    oed: Run, delta_folder: Path
-) -> None:
+def test_adjustments_are_those_that_every_version_takes(oed, delta_folder):
     """Marlin's are far enough below zero to be moves; RepRapFirmware's have no mean."""
     for kind in ("marlin", "rrf"):
         assert oed("compensate", delta_folder, "--to", kind)[0] == 0
@@ -80,8 +74,8 @@ def letters(folder: Path) -> set[str]:
 
 
 def test_marlin_names_its_version_and_spares_the_calibration_radius(
-    oed: Run, delta_folder: Path, tmp_path: Path
-) -> None:
+    oed, delta_folder, tmp_path
+):
     """B is the trim of a rod from 2.0.6 on; it was the radius of calibration in 1.1."""
     code, out, _ = oed("compensate", delta_folder, "--to", "marlin")
     assert code == 0
@@ -117,9 +111,7 @@ def test_marlin_names_its_version_and_spares_the_calibration_radius(
         ("csv", "2.0.5", "csv is the same for all versions"),
     ],
 )
-def test_versions_that_cannot_be_written_for(
-    kind: str, version: str, said: str, oed: Run, delta_folder: Path
-) -> None:
+def test_versions_that_cannot_be_written_for(kind, version, said, oed, delta_folder):
     code, _, err = oed("compensate", delta_folder, "--to", kind, "--firmware", version)
     assert code == 2
     assert said in err
@@ -136,8 +128,8 @@ def test_versions_that_cannot_be_written_for(
     ],
 )
 def test_the_height_at_home_is_that_of_the_version(
-    version: str, offset: float, said: str, oed: Run, tmp_path: Path
-) -> None:
+    version, offset, said, oed, tmp_path
+):
     """Of a study that has no Marlin log: what is not known of H is in the file."""
     alike = DELTA.copy()
     alike[1:4] = 0.345
@@ -174,9 +166,7 @@ def family_folder(folder: Path, **changes: float) -> Path:
     return sample.save(folder, sample.result(delta_family.machine, family(**changes)))
 
 
-def test_the_family_is_written_where_its_parameters_allow(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_the_family_is_written_where_its_parameters_allow(oed, tmp_path, rng):
     folder = family_folder(tmp_path / "upright")
     command, values = points(rng), family()
     for kind in SUFFIXES:

@@ -1,15 +1,12 @@
 """Real readings of a delta printer, exported for Klipper: its own formula on the file."""
 
-from pathlib import Path
-
 import compensation_sample as sample
 import numpy as np
 import pytest
-from delta_sessions import Session, fitted, heights_of, measurement, sessions
+from delta_sessions import fitted, heights_of, measurement, sessions
 from oracles.firmware.klipper import Klipper, example
 from shipped_models import linear_delta
 
-from oed.measurement import Measurement
 from pkm_studies.commands import main
 
 machine = linear_delta.machine
@@ -19,8 +16,8 @@ __all__ = ["measurement", "sessions"]  # fixtures
 
 @pytest.mark.parametrize("name", ["S03", "S04"])
 def test_klippers_residuals_agree_to_the_printed_digits(
-    measurement: Measurement, sessions: dict[str, Session], tmp_path: Path, name: str
-) -> None:
+    measurement, sessions, tmp_path, name
+):
     """The heights that Klipper, with our file, believes in where its carriages were."""
     session = sessions[name]
     fit = fitted(measurement, session)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,7 +58,7 @@ def misfit(tools: np.ndarray, places: list[complex]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", CONFIGS)
-def test_places_put_the_nozzle_right(mode: str, tmp_path: Path) -> None:
+def test_places_put_the_nozzle_right(mode, tmp_path):
     config = CONFIGS[mode]
     believed = five_bar(config)
     real = real_linkage(believed)
@@ -92,9 +91,7 @@ def test_places_put_the_nozzle_right(mode: str, tmp_path: Path) -> None:
         ("M669 K9", "M666 X1\nM669 K9", "line 1, M666.*of linear deltas"),
     ],
 )
-def test_what_the_model_has_not_is_refused(
-    before: str, after: str, problem: str, tmp_path: Path
-) -> None:
+def test_what_the_model_has_not_is_refused(before, after, problem, tmp_path):
     rows = table(CONFIGS["1"])
     if before == "S100":
         rows = rows.replace("-60.0,270.0,", "-600.0,270.0,")
@@ -103,6 +100,6 @@ def test_what_the_model_has_not_is_refused(
         take("rrf", files, tmp_path)
 
 
-def test_places_are_asked_for(tmp_path: Path) -> None:
+def test_places_are_asked_for(tmp_path):
     with pytest.raises(InputError, match="one CSV with x, y, read_x, read_y"):
         take("rrf", {"config.g": CONFIGS["1"]}, tmp_path)

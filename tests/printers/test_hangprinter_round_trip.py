@@ -82,9 +82,7 @@ def taken(text: str, folder: Path, motors: np.ndarray, forces=None) -> Path:
 
 
 @pytest.mark.parametrize("count", ANCHORS)
-def test_the_firmware_gets_numbers_that_put_it_right(
-    count: int, tmp_path: Path
-) -> None:
+def test_the_firmware_gets_numbers_that_put_it_right(count, tmp_path):
     text = config(count)
     believed = hangprinter(text)
     real, check = real_printer(believed), places(2, 12)
@@ -102,7 +100,7 @@ def test_the_firmware_gets_numbers_that_put_it_right(
     assert "+4." in export.split("the origin is")[1]
 
 
-def test_forces_take_the_flex_out(tmp_path: Path) -> None:
+def test_forces_take_the_flex_out(tmp_path):
     """Columns FA to FD with S of M666: places agree as without any force."""
     text = config(4, " S40000")
     believed = hangprinter(text)
@@ -124,7 +122,7 @@ def test_forces_take_the_flex_out(tmp_path: Path) -> None:
     assert without.section.rms_after["gap"] > 3.0 * section.rms_after["gap"]
 
 
-def test_three_lines_need_places(tmp_path: Path) -> None:
+def test_three_lines_need_places(tmp_path):
     (tmp_path / "config.g").write_text(config(3))
     (tmp_path / "m.csv").write_text("A,B,C\n9000,0,0\n0,9000,0\n")
     paths = [tmp_path / "config.g", tmp_path / "m.csv"]

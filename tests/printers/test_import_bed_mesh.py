@@ -31,8 +31,8 @@ def imported(config: str, folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("section", ["probe", "scanner", "probe_eddy_current coil"])
 def test_a_mesh_comes_in_without_its_margin_at_the_places_of_the_nozzle(
-    section: str, tmp_path: Path
-) -> None:
+    section, tmp_path
+):
     rng = np.random.default_rng(3)
     true = virtual.drawn(rng)
     probe = f"[{section}]\nx_offset: 4.5\ny_offset: -2.0\n"
@@ -54,7 +54,7 @@ def test_a_mesh_comes_in_without_its_margin_at_the_places_of_the_nozzle(
     assert z == pytest.approx(mesh[np.isfinite(mesh)] + virtual.TRIGGER, abs=1e-6)
 
 
-def test_contacts_of_a_mesh_lie_on_the_bed_of_the_true_printer(tmp_path: Path) -> None:
+def test_contacts_of_a_mesh_lie_on_the_bed_of_the_true_printer(tmp_path):
     """By the oracle alone: rows as written, firmware's carriages, true printer."""
     rng = np.random.default_rng(4)
     true = virtual.drawn(rng)
@@ -66,7 +66,7 @@ def test_contacts_of_a_mesh_lie_on_the_bed_of_the_true_printer(tmp_path: Path) -
     assert heights == pytest.approx(virtual.TRIGGER, abs=2e-6)
 
 
-def test_a_mesh_on_a_rectangle_has_no_margin() -> None:
+def test_a_mesh_on_a_rectangle_has_no_margin():
     nodes = np.linspace(-1.0, 1.0, 5)
     z = np.random.default_rng(1).normal(size=(5, 5))
     assert not copied_margin(nodes, nodes, z).any()
@@ -74,7 +74,7 @@ def test_a_mesh_on_a_rectangle_has_no_margin() -> None:
     assert copied_margin(nodes, nodes, z).sum() == 25 - 13
 
 
-def test_a_mesh_confirms_a_correction_or_contradicts_it(tmp_path: Path) -> None:
+def test_a_mesh_confirms_a_correction_or_contradicts_it(tmp_path):
     rng = np.random.default_rng(5)
     true = virtual.drawn(rng)
     calibration = virtual.heights(true, rng, 0.03)
@@ -97,7 +97,7 @@ def test_a_mesh_confirms_a_correction_or_contradicts_it(tmp_path: Path) -> None:
     assert Notice(text.sentence(section.words)) in answer.accuracy_blocks(result)
 
 
-def test_heights_of_a_mesh_as_readings_estimate_the_noise(tmp_path: Path) -> None:
+def test_heights_of_a_mesh_as_readings_estimate_the_noise(tmp_path):
     rng = np.random.default_rng(6)
     true = virtual.drawn(rng)
     mesh = virtual.mesh_heights(true, virtual.FIRMWARE, rng, 0.03)
@@ -112,7 +112,7 @@ def test_heights_of_a_mesh_as_readings_estimate_the_noise(tmp_path: Path) -> Non
     assert abs(radius.value - true[0]) < 3.0 * radius.sd < 0.15
 
 
-def test_a_round_mesh_that_was_probed_in_its_corners_is_a_forks(tmp_path: Path) -> None:
+def test_a_round_mesh_that_was_probed_in_its_corners_is_a_forks(tmp_path):
     """Klipper fills up what lies outside the circle; on a rectangle it has no radius."""
     rng = np.random.default_rng(8)
     lines = virtual.heights(virtual.FIRMWARE, rng, 0.0)
@@ -127,7 +127,7 @@ def test_a_round_mesh_that_was_probed_in_its_corners_is_a_forks(tmp_path: Path) 
         )
 
 
-def test_a_mesh_with_a_missing_row_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_with_a_missing_row_is_refused(tmp_path):
     rng = np.random.default_rng(3)
     mesh = virtual.mesh_heights(virtual.FIRMWARE, virtual.FIRMWARE, rng, 0.0)
     lines = virtual.heights(virtual.FIRMWARE, rng, 0.0)
@@ -144,9 +144,7 @@ def test_a_mesh_with_a_missing_row_is_refused(tmp_path: Path) -> None:
         pytest.param("flsun_sr_cupsster", "contradicts", 81, marks=pytest.mark.slow),
     ],
 )
-def test_real_meshes(
-    name: str, verdict: str, count: int, shared_data: Path, tmp_path: Path
-) -> None:
+def test_real_meshes(name, verdict, count, shared_data, tmp_path):
     config = (shared_data / "klipper_delta" / f"{name}.cfg").read_text()
     result = virtual.run(config, tmp_path / name)
     assert {section.verdict for section in result.held_out} == {verdict}

@@ -29,9 +29,7 @@ def taken(config: str, shared_data: Path, folder: Path) -> tuple[Path, str, list
     return path, " ".join(imported.statements), list(imported.rows)
 
 
-def test_the_real_machine_comes_in_and_its_lines_close(
-    shared_data: Path, tmp_path: Path
-) -> None:
+def test_the_real_machine_comes_in_and_its_lines_close(shared_data, tmp_path):
     path, sentences, rows = taken(CONFIG, shared_data, tmp_path)
     assert len(rows) == 9 + 44
     assert "Words read: M669 K A B C D" in sentences
@@ -60,9 +58,7 @@ def test_the_real_machine_comes_in_and_its_lines_close(
         ("M669 A0", "if true\n  M669 A0", "stands under"),
     ],
 )
-def test_other_machines_are_refused(
-    before: str, after: str, problem: str, shared_data: Path, tmp_path: Path
-) -> None:
+def test_other_machines_are_refused(before, after, problem, shared_data, tmp_path):
     with pytest.raises(InputError, match=problem):
         taken(CONFIG.replace(before, after), shared_data, tmp_path)
 
@@ -71,8 +67,8 @@ def test_other_machines_are_refused(
     ("factor", "places"), [(np.pi / 180.0, True), (np.pi / 180.0, False), (-1.0, True)]
 )
 def test_motors_in_radians_or_wound_the_other_way_are_refused(
-    factor: float, places: bool, shared_data: Path, tmp_path: Path
-) -> None:
+    factor, places, shared_data, tmp_path
+):
     source = shared_data / "hangprinter_hp4"
     motors = np.loadtxt(source / "motor_deg.csv", delimiter=",", skiprows=1)
     rows = [",".join(map(repr, row)) for row in (factor * motors).tolist()]
@@ -89,9 +85,7 @@ def test_motors_in_radians_or_wound_the_other_way_are_refused(
     ("content", "problem"),
     [("A,B,C,D\n1,2,3,4\n", "has the columns A, B, C, D too"), ("F1,F2\n1,2\n", "F1")],
 )
-def test_a_table_that_would_not_be_read_is_refused(
-    content: str, problem: str, tmp_path: Path
-) -> None:
+def test_a_table_that_would_not_be_read_is_refused(content, problem, tmp_path):
     for name, text in (
         ("config.g", CONFIG.lower()),
         ("motors.csv", "A,B,C,D\n0,0,0,0\n9000,0,0,0\n"),
@@ -119,7 +113,7 @@ def motor_turns(place: np.ndarray, buildup: float, radii: np.ndarray) -> np.ndar
 
 
 @pytest.mark.parametrize("buildup", [0.103377, 0.038])
-def test_the_build_up_is_that_of_the_machine(buildup: float, tmp_path: Path) -> None:
+def test_the_build_up_is_that_of_the_machine(buildup, tmp_path):
     rng, radii = np.random.default_rng(2), np.array([75.1, 75.2, 75.3, 75.0])
     places = rng.uniform([-300, -300, 50], [300, 300, 1000], (12, 3))
     motors = [motor_turns(place, buildup, radii) for place in places]
@@ -143,7 +137,7 @@ def rows_of(header: str, rows: list[np.ndarray] | np.ndarray) -> str:
     return "\n".join([header, *cells])
 
 
-def test_an_error_names_the_line_of_its_word(tmp_path: Path) -> None:
+def test_an_error_names_the_line_of_its_word(tmp_path):
     config = CONFIG.replace("U2:2:2:4", "").replace("M666", "M666 U2:2:2\nM666", 1)
     (tmp_path / "config.g").write_text(config)
     (tmp_path / "m.csv").write_text("A,B,C,D\n1,2,3,4\n5,6,7,8\n")

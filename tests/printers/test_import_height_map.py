@@ -42,7 +42,7 @@ def mesh_rows(content: str, folder: Path) -> list[tuple[float, float, float]]:
     ]
 
 
-def test_probed_nodes_come_in_where_the_nozzle_was(tmp_path: Path) -> None:
+def test_probed_nodes_come_in_where_the_nozzle_was(tmp_path):
     """G31 X23 puts the nozzle beside the node; 0.000 is a height, 0 is none."""
     rows = mesh_rows(HEAD + GRID + ROWS, tmp_path)
     assert len(rows) == 11
@@ -51,7 +51,7 @@ def test_probed_nodes_come_in_where_the_nozzle_was(tmp_path: Path) -> None:
     assert rows[-1] == (20.0 - 23.0, 30.0, -0.35)
 
 
-def test_all_forms_say_the_same(tmp_path: Path) -> None:
+def test_all_forms_say_the_same(tmp_path):
     contents = [HEAD + GRID + ROWS, HEAD + NEWEST + ROWS, OLDEST + ROWS]
     folders = [tmp_path / str(k) for k in range(3)]
     for folder in folders:
@@ -61,7 +61,7 @@ def test_all_forms_say_the_same(tmp_path: Path) -> None:
     assert [(x, z) for x, _, z in oldest] == [(x, z) for x, _, z in first]
 
 
-def test_the_study_predicts_the_mesh_and_says_what_was_left_out(tmp_path: Path) -> None:
+def test_the_study_predicts_the_mesh_and_says_what_was_left_out(tmp_path):
     path, imported = take(
         "rrf", FILES | {"heightmap.csv": HEAD + GRID + ROWS}, tmp_path
     )
@@ -71,7 +71,7 @@ def test_the_study_predicts_the_mesh_and_says_what_was_left_out(tmp_path: Path) 
     assert 'predict = ["mesh_heightmap"]' in path.read_text()
 
 
-def test_a_map_alone_calibrates_a_bed_that_leans(tmp_path: Path) -> None:
+def test_a_map_alone_calibrates_a_bed_that_leans(tmp_path):
     """Heights by the oracle of the firmware: a true delta, M666 with A and B, no G32."""
     firmware = rrf.RepRapFirmware(TILT_CONFIG)
     place = np.arange(-80.0, 81.0, 20.0)
@@ -127,9 +127,7 @@ def test_a_map_alone_calibrates_a_bed_that_leans(tmp_path: Path) -> None:
         ("xspacing", "step", "not known"),
     ],
 )
-def test_a_broken_map_is_refused(
-    before: str, after: str, problem: str, tmp_path: Path
-) -> None:
+def test_a_broken_map_is_refused(before, after, problem, tmp_path):
     content = (HEAD + GRID + ROWS).replace(before, after)
     with pytest.raises(InputError, match=problem) as caught:
         mesh_rows(content, tmp_path)
@@ -137,12 +135,12 @@ def test_a_broken_map_is_refused(
     assert "give" not in caught.value.problem
 
 
-def test_a_map_of_other_axes_is_refused(tmp_path: Path) -> None:
+def test_a_map_of_other_axes_is_refused(tmp_path):
     with pytest.raises(InputError, match="its axes are XZ"):
         mesh_rows(HEAD + NEWEST.replace("X,Y", "X,Z") + ROWS, tmp_path)
 
 
-def test_meshes_of_names_alike_have_set_ups_of_their_own() -> None:
+def test_meshes_of_names_alike_have_set_ups_of_their_own():
     names = ("warm bed", "warm_bed", "ä", "ö")
     meshes = [
         BedMesh(name, (ProbedPoint(0.0, 0.0, 0.1 * k),)) for k, name in enumerate(names)

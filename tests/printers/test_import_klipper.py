@@ -66,9 +66,7 @@ def readings_of_truth() -> list[str]:
     return lines
 
 
-def test_a_printer_comes_in_and_its_true_geometry_comes_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_printer_comes_in_and_its_true_geometry_comes_out(tmp_path, capsys):
     (tmp_path / "printer.cfg").write_text(printer(readings_of_truth()))
     code = main(
         ["import", "klipper", str(tmp_path / "printer.cfg"), "--out", str(tmp_path)]
@@ -92,9 +90,7 @@ def test_a_printer_comes_in_and_its_true_geometry_comes_out(
 @pytest.mark.parametrize(
     "name", ["flsun_sr_cupsster", "flsun_v400_fzechert", "flsun_v400_phnxdrgn"]
 )
-def test_real_printers_reach_the_cost_of_klipper(
-    name: str, shared_data: Path, tmp_path: Path
-) -> None:
+def test_real_printers_reach_the_cost_of_klipper(name, shared_data, tmp_path):
     """SAVE_CONFIG stores the geometry of Klipper's own least-squares fit."""
     config = shared_data / "klipper_delta" / f"{name}.cfg"
     path, imported = import_files("klipper", [config], tmp_path)
@@ -157,7 +153,7 @@ def _travels(row: Mapping[str, str]) -> list[float]:
     return [float(row[f"q{i}_mm"]) for i in (1, 2, 3)]
 
 
-def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path: Path) -> None:
+def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path):
     """As klippy/configfile.py: saved values that are written above are stripped."""
     text = printer(readings_of_truth()).replace(
         "#delta_radius: 120", "delta_radius: 99"
@@ -184,9 +180,7 @@ def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path: Path) -> None
         ("microsteps: 16", "microsteps: 0", "must be above 0"),
     ],
 )
-def test_bad_files_name_line_and_remedy(
-    old: str, new: str, words: str, tmp_path: Path
-) -> None:
+def test_bad_files_name_line_and_remedy(old, new, words, tmp_path):
     text = printer(readings_of_truth())
     assert old in text
     (tmp_path / "printer.cfg").write_text(text.replace(old, new, 1))
@@ -196,7 +190,7 @@ def test_bad_files_name_line_and_remedy(
     assert not (tmp_path / "out").exists()
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
+def test_nothing_is_overwritten(tmp_path):
     (tmp_path / "printer.cfg").write_text(printer(readings_of_truth()))
     readings = tmp_path / "printer.readings.csv"
     readings.write_text("mine")
@@ -205,9 +199,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert readings.read_text() == "mine"
 
 
-def test_nominal_numbers_of_another_printer_are_exit_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nominal_numbers_of_another_printer_are_exit_1(tmp_path, capsys):
     """The readings fit, but only 30 mm from the endstops that the file states."""
     text = printer(readings_of_truth()).replace("= 251.0", "= 221.0")
     (tmp_path / "printer.cfg").write_text(text)
@@ -221,6 +213,6 @@ def test_nominal_numbers_of_another_printer_are_exit_1(
     assert "numbers are those of another machine" in capsys.readouterr().err
 
 
-def test_an_unknown_kind_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_kind_is_refused(tmp_path):
     with pytest.raises(InputError, match="did you mean klipper"):
         import_files("kliper", [tmp_path / "a.cfg"], tmp_path)

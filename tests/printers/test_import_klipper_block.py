@@ -1,7 +1,5 @@
 """`oed import klipper`: the block that SAVE_CONFIG wrote, and positions that are stale."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from oracles.firmware.geometry import Probe, delta, spiral
@@ -21,7 +19,7 @@ def printer() -> Klipper:
     return firmware
 
 
-def test_a_saved_block_comes_in(tmp_path: Path) -> None:
+def test_a_saved_block_comes_in(tmp_path):
     """Klipper puts the nozzle on its places: offsets of the probe move none of them."""
     study, _ = take("klipper", {"printer.cfg": printer().text()}, tmp_path)
     with_known_noise(study, 1.0)
@@ -44,9 +42,7 @@ def test_a_saved_block_comes_in(tmp_path: Path) -> None:
         (HEADER, "", "below its three lines of heading"),
     ],
 )
-def test_a_block_that_klipper_drops_is_refused(
-    old: str, new: str, words: str, tmp_path: Path
-) -> None:
+def test_a_block_that_klipper_drops_is_refused(old, new, words, tmp_path):
     text = printer().text()
     assert old in text
     edited = text.replace(old, new)
@@ -59,7 +55,7 @@ def test_a_block_that_klipper_drops_is_refused(
     assert words in str(raised.value)
 
 
-def test_blank_lines_after_the_block_are_no_edit(tmp_path: Path) -> None:
+def test_blank_lines_after_the_block_are_no_edit(tmp_path):
     study, _ = take("klipper", {"printer.cfg": printer().text() + "\n\n"}, tmp_path)
     assert nominal(study)["radius_mm"] == 110.0
 
@@ -69,8 +65,8 @@ def test_blank_lines_after_the_block_are_no_edit(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("stale", ["distance", "height"])
 def test_positions_saved_with_other_steps_are_named_at_import(
-    stale: str, factor: float, words: str, tmp_path: Path
-) -> None:
+    stale, factor, words, tmp_path
+):
     firmware = printer()
     section = firmware.saved["delta_calibrate"]
     first = f"{stale}0_pos1" if stale == "distance" else "height0_pos"
@@ -84,13 +80,13 @@ def test_positions_saved_with_other_steps_are_named_at_import(
         take("klipper", {"printer.cfg": text}, tmp_path)
 
 
-def test_towers_at_one_angle_are_no_traceback(tmp_path: Path) -> None:
+def test_towers_at_one_angle_are_no_traceback(tmp_path):
     text = printer().text().replace("angle = 330", "angle = 210")
     with pytest.raises(InputError, match="the arms cannot reach this position"):
         take("klipper", {"printer.cfg": text}, tmp_path)
 
 
-def test_another_machine_is_refused_with_the_way_in(tmp_path: Path) -> None:
+def test_another_machine_is_refused_with_the_way_in(tmp_path):
     text = example().replace("kinematics: delta", "kinematics: winch")
     with pytest.raises(InputError, match=r"line 2, \[printer\] kin.*take `columns`"):
         take("klipper", {"printer.cfg": text}, tmp_path)

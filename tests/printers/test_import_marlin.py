@@ -54,7 +54,7 @@ NEW += "M665 L250 R125 H300 A0 B0 C0\n"
 # -- B of M665 -------------------------------------------------------------------------
 
 
-def test_a_calibration_radius_is_no_trim_of_a_rod(tmp_path: Path) -> None:
+def test_a_calibration_radius_is_no_trim_of_a_rod(tmp_path):
     study, imported = take("marlin", {"log": OLD_LOG}, tmp_path)
     assert [nominal(study)[f"arm{i}_mm"] for i in (1, 2, 3)] == [217.0] * 3
     assert "B70.00 is the radius of calibration" in said(imported)
@@ -85,7 +85,7 @@ def test_a_calibration_radius_is_no_trim_of_a_rod(tmp_path: Path) -> None:
         ("M665 A0 B0.25 C0\n", "rod trim", 250.25),
     ],
 )
-def test_what_b_is(lines: str, meaning: str, arm2: float, tmp_path: Path) -> None:
+def test_what_b_is(lines, meaning, arm2, tmp_path):
     log = f"M665 L250 R125 H300\nM666 X0 Y0 Z0\n{lines}home_height_mm = 300\n{BED}"
     if "RC8" in lines:
         log = log.replace(" H300", "")
@@ -95,7 +95,7 @@ def test_what_b_is(lines: str, meaning: str, arm2: float, tmp_path: Path) -> Non
     assert controller.m665_b == meaning
 
 
-def test_a_version_that_does_not_read_b_says_so(tmp_path: Path) -> None:
+def test_a_version_that_does_not_read_b_says_so(tmp_path):
     """M665 B70 of a user changes nothing there: neither a rod nor the radius of G33."""
     log = marlin.Marlin205("M665 L250 R125 H300\nM666 X0 Y0 Z0")
     text = log.m115() + log.m503() + "Send: M665 B70\n"
@@ -109,7 +109,7 @@ def test_a_version_that_does_not_read_b_says_so(tmp_path: Path) -> None:
         take("marlin", {"log": text + report}, tmp_path / "g33")
 
 
-def test_a_b_that_could_be_any_is_asked_for(tmp_path: Path) -> None:
+def test_a_b_that_could_be_any_is_asked_for(tmp_path):
     log = "M665 L250 R125 H300 B0.25\nM666 X0 Y0 Z0\nBed X: 0 Y: 0 Z: 0.1\n"
     with pytest.raises(InputError, match=r"line 1, M665 B.*firmware_version = 2\.1\.2"):
         take("marlin", {"log": log}, tmp_path)
@@ -126,9 +126,7 @@ def test_a_b_that_could_be_any_is_asked_for(tmp_path: Path) -> None:
         ("2.1.2", [300.0, 300.0, 300.3]),
     ],
 )
-def test_a_small_value_makes_no_move_in_later_versions(
-    version: str, wanted: list[float], tmp_path: Path
-) -> None:
+def test_a_small_value_makes_no_move_in_later_versions(version, wanted, tmp_path):
     log = f"FIRMWARE_NAME:Marlin {version} (Github)\nM92 X80 Y80 Z80\nM665 L250 R125 H300\n"
     log += "M666 X-0.07 Y0 Z-0.30\nM851 Z0\n" + BED
     study, imported = take("marlin", {"log": log}, tmp_path)
@@ -143,18 +141,14 @@ def test_a_small_value_makes_no_move_in_later_versions(
         (NEW, "M665 L250 R125 H300\n", "firmware_version = 2.1.2"),
     ],
 )
-def test_a_small_value_of_an_unknown_printer_is_asked_for(
-    old: str, new: str, remedy: str, tmp_path: Path
-) -> None:
+def test_a_small_value_of_an_unknown_printer_is_asked_for(old, new, remedy, tmp_path):
     log = (NEW + "M666 X-0.30 Y-0.07 Z0\n" + BED).replace(old, new)
     with pytest.raises(InputError, match=rf"M666 Y.*{remedy}"):
         take("marlin", {"log": log}, tmp_path)
 
 
 @pytest.mark.parametrize("version", marlin.VERSIONS, ids=lambda v: v.version)
-def test_a_value_above_zero_does_what_the_version_does(
-    version: type[marlin.Marlin], tmp_path: Path
-) -> None:
+def test_a_value_above_zero_does_what_the_version_does(version, tmp_path):
     """It is ignored, makes no move, or moves H; the oracle's switches are the right ones."""
     compiled = {} if version.has_height else {"home_height": 300.0}
     firmware = version("M665 L250 R125 H300\nM666 X-0.5 Y-0.4 Z-0.3", **compiled)
@@ -177,9 +171,7 @@ def test_a_value_above_zero_does_what_the_version_does(
 
 
 @pytest.mark.parametrize("version", marlin.VERSIONS, ids=lambda v: v.version)
-def test_home_is_where_the_version_has_it(
-    version: type[marlin.Marlin], tmp_path: Path
-) -> None:
+def test_home_is_where_the_version_has_it(version, tmp_path):
     """Contacts without noise: the fit finds the real switches, M851 Z and all."""
     compiled = {} if version.has_height else {"home_height": 300.0}
     firmware = version(
@@ -203,7 +195,7 @@ def test_home_is_where_the_version_has_it(
         assert value[name] == pytest.approx(number, abs=2e-3), name
 
 
-def test_z_of_m665_turns_the_towers_of_some_versions(tmp_path: Path) -> None:
+def test_z_of_m665_turns_the_towers_of_some_versions(tmp_path):
     """Up to 1.1.5 it is taken off X and Y, later it is the third tower's angle."""
     log = "M665 L250 R125 H300 X0.3 Y-0.2\nM666 X0 Y0 Z0\nM665 Z0.5\n" + BED
     angles = {"1.1.5": [209.8, 329.3, 90.0], "1.1.8": [210.3, 329.8, 90.5]}
@@ -214,14 +206,14 @@ def test_z_of_m665_turns_the_towers_of_some_versions(tmp_path: Path) -> None:
         assert [values[f"angle{i}_deg"] for i in (1, 2, 3)] == pytest.approx(wanted)
 
 
-def test_a_probe_that_moves_the_height_is_logged_once(tmp_path: Path) -> None:
+def test_a_probe_that_moves_the_height_is_logged_once(tmp_path):
     log = "firmware_version = 1.1.5\nM851 Z-2.5\nM665 L250 R125 H300\nM666 X0 Y0 Z0\n"
     take("marlin", {"log": log + BED}, tmp_path / "a")
     with pytest.raises(InputError, match=r"M851 Z.*changes M665 H with M851 Z"):
         take("marlin", {"log": log + "M851 Z-2.2\n" + BED}, tmp_path / "b")
 
 
-def test_a_printer_without_home_height_says_what_to_give(tmp_path: Path) -> None:
+def test_a_printer_without_home_height_says_what_to_give(tmp_path):
     with pytest.raises(InputError) as raised:
         take("marlin", {"log": RC_LOG}, tmp_path)
     for words in ("home_height_mm = 250", "MANUAL_Z_HOME_POS", "M206 Z is added"):
@@ -237,7 +229,7 @@ def test_a_printer_without_home_height_says_what_to_give(tmp_path: Path) -> None
         take("marlin", {"log": moved}, tmp_path / "c")
 
 
-def test_a_command_that_sets_one_number_lacks_the_others(tmp_path: Path) -> None:
+def test_a_command_that_sets_one_number_lacks_the_others(tmp_path):
     """Not its home height first, which a version may not have."""
     log = "Send: M665 R124.5\nSend: M666 X0 Y0 Z0\n" + BED
     with pytest.raises(
@@ -246,9 +238,7 @@ def test_a_command_that_sets_one_number_lacks_the_others(tmp_path: Path) -> None
         take("marlin", {"log": log}, tmp_path)
 
 
-def test_a_printer_without_home_height_is_not_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_printer_without_home_height_is_not_written(tmp_path, capsys):
     """Its M665 has no H, unless it has a newer firmware by now."""
     log = RC_LOG + "home_height_mm = 250\n" + BED
     study, _ = take("marlin", {"log": log}, tmp_path)
@@ -260,7 +250,7 @@ def test_a_printer_without_home_height_is_not_written(
     assert main([*call, "--firmware", "2.0.6"]) == 0
 
 
-def test_a_height_that_is_not_known_stays_that_of_the_firmware(tmp_path: Path) -> None:
+def test_a_height_that_is_not_known_stays_that_of_the_firmware(tmp_path):
     """Without version H may count to the probe: Marlin gets it back, others a word on it."""
     places = spiral(20, 90.0)
     log = "M665 L250 R125 H300\nM666 X-0.5 Y-0.4 Z-0.3\nM851 X0 Y0 Z-2.5\n"
@@ -280,7 +270,7 @@ def test_a_height_that_is_not_known_stays_that_of_the_firmware(tmp_path: Path) -
 @pytest.mark.parametrize(
     "form", ["Bed x: {} y: {} z: {}", "Bed Position X: {} Y: {} Z: {}"]
 )
-def test_points_are_read_as_old_versions_print_them(form: str, tmp_path: Path) -> None:
+def test_points_are_read_as_old_versions_print_them(form, tmp_path):
     points = [("0.00", "0.00", "-0.276"), ("-38.97", "-22.50", "-0.236")]
     points += [(f"{60.0 - 20 * k:.2f}", "-45.00", f"-0.1{k}0") for k in range(6)]
     settings = "M665 L269.5 R136.2 H270 A0 B0 C0\nM666 X-0.5 Y-0.9 Z-0.4\nM851 Z-0.2\n"
@@ -290,7 +280,7 @@ def test_points_are_read_as_old_versions_print_them(form: str, tmp_path: Path) -
     assert rows == [tuple(repr(float(v)) for v in point) for point in points]
 
 
-def test_points_of_another_geometry_are_left_out(tmp_path: Path) -> None:
+def test_points_of_another_geometry_are_left_out(tmp_path):
     places = spiral(9, 80.0)
     log = ""
     for radius, probe_z in ((125.0, -2.5), (125.5, -2.5), (125.5, -2.2)):
@@ -302,7 +292,7 @@ def test_points_of_another_geometry_are_left_out(tmp_path: Path) -> None:
     assert "18 points that were probed with another" in said(imported)
 
 
-def test_trims_of_the_radii_are_given_in_a_line_and_stay(tmp_path: Path) -> None:
+def test_trims_of_the_radii_are_given_in_a_line_and_stay(tmp_path):
     """The firmware has compiled trims: one radius is fitted, and written without them."""
     trim = np.array([0.35, 0.0, -0.2])
     firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X-0.3 Y-0.3 Z-0.3", trim=trim)
@@ -328,7 +318,7 @@ def check_fit(study: Path, wanted: Delta, tolerance: float) -> None:
         assert value[name] == pytest.approx(number, abs=tolerance), name
 
 
-def test_heights_of_g33_belong_to_the_geometry_that_it_had_set(tmp_path: Path) -> None:
+def test_heights_of_g33_belong_to_the_geometry_that_it_had_set(tmp_path):
     """M503 above a calibrating G33 prints what its second iteration no longer has."""
     firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X0 Y0 Z0")
     change = "M665 H299.6 R125.4 X0.2 Y-0.15 Z-0.05\nM666 X-0.2 Y0 Z-0.4\n"
@@ -345,7 +335,7 @@ def test_heights_of_g33_belong_to_the_geometry_that_it_had_set(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("angles", [".             {}", ".Tower angle :  {}"])
-def test_the_angles_of_g33_are_read_in_both_forms(angles: str, tmp_path: Path) -> None:
+def test_the_angles_of_g33_are_read_in_both_forms(angles, tmp_path):
     """Versions before 1.1.9 begin their line with words."""
     log = NEW + "M666 X-0.50 Y-0.40 Z-0.30\nG33 P3\nChecking... AC at radius:90.00\n"
     log += ".Height:257.19  Ex:-0.51  Ey:+0.00  Ez:-0.61  Radius:110.29\n"
@@ -359,9 +349,7 @@ def test_the_angles_of_g33_are_read_in_both_forms(angles: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("points", range(2, 11))
-def test_means_of_g33_become_heights_of_their_places(
-    points: int, tmp_path: Path
-) -> None:
+def test_means_of_g33_become_heights_of_their_places(points, tmp_path):
     firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X0 Y0 Z0")
     log = firmware.m115() + firmware.m503()
     log += marlin_g33.g33(firmware, REAL, Probe(), 80.0, f"P{points} V0", digits=6)
@@ -373,7 +361,7 @@ def test_means_of_g33_become_heights_of_their_places(
     assert heights == pytest.approx(list(single), abs=1e-3)
 
 
-def test_the_places_of_g33_are_those_of_the_probe_with_o(tmp_path: Path) -> None:
+def test_the_places_of_g33_are_those_of_the_probe_with_o(tmp_path):
     """The line that G33 prints when it begins has no words, and takes none away."""
     firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X0 Y0 Z0\nM851 X23 Y-5 Z-2.5")
     for words, x in (("P3 V0 O", -23.0), ("P3 V0", 0.0)):
@@ -389,7 +377,7 @@ def test_the_places_of_g33_are_those_of_the_probe_with_o(tmp_path: Path) -> None
         take("marlin", {"log": again}, tmp_path / "menu")
 
 
-def test_g33_without_p_is_asked_for_where_it_matters(tmp_path: Path) -> None:
+def test_g33_without_p_is_asked_for_where_it_matters(tmp_path):
     firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X0 Y0 Z0")
     log = firmware.m115() + firmware.m503()
     report = marlin_g33.g33(firmware, REAL, Probe(), 80.0, "P3 V0", shown=False)

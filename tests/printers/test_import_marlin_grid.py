@@ -40,7 +40,7 @@ def mesh_rows(log: str, folder: Path) -> tuple[list[tuple[float, ...]], str]:
     return rows, said(imported)
 
 
-def test_nodes_inside_the_circle_come_in_where_the_nozzle_was(tmp_path: Path) -> None:
+def test_nodes_inside_the_circle_come_in_where_the_nozzle_was(tmp_path):
     """The circle through the nearer sides has 60 mm; the last grid counts."""
     rows, sentences = mesh_rows(PLACES + OLD_LOG + GRID, tmp_path)
     # by hand: 5 nodes at x = 0, 3 each at x = -40 and 40, of which one has no height
@@ -51,20 +51,20 @@ def test_nodes_inside_the_circle_come_in_where_the_nozzle_was(tmp_path: Path) ->
     assert "1 earlier grids" in sentences
 
 
-def test_the_radius_and_the_ends_may_be_stated(tmp_path: Path) -> None:
+def test_the_radius_and_the_ends_may_be_stated(tmp_path):
     log = "mesh_radius_mm = 200\n" + OLD_LOG + "Send: G29 L-80 R80 F-60 B60\n" + GRID
     rows, _ = mesh_rows(log, tmp_path)
     assert len(rows) == 24
     assert rows[0] == (-80.0, -60.0, 0.9)
 
 
-def test_a_grid_without_a_place_is_named_and_not_read(tmp_path: Path) -> None:
+def test_a_grid_without_a_place_is_named_and_not_read(tmp_path):
     rows, sentences = mesh_rows(OLD_LOG + GRID, tmp_path)
     assert not rows
     assert "add lines mesh_x_mm = from, to" in sentences
 
 
-def test_heights_that_are_readings_are_no_hold_out(tmp_path: Path) -> None:
+def test_heights_that_are_readings_are_no_hold_out(tmp_path):
     grid = GRID.partition("M420 V\n")[2]
     nodes = [(x, y) for y in (-60, -30, 0, 30, 60) for x in (-80, -40, 0, 40, 80)]
     points = "".join(f"Recv: Bed X: {x} Y: {y} Z: 0.01\n" for x, y in nodes)
@@ -86,9 +86,7 @@ def test_heights_that_are_readings_are_no_hold_out(tmp_path: Path) -> None:
         ("Bed X: 0.00 Y: 70.00", "Bed X: 1e12 Y: 70.00", "is on no bed"),
     ],
 )
-def test_a_broken_line_is_refused_and_not_left_out(
-    before: str, after: str, problem: str, tmp_path: Path
-) -> None:
+def test_a_broken_line_is_refused_and_not_left_out(before, after, problem, tmp_path):
     log = PLACES + OLD_LOG + GRID
     assert before in log
     with pytest.raises(InputError, match=problem):

@@ -61,7 +61,7 @@ def taken(files: dict[str, str], folder: Path) -> tuple[Path, str, list]:
     return path, " ".join(imported.statements), list(imported.rows)
 
 
-def test_belts_calibrate_the_anchors_as_scipy_does(tmp_path: Path) -> None:
+def test_belts_calibrate_the_anchors_as_scipy_does(tmp_path):
     lengths = np.round(belts(), 2)
     files = {"maslow.yaml": YAML, "log.txt": log(lengths)}
     path, sentences, rows = taken(files, tmp_path)
@@ -94,9 +94,7 @@ STALE = "Maslow_tlX: -400.0\nMaslow_brX: 3300.0\nMaslow_brY: 9.0\n"
 
 
 @pytest.mark.parametrize("beside", ["", STALE])
-def test_the_section_of_newer_versions_wins_over_old_keys(
-    beside: str, tmp_path: Path
-) -> None:
+def test_the_section_of_newer_versions_wins_over_old_keys(beside, tmp_path):
     lengths = np.round(belts(), 2)
     for k, text in enumerate((beside + SECTION, SECTION + beside)):
         files = {"maslow.yaml": text, "log.txt": log(lengths)}
@@ -107,7 +105,7 @@ def test_the_section_of_newer_versions_wins_over_old_keys(
     check_anchors(path, lengths)
 
 
-def test_a_log_with_the_path_of_the_section_is_read(tmp_path: Path) -> None:
+def test_a_log_with_the_path_of_the_section_is_read(tmp_path):
     values = {"tlX": -20, "tlY": 2000, "trX": 3010, "trY": 2010, "brX": 3000}
     lines = [f"$/kinematics/MaslowKinematics/{k}={v}" for k, v in values.items()]
     text = "\n".join([*lines, "$/Maslow_tlX=-400", log(belts())])
@@ -159,16 +157,14 @@ def check_anchors(path: Path, lengths: np.ndarray) -> None:
         (YAML, log(belts()[:, [1, 0, 2, 3]]), "do not meet"),
     ],
 )
-def test_what_is_missing_or_wrong_is_refused(
-    yaml: str, text: str | None, problem: str, tmp_path: Path
-) -> None:
+def test_what_is_missing_or_wrong_is_refused(yaml, text, problem, tmp_path):
     files = {"m.yaml": yaml, "log.txt": log(belts()) if text is None else text}
     with pytest.raises(InputError, match=problem):
         taken(files, tmp_path)
 
 
 @pytest.mark.parametrize("option", ["machine", "column_map", "mesh"])
-def test_an_option_that_is_not_read_is_refused(option: str, tmp_path: Path) -> None:
+def test_an_option_that_is_not_read_is_refused(option, tmp_path):
     given = {"machine": "delta", "column_map": tmp_path / "no", "mesh": "readings"}
     with pytest.raises(InputError, match="need no --m"):
         import_files(
@@ -176,7 +172,7 @@ def test_an_option_that_is_not_read_is_refused(option: str, tmp_path: Path) -> N
         )
 
 
-def test_four_readings_of_a_belt_give_the_noise(tmp_path: Path) -> None:
+def test_four_readings_of_a_belt_give_the_noise(tmp_path):
     """A length is the mean of four, and a gap a combination of four lengths over 2."""
     labels = ("Top Left", "Top Right", "Bottom Right", "Bottom Left")
     rng = np.random.default_rng(5)

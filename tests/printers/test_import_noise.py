@@ -1,7 +1,5 @@
 """Readings of printers: the noise that nobody measured, and readings that are equal."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from oracles.firmware import marlin, rrf
@@ -28,9 +26,7 @@ def marlin_log(real: Delta, sigma: float, count: int, seed: int) -> str:
 @pytest.mark.parametrize(
     ("sigma", "count"), [(0.01, 18), (0.3, 18), (0.01, 10), (0.02, 60)]
 )
-def test_an_assumed_noise_follows_the_readings(
-    sigma: float, count: int, tmp_path: Path
-) -> None:
+def test_an_assumed_noise_follows_the_readings(sigma, count, tmp_path):
     """Independent readings: their scatter is estimated, and nothing that a run carries.
 
     The importer assumes 100 um. The predicted error follows the estimate.
@@ -50,9 +46,7 @@ def test_an_assumed_noise_follows_the_readings(
     assert 0.2 < z.rms / record.value < 2.0
 
 
-def test_an_assumed_noise_that_is_stated_too_carries_what_is_stated(
-    tmp_path: Path,
-) -> None:
+def test_an_assumed_noise_that_is_stated_too_carries_what_is_stated(tmp_path):
     real = delta(125.4, 250.0, [210.3, 329.8, 90.0], [300.2, 299.9, 300.1])
     study, _ = take("marlin", {"log": marlin_log(real, 0.02, 40, 1)}, tmp_path)
     text = study.read_text()
@@ -62,7 +56,7 @@ def test_an_assumed_noise_that_is_stated_too_carries_what_is_stated(
     assert "carried" in result.goodness.noise
 
 
-def test_an_assumed_noise_is_said_first(tmp_path: Path) -> None:
+def test_an_assumed_noise_is_said_first(tmp_path):
     """Where few readings cannot test it; and not where many estimate it."""
     real = delta(125.4, 250.0, [210.3, 329.8, 90.0], [300.2, 299.9, 300.1])
     for count, said in ((7, True), (40, False)):
@@ -84,9 +78,7 @@ def test_an_assumed_noise_is_said_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "count", [3, pytest.param(50, marks=pytest.mark.slow)], ids=["3", "50"]
 )
-def test_no_display_is_frozen_in_clean_imports(
-    count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_display_is_frozen_in_clean_imports(count, tmp_path, capsys):
     """Printers of all firmwares, two in five calibrated to the last digit."""
     rng = np.random.default_rng(3)
     for number in range(count):
@@ -129,9 +121,7 @@ def clean_files(kind: str, real: Delta, rng: np.random.Generator) -> dict[str, s
     return {"printer.cfg": printer.text()}
 
 
-def test_a_display_that_is_frozen_is_still_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_display_that_is_frozen_is_still_named(tmp_path, capsys):
     """Heights that were read at commanded places, and do not change."""
     study = tmp_path / "a.study.toml"
     study.write_text(

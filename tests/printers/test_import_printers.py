@@ -53,7 +53,7 @@ def check_estimate(study: Path) -> None:
         assert value[f"endstop{i + 1}"] == pytest.approx(wanted, abs=5e-5)
 
 
-def test_reprapfirmware(tmp_path: Path) -> None:
+def test_reprapfirmware(tmp_path):
     config = tmp_path / "config.g"
     config.write_text(
         "M665 R105 L215:215:215 B85 H240 X0 Y0 Z0 ; geometry\n"
@@ -83,7 +83,7 @@ def test_reprapfirmware(tmp_path: Path) -> None:
         import_files("rrf", [config, bed, log], tmp_path / "b")
 
 
-def test_marlin(tmp_path: Path) -> None:
+def test_marlin(tmp_path):
     """Marlin's adjustments lower a tower: the switch is higher by as much."""
     log = tmp_path / "log.txt"
     settings = (
@@ -103,7 +103,7 @@ def test_marlin(tmp_path: Path) -> None:
         import_files("marlin", [log], tmp_path / "b")
 
 
-def test_marlin_calibration_report(tmp_path: Path) -> None:
+def test_marlin_calibration_report(tmp_path):
     """The points of G33 stand every 60 degrees from tower x, at 210 degrees."""
     log = tmp_path / "log.txt"
     text = (

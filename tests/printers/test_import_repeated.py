@@ -48,7 +48,7 @@ def heights_of(log: str) -> np.ndarray:
     return np.array([line.split() for line in lines], float).T
 
 
-def test_passes_of_one_geometry_are_repeated_readings(tmp_path: Path) -> None:
+def test_passes_of_one_geometry_are_repeated_readings(tmp_path):
     files = rrf_files(3)
     study, imported = take("rrf", files, tmp_path)
     right = 1e3 * spread(heights_of(files["log.txt"]))
@@ -63,7 +63,7 @@ def test_passes_of_one_geometry_are_repeated_readings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("between", ["M665 R125.1\n", "G31 X1\n"])
-def test_passes_of_other_geometries_are_left_out(between: str, tmp_path: Path) -> None:
+def test_passes_of_other_geometries_are_left_out(between, tmp_path):
     study, imported = take("rrf", rrf_files(3, between), tmp_path)
     assert len(imported.rows) == 12
     assert "Not read: 2 earlier lines of heights" in said(imported)
@@ -71,7 +71,7 @@ def test_passes_of_other_geometries_are_left_out(between: str, tmp_path: Path) -
     assert "no place was probed twice, so 100 um is assumed" in said(imported)
 
 
-def test_stops_at_one_place_are_repeated_readings(tmp_path: Path) -> None:
+def test_stops_at_one_place_are_repeated_readings(tmp_path):
     """G30 S-1; a move begins another place."""
     groups = np.array([[1.602, 1.611, 1.595, 1.607], [1.702, 1.690, 1.711, 1.697]])
     lines = "G1 X50\n".join(
@@ -93,7 +93,7 @@ SINGLE = [0.0113, 0.0125, 0.0041, 0.0219, 0.0080, 0.0142]
 
 
 @pytest.mark.parametrize("verbose", [False, True])
-def test_the_test_of_a_probe_gives_its_noise(verbose: bool, tmp_path: Path) -> None:
+def test_the_test_of_a_probe_gives_its_noise(verbose, tmp_path):
     """M48 prints the root of the mean square deviation, and its readings with V4."""
     lines = f"M48 P{len(SINGLE)}\nM48 Z-Probe Repeatability Test\n"
     if verbose:
@@ -106,9 +106,7 @@ def test_the_test_of_a_probe_gives_its_noise(verbose: bool, tmp_path: Path) -> N
     assert noise(study)["height_um"] == pytest.approx(right, abs=2e-3)
 
 
-def test_samples_of_klipper_s_console_give_the_noise_of_a_saved_height(
-    tmp_path: Path,
-) -> None:
+def test_samples_of_klipper_s_console_give_the_noise_of_a_saved_height(tmp_path):
     """A saved height is the mean of the probe's samples."""
     rng = np.random.default_rng(3)
     firmware = Klipper(example(125, 250, 300) + "[probe]\nsamples: 4\n")
@@ -126,7 +124,7 @@ def test_samples_of_klipper_s_console_give_the_noise_of_a_saved_height(
     assert f"spread by {right:.3g} um, with 36 degrees of freedom" in said(imported)
 
 
-def test_three_readings_are_too_few_for_a_noise(tmp_path: Path) -> None:
+def test_three_readings_are_too_few_for_a_noise(tmp_path):
     lines = "1 of 3: z: 0.011\n2 of 3: z: 0.015\n3 of 3: z: 0.010\n"
     study, imported = take("marlin", {"log": marlin_log(lines)}, tmp_path)
     assert noise(study)["assumed"]

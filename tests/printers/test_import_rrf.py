@@ -77,9 +77,7 @@ def check(study: Path, wanted: fit.Delta, tolerance: float) -> None:
 # -- places and bed --------------------------------------------------------------------
 
 
-def test_a_probe_beside_the_nozzle_touches_where_the_nozzle_is_not(
-    tmp_path: Path,
-) -> None:
+def test_a_probe_beside_the_nozzle_touches_where_the_nozzle_is_not(tmp_path):
     study, imported = take("rrf", FILES, tmp_path)
     assert float(imported.rows[1]["x_mm"]) == pytest.approx(46.28)
     wanted = best_fit(CONFIG, PLACES, LOG)
@@ -90,7 +88,7 @@ def test_a_probe_beside_the_nozzle_touches_where_the_nozzle_is_not(
     assert printed.bed == 120.0
 
 
-def test_the_tilt_of_the_bed_is_read_used_and_written_back(tmp_path: Path) -> None:
+def test_the_tilt_of_the_bed_is_read_used_and_written_back(tmp_path):
     files = {
         "config.g": TILT_CONFIG,
         "bed.g": rrf.bed_file(TILT_PLACES),
@@ -105,7 +103,7 @@ def test_the_tilt_of_the_bed_is_read_used_and_written_back(tmp_path: Path) -> No
     assert np.ptp(bed(rrf.RepRapFirmware(text), wanted, 80.0)) < 0.005
 
 
-def test_a_height_that_was_typed_is_that_of_the_nozzle(tmp_path: Path) -> None:
+def test_a_height_that_was_typed_is_that_of_the_nozzle(tmp_path):
     """The sentence on places names the point."""
     typed = FILES["bed.g"].replace("G30 P9 X0.00 Y0.00 Z-99999", "G30 P9 X0 Y0 Z0.256")
     assert typed != FILES["bed.g"]
@@ -118,7 +116,7 @@ def test_a_height_that_was_typed_is_that_of_the_nozzle(tmp_path: Path) -> None:
     )
 
 
-def test_the_place_of_the_probe_is_that_of_the_moment(tmp_path: Path) -> None:
+def test_the_place_of_the_probe_is_that_of_the_moment(tmp_path):
     """M558 P makes a probe anew, and bed.g may have a G31 of its own."""
     reset = CONFIG + "M558 P8 H5\n"
     assert places(tmp_path / "reset", **{"config.g": reset})[0] == (0.0, 80.0)
@@ -140,7 +138,7 @@ def test_the_place_of_the_probe_is_that_of_the_moment(tmp_path: Path) -> None:
 STORED = "M665 L242.5 R124.5 H260.519 B120 X0 Y0 Z0\nM666 X0.1 Y0 Z-0.1 A0.00 B0.00\n"
 
 
-def test_stored_values_count_where_m501_reads_them(tmp_path: Path) -> None:
+def test_stored_values_count_where_m501_reads_them(tmp_path):
     """They win over what stands above M501, and lose against what stands below it."""
     loads = CONFIG + "M501\n"
     given = {"config-override.g": STORED, **FILES, "config.g": loads}
@@ -160,7 +158,7 @@ def test_stored_values_count_where_m501_reads_them(tmp_path: Path) -> None:
     assert "Not read: M501 (line 6): it reads config-override.g" in said(imported)
 
 
-def test_answers_of_the_firmware_win(tmp_path: Path) -> None:
+def test_answers_of_the_firmware_win(tmp_path):
     answers = rrf.RepRapFirmware(
         "M665 L243 R124.7 H260.6 B120 X0.1 Y0.2\nM666 X0.2 Y0.1 Z-0.3 A0.1"
     ).answers()
@@ -175,7 +173,7 @@ def test_answers_of_the_firmware_win(tmp_path: Path) -> None:
     assert places(tmp_path / "b", **{"log.txt": probe + LOG})[0] == (-12.0, 83.0)
 
 
-def test_small_letters_count_as_capitals(tmp_path: Path) -> None:
+def test_small_letters_count_as_capitals(tmp_path):
     small = CONFIG.replace("M666 X0.73 Y0.06 Z-0.80", "m666 x0.3 y-0.2 z-0.1")
     small = small.replace("M558 P1", 'm558 P1 c"^ProbeIn"')
     study, _ = take("rrf", FILES | {"config.g": small}, tmp_path / "a")
@@ -185,7 +183,7 @@ def test_small_letters_count_as_capitals(tmp_path: Path) -> None:
     check(study, best_fit(CONFIG, PLACES, LOG), 0.02)
 
 
-def test_commands_on_a_condition_are_refused(tmp_path: Path) -> None:
+def test_commands_on_a_condition_are_refused(tmp_path):
     for block in ("if false\n  M665 R111\n", "while true\n  if x\n    m501\n"):
         with pytest.raises(InputError, match=r"M\d+ .*stands under .*of line \d"):
             take("rrf", FILES | {"config.g": CONFIG + block}, tmp_path)
@@ -195,7 +193,7 @@ def test_commands_on_a_condition_are_refused(tmp_path: Path) -> None:
     assert nominal(study)["radius_mm"] == 124.309
 
 
-def test_a_macro_without_quotes_is_a_file(tmp_path: Path) -> None:
+def test_a_macro_without_quotes_is_a_file(tmp_path):
     """Its letters are no words: M98 PDEPLOYPROBE.G has one, P."""
     macro = FILES | {"bed.g": "M98 PDEPLOYPROBE.G\n" + FILES["bed.g"]}
     study, imported = take("rrf", macro, tmp_path)
@@ -211,7 +209,7 @@ def in_loop(lines: str, condition: str = "") -> str:
     return f"M561\nG28\n{head}{body}{tail}"
 
 
-def test_points_of_a_loop_are_those_of_its_last_pass(tmp_path: Path) -> None:
+def test_points_of_a_loop_are_those_of_its_last_pass(tmp_path):
     looped = FILES | {"bed.g": in_loop(FILES["bed.g"])}
     study, imported = take("rrf", looped, tmp_path)
     assert re.search(r"lines \d+ to \d+ stand in a loop", said(imported))
@@ -228,7 +226,7 @@ def test_points_of_a_loop_are_those_of_its_last_pass(tmp_path: Path) -> None:
         in_loop("G30 P{iterations} X{10*iterations} Y0"),
     ],
 )
-def test_what_a_loop_changes_is_refused(lines: str, tmp_path: Path) -> None:
+def test_what_a_loop_changes_is_refused(lines, tmp_path):
     with pytest.raises(InputError, match="stands under"):
         take("rrf", FILES | {"bed.g": lines}, tmp_path)
 
@@ -263,17 +261,13 @@ def test_what_a_loop_changes_is_refused(lines: str, tmp_path: Path) -> None:
         ),
     ],
 )
-def test_files_that_mislead_are_refused(
-    name: str, old: str, new: str, words: str, tmp_path: Path
-) -> None:
+def test_files_that_mislead_are_refused(name, old, new, words, tmp_path):
     assert old in FILES[name]
     with pytest.raises(InputError, match=words):
         take("rrf", FILES | {name: FILES[name].replace(old, new)}, tmp_path)
 
 
-def test_what_is_documented_beside_the_geometry_is_no_stumbling_block(
-    tmp_path: Path,
-) -> None:
+def test_what_is_documented_beside_the_geometry_is_no_stumbling_block(tmp_path):
     """Words of commands that have no bearing on it, and a height map with its cost."""
     lines = "G28 X Y Z\nG32 P1\nM500 P31\nM561\nG29 S1\nM375\nM851 Z-2\n"
     _, imported = take("rrf", FILES | {"config.g": CONFIG + lines}, tmp_path)

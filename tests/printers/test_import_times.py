@@ -1,7 +1,6 @@
 """Logs whose lines carry times: read in the order of time, or refused."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from pkm_printers import gcode
 from pkm_studies.base import InputError
 
-Run = Callable[..., tuple[int, str, str]]
 #: an answer before calibration, then the one after it, with seconds between them
 OLD, NEW = "M665 L215 R105 H250 X0 Y0 Z0", "M665 L215 R104 H251 X0 Y0 Z0"
 STOPS, PROBE = "M666 X-1 Y-2 Z-3", "M851 X0 Y0 Z-0.2"
@@ -46,8 +44,8 @@ FORMS = [
 @pytest.mark.parametrize("start", [36000.0, 85800.0], ids=["morning", "over midnight"])
 @pytest.mark.parametrize("form", FORMS)
 def test_a_marlin_log_with_the_newest_line_first_is_the_log_in_order(
-    form: str, start: float, oed: Run, tmp_path: Path
-) -> None:
+    form, start, oed, tmp_path
+):
     lines = stamped(form, LOG, start)
     for name, content in (("a", lines), ("b", lines[::-1])):
         (tmp_path / f"{name}.log").write_text("\n".join(content))
@@ -63,7 +61,7 @@ def test_a_marlin_log_with_the_newest_line_first_is_the_log_in_order(
     assert re.findall(r"(?:radius|endstop1)_mm = ([\d.]+)", study) == ["104.0", "252.0"]
 
 
-def test_times_that_rise_and_fall_are_refused_with_the_line(tmp_path: Path) -> None:
+def test_times_that_rise_and_fall_are_refused_with_the_line(tmp_path):
     lines = stamped(FORMS[0], LOG)
     (tmp_path / "a.log").write_text("\n".join([*lines[5:], *lines[:5]]))
     fallen = f"line {len(lines) - 4}"
@@ -72,13 +70,13 @@ def test_times_that_rise_and_fall_are_refused_with_the_line(tmp_path: Path) -> N
     assert fallen in str(error.value)
 
 
-def test_lines_without_a_time_go_with_the_one_above(tmp_path: Path) -> None:
+def test_lines_without_a_time_go_with_the_one_above(tmp_path):
     (tmp_path / "a.log").write_text("top\n10:02\nc\nd\n10:01\na\n10:01\nb")
     text = [line.text for line in gcode.read([tmp_path / "a.log"])]
     assert text == ["top", "10:01", "b", "10:01", "a", "10:02", "c", "d"]
 
 
-def test_logs_of_several_days_are_read_by_their_dates(tmp_path: Path) -> None:
+def test_logs_of_several_days_are_read_by_their_dates(tmp_path):
     for day in ("25", "24"):
         (tmp_path / f"{day}.log").write_text(f"2026-11-{day} 10:00:00 {day}")
     (tmp_path / "config.g").write_text("M665")
@@ -87,7 +85,7 @@ def test_logs_of_several_days_are_read_by_their_dates(tmp_path: Path) -> None:
     assert read == ["24.log", "config.g", "25.log"]
 
 
-def test_a_maslow_log_takes_the_last_value_in_time(oed: Run, tmp_path: Path) -> None:
+def test_a_maslow_log_takes_the_last_value_in_time(oed, tmp_path):
     anchors = {"tlX": 0, "tlY": 2000, "trX": 3000, "trY": 2000, "brX": 3000}
     at = np.array([[0, 2000], [3000, 2000], [3000, 0], [0, 0]])
     sleds = [(x, y) for x in (1000, 1500, 2000) for y in (700, 1000, 1300)]
@@ -109,9 +107,7 @@ def test_a_maslow_log_takes_the_last_value_in_time(oed: Run, tmp_path: Path) -> 
     assert "anchors tl 0, 2000;" in out
 
 
-def test_a_console_of_reprap_firmware_gives_the_geometry_of_its_heights(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_a_console_of_reprap_firmware_gives_the_geometry_of_its_heights(oed, tmp_path):
     delta = (
         "Diagonals 288.100:288.100:288.100, delta radius {}, homed height {}, bed radius"
         " 105.0, X 0.243, Y -0.178, Z 0.000"

@@ -196,7 +196,7 @@ BY_NIGHT = ("stepper_a", "stepper_c")
         for key in keys
     ],
 )
-def test_every_option_of_klipper(section: str, key: str, tmp_path: Path) -> None:
+def test_every_option_of_klipper(section, key, tmp_path):
     known = re.search(rf"\[{section}\][^\[]*?^{key}: (.*)$", KLIPPER, re.M)
     value = known[1] if known else "1.5"
     files = {"printer.cfg": with_option(section, key, value)}
@@ -212,7 +212,7 @@ def test_every_option_of_klipper(section: str, key: str, tmp_path: Path) -> None
     assert (before.study, before.rows) != (after.study, after.rows)
 
 
-def test_an_option_of_a_fork_is_refused(tmp_path: Path) -> None:
+def test_an_option_of_a_fork_is_refused(tmp_path):
     for section, key in (("printer", "delta_radius_a"), ("stepper_b", "radius_trim")):
         text = with_option(section, key, "0.2")
         with pytest.raises(
@@ -221,7 +221,7 @@ def test_an_option_of_a_fork_is_refused(tmp_path: Path) -> None:
             read("klipper", {"printer.cfg": text}, tmp_path)
 
 
-def test_sizes_that_a_fork_changes_by_nothing_are_no_matter(tmp_path: Path) -> None:
+def test_sizes_that_a_fork_changes_by_nothing_are_no_matter(tmp_path):
     """FLSun's printers have these two, at 0 as they come."""
     text = with_option("printer", "x_size_offset", "0")
     said = " ".join(read("klipper", {"printer.cfg": text}, tmp_path).statements)
@@ -233,20 +233,20 @@ def test_sizes_that_a_fork_changes_by_nothing_are_no_matter(tmp_path: Path) -> N
         read("klipper", {"printer.cfg": text}, tmp_path)
 
 
-def test_a_value_that_goes_on_in_indented_lines(tmp_path: Path) -> None:
+def test_a_value_that_goes_on_in_indented_lines(tmp_path):
     text = with_option("stepper_b", "gear_ratio", "\n   11:10,\n   1:1 # two stages")
     rows = read("klipper", {"printer.cfg": text}, tmp_path).rows
     whole = read("klipper", {"printer.cfg": KLIPPER}, tmp_path).rows
     assert float(rows[0]["q2_mm"]) == pytest.approx(float(whole[0]["q2_mm"]) / 1.1)
 
 
-def test_a_position_without_its_height_is_named(tmp_path: Path) -> None:
+def test_a_position_without_its_height_is_named(tmp_path):
     text = KLIPPER.replace("height6: 0.0\n", "")
     with pytest.raises(InputError, match=r"height6_pos.*there is no height6 for it"):
         read("klipper", {"printer.cfg": text}, tmp_path)
 
 
-def test_other_sections_and_files_are_listed(tmp_path: Path) -> None:
+def test_other_sections_and_files_are_listed(tmp_path):
     text = KLIPPER + "[skew_correction]\n[fan]\npin: x\n[include more/macros.cfg]\n"
     said = " ".join(read("klipper", {"printer.cfg": text}, tmp_path).statements)
     assert "[skew_correction] (line" in said
@@ -300,9 +300,7 @@ def check_word(
 @pytest.mark.parametrize(
     ("command", "letter"), [(c, k) for c, keys in RRF_WORDS.items() for k in keys]
 )
-def test_every_word_of_reprapfirmware(
-    command: str, letter: str, tmp_path: Path
-) -> None:
+def test_every_word_of_reprapfirmware(command, letter, tmp_path):
     where = "bed.g" if command == "G30" else "config.g"
     check_word("rrf", RRF, where, command, letter, tmp_path)
 
@@ -310,16 +308,16 @@ def test_every_word_of_reprapfirmware(
 @pytest.mark.parametrize(
     ("command", "letter"), [(c, k) for c, keys in MARLIN_WORDS.items() for k in keys]
 )
-def test_every_word_of_marlin(command: str, letter: str, tmp_path: Path) -> None:
+def test_every_word_of_marlin(command, letter, tmp_path):
     check_word("marlin", {"log": NEW_MARLIN}, "log", command, letter, tmp_path)
 
 
 @pytest.mark.parametrize("letter", "HLRSXYZB")
-def test_every_word_of_an_older_marlin(letter: str, tmp_path: Path) -> None:
+def test_every_word_of_an_older_marlin(letter, tmp_path):
     check_word("marlin", {"log": OLD_MARLIN}, "log", "M665", letter, tmp_path)
 
 
-def test_the_radius_of_calibration_changes_no_length(tmp_path: Path) -> None:
+def test_the_radius_of_calibration_changes_no_length(tmp_path):
     imported = read("marlin", {"log": OLD_MARLIN}, tmp_path)
     assert "arm2_mm = 250.0\n" in imported.study
     assert 'm665_b = "calibration radius"' in imported.study
@@ -345,7 +343,7 @@ def test_the_radius_of_calibration_changes_no_length(tmp_path: Path) -> None:
         "Tz",
     ],
 )
-def test_every_number_of_a_g33_report(word: str, tmp_path: Path) -> None:
+def test_every_number_of_a_g33_report(word, tmp_path):
     """What G33 prints of its changes is the geometry of the heights below it."""
     before = read("marlin", {"log": REPORT}, tmp_path)
     value = (
@@ -359,9 +357,7 @@ def test_every_number_of_a_g33_report(word: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("letter", "DEFIJK")
 @pytest.mark.parametrize("kind", ["rrf", "marlin"])
-def test_radius_trims_of_forks_are_refused_by_name(
-    kind: str, letter: str, tmp_path: Path
-) -> None:
+def test_radius_trims_of_forks_are_refused_by_name(kind, letter, tmp_path):
     if kind == "rrf":
         files = RRF | {"config.g": changed(RRF["config.g"], "M665", letter, "0.2")}
     else:
@@ -379,16 +375,14 @@ def test_radius_trims_of_forks_are_refused_by_name(
         ("rrf", "G20"),
     ],
 )
-def test_a_word_that_nobody_documents_is_refused(
-    kind: str, command: str, tmp_path: Path
-) -> None:
+def test_a_word_that_nobody_documents_is_refused(kind, command, tmp_path):
     files = RRF if kind == "rrf" else {"log": NEW_MARLIN}
     first = next(iter(files))
     with pytest.raises(InputError, match=command[:6].strip()):
         read(kind, files | {first: f"{command}\n{files[first]}"}, tmp_path)
 
 
-def test_commands_without_blanks_and_with_text_are_read_whole(tmp_path: Path) -> None:
+def test_commands_without_blanks_and_with_text_are_read_whole(tmp_path):
     dense = RRF["config.g"].replace(
         "M665 L250.0 R125.0 H300.0", "M665 L250.0R126.5H300.0"
     )

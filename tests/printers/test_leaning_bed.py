@@ -91,9 +91,7 @@ def calibrated(seed: int, folder: Path) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(
-    seed: int, tmp_path: Path
-) -> None:
+def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(seed, tmp_path):
     bed, errors, predicted = calibrated(seed, tmp_path)
     assert bed < 2.0 * NOISE
     assert (errors < 2.5 * predicted).all()
@@ -134,7 +132,7 @@ FITTED = {
 
 
 @pytest.mark.parametrize("number", FITTED)
-def test_a_line_chooses_the_factors(number: int, tmp_path: Path) -> None:
+def test_a_line_chooses_the_factors(number, tmp_path):
     """As S of G30 does in RepRapFirmware."""
     line = f"factors = {number}\n"
     study, imported = take("rrf", files_with(PLACES, line), tmp_path)
@@ -147,12 +145,12 @@ def test_a_line_chooses_the_factors(number: int, tmp_path: Path) -> None:
     assert f"it is {end}" in said(imported)
 
 
-def test_factors_that_no_firmware_fits_are_refused(tmp_path: Path) -> None:
+def test_factors_that_no_firmware_fits_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"line 1, factors.*fit 3, 4, 6, 7, 8, 9"):
         take("rrf", files_with(PLACES, "factors = 5\n"), tmp_path)
 
 
-def test_a_lean_that_few_heights_hide_is_said_to_be_hidden(tmp_path: Path) -> None:
+def test_a_lean_that_few_heights_hide_is_said_to_be_hidden(tmp_path):
     """Seven heights of one ring and the middle fit six factors and tell nothing of a lean."""
     angle = np.radians(60.0 * np.arange(6))
     ring = REACH * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -167,9 +165,7 @@ def test_a_lean_that_few_heights_hide_is_said_to_be_hidden(tmp_path: Path) -> No
     assert float(shown[2]) < 0.1
 
 
-def test_a_lean_goes_where_a_firmware_has_a_word_for_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lean_goes_where_a_firmware_has_a_word_for_it(tmp_path, capsys):
     """Klipper's [bed_tilt] raises z as M666 A and B do; Marlin has none: what is lost."""
     study, _ = take("rrf", files_with(PLACES), tmp_path)
     rise = rrf.RepRapFirmware(compensate(study, "rrf")).tilt
@@ -191,7 +187,7 @@ def test_a_lean_goes_where_a_firmware_has_a_word_for_it(
 # -- heights of the nozzle beside those of the probe -----------------------------------
 
 
-def test_heights_of_klipper_s_nozzle_are_a_set_up_of_their_own(tmp_path: Path) -> None:
+def test_heights_of_klipper_s_nozzle_are_a_set_up_of_their_own(tmp_path):
     """Heights by hand tell the tilts of the effector from the lean of the bed."""
     real = printer(np.random.default_rng(5))
     real.pairs = np.array([0.4, -0.3, 0.1])  # 6 to 8 mrad, far beyond parts of 0.05 mm

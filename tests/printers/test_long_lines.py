@@ -1,7 +1,6 @@
 """Lines of a printer's files that are longer than any that it writes."""
 
 import time
-from pathlib import Path
 
 import pytest
 
@@ -12,9 +11,7 @@ from pkm_studies.base import InputError
 SOON = 5.0
 
 
-def test_lines_of_blanks_and_brackets_take_no_longer_than_others(
-    tmp_path: Path,
-) -> None:
+def test_lines_of_blanks_and_brackets_take_no_longer_than_others(tmp_path):
     blanks = " " * 100_000
     printer = tmp_path / "printer.cfg"
     printer.write_text(f"[printer{blanks}x{blanks}\n[printer]\nkey{blanks}y\nz: 1\n")

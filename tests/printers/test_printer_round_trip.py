@@ -65,7 +65,7 @@ def reach_error(firmware: Firmware, real: Delta) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 3])
-def test_klipper(seed: int, tmp_path: Path) -> None:
+def test_klipper(seed, tmp_path):
     """Heights of independent noise: Klipper's fit of the file is no better."""
     firmware = Klipper(example(probe=(20, -5, 2.5)))
     real, probe = printer(), Probe(20, -5, 2.5, NOISE)
@@ -75,7 +75,7 @@ def test_klipper(seed: int, tmp_path: Path) -> None:
     check(firmware, real, best)
 
 
-def test_klipper_with_distances(tmp_path: Path) -> None:
+def test_klipper_with_distances(tmp_path):
     """Arms are fitted too; heights and distances have noises of their own."""
     firmware, real = Klipper(example(probe=(0, 0, 2.5))), printer(BY_TOWER)
     rng = np.random.default_rng(1)
@@ -86,7 +86,7 @@ def test_klipper_with_distances(tmp_path: Path) -> None:
     check(firmware, real, best)
 
 
-def test_klipper_of_a_fork_that_trims_radii(tmp_path: Path) -> None:
+def test_klipper_of_a_fork_that_trims_radii(tmp_path):
     """delta_radius_offset: a radius for each tower in, and out."""
     text = example(probe=(0, 0, 2.5))
     for tower, trim in zip("abc", (0.4, -0.3, 0.1), strict=True):
@@ -118,7 +118,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_reprapfirmware(case: str, tmp_path: Path) -> None:
+def test_reprapfirmware(case, tmp_path):
     """With bed tilt and the probe beside the nozzle, and with rods by tower."""
     values, arms, tilt = CASES[case]
     values = {"rods": "250.0", "tilt": "", "x": 0, "y": 0, **values}
@@ -129,7 +129,7 @@ def test_reprapfirmware(case: str, tmp_path: Path) -> None:
     check_rrf({"config.g": config}, real, probe, tmp_path)
 
 
-def test_reprapfirmware_with_stored_values(tmp_path: Path) -> None:
+def test_reprapfirmware_with_stored_values(tmp_path):
     """M501 reads them after config.g: the export is for their file."""
     config = CONFIG.format(rods="250", tilt="", x=0, y=0).replace("R110.0", "R109.0")
     files = {"config.g": config + "M501\n", "config-override.g": STORED}
@@ -189,7 +189,7 @@ def log_of(firmware: marlin.Marlin) -> str:
 
 
 @pytest.mark.parametrize("version", marlin.VERSIONS[1:], ids=lambda v: v.version)
-def test_marlin(version: type[marlin.Marlin], tmp_path: Path) -> None:
+def test_marlin(version, tmp_path):
     """The probe beside the nozzle and below it; rods by tower where a version has them."""
     rods = version.b_word == "rod"
     arms = BY_TOWER if rods else ALIKE
@@ -219,7 +219,7 @@ def bed_lines(log: str) -> list[str]:
     return [line for line in log.splitlines() if line.startswith("Bed X:")]
 
 
-def test_marlin_makes_no_move_for_a_small_value(tmp_path: Path) -> None:
+def test_marlin_makes_no_move_for_a_small_value(tmp_path):
     """M666 of up to six steps has no effect in 2.0.6 and later: neither in the log nor
     in the export.
     """
@@ -244,7 +244,7 @@ def test_marlin_makes_no_move_for_a_small_value(tmp_path: Path) -> None:
         ("P10 V0 O", True),
     ],
 )
-def test_marlin_g33(words: str, offset: bool, tmp_path: Path) -> None:
+def test_marlin_g33(words, offset, tmp_path):
     """Means over rings of places count as such; with O the probe is on the places."""
     x, y = (23.0, -5.0) if offset else (0.0, 0.0)
     firmware = marlin.Marlin(
@@ -263,7 +263,7 @@ def test_marlin_g33(words: str, offset: bool, tmp_path: Path) -> None:
 # -- from one firmware to another ------------------------------------------------------
 
 
-def test_the_height_at_home_holds_on_another_firmware(tmp_path: Path) -> None:
+def test_the_height_at_home_holds_on_another_firmware(tmp_path):
     """Marlin counts H to the probe, or goes further from the switches; others do not."""
     real = printer()
     for version in (marlin.Marlin118, marlin.Marlin205, marlin.Marlin):

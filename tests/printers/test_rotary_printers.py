@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -80,7 +79,7 @@ def klipper_text(text: str = CONFIG) -> str:
     return firmware.text()
 
 
-def test_klipper_heights_put_the_bed_right(tmp_path: Path) -> None:
+def test_klipper_heights_put_the_bed_right(tmp_path):
     text = klipper_text()
     firmware = KlipperRotary(text)
     real = real_printer(firmware)
@@ -94,7 +93,7 @@ def test_klipper_heights_put_the_bed_right(tmp_path: Path) -> None:
     check_bed(firmware.apply(export), real)
 
 
-def test_klipper_distances_give_the_arms(tmp_path: Path) -> None:
+def test_klipper_distances_give_the_arms(tmp_path):
     """Heights and distances of one printer: places are right as well."""
     firmware = KlipperRotary(CONFIG)
     arms = {"upper": np.array([170.3, 169.8, 170.1]), "lower": np.full(3, 320.4)}
@@ -123,7 +122,7 @@ def rrf_files(config: str = RRF_CONFIG) -> dict[str, str]:
     return {"config.g": config, "bed.g": rrf.bed_file(PLACES), "log.txt": log}
 
 
-def test_reprapfirmware_heights_put_the_bed_right(tmp_path: Path) -> None:
+def test_reprapfirmware_heights_put_the_bed_right(tmp_path):
     files = rrf_files()
     firmware = RrfRotary(RRF_CONFIG)
     study, imported = take("rrf", files, tmp_path)
@@ -138,7 +137,7 @@ def test_reprapfirmware_heights_put_the_bed_right(tmp_path: Path) -> None:
     check_bed(RrfRotary(RRF_CONFIG, export), real_printer(firmware))
 
 
-def test_one_firmware_takes_what_the_other_measured(tmp_path: Path) -> None:
+def test_one_firmware_takes_what_the_other_measured(tmp_path):
     """Klipper's limbs at 30, 150 and 270 degrees are those of RepRapFirmware, turned."""
     text = klipper_text()
     study, _ = take("klipper", {"printer.cfg": text}, tmp_path)
@@ -166,9 +165,7 @@ def test_one_firmware_takes_what_the_other_measured(tmp_path: Path) -> None:
         ("gear_ratio: 107:16", "gear_ratio: 214:16", "its steps are .* times those"),
     ],
 )
-def test_what_klipper_does_not_take_is_refused(
-    before: str, after: str, problem: str, tmp_path: Path
-) -> None:
+def test_what_klipper_does_not_take_is_refused(before, after, problem, tmp_path):
     text = klipper_text().replace(before.replace(": ", " = "), after)
     with pytest.raises(InputError, match=problem):
         take("klipper", {"printer.cfg": text}, tmp_path)
@@ -186,16 +183,14 @@ def test_what_klipper_does_not_take_is_refused(
         ("M666 X0.5", "M666 A1", "line 2, M666 A.*does not know"),
     ],
 )
-def test_what_the_model_has_not_is_refused(
-    before: str, after: str, problem: str, tmp_path: Path
-) -> None:
+def test_what_the_model_has_not_is_refused(before, after, problem, tmp_path):
     files = {"bed.g": rrf.bed_file(PLACES), "log.txt": "G32 bed probe heights: 0\n"}
     files["config.g"] = RRF_CONFIG.replace(before, after, 1)
     with pytest.raises(InputError, match=problem):
         take("rrf", files, tmp_path)
 
 
-def test_factors_are_those_of_the_firmware(tmp_path: Path) -> None:
+def test_factors_are_those_of_the_firmware(tmp_path):
     files = rrf_files()
     study, _ = take("rrf", files | {"more.txt": "factors = 4\n"}, tmp_path / "a")
     fixed = re.search(r"fixed = \[(.*)\]", study.read_text())[1]

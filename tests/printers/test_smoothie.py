@@ -5,7 +5,6 @@ carriage at its switch counts as that of the nozzle at Z + M206 Z, less its trim
 """
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,7 +89,7 @@ def log_of(firmware: Smoothie, real, form: str, line: str = "") -> str:
     return SETTINGS + line + "\n".join([*lines, "max delta: 0.1", ""])
 
 
-def test_a_grid_is_at_the_places_of_the_probe(tmp_path: Path) -> None:
+def test_a_grid_is_at_the_places_of_the_probe(tmp_path):
     """G31 prints where the probe was, G29 where the nozzle was; hosts write Recv: before."""
     firmware, real = Smoothie(SETTINGS), printer()
     rows = []
@@ -104,9 +103,7 @@ def test_a_grid_is_at_the_places_of_the_probe(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["spiral", "seven", "escher"])
-def test_the_bed_is_flat_after_one_import_and_one_paste(
-    form: str, tmp_path: Path
-) -> None:
+def test_the_bed_is_flat_after_one_import_and_one_paste(form, tmp_path):
     firmware, real = Smoothie(SETTINGS), printer()
     log = log_of(firmware, real, form)
     study, imported = take("smoothie", {"log": log}, tmp_path)
@@ -123,7 +120,7 @@ def test_the_bed_is_flat_after_one_import_and_one_paste(
     assert np.ptp(flat) < max(2.0 * NOISE, 1.1 * np.ptp(least))
 
 
-def test_letters_of_g32_choose_what_is_fitted(tmp_path: Path) -> None:
+def test_letters_of_g32_choose_what_is_fitted(tmp_path):
     """Radii by tower too."""
     firmware, real = Smoothie(SETTINGS), printer((0.6, 0.0, -0.2))
     log = log_of(firmware, real, "spiral", "G32 XYZRADE P20\n")
@@ -147,9 +144,7 @@ def lost_by_the_mean() -> float:
     return float(np.ptp(real.travel(points) - one.travel(points)))
 
 
-def test_three_radii_are_refused_with_what_is_lost(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_three_radii_are_refused_with_what_is_lost(tmp_path, capsys):
     log = log_of(Smoothie(SETTINGS), printer(), "spiral")
     study, _ = take("smoothie", {"log": log}, tmp_path)
     folder = tmp_path / "r"
@@ -171,9 +166,7 @@ def test_three_radii_are_refused_with_what_is_lost(
         (SETTINGS, "EPR:3 881 215.0 Diagonal rod length [mm]\n", "line 1.*Repetier"),
     ],
 )
-def test_what_is_not_read_is_refused_with_its_reason(
-    old: str, new: str, said_so: str, tmp_path: Path
-) -> None:
+def test_what_is_not_read_is_refused_with_its_reason(old, new, said_so, tmp_path):
     log = log_of(Smoothie(SETTINGS), printer(), "spiral")
     assert old in log
     with pytest.raises(InputError, match=said_so):
@@ -190,12 +183,12 @@ EPR:1 893 20 Tower X endstop offset [steps]
 
 
 @pytest.mark.parametrize("kind", ["marlin", "rrf", "smoothie"])
-def test_a_log_of_repetier_is_refused_by_name(kind: str, tmp_path: Path) -> None:
+def test_a_log_of_repetier_is_refused_by_name(kind, tmp_path):
     with pytest.raises(InputError, match="this is a log of Repetier, whose Z-probe"):
         take(kind, {"log.txt": REPETIER + "Z-probe:20.580 X:0.00 Y:0.00\n"}, tmp_path)
 
 
-def test_numbers_of_repetier_come_in_as_those_of_reprapfirmware(tmp_path: Path) -> None:
+def test_numbers_of_repetier_come_in_as_those_of_reprapfirmware(tmp_path):
     """As the page on imports has them: endstop offsets in steps lower the towers."""
     offsets, steps = np.array([20, 0, 35]), 100.0
     real = delta(124.8, 250.0, [210.3, 329.8, 90.0], [300.35, 299.9, 300.2])

@@ -62,7 +62,7 @@ def errors(
 
 @pytest.mark.parametrize("taught", [True, False])
 @pytest.mark.parametrize("circles", [2, 3, 4, 5])
-def test_dropping_da01x_does_not_make_h_regular(taught: bool, circles: int) -> None:
+def test_dropping_da01x_does_not_make_h_regular(taught, circles):
     """20 columns, still rank 18: a tilt about u does not move da01x, nor one about v
     with a spin of c/a of it.
     """
@@ -81,7 +81,7 @@ def test_dropping_da01x_does_not_make_h_regular(taught: bool, circles: int) -> N
         assert np.abs(h @ lost).max() < 1e-13
 
 
-def test_a_finite_turn_of_the_platform_joints_changes_no_reading() -> None:
+def test_a_finite_turn_of_the_platform_joints_changes_no_reading():
     """Not only to first order: the platform's frame may be chosen anew about the TCP.
     The platform stands turned.
     """
@@ -105,7 +105,7 @@ def test_a_finite_turn_of_the_platform_joints_changes_no_reading() -> None:
     assert between.magnitude() == pytest.approx(turn.magnitude(), rel=1e-9)
 
 
-def test_one_circle_of_any_density_leaves_the_eighteenth_direction_at_metres() -> None:
+def test_one_circle_of_any_density_leaves_the_eighteenth_direction_at_metres():
     exact = [
         np.linalg.svd(
             circle_rows([0.08], points, taught=False)[:, COLUMNS], compute_uv=False
@@ -121,7 +121,7 @@ def test_one_circle_of_any_density_leaves_the_eighteenth_direction_at_metres() -
         assert s[16] > 6e-6
 
 
-def test_kappa_over_the_18_directions_dips_at_15_points() -> None:
+def test_kappa_over_the_18_directions_dips_at_15_points():
     """m = 2 circles of n points: Table 2's strokes, and the stroke's ends."""
     n = np.arange(12, 25)
 
@@ -157,9 +157,7 @@ def test_kappa_over_the_18_directions_dips_at_15_points() -> None:
         (1e-3, [38567, 14914, 12118, 11922, 12024, 11336, 11372, 11218]),
     ],
 )
-def test_kappa_of_approach_1_falls_to_13_points_and_slowly_after(
-    angle_unit: float, kappas: list[int]
-) -> None:
+def test_kappa_of_approach_1_falls_to_13_points_and_slowly_after(angle_unit, kappas):
     """H of Eq. (14) with 11 to 20 points on each of Table 2's circles."""
     points = [11, 12, 13, 14, 15, 16, 18, 20]
     units = np.r_[[1.0] * 3, [angle_unit] * 3]
@@ -173,7 +171,7 @@ def test_kappa_of_approach_1_falls_to_13_points_and_slowly_after(
     assert at[15] < 1.25 * at[20]
 
 
-def test_table_3_has_a_part_that_no_bar_reading_backs() -> None:
+def test_table_3_has_a_part_that_no_bar_reading_backs():
     """Least squares of its da0 on the turns of the platform: 1.67 mrad about u, -0.56
     about v, no spin.
     """
@@ -208,9 +206,7 @@ def test_table_3_has_a_part_that_no_bar_reading_backs() -> None:
         ([2], [0.040e-3, 2.37e-3, 0.094e-3]),
     ],
 )
-def test_one_step_of_eq_24_leaves_tenths_of_a_millimetre(
-    theta_deg: list[float], left: list[float]
-) -> None:
+def test_one_step_of_eq_24_leaves_tenths_of_a_millimetre(theta_deg, left):
     """Largest errors in z (m), psi, theta (rad) with Table 3's errors; two more steps
     leave nothing.
     """
@@ -231,7 +227,7 @@ def test_one_step_of_eq_24_leaves_tenths_of_a_millimetre(
 # -- the page --------------------------------------------------------------------------
 
 
-def test_the_tests_that_the_page_names_are_there() -> None:
+def test_the_tests_that_the_page_names_are_there():
     page = (ROOT / "docs" / "errata.md").read_text(encoding="utf-8")
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page)
     assert len(named) > 5

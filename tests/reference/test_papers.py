@@ -37,14 +37,14 @@ def rank(h: np.ndarray) -> int:
 # -- claims and tests that the page names ----------------------------------------------
 
 
-def test_every_row_has_a_verdict_and_something_that_does_it() -> None:
+def test_every_row_has_a_verdict_and_something_that_does_it():
     assert len(rows()) == 50
     for number, (_, does_it, *_, verdict) in rows().items():
         assert verdict.startswith(VERDICTS), number
         assert "`" in does_it or does_it.startswith("report"), number
 
 
-def test_values_meet_the_claims_of_their_studies() -> None:
+def test_values_meet_the_claims_of_their_studies():
     checked = 0
     for number, row in rows().items():
         here = row[3]
@@ -63,7 +63,7 @@ def meets(claim: dict[str, Any], value: float) -> bool:
     return bool(low <= value <= high) and claim.get("equals", value) == value
 
 
-def test_every_test_that_the_page_names_exists() -> None:
+def test_every_test_that_the_page_names_exists():
     named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", PAGE)
     assert len(named) > 20
     for path, name in named:
@@ -172,7 +172,7 @@ INDEPENDENT: dict[str, Callable[[], float]] = {
 
 
 @pytest.mark.parametrize("number", INDEPENDENT)
-def test_independent_values_are_those_of_the_page(number: str) -> None:
+def test_independent_values_are_those_of_the_page(number):
     """To the digits printed."""
     stated = rows()[number][4]
     digits = len(stated.partition(".")[2])
@@ -180,6 +180,6 @@ def test_independent_values_are_those_of_the_page(number: str) -> None:
     assert INDEPENDENT[number]() == pytest.approx(float(stated), abs=tolerance)
 
 
-def test_each_independent_number_of_the_page_is_computed() -> None:
+def test_each_independent_number_of_the_page_is_computed():
     numbers = {n for n, row in rows().items() if NUMBER.fullmatch(row[4])}
     assert numbers == set(INDEPENDENT)

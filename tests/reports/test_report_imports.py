@@ -1,14 +1,13 @@
 """What writing a report loads: nothing that models or solves."""
 
 import json
-from pathlib import Path
 
 import report_fixture
 import result_sample
 from fresh_process import printed_by
 
 
-def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:
+def test_a_report_loads_neither_models_nor_solvers(tmp_path):
     result = report_fixture.bare() | {"gap": result_sample.gap()}
     (tmp_path / "result.json").write_text(json.dumps(result), encoding="utf-8")
     heavy = ["casadi", "oed.mechanism", "oed.measurement", "oed.estimation", "oed.gap"]
@@ -22,7 +21,7 @@ def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:
     assert printed[-2:] == ["0", "[]"]
 
 
-def test_the_lines_of_a_terminal_load_no_figures(tmp_path: Path) -> None:
+def test_the_lines_of_a_terminal_load_no_figures(tmp_path):
     """A run without a report draws nothing: neither Matplotlib nor templates are loaded."""
     path = tmp_path / "result.json"
     path.write_text(json.dumps(report_fixture.sample()), encoding="utf-8")

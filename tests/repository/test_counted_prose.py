@@ -30,7 +30,7 @@ def median_length(kind: str) -> float:
     return statistics.median(text.count("\n") for text in named)
 
 
-def test_the_readme_counts_the_effects() -> None:
+def test_the_readme_counts_the_effects():
     assert stated(r"(\d+) physical effects", "README.md") == len(listing("effects"))
 
 
@@ -49,13 +49,11 @@ def test_the_readme_counts_the_effects() -> None:
         ("effects", "docs/howto/diagnose.md", r"a file of about (\d+) lines"),
     ],
 )
-def test_lengths_of_files_are_stated_as_they_are(
-    kind: str, path: str, pattern: str
-) -> None:
+def test_lengths_of_files_are_stated_as_they_are(kind, path, pattern):
     assert stated(pattern, path) == pytest.approx(median_length(kind), rel=ROUNDED)
 
 
-def test_each_field_of_a_study_has_its_meaning_in_the_schema() -> None:
+def test_each_field_of_a_study_has_its_meaning_in_the_schema():
     tables: dict[str, Any] = SCHEMAS["study"]()["$defs"]
     fields = [
         (table, name, field.get("description"))

@@ -189,16 +189,16 @@ def execute_by_bash(line: str, folder: Path) -> str:
         ("[x]", "[x]", True),
     ],
 )
-def test_dots_stand_for_anything(shown: str, line: str, same: bool) -> None:
+def test_dots_stand_for_anything(shown, line, same):
     assert matches(shown, line) == same
 
 
-def test_a_missing_line_is_noticed() -> None:
+def test_a_missing_line_is_noticed():
     assert missing(["a", "c"], "a\nb\nc") == []
     assert missing(["c", "a"], "a\nb\nc") == ["a"]
 
 
-def test_the_tutorial_quotes_its_files() -> None:
+def test_the_tutorial_quotes_its_files():
     shown = {b.file: b.text for b in blocks(TUTORIAL) if b.file}
     files = {
         p.name: p.read_text(encoding="utf-8")
@@ -211,9 +211,7 @@ def test_the_tutorial_quotes_its_files() -> None:
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="commands are for bash")
 @pytest.mark.parametrize(("page", "until"), PAGES)
-def test_the_tutorial_runs_as_written(
-    page: str, until: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tutorial_runs_as_written(page, until, tmp_path, monkeypatch):
     """By a user who allowed no Python file so far, and trusts no folder."""
     monkeypatch.delenv("OED_TRUSTED_FOLDERS")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
@@ -241,7 +239,7 @@ def test_the_tutorial_runs_as_written(
     ],
     ids=lambda p: p.stem,
 )
-def test_gallery(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gallery(path, tmp_path, monkeypatch):
     """Each example runs, its asserts hold, and it writes its picture into a folder."""
     monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
     monkeypatch.syspath_prepend(str(path.parent))
@@ -252,7 +250,7 @@ def test_gallery(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert "assert " in path.read_text(encoding="utf-8")
 
 
-def test_every_example_is_in_the_gallery_with_its_picture() -> None:
+def test_every_example_is_in_the_gallery_with_its_picture():
     page = (DOCS / "gallery" / "index.md").read_text(encoding="utf-8")
     for path in GALLERY:
         assert f"({path.name})" in page
@@ -263,14 +261,14 @@ def test_every_example_is_in_the_gallery_with_its_picture() -> None:
 @pytest.mark.parametrize(
     "name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"]
 )
-def test_links_of_pages_outside_the_site_lead_somewhere(name: str) -> None:
+def test_links_of_pages_outside_the_site_lead_somewhere(name):
     page = DOCS.parent / name
     prose = BLOCK.sub("", page.read_text(encoding="utf-8"))
     dead = [link for link in LINK.findall(prose) if not (page.parent / link).exists()]
     assert not dead
 
 
-def test_every_test_that_the_errata_name_exists() -> None:
+def test_every_test_that_the_errata_name_exists():
     page = (DOCS / "errata.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(tests/\S+?\.py)::(\w+)`", page))
     assert len(named) > 20
@@ -300,7 +298,7 @@ def code_of(page: Path) -> str:
     return "\n".join([*fenced, *CODE_SPAN.findall(BLOCK.sub("", text))])
 
 
-def test_each_field_of_a_study_stands_on_a_page() -> None:
+def test_each_field_of_a_study_stands_on_a_page():
     words = set(re.findall(r"\w+", "\n".join(code_of(page) for page in pages())))
     tables = SCHEMAS["study"]()["$defs"]
     fields = {
@@ -320,7 +318,7 @@ REST = {
 }
 
 
-def test_examples_are_tables_of_a_study() -> None:
+def test_examples_are_tables_of_a_study():
     tables = SCHEMAS["study"]()["$defs"]["StudyFile"]["properties"]
     read = 0
     for page in pages():

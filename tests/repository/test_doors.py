@@ -53,7 +53,7 @@ DOORS = dict(_doors())
 
 
 @pytest.mark.parametrize("room", DOORS)
-def test_each_name_of_a_door_has_a_sentence(room: str) -> None:
+def test_each_name_of_a_door_has_a_sentence(room):
     file = DOORS[room]
     tree = ast.parse(file.read_text(encoding="utf-8"))
     names = _handed_out(tree)
@@ -75,7 +75,7 @@ def _readmes() -> list[Path]:
 
 
 @pytest.mark.parametrize("readme", _readmes(), ids=lambda file: file.parent.name)
-def test_a_readme_names_modules_that_exist(readme: Path) -> None:
+def test_a_readme_names_modules_that_exist(readme):
     text = readme.read_text(encoding="utf-8")
     named = re.findall(r"`([\w/]+\.py)`", text)
     folders = (readme.parent, ROOT, ROOT / "studies")

@@ -2,7 +2,6 @@
 
 import doctest
 import importlib
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -31,9 +30,7 @@ FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
     [pytest.param(*n, marks=[pytest.mark.slow] if n in LONG else []) for n in NAMES],
     ids=lambda part: part,
 )
-def test_the_example_runs(
-    room: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_runs(room, name, tmp_path, monkeypatch):
     value: Any = getattr(importlib.import_module(room), name)
     text = value.__doc__
     assert ">>>" in text, f"{room}.{name} has no example"

@@ -72,7 +72,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     ]
 
 
-def test_wheel_holds_exactly_the_packages_and_the_studies(wheel: list[str]) -> None:
+def test_wheel_holds_exactly_the_packages_and_the_studies(wheel):
     expected = {
         f"{name}/{path.relative_to(folder).as_posix()}"
         for name, folder in PACKAGES.items()
@@ -88,11 +88,11 @@ def test_wheel_holds_exactly_the_packages_and_the_studies(wheel: list[str]) -> N
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_wheel_package_is_typed(wheel: list[str], name: str) -> None:
+def test_wheel_package_is_typed(wheel, name):
     assert {f"{name}/__init__.py", f"{name}/py.typed"} <= set(wheel)
 
 
-def test_imports_run_one_way() -> None:
+def test_imports_run_one_way():
     linter = shutil.which("lint-imports", path=str(Path(sys.executable).parent))
     assert linter is not None
     report = run(linter, "--no-cache")
@@ -102,7 +102,7 @@ def test_imports_run_one_way() -> None:
 @pytest.mark.parametrize(
     "pattern", [MACHINE_PATH, REGISTRY], ids=["machine path", "registry"]
 )
-def test_no_file_names(committed: list[Path], pattern: re.Pattern[str]) -> None:
+def test_no_file_names(committed, pattern):
     hits = []
     for path in committed:
         raw = path.read_bytes()
@@ -115,12 +115,12 @@ def test_no_file_names(committed: list[Path], pattern: re.Pattern[str]) -> None:
 @pytest.mark.parametrize(
     "text", ["see /h\x6fme/me/x", "'/t\x6dp/out'", "C:\\U\x73ers\\me"]
 )
-def test_machine_paths_are_recognised(text: str) -> None:
+def test_machine_paths_are_recognised(text):
     assert MACHINE_PATH.search(text)
 
 
 @pytest.mark.parametrize("name", ["oed", "pkm_models", "pkm_studies", "pkm_reports"])
-def test_tests_lie_by_the_rooms_of_a_package(name: str) -> None:
+def test_tests_lie_by_the_rooms_of_a_package(name):
     folder = ROOT / "tests" / name.removeprefix("pkm_")
     rooms = {path.stem for path in PACKAGES[name].iterdir()}
     tested = {path.parent.relative_to(folder) for path in folder.rglob("test_*.py")}
@@ -128,11 +128,11 @@ def test_tests_lie_by_the_rooms_of_a_package(name: str) -> None:
     assert {str(path.parts[0]) for path in tested if path.parts} <= rooms
 
 
-def test_no_test_lies_beside_the_folders() -> None:
+def test_no_test_lies_beside_the_folders():
     assert not list((ROOT / "tests").glob("test_*.py"))
 
 
-def test_every_module_has_a_docstring(committed: list[Path]) -> None:
+def test_every_module_has_a_docstring(committed):
     modules = [path for path in committed if path.suffix == ".py"]
     bare = [
         str(path.relative_to(ROOT))
@@ -143,7 +143,7 @@ def test_every_module_has_a_docstring(committed: list[Path]) -> None:
     assert not bare
 
 
-def test_one_version_everywhere(project: dict) -> None:
+def test_one_version_everywhere(project):
     version = project["project"]["version"]
     assert metadata.version("pkm-oed") == version
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(
@@ -151,7 +151,7 @@ def test_one_version_everywhere(project: dict) -> None:
     )
 
 
-def test_the_lock_is_of_these_dependencies(project: dict) -> None:
+def test_the_lock_is_of_these_dependencies(project):
     lock = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))
     (package,) = (p for p in lock["package"] if p["name"] == "pkm-oed")
     metadata_table = package["metadata"]
@@ -167,7 +167,7 @@ def test_the_lock_is_of_these_dependencies(project: dict) -> None:
         assert pins == without_extras, "run `make lock`"
 
 
-def test_the_command_of_the_package_is_there(project: dict) -> None:
+def test_the_command_of_the_package_is_there(project):
     (script,) = metadata.entry_points(group="console_scripts", name="oed")
     assert script.value == project["project"]["scripts"]["oed"]
     assert callable(script.load())

@@ -84,7 +84,7 @@ def length(node: Functions) -> int:
     return lines - ((statement.end_lineno or statement.lineno) - statement.lineno + 1)
 
 
-def test_no_name_is_vague() -> None:
+def test_no_name_is_vague():
     vague = [
         f"{path}: {name}"
         for path, text in sources(*PACKAGES).items()
@@ -99,24 +99,24 @@ def test_no_name_is_vague() -> None:
     "code",
     ["told = 1", "def _made(): ...", "class C:\n    kept: int", "f = lambda own: 0"],
 )
-def test_vague_names_are_recognised(code: str) -> None:
+def test_vague_names_are_recognised(code):
     assert any(name.strip("_") in VAGUE for name in introduced(parsed(code)))
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_lines_are_short(package: str) -> None:
+def test_lines_are_short(package):
     counts = [n for text in sources(package).values() for n in tokens_a_line(text)]
     assert statistics.quantiles(counts, n=10)[-1] <= MAX_TOKENS[package]
 
 
-def test_tokens_are_counted() -> None:
+def test_tokens_are_counted():
     text = (
         '"""Two lines\nof text."""\n# a comment\nx = f(1, 2)  # seven and a bracket\n'
     )
     assert tokens_a_line(text) == [8]
 
 
-def test_functions_are_short() -> None:
+def test_functions_are_short():
     assert not [
         f"{path}: {node.name} has {length(node)} lines"
         for path, text in sources(*PACKAGES, "tests", "benchmarks").items()
@@ -125,7 +125,7 @@ def test_functions_are_short() -> None:
     ]
 
 
-def test_no_two_classes_share_a_name() -> None:
+def test_no_two_classes_share_a_name():
     where = collections.defaultdict(list)
     for path, text in sources(*PACKAGES).items():
         for node in ast.walk(parsed(text)):
@@ -134,12 +134,12 @@ def test_no_two_classes_share_a_name() -> None:
     assert not {name: paths for name, paths in where.items() if len(paths) > 1}
 
 
-def test_the_diagnosis_has_few_rooms() -> None:
+def test_the_diagnosis_has_few_rooms():
     entries = [p for p in (ROOT / "oed/gap").iterdir() if p.name != "__pycache__"]
     assert len(entries) <= 7
 
 
-def test_reports_read_typed_results() -> None:
+def test_reports_read_typed_results():
     texts = sources("reports")
     assert sum(text.count(".get(") for text in texts.values()) < 20
     assert not [path for path, text in texts.items() if "Mapping[str, Any]" in text]

@@ -3,7 +3,6 @@ test_effects_by_hand.py.
 """
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,14 +61,14 @@ FITTING = [(machine, name) for machine, name in PAIRS if fits(machine, name)]
 # -- every effect ----------------------------------------------------------------------
 
 
-def test_the_library_is_that_of_the_contract() -> None:
+def test_the_library_is_that_of_the_contract():
     entries = catalogue.listing("effects")
     assert sorted(e.name for e in entries) == sorted([*NAMES, *REFERENCES])
     assert all(e.where == f"pkm_models.effects.{e.name}:effect" for e in entries)
 
 
 @pytest.mark.parametrize("name", [*NAMES, *REFERENCES])
-def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
+def test_an_effect_says_what_it_is_and_what_to_do(name):
     effect = effect_of(name)
     for text in (
         effect.about,
@@ -95,7 +94,7 @@ MANY = {"frame_bending": 26, "guideway": 20, "joint_runout": 32, "mount_drift": 
 
 
 @pytest.mark.parametrize(("machine", "name"), PAIRS)
-def test_it_fits_or_says_why_not(machine: str, name: str) -> None:
+def test_it_fits_or_says_why_not(machine, name):
     reason = effect_of(name).unfit(CASES[machine].machine)
     assert (reason is None) == fits(machine, name)
 
@@ -109,12 +108,12 @@ def test_it_fits_or_says_why_not(machine: str, name: str) -> None:
         ("linear_motor", "a linear motor moves each joint: it has no screws"),
     ],
 )
-def test_a_screw_s_error_needs_a_screw(drive: str, reason: str | None) -> None:
+def test_a_screw_s_error_needs_a_screw(drive, reason):
     machine = dataclasses.replace(CASES["linear_delta"].machine, drive=drive)
     assert effect_of("screw_cyclic").unfit(machine) == reason
 
 
-def test_the_drive_of_a_study_is_the_machine_s(tmp_path: Path) -> None:
+def test_the_drive_of_a_study_is_the_machine_s(tmp_path):
     """An unknown drive is refused with those that there are."""
     path = tmp_path / "my.study.toml"
     text = (
@@ -131,7 +130,7 @@ def test_the_drive_of_a_study_is_the_machine_s(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("machine", "name"), FITTING)
-def test_columns_are_finite_and_of_the_poses_length(machine: str, name: str) -> None:
+def test_columns_are_finite_and_of_the_poses_length(machine, name):
     s = session(machine)
     for state in s.states:
         made = columns(name, state)
@@ -158,9 +157,7 @@ def test_columns_are_finite_and_of_the_poses_length(machine: str, name: str) -> 
 
 
 @pytest.mark.parametrize(("machine", "name"), FITTING)
-def test_the_signature_is_the_slope_of_the_exact_machine(
-    machine: str, name: str, rng: np.random.Generator
-) -> None:
+def test_the_signature_is_the_slope_of_the_exact_machine(machine, name, rng):
     """The error of first order falls with the square of the size."""
     s, effect = session(machine), effect_of(name)
     points = [
@@ -191,7 +188,7 @@ def test_the_signature_is_the_slope_of_the_exact_machine(
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "gear_eccentricity"])
-def test_without_covariates_it_is_not_testable_or_does_without(name: str) -> None:
+def test_without_covariates_it_is_not_testable_or_does_without(name):
     wanted = {
         "leg_thermal": "time or temp_leg or temp_leg1",
         "frame_thermal": "time or temp_frame",
@@ -227,7 +224,7 @@ def test_without_covariates_it_is_not_testable_or_does_without(name: str) -> Non
             )
 
 
-def test_one_direction_alone_shows_no_backlash() -> None:
+def test_one_direction_alone_shows_no_backlash():
     state = session("a3_head").states[0]
     one = small(state, ROUND)
     assert (
@@ -237,7 +234,7 @@ def test_one_direction_alone_shows_no_backlash() -> None:
     assert untestable(effect_of("backlash"), [state]) is None
 
 
-def test_a_temperature_stands_for_time() -> None:
+def test_a_temperature_stands_for_time():
     warm = session("planar_2dof", ("temp_leg",))
     assert untestable(effect_of("leg_thermal"), warm.states) is None
     assert untestable(effect_of("frame_thermal"), warm.states) is not None
@@ -254,7 +251,7 @@ def test_a_temperature_stands_for_time() -> None:
         "guideway",
     ],
 )
-def test_a_machine_without_struts_is_told(name: str) -> None:
+def test_a_machine_without_struts_is_told(name):
     machine = dataclasses.replace(CASES["a3_head"].machine, struts=None)
     assert (
         effect_of(name).unfit(machine)
@@ -278,7 +275,7 @@ effect = Effect(
 """
 
 
-def test_an_effect_of_ones_own(tmp_path: Path) -> None:
+def test_an_effect_of_ones_own(tmp_path):
     (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
     assert catalogue.effect("wind.py", Origin(tmp_path), HERE).name == "wind"
     assert (
@@ -298,9 +295,7 @@ def test_an_effect_of_ones_own(tmp_path: Path) -> None:
         ("joints={0: 0.0 * state.time / 0.0}", r"joints\[0\] is not finite"),
     ],
 )
-def test_a_column_that_fits_no_pose_is_refused(
-    column: str, words: str, tmp_path: Path
-) -> None:
+def test_a_column_that_fits_no_pose_is_refused(column, words, tmp_path):
     own = OWN.replace('Column("wind", 1e-6)', f'Column("wind", 1e-6, {column})')
     (tmp_path / "wind.py").write_text(own, encoding="utf-8")
     effect = catalogue.effect("wind.py", Origin(tmp_path), HERE)
@@ -309,7 +304,7 @@ def test_a_column_that_fits_no_pose_is_refused(
         list(effect.columns(state))
 
 
-def test_a_need_that_no_reading_records_is_refused() -> None:
+def test_a_need_that_no_reading_records_is_refused():
     with pytest.raises(ValueError, match="no reading records tiem"):
         dataclasses.replace(effect_of("backlash"), needs=("time or tiem",))
 
@@ -323,7 +318,7 @@ def test_a_need_that_no_reading_records_is_refused() -> None:
         ("calm.py", "there is no such file"),
     ],
 )
-def test_a_wrong_name_is_told(reference: str, words: str, tmp_path: Path) -> None:
+def test_a_wrong_name_is_told(reference, words, tmp_path):
     (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
     with pytest.raises(InputError) as caught:
         catalogue.effect(reference, Origin(tmp_path), HERE)

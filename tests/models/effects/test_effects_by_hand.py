@@ -15,7 +15,7 @@ from oed.measurement import Measurement
 from pkm_models.effects import terms
 
 
-def test_guideway_is_the_slider_joint_displaced() -> None:
+def test_guideway_is_the_slider_joint_displaced():
     """A carriage off its line, against the parameters of the slider joint of the 3-PRS
     head.
     """
@@ -52,14 +52,14 @@ PUBLISHED = {
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_expected_size_is_one_that_the_source_publishes(name: str) -> None:
+def test_expected_size_is_one_that_the_source_publishes(name):
     column, least, most = PUBLISHED[name]
     scale = columns(name, session("hexapod").states[1])[column].scale
     assert least * (1.0 - 1e-9) <= scale <= most * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("machine", ["hexapod", "a3_head", "linear_delta"])
-def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
+def test_gravity_lowers_the_platform_by_the_work_it_does(machine):
     """Castigliano: with joints of compliance c under a weight W its place sinks by W c
     sum_i (dz/dq_i)^2: the weight's the middle of the platform's joints, a payload's the
     tool point.
@@ -95,7 +95,7 @@ def test_gravity_lowers_the_platform_by_the_work_it_does(machine: str) -> None:
     assert heavy.joints[0] - drives.joints[0] == pytest.approx(-0.5 * tip[0], rel=1e-5)
 
 
-def test_backlash_turns_over_where_a_leg_does() -> None:
+def test_backlash_turns_over_where_a_leg_does():
     """On a circle at constant height and tilt each leg of an A3 head turns back at an
     azimuth of its own, not all of them at the quadrants; there and back differ by b at
     each pose.
@@ -132,7 +132,7 @@ def test_backlash_turns_over_where_a_leg_does() -> None:
         assert (quadrant.max() > np.radians(10.0)) == (i > 0)
 
 
-def test_friction_winds_up_more_where_the_leg_is_long() -> None:
+def test_friction_winds_up_more_where_the_leg_is_long():
     state = session("hexapod").states[0]
     strut = np.tile([[0.5], [0.75]], (1, 6))
     two = small(
@@ -147,7 +147,7 @@ def test_friction_winds_up_more_where_the_leg_is_long() -> None:
     assert behind[0] < 0.0
 
 
-def test_friction_winds_up_anew_after_a_reversal() -> None:
+def test_friction_winds_up_anew_after_a_reversal():
     """Dahl: ds/dx = (1 - s sign) / d from s = -sign, here integrated in small steps;
     halfway at d log 2.
     """
@@ -171,7 +171,7 @@ def test_friction_winds_up_anew_after_a_reversal() -> None:
     assert behind[1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_servo_lag_is_where_the_joint_was_before() -> None:
+def test_servo_lag_is_where_the_joint_was_before():
     """A circle at constant feed: after T the joints are where the path was feed x T
     earlier.
     """
@@ -201,7 +201,7 @@ def test_servo_lag_is_where_the_joint_was_before() -> None:
         )
 
 
-def test_encoder_scale_by_hand() -> None:
+def test_encoder_scale_by_hand():
     state = session("planar_2dof").states[0]
     column = columns("encoder_scale", state)["leg 2"]
     travel = state.joints[:, 1]
@@ -210,7 +210,7 @@ def test_encoder_scale_by_hand() -> None:
     assert set(column.joints) == {1}
 
 
-def test_pitch_accumulation_is_a_smooth_random_curve_about_a_slope() -> None:
+def test_pitch_accumulation_is_a_smooth_random_curve_about_a_slope():
     """Over the travel that is read its covariance is Matern's without mean and slope,
     here by Gauss quadrature.
     """
@@ -243,7 +243,7 @@ def test_pitch_accumulation_is_a_smooth_random_curve_about_a_slope() -> None:
     )
 
 
-def test_a_place_is_in_the_travel_that_the_session_has_of_a_joint() -> None:
+def test_a_place_is_in_the_travel_that_the_session_has_of_a_joint():
     """From -1 to 1 over what all set-ups read; over a quarter of the joint's whole
     travel where they read less.
     """
@@ -267,9 +267,7 @@ def test_a_place_is_in_the_travel_that_the_session_has_of_a_joint() -> None:
 @pytest.mark.parametrize(("name", "constant", "period"), [
     ("screw_cyclic", "pitch", 5e-3), ("encoder_subdivision", "period", 20e-6),
 ])  # fmt: skip
-def test_cyclic_errors_come_back_after_a_period(
-    name: str, constant: str, period: float
-) -> None:
+def test_cyclic_errors_come_back_after_a_period(name, constant, period):
     state = session("hexapod").states[0]
     q = np.tile(0.6 + period * np.array([[0.0], [0.25], [0.5], [1.0]]), (1, 6))
     made = columns(name, small(state, 4, joints=q), **{constant: period})

@@ -14,7 +14,7 @@ from oed.gap import exact_readings
 from pkm_models.effects import terms
 
 
-def test_joint_runout_goes_twice_a_turn() -> None:
+def test_joint_runout_goes_twice_a_turn():
     """Upright, 45 degrees outwards, 45 degrees across: an eighth of the joint's turn is
     a quarter of the error's.
     """
@@ -50,7 +50,7 @@ def test_joint_runout_goes_twice_a_turn() -> None:
     assert not columns("joint_runout", session("linear_delta").states[0], platform=1.0)
 
 
-def test_joint_runout_at_the_platform_turns_with_it() -> None:
+def test_joint_runout_at_the_platform_turns_with_it():
     """Turning machine and platform together about the vertical leaves the joints'
     angles as they are.
     """
@@ -74,7 +74,7 @@ def test_joint_runout_at_the_platform_turns_with_it() -> None:
             assert after[name].joints[i] == pytest.approx(c.joints[i])
 
 
-def test_joint_runout_at_the_platform_is_of_its_joint_s_angle() -> None:
+def test_joint_runout_at_the_platform_is_of_its_joint_s_angle():
     """A platform that tilts by 0.1 rad in a leg's plane, under a strut that stays,
     turns that joint by 0.1 rad.
     """
@@ -107,7 +107,7 @@ def pressed_and_pulled(state: Any) -> Any:
     return small(state, 2, tool_force=even, platform_force=even, **load)
 
 
-def test_joint_clearance_changes_sides_with_the_load() -> None:
+def test_joint_clearance_changes_sides_with_the_load():
     """Standing legs are pressed; 400 N upwards on a platform of 200 N pulls them."""
     state = session("hexapod").states[0]
     two = pressed_and_pulled(state)
@@ -115,7 +115,7 @@ def test_joint_clearance_changes_sides_with_the_load() -> None:
     assert column.scale * column.joints[5] == pytest.approx([-5e-6, 5e-6])
 
 
-def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
+def test_joint_clearance_is_taken_up_by_the_load_that_statics_give():
     """Forces and moments of six struts on the platform balance its weight and payload:
     some of the play is taken up.
     """
@@ -138,7 +138,7 @@ def test_joint_clearance_is_taken_up_by_the_load_that_statics_give() -> None:
             assert column.shape == bool(name)
 
 
-def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
+def test_joint_clearance_that_differs_along_the_travel_is_play():
     """At a place s of its travel a leg has (1 + s / 2) of its play, on whichever side
     its load is.
     """
@@ -154,7 +154,7 @@ def test_joint_clearance_that_differs_along_the_travel_is_play() -> None:
 
 
 @pytest.mark.parametrize("machine", CASES)
-def test_pushing_displaces_the_tool_as_it_says(machine: str) -> None:
+def test_pushing_displaces_the_tool_as_it_says(machine):
     """By differences of the forward kinematics: along each axis that the machine has; a
     hexapod does not turn.
     """
@@ -185,9 +185,7 @@ def test_pushing_displaces_the_tool_as_it_says(machine: str) -> None:
     ("a3_head", (0.0, 0.0, 1.166), 0.54), ("linear_delta", (0.0, 0.0, 0.2), 0.16175),
     ("planar_2dof", (0.0, 0.0, 0.75), 1.0),
 ])  # fmt: skip
-def test_frame_bending_displaces_what_a_camera_sees(
-    machine: str, middle: tuple[float, float, float], lever: float
-) -> None:
+def test_frame_bending_displaces_what_a_camera_sees(machine, middle, lever):
     """By 20 um times a product of two coordinates of the tool, 8 um times one of three,
     along the axis named alone, and by a fifth more of it under the heaviest payload.
     """
@@ -242,7 +240,7 @@ def test_frame_bending_displaces_what_a_camera_sees(
     assert acting == {f"{axis} by {''.join(form)}" for axis in able for form in forms}
 
 
-def test_constant_and_linear_bending_is_what_the_payload_makes_of_it() -> None:
+def test_constant_and_linear_bending_is_what_the_payload_makes_of_it():
     """From no payload to the heaviest: by 6 um, or 6 um times a coordinate, times the
     sag more.
     """

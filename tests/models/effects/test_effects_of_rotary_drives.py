@@ -12,7 +12,7 @@ ROTARY = (five_bar.machine, hexapod_rus.machine)
 
 
 @pytest.mark.parametrize("machine", ROTARY)
-def test_cranks_have_gears_and_neither_screws_nor_carriages(machine) -> None:
+def test_cranks_have_gears_and_neither_screws_nor_carriages(machine):
     assert effect_of("gear_eccentricity").unfit(machine) is None
     for name in ("screw_cyclic", "pitch_accumulation", "guideway", "drum_runout"):
         assert effect_of(name).unfit(machine) is not None
@@ -20,7 +20,7 @@ def test_cranks_have_gears_and_neither_screws_nor_carriages(machine) -> None:
     assert effect_of("gear_eccentricity").unfit(direct) is not None
 
 
-def test_an_eccentric_wheel_repeats_with_its_turns() -> None:
+def test_an_eccentric_wheel_repeats_with_its_turns():
     state = session("cable_robot").states[1]
     turns = np.linspace(0.0, 2.0 * np.pi, len(state))
     at = dataclasses.replace(
@@ -51,7 +51,7 @@ def _paid_out(guide: np.ndarray, platform: np.ndarray, radius: float) -> float:
     return radius * arc + free
 
 
-def test_a_pulley_winds_what_its_tangent_does() -> None:
+def test_a_pulley_winds_what_its_tangent_does():
     state = session("cable_robot").states[1]
     column = columns("pulley_radius", state)["pulleys"]
     radius = 1e-5
@@ -68,7 +68,7 @@ def test_a_pulley_winds_what_its_tangent_does() -> None:
         assert change == pytest.approx(expected, abs=1e-4)
 
 
-def test_a_cable_sags_as_a_catenary() -> None:
+def test_a_cable_sags_as_a_catenary():
     """Its length by the hyperbolic cosine through both ends, at the tension of the
     middle.
     """
@@ -86,7 +86,7 @@ def test_a_cable_sags_as_a_catenary() -> None:
         assert sag == pytest.approx(length - chord, rel=0.02)
 
 
-def test_a_post_leans_as_its_anchor_displaced() -> None:
+def test_a_post_leans_as_its_anchor_displaced():
     s = session("cable_robot")
     state = s.states[1]
     column = columns("post_compliance", state)["leg 4"]
@@ -104,7 +104,7 @@ def test_a_post_leans_as_its_anchor_displaced() -> None:
     assert change == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_target_off_its_place_is_another_tool() -> None:
+def test_a_target_off_its_place_is_another_tool():
     """What a tracker in the base frame sees of a tool that is off by a vector."""
     s = session("hexapod")
     state, place = s.states[1], np.array([0.01, -0.02, 0.05])

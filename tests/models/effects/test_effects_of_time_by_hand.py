@@ -13,7 +13,7 @@ from oed.gap import exact_readings, signature, states
 from pkm_models.effects import terms
 
 
-def test_leg_thermal_by_hand() -> None:
+def test_leg_thermal_by_hand():
     """0.6 m of steel, 2 K: 13.8 um; without a sensor 63.2 % of the final rise after one
     time constant.
     """
@@ -39,7 +39,7 @@ def test_leg_thermal_by_hand() -> None:
     )
 
 
-def test_leg_thermal_of_a_carriage_is_its_screw() -> None:
+def test_leg_thermal_of_a_carriage_is_its_screw():
     """A screw 2 K warmer at 0.25 m from its bearing: 5.75 um; the rod that the carriage
     moves is not driven.
     """
@@ -64,7 +64,7 @@ def test_leg_thermal_of_a_carriage_is_its_screw() -> None:
     )
 
 
-def test_leg_thermal_of_a_turning_arm_is_its_rod() -> None:
+def test_leg_thermal_of_a_turning_arm_is_its_rod():
     """An angle does not grow: where joints turn arms, the struts that they move are
     what warms.
     """
@@ -83,7 +83,7 @@ def test_leg_thermal_of_a_turning_arm_is_its_rod() -> None:
     assert made["leg 2 per kelvin"].joints[1] == pytest.approx(grown)
 
 
-def test_what_warms_at_work_cools_in_breaks() -> None:
+def test_what_warms_at_work_cools_in_breaks():
     """Ten runs of ten minutes, a break of two hours, and ten more: cooled by exp(-7200
     / tau) over the break.
     """
@@ -97,7 +97,7 @@ def test_what_warms_at_work_cools_in_breaks() -> None:
     assert share[1] == pytest.approx(share[0] * np.exp(-7200.0 / 5400.0))
 
 
-def test_a_body_lags_behind_its_sensor() -> None:
+def test_a_body_lags_behind_its_sensor():
     """Behind a ramp of slope a from rest, a body of time constant T is a T (1 - exp(-t
     / T)) behind.
     """
@@ -110,7 +110,7 @@ def test_a_body_lags_behind_its_sensor() -> None:
 
 
 @pytest.mark.parametrize("machine", ["planar_2dof", "a3_head", "prs_spindle"])
-def test_frame_thermal_is_the_base_joints_moving_apart(machine: str) -> None:
+def test_frame_thermal_is_the_base_joints_moving_apart(machine):
     """As the machine's own parameters of its base joints would have it."""
     s = session(machine)
     m, state, response = s.measurement, s.states[1], s.responses[1]
@@ -141,7 +141,7 @@ def test_frame_thermal_is_the_base_joints_moving_apart(machine: str) -> None:
     assert found == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max())
 
 
-def test_bar_length_is_a_constant_of_bars_alone() -> None:
+def test_bar_length_is_a_constant_of_bars_alone():
     s = session("a3_head")
     found = signature(
         effect_of("bar_length"), {}, s.states, s.responses, s.measurement, s.series
@@ -152,7 +152,7 @@ def test_bar_length_is_a_constant_of_bars_alone() -> None:
     assert not found.columns[bar:].any()
 
 
-def test_bar_thermal_by_hand() -> None:
+def test_bar_thermal_by_hand():
     """A bar of 0.3 m, 2 K warmer, is 6.9 um longer and reads that much less."""
     state = small(
         session("a3_head").states[0], 2, temperature={"bar": np.array([20.0, 22.0])}
@@ -163,7 +163,7 @@ def test_bar_thermal_by_hand() -> None:
     assert column.scale * column.reading["length"] == pytest.approx([0.0, -6.9e-6])
 
 
-def test_bar_that_was_held_is_warm_at_the_start_of_each_setup() -> None:
+def test_bar_that_was_held_is_warm_at_the_start_of_each_setup():
     """0.3 m of steel, 1 K from the hand: 3.45 um, 1.27 um of it left after a time
     constant, of 7200 s / 4.
     """
@@ -178,7 +178,7 @@ def test_bar_that_was_held_is_warm_at_the_start_of_each_setup() -> None:
     )
 
 
-def test_mount_drift_is_a_cup_elsewhere_at_the_end() -> None:
+def test_mount_drift_is_a_cup_elsewhere_at_the_end():
     s = session("a3_head")
     m, theta = s.measurement, s.measurement.nominal
     name = "set-up ball_bar cup_x"
@@ -195,7 +195,7 @@ def test_mount_drift_is_a_cup_elsewhere_at_the_end() -> None:
     assert drifted[2 * ROUND :] == pytest.approx(start[2 * ROUND :], abs=1e-15)
 
 
-def test_free_courses_are_a_smooth_random_course_that_starts_at_nothing() -> None:
+def test_free_courses_are_a_smooth_random_course_that_starts_at_nothing():
     """Matern's correlation k of 3/2, less the start: k(s, t) - k(s, 0) - k(0, t) + 1;
     four modes have four fifths of it.
     """
@@ -215,7 +215,7 @@ def test_free_courses_are_a_smooth_random_course_that_starts_at_nothing() -> Non
     assert error < 0.5
 
 
-def test_mount_drift_of_a_laser_without_unknowns_is_in_its_readings() -> None:
+def test_mount_drift_of_a_laser_without_unknowns_is_in_its_readings():
     state = session("planar_2dof").states[0]
     made = columns("mount_drift", dataclasses.replace(state, setup="rm1"))
     assert made["set-up rm1 dy"].reading["dy"] == pytest.approx(state.time / HOURS)
@@ -225,9 +225,7 @@ def test_mount_drift_of_a_laser_without_unknowns_is_in_its_readings() -> None:
     (0.25, 9.0, 1800.0, np.inf), (0.25, 0.27, 1800.0, 3744.0), (0.75, -0.37, 2736.0, 5400.0),
     (0.25, -0.5, -np.inf, 1800.0),
 ])  # fmt: skip
-def test_step_is_there_in_its_window(
-    when: float, lasts: float, first: float, last: float
-) -> None:
+def test_step_is_there_in_its_window(when, lasts, first, last):
     """In a session of two hours; what adapts lets it begin 40 s or 80 s later, where it
     begins in the session.
     """
@@ -254,7 +252,7 @@ def test_step_is_there_in_its_window(
             )
 
 
-def test_step_of_a_mount_is_a_cup_or_a_camera_elsewhere_meanwhile() -> None:
+def test_step_of_a_mount_is_a_cup_or_a_camera_elsewhere_meanwhile():
     s = session("a3_head")
     m, theta, effect = s.measurement, s.measurement.nominal, effect_of("step")
     start = m.readings(s.series, theta)
@@ -288,7 +286,7 @@ def test_step_of_a_mount_is_a_cup_or_a_camera_elsewhere_meanwhile() -> None:
         assert knocked == pytest.approx(np.where(meanwhile, moved, start), abs=1e-12)
 
 
-def test_step_of_a_laser_without_unknowns_is_in_its_readings() -> None:
+def test_step_of_a_laser_without_unknowns_is_in_its_readings():
     state = dataclasses.replace(session("planar_2dof").states[0], setup="rm1")
     column = columns("step", state, when=0.25)["set-up rm1 dy"]
     assert column.scale * column.reading["dy"] == pytest.approx(
@@ -297,7 +295,7 @@ def test_step_of_a_laser_without_unknowns_is_in_its_readings() -> None:
     assert not column.joints
 
 
-def test_progress_is_by_the_clock_or_by_the_order_of_the_readings() -> None:
+def test_progress_is_by_the_clock_or_by_the_order_of_the_readings():
     """Two set-ups of 48 readings, the second with twice the time between them; a clock
     that is told in part is none.
     """

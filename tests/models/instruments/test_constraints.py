@@ -64,9 +64,7 @@ def of_class(name: str) -> tuple[Measurement, list[Series]]:
     ("name", "rank", "count"),
     [("external", 9, 15), ("sensors", 21, 27), ("plates", 15, 24), ("locks", 12, 18)],
 )
-def test_slopes_and_ranks_of_each_class_of_calibration(
-    name: str, rank: int, count: int
-) -> None:
+def test_slopes_and_ranks_of_each_class_of_calibration(name, rank, count):
     measurement, series = of_class(name)
     rows = measurement.jacobian(series, measurement.nominal)
     own = OWN_SLOPES[name]()
@@ -79,9 +77,7 @@ def test_slopes_and_ranks_of_each_class_of_calibration(
     assert (verdict.identifiability.rank, len(verdict.names)) == (rank, count)
 
 
-def test_together_external_readings_and_sensors_lose_what_only_moves_both_ends() -> (
-    None
-):
+def test_together_external_readings_and_sensors_lose_what_only_moves_both_ends():
     """Radii of frame and platform of a leg in common: 3 of 27."""
     own = np.vstack(
         [np.hstack([external_slopes(), np.zeros((81, 12))]), sensor_slopes()]
@@ -93,7 +89,7 @@ def test_together_external_readings_and_sensors_lose_what_only_moves_both_ends()
     assert Assessment.of(measurement, series).identifiability.rank == 24
 
 
-def test_a_locked_joint_leads_one_coordinate() -> None:
+def test_a_locked_joint_leads_one_coordinate():
     """Leg 1 swings as at home where x = 0.14 + 0.7 z."""
     measurement = Measurement(CMM, [lock(0)])
     command = locked_poses(0)
@@ -108,7 +104,7 @@ def seat_setup() -> Setup:
     return mount(seat.instrument.for_machine(hexapod.machine), "seat")
 
 
-def test_slopes_and_rank_of_a_ball_in_a_seat(rng: np.random.Generator) -> None:
+def test_slopes_and_rank_of_a_ball_in_a_seat(rng):
     """Lost are three turns of the platform about the ball and six motions of the base
     with the seat: 36 of 45, as a ball bar has them.
     """
@@ -126,7 +122,7 @@ def test_slopes_and_rank_of_a_ball_in_a_seat(rng: np.random.Generator) -> None:
     assert rank == int((values > 1e-6 * values[0]).sum()) == 36
 
 
-def test_what_a_machine_cannot_do_is_refused() -> None:
+def test_what_a_machine_cannot_do_is_refused():
     with pytest.raises(ValueError, match="could not move"):
         Measurement(CMM, [mount(seat.instrument, "s", at_x=0.0, at_y=0.0, at_z=-0.2)])
     lock_of_two = passive_joint.locked.for_machine(CMM)
@@ -134,7 +130,7 @@ def test_what_a_machine_cannot_do_is_refused() -> None:
         lock_of_two.take_channels(["off_swing1", "off_side1"])
 
 
-def test_sensors_are_suggested_where_they_help_alone() -> None:
+def test_sensors_are_suggested_where_they_help_alone():
     external, series = of_class("external")
     advice = recoveries(Assessment.of(external, series), {})
     phrase = f"sensors on the passive joints, {', '.join(JOINTS)}, recovers"

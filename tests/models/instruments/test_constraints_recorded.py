@@ -3,7 +3,6 @@ closures written anew (`constraint_machines`), from estimate to files and comman
 """
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,7 +131,7 @@ CALIBRATIONS = {
 @pytest.mark.parametrize(
     "name", ["sensors", "plate", "lock", pytest.param("seat", marks=pytest.mark.slow)]
 )
-def test_intervals_hold_over_40_machines(name: str) -> None:
+def test_intervals_hold_over_40_machines(name):
     rng = np.random.default_rng(11)
     errors = np.array([CALIBRATIONS[name](rng) for _ in range(40)])
     share = float((np.abs(errors) <= NORMAL95).mean())
@@ -155,7 +154,7 @@ def planned() -> tuple[Measurement, str]:
     return measurement, to_csv(from_series(series, y, measurement))
 
 
-def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path: Path) -> None:
+def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path):
     measurement, text = planned()
     header, *rows = [line.split(",") for line in text.splitlines()]
     assert "off_swing1_deg" not in header
@@ -179,7 +178,7 @@ def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path: Path) -> None:
     assert data.dropped == 9  # seven poses with the lock, two of the sensors
 
 
-def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
+def test_simulated_constraints_come_back_as_they_were(tmp_path):
     measurement = Measurement(CMM, [lock("lock1")])
     series = measurement.series("lock1", locked_poses(0))
     y = 1e-4 * np.arange(1.0, 10.0)
@@ -192,9 +191,7 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
 # -- commands ------------------------------------------------------------------------------
 
 
-def test_a_lock_without_its_joint_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lock_without_its_joint_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["new", "lock", "--machine", "a3_head", "--instrument", "locked_joint"])
     study = tmp_path / "lock.study.toml"
@@ -207,7 +204,7 @@ def test_a_lock_without_its_joint_is_refused(
     assert "it could not move" in capsys.readouterr().err
 
 
-def test_the_plan_of_a_constraint_records_its_joints() -> None:
+def test_the_plan_of_a_constraint_records_its_joints():
     """On the printed sheet the joints are cells to write in; sensors keep their own."""
     measurement, _ = planned()
     series = [

@@ -1,7 +1,5 @@
 """Instruments of which part is read: planes, some channels of a pose, tilted beds."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from sample import refused, resolved
@@ -34,7 +32,7 @@ camera,a,3,0,600,0.2,600.3
 """
 
 
-def test_a_camera_in_a_plane_has_two_readings_a_pose(tmp_path: Path) -> None:
+def test_a_camera_in_a_plane_has_two_readings_a_pose(tmp_path):
     (tmp_path / "arm.csv").write_text(ARM_ROWS, encoding="utf-8")
     study = resolved(ARM, tmp_path)
     assert study.dataset is not None
@@ -50,13 +48,11 @@ def test_a_camera_in_a_plane_has_two_readings_a_pose(tmp_path: Path) -> None:
     ("channels", "said"),
     [('["read_q"]', "camera has no channel ['read_q']"), ("[]", "must read one of")],
 )
-def test_channels_that_do_not_exist_are_refused(channels: str, said: str) -> None:
+def test_channels_that_do_not_exist_are_refused(channels, said):
     assert said in str(refused(ARM, ('["read_y", "read_z"]', channels)))
 
 
-def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(
-    rng: np.random.Generator,
-) -> None:
+def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(rng):
     whole = laser_ball_bar.instrument
     rows = [0, 2, 4]
     part = whole.take_channels([whole.channels[k].name for k in rows])
@@ -74,7 +70,7 @@ def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(
     assert covariances[1] == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_planar_position_by_hand() -> None:
+def test_a_planar_position_by_hand():
     setup = mount(planar_position.instrument, "plate")
     m = Measurement(cables_planar.machine, [setup])
     series = m.series("plate", np.array([[0.3, 0.4]]))
@@ -83,7 +79,7 @@ def test_a_planar_position_by_hand() -> None:
     assert m.readings([series], theta) == pytest.approx([-0.399, 0.298], abs=1e-12)
 
 
-def test_a_contact_with_a_bed_of_known_slopes_by_hand() -> None:
+def test_a_contact_with_a_bed_of_known_slopes_by_hand():
     """The reading of a contact is implied: 0 over a plane that rises along x and y."""
     setup = mount(height_probe.contact, "probe", bed_slope_x=6e-3, bed_slope_y=-2e-3)
     m = Measurement(delta.machine, [setup])
@@ -95,7 +91,7 @@ def test_a_contact_with_a_bed_of_known_slopes_by_hand() -> None:
     assert height_probe.contact.implied == 0.0
 
 
-def test_a_tilted_bed_by_hand() -> None:
+def test_a_tilted_bed_by_hand():
     setup = mount(height_probe.tilted_bed, "probe")
     m = Measurement(delta.machine, [setup])
     series = m.series("probe", np.array([[0.05, -0.02, 0.03]]))

@@ -84,7 +84,7 @@ BY_HAND = [
 @pytest.mark.parametrize(
     ("instrument", "expected"), BY_HAND, ids=[one.name for one, _ in BY_HAND]
 )
-def test_a_reading_is_as_by_hand(instrument: Instrument, expected: np.ndarray) -> None:
+def test_a_reading_is_as_by_hand(instrument, expected):
     frames = [
         Frame(ca.DM(turn.as_matrix()), ca.DM(point))
         for turn, point in zip(TURNS, POINTS, strict=True)
@@ -129,7 +129,7 @@ def of_name(name: str) -> Instrument:
 
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
-def test_every_channel_of_an_instrument_is_stated(name: str) -> None:
+def test_every_channel_of_an_instrument_is_stated(name):
     tool = of_name(name)
     assert all(c.about for c in tool.channels)
     if tool.orientation is not None:
@@ -160,7 +160,7 @@ DEFAULTS = {
 }
 
 
-def test_noise_and_settings_are_those_of_data_sheets() -> None:
+def test_noise_and_settings_are_those_of_data_sheets():
     for name, (channel, sigma) in NOISE.items():
         stated = {c.name: c.sigma for c in of_name(name).channels}
         assert stated[channel] == pytest.approx(sigma)
@@ -169,13 +169,13 @@ def test_noise_and_settings_are_those_of_data_sheets() -> None:
         assert {key: settings[key] for key in values} == pytest.approx(values)
 
 
-def test_every_instrument_is_worked_by_hand() -> None:
+def test_every_instrument_is_worked_by_hand():
     worked = {instrument.name for instrument, _ in BY_HAND}
     assert worked | set(ANGLES) | set(OF_CLOSURE) == set(INSTRUMENTS)
 
 
 @pytest.mark.parametrize("name", ANGLES)
-def test_angles_are_those_of_their_words(name: str, rng: np.random.Generator) -> None:
+def test_angles_are_those_of_their_words(name, rng):
     """On a hexapod that stands about home."""
     tool, m = of_name(name), hexapod.machine
     at = dict(at_x=0.1, at_y=-0.7, at_z=0.05) if name == "laser_ball_bar" else {}
@@ -201,7 +201,7 @@ def test_angles_are_those_of_their_words(name: str, rng: np.random.Generator) ->
         assert rebuilt[:, columns] == pytest.approx(actual[:, columns], abs=1e-12)
 
 
-def test_redundancy_states_its_channels_on_every_machine() -> None:
+def test_redundancy_states_its_channels_on_every_machine():
     for m in (one.machine for one in (cables_spatial, cable_robot, cables_planar)):
         for name in OF_CLOSURE:
             channels = of_name(name).for_machine(m).channels

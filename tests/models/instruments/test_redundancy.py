@@ -16,8 +16,6 @@ from pkm_models.instruments import redundancy
 
 #: m, of one drum
 DRUM = 0.3e-3
-#: two-sided 95 % of a normal distribution
-NORMAL95 = 1.959964
 
 
 def _machine() -> Machine:
@@ -46,19 +44,7 @@ def _measurement() -> Measurement:
     return Measurement(machine, [mount(instrument, "cables", sigma=sigma)])
 
 
-def _coverage(machines: int, rng: np.random.Generator) -> np.ndarray:
-    """Share (16,) of the machines whose 95 % interval holds each parameter."""
-    measurement, noise = _measurement(), np.full(4, DRUM)
-    held = []
-    for _ in range(machines):
-        estimate, truth = _calibrated(measurement, noise, rng)
-        held.append(np.abs(estimate.theta - truth) <= NORMAL95 * estimate.sd)
-    return np.mean(held, axis=0)
-
-
-def test_cable_lengths_alone_calibrate_a_robot_with_two_spare_joints(
-    rng: np.random.Generator,
-) -> None:
+def test_cable_lengths_alone_calibrate_a_robot_with_two_spare_joints(rng):
     estimate, truth = _calibrated(_measurement(), np.full(4, DRUM), rng)
     before = np.abs(estimate.residuals_before).max()
     assert np.abs(estimate.residuals).max() < 5.0 * DRUM < before
@@ -68,9 +54,7 @@ def test_cable_lengths_alone_calibrate_a_robot_with_two_spare_joints(
 
 
 @pytest.mark.parametrize("module", [cables_planar, cables_spatial])
-def test_the_misfits_are_the_residuals_that_no_pose_removes(
-    module: object, rng: np.random.Generator
-) -> None:
+def test_the_misfits_are_the_residuals_that_no_pose_removes(module, rng):
     """Their norm is that of the constraints' residual by SciPy's least squares."""
     machine = module.machine  # type: ignore[attr-defined]
     instrument = redundancy.instrument.for_machine(machine)
@@ -104,9 +88,7 @@ def test_the_misfits_are_the_residuals_that_no_pose_removes(
 
 
 @pytest.mark.parametrize("module", [cables_planar, cables_spatial])
-def test_a_joint_that_errs_changes_the_misfits_as_its_slope_says(
-    module: object, rng: np.random.Generator
-) -> None:
+def test_a_joint_that_errs_changes_the_misfits_as_its_slope_says(module, rng):
     """By central differences of the exact readings; effects of joints rest on it."""
     machine = module.machine  # type: ignore[attr-defined]
     instrument = redundancy.instrument.for_machine(machine)
@@ -129,9 +111,7 @@ def test_a_joint_that_errs_changes_the_misfits_as_its_slope_says(
         assert np.abs(numeric).max() > 1e-3
 
 
-def test_slopes_of_the_misfits_are_those_of_the_exact_readings(
-    rng: np.random.Generator,
-) -> None:
+def test_slopes_of_the_misfits_are_those_of_the_exact_readings(rng):
     m = _measurement()
     series = m.series("cables", rng.uniform(-0.4, 0.4, (10, 2)))
     theta = m.nominal + m.tolerance * rng.standard_normal(len(m.names))
@@ -143,7 +123,7 @@ def test_slopes_of_the_misfits_are_those_of_the_exact_readings(
         assert np.abs(slopes[:, k] - difference).max() < 1e-8
 
 
-def test_noise_per_leg_is_projected_onto_the_misfits(rng: np.random.Generator) -> None:
+def test_noise_per_leg_is_projected_onto_the_misfits(rng):
     machine = _machine()
     noise = {f"noise_q{i}": v for i, v in enumerate([1e-3, 1e-4, 2e-4, 3e-4], start=1)}
     per_leg = redundancy.per_leg.for_machine(machine)
@@ -164,7 +144,7 @@ def _covariances(m: Measurement, name: str, command: np.ndarray) -> np.ndarray:
     return m.of(series).reading_covariances(series)
 
 
-def test_equal_legs_have_independent_misfits(rng: np.random.Generator) -> None:
+def test_equal_legs_have_independent_misfits(rng):
     machine = _machine()
     legs = redundancy.per_leg.for_machine(machine)
     plain = redundancy.instrument.for_machine(machine)

@@ -48,7 +48,7 @@ def d_optimal(candidates: np.ndarray) -> Choice:
 
 
 @pytest.mark.parametrize("stroke", paper.TABLE_2)
-def test_table_2(taught: Measurement, stroke: float) -> None:
+def test_table_2(taught, stroke):
     theta = np.rad2deg(
         a3_plans.bar_commands(
             taught, np.full(721, stroke), np.linspace(0, 2 * np.pi, 721)
@@ -58,7 +58,7 @@ def test_table_2(taught: Measurement, stroke: float) -> None:
 
 
 @pytest.mark.parametrize("with_taught_cup", [True, False])
-def test_one_tool_length_sees_18_of_21(with_taught_cup: bool) -> None:
+def test_one_tool_length_sees_18_of_21(with_taught_cup):
     """For any number of circles.
 
     Lost are the turns of the platform's joints about the TCP.
@@ -74,7 +74,7 @@ def test_one_tool_length_sees_18_of_21(with_taught_cup: bool) -> None:
 
 
 @pytest.mark.parametrize("points", [18, 30, 72, 720])
-def test_one_circle_sees_17(taught: Measurement, points: int) -> None:
+def test_one_circle_sees_17(taught, points):
     """However dense the circle is.
 
     In exact arithmetic the 18th singular value is 1e-8 of the first, below the tolerance
@@ -90,7 +90,7 @@ def test_one_circle_sees_17(taught: Measurement, points: int) -> None:
 
 
 @pytest.mark.parametrize("with_taught_cups", [True, False])
-def test_two_tool_lengths_see_23_of_24(with_taught_cups: bool) -> None:
+def test_two_tool_lengths_see_23_of_24(with_taught_cups):
     """100 mm apart, a cup set-up for each: only the platform's spin about z is lost."""
     m = a3_plans.measurement(taught=with_taught_cups, tools=(0.0, 0.1))
     grids = [m.series(s, a3_plans.grid(m, s)) for s in ("cup", "cup100")]
@@ -109,7 +109,7 @@ def kappa(m: Measurement, points: int) -> float:
     return float(s[0] / s[17])
 
 
-def test_kappa_of_the_taught_cup(taught: Measurement) -> None:
+def test_kappa_of_the_taught_cup(taught):
     """15 points a circle are the best of 12..20, as the paper chose."""
     kappas = {n: kappa(taught, n) for n in [*range(12, 21), 24]}
     printed = {n: kappas[n] for n in paper.KAPPA_TAUGHT}
@@ -117,7 +117,7 @@ def test_kappa_of_the_taught_cup(taught: Measurement) -> None:
     assert min(range(12, 21), key=kappas.get) == 15
 
 
-def test_kappa_of_the_free_cup() -> None:
+def test_kappa_of_the_free_cup():
     m = a3_plans.measurement(taught=False)
     assert {n: kappa(m, n) for n in paper.KAPPA_FREE} == pytest.approx(
         paper.KAPPA_FREE, rel=0.01
@@ -127,9 +127,7 @@ def test_kappa_of_the_free_cup() -> None:
 # -- designs ---------------------------------------------------------------------------
 
 
-def test_the_d_optimal_30_readings(
-    taught: Measurement, candidates: np.ndarray, d_optimal: Choice
-) -> None:
+def test_the_d_optimal_30_readings(taught, candidates, d_optimal):
     s = np.linalg.svd(
         a3_plans.rows(taught, [a3_plans.circles(taught, 15)]), compute_uv=False
     )[:18]
@@ -142,7 +140,7 @@ def test_the_d_optimal_30_readings(
     assert d_optimal.value == pytest.approx(2 * np.log(chosen).sum(), abs=1e-6)
 
 
-def test_the_d_value_does_not_depend_on_how_the_cup_is_known(d_optimal: Choice) -> None:
+def test_the_d_value_does_not_depend_on_how_the_cup_is_known(d_optimal):
     """A taught cup and a free one give the same log det, whatever the columns mean."""
     free = a3_plans.measurement(taught=False)
     rows = a3_plans.rows(
@@ -153,9 +151,7 @@ def test_the_d_value_does_not_depend_on_how_the_cup_is_known(d_optimal: Choice) 
     ).sum() == pytest.approx(d_optimal.value, abs=0.02)
 
 
-def test_the_e_exchange_beats_the_d_design_in_its_own_measure(
-    candidates: np.ndarray, d_optimal: Choice
-) -> None:
+def test_the_e_exchange_beats_the_d_design_in_its_own_measure(candidates, d_optimal):
     by_e = choose(candidates, 30, np.random.default_rng(0), "E", rounds=10)
     least = np.linalg.svd(candidates[d_optimal.indices], compute_uv=False)[17] ** 2
     assert by_e.value > 1.2 * least
@@ -223,9 +219,7 @@ def from_estimate(m: Measurement, estimate: Estimate) -> Prediction:
 
 
 @MACHINES
-def test_machines_from_the_tolerances_end_as_the_plan_predicts(
-    taught: Measurement, plan: Series, machines: int
-) -> None:
+def test_machines_from_the_tolerances_end_as_the_plan_predicts(taught, plan, machines):
     rng = np.random.default_rng(1)
     truths = taught.nominal + taught.tolerance * rng.standard_normal((machines, 27))
     table = ratios(realise(taught, plan, truths, seed=2), planned(taught, plan))
@@ -237,8 +231,8 @@ def test_machines_from_the_tolerances_end_as_the_plan_predicts(
 
 @MACHINES
 def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(
-    taught: Measurement, plan: Series, machines: int
-) -> None:
+    taught, plan, machines
+):
     """One machine, read many times; predicted from the first estimate."""
     realised = realise(taught, plan, [a3_plans.table_3(taught)] * machines, seed=3)
     table = ratios(realised, from_estimate(taught, realised.first))
@@ -250,9 +244,7 @@ def test_machines_with_table_3s_errors_end_as_their_posterior_predicts(
 
 
 @pytest.mark.parametrize("plan_name", ["paper", "d_optimal"])
-def test_compensation_is_worth_it(
-    taught: Measurement, plan: Series, plan_name: str
-) -> None:
+def test_compensation_is_worth_it(taught, plan, plan_name):
     """z, psi and theta of Table 3's machine: z from 0.9 mm to 0.1, others by ten."""
     series = plan if plan_name == "d_optimal" else a3_plans.circles(taught, 15)
     realised = realise(taught, series, [a3_plans.table_3(taught)] * 10, seed=4)
@@ -307,9 +299,7 @@ def rough_then_fine(
 
 
 @pytest.mark.slow
-def test_a_home_error_of_8_mm_converges(
-    grid: np.ndarray, d_optimal: Choice, taught: Measurement
-) -> None:
+def test_a_home_error_of_8_mm_converges(grid, d_optimal, taught):
     """Machines of Table 3 with home errors of 8 mm more, of either sign.
 
     They converge within five rounds, and end no worse than without these errors.
@@ -343,9 +333,7 @@ def test_a_home_error_of_8_mm_converges(
     assert (rms[0] < uncorrected / 8).all()
 
 
-def test_rough_rounds_that_trust_the_stated_noise_converge_too(
-    grid: np.ndarray, d_optimal: Choice, taught: Measurement
-) -> None:
+def test_rough_rounds_that_trust_the_stated_noise_converge_too(grid, d_optimal, taught):
     """Half a micrometre of noise against a millimetre that the model cannot explain.
 
     A taught cup hardly sees the common home error: it first goes astray by tens of

@@ -14,7 +14,7 @@ from oed.measurement import Series
 TILT = "rotation of the platform joints about the TCP, {} axis"
 
 
-def test_approach_1_has_the_rows_of_the_oracle() -> None:
+def test_approach_1_has_the_rows_of_the_oracle():
     """H of Eq. (14), 36 x 27, from code that shares none: angles in rad here."""
     m = a3_plans.approach_1()
     point, orientation = a3_plans.home_series(m)
@@ -25,7 +25,7 @@ def test_approach_1_has_the_rows_of_the_oracle() -> None:
     assert np.linalg.cond(h) == pytest.approx(17259, abs=1)
 
 
-def test_approach_1_sees_27_of_27() -> None:
+def test_approach_1_sees_27_of_27():
     m = a3_plans.approach_1()
     point, orientation = a3_plans.home_series(m)
     bar = a3_plans.circles(m, 15)
@@ -42,7 +42,7 @@ def test_approach_1_sees_27_of_27() -> None:
         assert (motions[:3] == spins) == (orientation not in series)
 
 
-def test_home_orientation_of_a_wrong_machine_is_that_of_the_oracle() -> None:
+def test_home_orientation_of_a_wrong_machine_is_that_of_the_oracle():
     m = a3_plans.approach_1()
     theta = a3_plans.table_3(m)
     _, series = a3_plans.home_series(m)
@@ -52,7 +52,7 @@ def test_home_orientation_of_a_wrong_machine_is_that_of_the_oracle() -> None:
     assert m.readings([series], theta) == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_home_orientation_brings_back_the_lost_rotations() -> None:
+def test_the_home_orientation_brings_back_the_lost_rotations():
     """A virtual machine of Table 3, turned: where its spindle points over the workspace
     comes back from exact readings with the level, and not without it.
     """

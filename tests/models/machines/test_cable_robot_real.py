@@ -59,9 +59,7 @@ def poses(rng: np.random.Generator, n: int) -> tuple[Array, Array, Array]:
 # -- a redundant machine ---------------------------------------------------------------
 
 
-def test_it_settles_where_the_line_residuals_are_least(
-    rng: np.random.Generator,
-) -> None:
+def test_it_settles_where_the_line_residuals_are_least(rng):
     x, q, p = poses(rng, 50)
     found = KINEMATICS.forward(q, p, x)
     expected = oracle.settle(np.rad2deg(q), *in_mm(p), x / MM)
@@ -70,7 +68,7 @@ def test_it_settles_where_the_line_residuals_are_least(
     assert np.abs(found / MM - expected).max() < 1e-7
 
 
-def test_slopes_are_exact_where_the_lines_disagree(rng: np.random.Generator) -> None:
+def test_slopes_are_exact_where_the_lines_disagree(rng):
     """Central differences of the oracle's positions; a pseudo-inverse of phi_x alone
     would be off by parts in 100.
     """
@@ -94,9 +92,7 @@ def test_slopes_are_exact_where_the_lines_disagree(rng: np.random.Generator) -> 
     assert np.abs(rough - slopes[:, :, :12]).max() > 1e-3 * np.abs(slopes).max()
 
 
-def test_the_misfit_is_the_root_mean_square_of_the_line_residuals(
-    rng: np.random.Generator,
-) -> None:
+def test_the_misfit_is_the_root_mean_square_of_the_line_residuals(rng):
     x, q, p = poses(rng, 50)
     m = Measurement(MACHINE, [mount(redundancy.instrument, "lines")])
     gap = m.readings([m.series_from_joints("lines", q)], p)
@@ -112,9 +108,7 @@ def test_the_misfit_is_the_root_mean_square_of_the_line_residuals(
     ) == pytest.approx(0.0, abs=1e-13)
 
 
-def test_lines_alone_see_no_motion_of_the_machine_as_a_whole(
-    rng: np.random.Generator,
-) -> None:
+def test_lines_alone_see_no_motion_of_the_machine_as_a_whole(rng):
     _, q, _ = poses(rng, 80)
     m = Measurement(MACHINE, [mount(redundancy.instrument, "lines")])
     h = m.jacobian([m.series_from_joints("lines", q)], m.nominal)
@@ -122,7 +116,7 @@ def test_lines_alone_see_no_motion_of_the_machine_as_a_whole(
     assert np.count_nonzero(values > 1e-9 * values[0]) == 20 - 6
 
 
-def test_a_machine_without_a_leg_to_spare_has_no_misfit() -> None:
+def test_a_machine_without_a_leg_to_spare_has_no_misfit():
     with pytest.raises(ValueError, match="cannot read a3_head: it takes more joints"):
         Measurement(a3_head.machine, [mount(redundancy.instrument, "lines")])
 
@@ -178,7 +172,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_anchors_and_spools_from_nine_known_poses(data: tuple[Array, Array]) -> None:
+def test_anchors_and_spools_from_nine_known_poses(data):
     found = fit(data)
     assert rms(found.known) <= 1.0
     assert rms(found.camera) <= 1.0
@@ -190,7 +184,7 @@ def test_anchors_and_spools_from_nine_known_poses(data: tuple[Array, Array]) -> 
     ).all()  # what a tape found is not contradicted
 
 
-def test_the_lines_close_in_the_other_35_poses(data: tuple[Array, Array]) -> None:
+def test_the_lines_close_in_the_other_35_poses(data):
     found = fit(data)
     assert found.other.shape == (35, 4)
     assert rms(found.other) <= 0.80
@@ -206,9 +200,7 @@ def test_the_lines_close_in_the_other_35_poses(data: tuple[Array, Array]) -> Non
 
 @pytest.mark.parametrize("anchors", [0.030, 0.100])
 @pytest.mark.parametrize("line", [0.5e-3, 2e-3])
-def test_the_tolerances_do_not_decide_it(
-    data: tuple[Array, Array], anchors: float, line: float
-) -> None:
+def test_the_tolerances_do_not_decide_it(data, anchors, line):
     found = fit(data, anchors, line)
     assert rms(found.known) <= 1.0
     assert rms(found.other) <= 0.80

@@ -36,7 +36,7 @@ def random_parameters(
     return case.machine.nominal + size * spread * rng.standard_normal(len(spread))
 
 
-def test_names_and_their_order_are_frozen(case: Case) -> None:
+def test_names_and_their_order_are_frozen(case):
     machine = case.machine
     assert (
         tuple(p.name for p in machine.parameters) == parameter_names.NAMES[machine.name]
@@ -44,7 +44,7 @@ def test_names_and_their_order_are_frozen(case: Case) -> None:
     assert machine.frame == parameter_names.FRAME[machine.name]
 
 
-def test_units_ranges_and_sources_are_stated(case: Case) -> None:
+def test_units_ranges_and_sources_are_stated(case):
     machine = case.machine
     coordinates: tuple[Coordinate, ...] = (
         machine.pose + machine.joints + machine.command
@@ -63,7 +63,7 @@ def test_units_ranges_and_sources_are_stated(case: Case) -> None:
     assert not machine.out_of_range(machine.home_command[None])
 
 
-def test_there_are_as_many_equations_as_unknowns(case: Case) -> None:
+def test_there_are_as_many_equations_as_unknowns(case):
     machine = case.machine
     x, q, p = (
         dict.fromkeys(c.name for c in part)
@@ -79,9 +79,7 @@ def test_there_are_as_many_equations_as_unknowns(case: Case) -> None:
     )
 
 
-def test_inverse_closes_the_machine_where_it_was_commanded(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_inverse_closes_the_machine_where_it_was_commanded(case, kinematics, rng):
     machine, command = case.machine, case.commands(rng, 60)
     for p in (machine.nominal, random_parameters(case, rng, 3.0)):
         x, q = kinematics.inverse(command, p)
@@ -101,9 +99,7 @@ def test_inverse_closes_the_machine_where_it_was_commanded(
             )
 
 
-def test_forward_undoes_inverse(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_forward_undoes_inverse(case, kinematics, rng):
     command = case.commands(rng, 200)
     for p in (case.machine.nominal, random_parameters(case, rng, 3.0)):
         x, q = kinematics.inverse(command, p)
@@ -111,9 +107,7 @@ def test_forward_undoes_inverse(
         assert np.abs(found - x).max() < 1e-13
 
 
-def test_joints_stay_in_their_range_over_the_workspace(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_joints_stay_in_their_range_over_the_workspace(case, kinematics, rng):
     command = case.commands(rng, 500)
     assert not case.machine.out_of_range(command)
     _, q = kinematics.inverse(command)
@@ -121,18 +115,14 @@ def test_joints_stay_in_their_range_over_the_workspace(
         assert joint.lower < column.min() <= column.max() < joint.upper
 
 
-def test_the_workspace_is_far_from_singular_poses(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_the_workspace_is_far_from_singular_poses(case, kinematics, rng):
     x, q = kinematics.inverse(case.commands(rng, 500))
     assert (
         kinematics.slopes.reciprocal_condition(x, q, case.machine.nominal).min() > 0.05
     )
 
 
-def test_a_pose_out_of_reach_is_named(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_a_pose_out_of_reach_is_named(case, kinematics, rng):
     command = np.insert(case.commands(rng, 8), 5, case.out_of_reach, axis=0)
     with pytest.raises(AssemblyError, match=f"{case.machine.name}: 1 of 9") as caught:
         kinematics.inverse(command)
@@ -141,9 +131,7 @@ def test_a_pose_out_of_reach_is_named(
         assert f"{c.name} = {value:.6g} {c.unit}" in str(caught.value)
 
 
-def test_joints_that_do_not_close_are_named(
-    case: Case, kinematics: Kinematics, rng: np.random.Generator
-) -> None:
+def test_joints_that_do_not_close_are_named(case, kinematics, rng):
     if len(case.machine.joints) > len(case.machine.command):
         pytest.skip(
             "a redundant machine settles at any joints, see"
@@ -160,7 +148,7 @@ def test_joints_that_do_not_close_are_named(
     assert caught.value.indices.tolist() == [2, 4]
 
 
-def test_out_of_range_names_row_coordinate_and_limits(case: Case) -> None:
+def test_out_of_range_names_row_coordinate_and_limits(case):
     command = np.tile(case.machine.home_command, (3, 1))
     first = case.machine.command[0]
     command[1, 0] = first.upper + 0.01
@@ -170,9 +158,7 @@ def test_out_of_range_names_row_coordinate_and_limits(case: Case) -> None:
 
 
 @pytest.mark.parametrize(("name", "setup"), PAIRS)
-def test_jacobian_is_the_slope_of_the_exact_readings(
-    name: str, setup: str, rng: np.random.Generator
-) -> None:
+def test_jacobian_is_the_slope_of_the_exact_readings(name, setup, rng):
     """30 random poses, at nominal and at a wrong machine, nuisances included. Central
     differences, extrapolated to fourth order; each column's error is told against its
     largest entry, of a hundred-thousandth of the largest of H at least. Readings round
@@ -197,9 +183,7 @@ def test_jacobian_is_the_slope_of_the_exact_readings(
 
 
 @pytest.mark.parametrize(("name", "setup"), PAIRS)
-def test_a_measurement_names_its_unknowns(
-    name: str, setup: str, rng: np.random.Generator
-) -> None:
+def test_a_measurement_names_its_unknowns(name, setup, rng):
     case = CASES[name]
     m, series = reading_series(case, setup, rng, 20)
     nuisances = tuple(f"{setup}.{n}" for n in parameter_names.NUISANCES[setup])
@@ -223,9 +207,7 @@ def test_a_measurement_names_its_unknowns(
 
 
 @pytest.mark.parametrize(("name", "setup"), PAIRS)
-def test_many_machines_at_once_read_as_one_by_one(
-    name: str, setup: str, rng: np.random.Generator
-) -> None:
+def test_many_machines_at_once_read_as_one_by_one(name, setup, rng):
     m, series = reading_series(CASES[name], setup, rng, 20)
     spread = np.array([p.tolerance for p in m.parameters])
     thetas = m.nominal + spread * rng.standard_normal((7, len(spread)))
@@ -236,9 +218,7 @@ def test_many_machines_at_once_read_as_one_by_one(
 
 
 @pytest.mark.parametrize(("name", "setup"), PAIRS)
-def test_recorded_joints_give_the_same_readings(
-    name: str, setup: str, rng: np.random.Generator
-) -> None:
+def test_recorded_joints_give_the_same_readings(name, setup, rng):
     m, series = reading_series(CASES[name], setup, rng, 10)
     reads = series.q if m.setups[setup].teach is None else series.q[:-1]
     runs = (

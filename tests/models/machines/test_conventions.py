@@ -42,7 +42,7 @@ def random_poses(m: Machine, rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_every_coordinate_of_a_machine_is_stated(name: str) -> None:
+def test_every_coordinate_of_a_machine_is_stated(name):
     m = machine(name)
     for c in (*m.pose, *m.joints, *m.command, *m.components):
         assert c.about, f"{name}: {c.name}"
@@ -56,7 +56,7 @@ def test_every_coordinate_of_a_machine_is_stated(name: str) -> None:
     assert angles == named
 
 
-def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_lists_the_statements(capsys):
     for kind, names in (("machines", MACHINES), ("instruments", INSTRUMENTS)):
         assert main(["list", kind, "--json"]) == 0
         entries = {e["name"]: e for e in json.loads(capsys.readouterr().out)}
@@ -81,9 +81,7 @@ def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize("name", [n for n in MACHINES if machine(n).orientation])
-def test_the_pose_s_angles_make_the_platform_s_rotation(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_the_pose_s_angles_make_the_platform_s_rotation(name, rng):
     m = machine(name)
     assert m.orientation is not None
     for _ in range(5):
@@ -99,9 +97,7 @@ def test_the_pose_s_angles_make_the_platform_s_rotation(
 @pytest.mark.parametrize(
     "name", [n for n in MACHINES if machine(n).command_orientation]
 )
-def test_the_command_s_angles_are_where_the_tool_stands(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_the_command_s_angles_are_where_the_tool_stands(name, rng):
     m = machine(name)
     stated = m.command_orientation
     assert stated is not None
@@ -119,7 +115,7 @@ def test_the_command_s_angles_are_where_the_tool_stands(
                 assert point[k, axis] == pytest.approx(angles[name_of], abs=1e-12)
 
 
-def test_errors_have_the_sense_actual_less_wanted() -> None:
+def test_errors_have_the_sense_actual_less_wanted():
     """Each component moved by itself, with the angles of its own statement."""
     step = 1e-7
     kinematics = Kinematics(a3_head.machine)
@@ -180,7 +176,7 @@ CRANKS = (
 
 
 @pytest.mark.parametrize("name", [n for n in MACHINES if n not in CRANKS])
-def test_joints_have_the_sense_of_their_words(name: str) -> None:
+def test_joints_have_the_sense_of_their_words(name):
     """Every machine is in a table: a new one has to state its sense."""
     m = machine(name)
     kinematics = Kinematics(m)
@@ -213,7 +209,7 @@ def test_joints_have_the_sense_of_their_words(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["cables_planar", "cables_spatial", "cable_robot"])
-def test_cables_pay_out_as_they_grow(name: str) -> None:
+def test_cables_pay_out_as_they_grow(name):
     """Away from an anchor its joint grows."""
     m = machine(name)
     kinematics = Kinematics(m)

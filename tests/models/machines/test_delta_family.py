@@ -46,7 +46,7 @@ instrument = "height_probe"
 """
 
 
-def test_deltas_hang_where_trilateration_puts_them(rng: np.random.Generator) -> None:
+def test_deltas_hang_where_trilateration_puts_them(rng):
     machine = delta.build(
         {"arm": [0.3, 0.31, 0.32], "angle": np.deg2rad([200, 330, 95])}
     )
@@ -60,9 +60,7 @@ def test_deltas_hang_where_trilateration_puts_them(rng: np.random.Generator) -> 
     assert np.abs(point - command).max() < 1e-14
 
 
-def test_an_upright_delta_is_the_one_with_a_common_radius(
-    rng: np.random.Generator,
-) -> None:
+def test_an_upright_delta_is_the_one_with_a_common_radius(rng):
     drawn = linear_delta.machine
     common = delta.build({"endstop": linear_delta.ENDSTOP})
     command = rng.uniform([-0.1, -0.1, 0.0], [0.1, 0.1, 0.3], (30, 3))
@@ -71,7 +69,7 @@ def test_an_upright_delta_is_the_one_with_a_common_radius(
     assert np.abs(q - expected).max() < 1e-14
 
 
-def test_a_study_describes_a_delta_by_its_geometry() -> None:
+def test_a_study_describes_a_delta_by_its_geometry():
     machine = resolved(STUDY).machine
     nominal = {p.name: p.nominal for p in machine.parameters}
     assert nominal["radius3"] == 0.8
@@ -79,7 +77,7 @@ def test_a_study_describes_a_delta_by_its_geometry() -> None:
     assert unreachable(Kinematics(machine)) is None
 
 
-def test_another_size_by_nominal_hangs_below_its_carriages() -> None:
+def test_another_size_by_nominal_hangs_below_its_carriages():
     machine = resolved(SMALL).machine
     x, q = Kinematics(machine).inverse(np.array([[0.0, 0.0, 0.02]]))
     above = 0.150 - q[0] + np.sqrt(0.130**2 - 0.060**2)
@@ -87,7 +85,7 @@ def test_another_size_by_nominal_hangs_below_its_carriages() -> None:
     assert x[0] == pytest.approx([0.0, 0.0, 0.02])
 
 
-def test_poses_of_the_workspace_out_of_reach_are_named() -> None:
+def test_poses_of_the_workspace_out_of_reach_are_named():
     text = SMALL.replace("radius_mm = 60", "radius_mm = 110")
     sentence = unreachable(resolved(text).measurement.kinematics)
     assert sentence is not None
@@ -105,9 +103,7 @@ def test_poses_of_the_workspace_out_of_reach_are_named() -> None:
         ('"delta"', '"a3_head"', "a3_head has one geometry"),
     ],
 )
-def test_a_geometry_that_makes_no_delta_is_refused(
-    old: str, new: str, said: str
-) -> None:
+def test_a_geometry_that_makes_no_delta_is_refused(old, new, said):
     assert said in str(refused(STUDY, (old, new)))
 
 
@@ -119,11 +115,11 @@ def test_a_geometry_that_makes_no_delta_is_refused(
         ("z_mm = [0, 100]", "z_mm = [50, 10]", "the range is empty"),
     ],
 )
-def test_numbers_of_another_machine_are_refused(old: str, new: str, said: str) -> None:
+def test_numbers_of_another_machine_are_refused(old, new, said):
     assert said in str(refused(SMALL, (old, new)))
 
 
-def test_a_guess_that_leads_below_is_followed_to_the_mode_of_home() -> None:
+def test_a_guess_that_leads_below_is_followed_to_the_mode_of_home():
     """A start that suits one size alone: other sizes are reached through it."""
 
     def guess(c, p):  # type: ignore[no-untyped-def]
@@ -143,13 +139,13 @@ def test_a_guess_that_leads_below_is_followed_to_the_mode_of_home() -> None:
     assert q == pytest.approx(Kinematics(exact).inverse(command)[1], abs=1e-12)
 
 
-def test_joints_past_a_singular_pose_are_refused() -> None:
+def test_joints_past_a_singular_pose_are_refused():
     kinematics = Kinematics(delta.machine)
     with pytest.raises(AssemblyError, match=r"cannot be assembled|assembly mode"):
         kinematics.start_poses(np.array([[0.0, 0.9, 0.9]]))
 
 
-def test_the_effector_is_level_in_the_middle_of_the_bed() -> None:
+def test_the_effector_is_level_in_the_middle_of_the_bed():
     """Whatever the towers' errors: tilts count from there."""
     kinematics = Kinematics(delta_printer.machine)
     names = [p.name for p in delta_printer.machine.parameters]

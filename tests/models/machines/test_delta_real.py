@@ -36,9 +36,7 @@ def rms_mm(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", published.FIRMWARE_RMS)
-def test_the_firmwares_fit_leaves_its_published_residuals(
-    measurement: Measurement, sessions: dict[str, Session], name: str
-) -> None:
+def test_the_firmwares_fit_leaves_its_published_residuals(measurement, sessions, name):
     session, (heights, distances) = sessions[name], published.FIRMWARE_RMS[name]
     theta = np.r_[session.firmware, np.zeros(len(measurement.names) - 10)]
     read = measurement.readings([heights_of(measurement, session)], theta)
@@ -79,22 +77,14 @@ def miss_of(
 
 
 @pytest.mark.parametrize(("seen", "unseen", "kind"), PREDICTED)
-def test_a_prediction_is_as_near_as_asked(
-    measurement: Measurement,
-    sessions: dict[str, Session],
-    seen: str,
-    unseen: str,
-    kind: str,
-) -> None:
+def test_a_prediction_is_as_near_as_asked(measurement, sessions, seen, unseen, kind):
     estimate = fitted(measurement, sessions[seen])
     miss = miss_of(measurement, estimate.theta, sessions[unseen], kind)
     assert rms_mm(miss) <= published.ASKED[seen, unseen][KINDS.index(kind)]
 
 
 @pytest.mark.parametrize(("seen", "unseen"), published.ASKED)
-def test_one_session_predicts_another(
-    measurement: Measurement, sessions: dict[str, Session], seen: str, unseen: str
-) -> None:
+def test_one_session_predicts_another(measurement, sessions, seen, unseen):
     """Held-out readings, and how many of them the 95 % intervals hold; the bed's height
     is free in each session.
     """
@@ -115,9 +105,7 @@ def test_one_session_predicts_another(
     assert 0.85 <= np.mean(inside) <= 1.0
 
 
-def test_nominal_geometry_is_worse(
-    measurement: Measurement, sessions: dict[str, Session]
-) -> None:
+def test_nominal_geometry_is_worse(measurement, sessions):
     low, high = published.NOMINAL_DISTANCES
     for name in ("S03", "S04"):
         read = measurement.readings(
@@ -126,9 +114,7 @@ def test_nominal_geometry_is_worse(
         assert low - 0.005 < rms_mm(read - sessions[name].distances) < high + 0.005
 
 
-def test_heights_alone_cannot_tell_the_arms(
-    measurement: Measurement, sessions: dict[str, Session]
-) -> None:
+def test_heights_alone_cannot_tell_the_arms(measurement, sessions):
     """Seven contacts: rank 7, said before any fit, with all arms in what is lost.
     Distances bring all but the bed.
     """
@@ -162,9 +148,7 @@ def test_heights_alone_cannot_tell_the_arms(
     assert low < miss < high
 
 
-def test_the_arms_stay_wide_and_are_said_to(
-    measurement: Measurement, sessions: dict[str, Session]
-) -> None:
+def test_the_arms_stay_wide_and_are_said_to(measurement, sessions):
     """Both sessions leave more than 0.4 mm of the arms' 1 mm open, and agree within it."""
     found = {name: fitted(measurement, sessions[name]) for name in ("S03", "S04")}
     arms = [measurement.names.index(arm) for arm in ARMS]
@@ -178,9 +162,7 @@ def test_the_arms_stay_wide_and_are_said_to(
 
 
 @pytest.mark.slow
-def test_the_sampled_arms_are_as_wide(
-    measurement: Measurement, sessions: dict[str, Session]
-) -> None:
+def test_the_sampled_arms_are_as_wide(measurement, sessions):
     session = sessions["S04"]
     series = [heights_of(measurement, session), distances_of(measurement, session)]
     y = np.concatenate([session.heights, session.distances])
@@ -193,9 +175,7 @@ def test_the_sampled_arms_are_as_wide(
 
 
 @pytest.mark.parametrize("name", ["delta_v400", "delta_v400_reverse"])
-def test_the_study_reads_the_same_readings(
-    sessions: dict[str, Session], name: str
-) -> None:
+def test_the_study_reads_the_same_readings(sessions, name):
     """Its data against the tables as read here: joints, pairs and values, reading by
     reading.
     """

@@ -61,9 +61,7 @@ def _refusal(name: str, rng: np.random.Generator) -> str | None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_a_drawn_machine_closes_in_the_mode_that_is_meant(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_a_drawn_machine_closes_in_the_mode_that_is_meant(name, rng):
     assert _refusal(name, rng) is None
 
 
@@ -86,7 +84,7 @@ instrument = "pose_tracker_position"
 """
 
 
-def test_a_study_describes_a_tricept() -> None:
+def test_a_study_describes_a_tricept():
     machine = resolved(STUDY).machine
     nominal = {p.name: p.nominal for p in machine.parameters}
     assert nominal["b2x"] == pytest.approx(-0.433)
@@ -96,7 +94,7 @@ def test_a_study_describes_a_tricept() -> None:
     assert x[0] == pytest.approx([0.0, 0.0, -1.5, 0.0, 0.0, 0.0])
 
 
-def test_a_best_alignment_moves_no_place_that_compensation_has_put_right() -> None:
+def test_a_best_alignment_moves_no_place_that_compensation_has_put_right():
     """Turns of a Tricept's platform, which no leg corrects, stay out of the places."""
     machine = resolved(STUDY).machine
     command = np.array(list(itertools.product([-0.2, 0.2], [-0.2, 0.2], [-1.7, -1.3])))
@@ -115,11 +113,11 @@ def test_a_best_alignment_moves_no_place_that_compensation_has_put_right() -> No
         ("reach_mm", "reech_mm", "did you mean reach_mm?"),
     ],
 )
-def test_a_geometry_that_does_not_fit_is_refused(old: str, new: str, said: str) -> None:
+def test_a_geometry_that_does_not_fit_is_refused(old, new, said):
     assert said in str(refused(STUDY, (old, new)))
 
 
-def test_too_few_cables_are_refused() -> None:
+def test_too_few_cables_are_refused():
     family = _family("cables_planar")
     with pytest.raises(ValueError, match="1 cables are fewer than the 2 coordinates"):
         family.build({"anchor": np.ones((1, 2))})

@@ -24,7 +24,7 @@ def commands(rng: np.random.Generator, n: int) -> Array:
     )
 
 
-def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
+def test_newton_agrees_with_the_oracle(rng):
     """Carriages that stand still and struts of known length are a hexapod's feet and
     legs.
     """
@@ -48,9 +48,7 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
         assert np.abs(rotation[0] - expected[1]).max() < 1e-12
 
 
-def test_no_pose_of_the_workspace_is_near_a_singular_one(
-    rng: np.random.Generator,
-) -> None:
+def test_no_pose_of_the_workspace_is_near_a_singular_one(rng):
     """Corners and 2000 poses between: struts in Pluecker coordinates; carriages in
     their travel and never passing.
     """
@@ -81,9 +79,7 @@ def look(setup: Setup, plan: Array) -> Assessment:
     return Assessment.of(m, [m.series(setup.name, plan)])
 
 
-def test_a_free_frame_hides_what_leaves_the_guides_along_x(
-    rng: np.random.Generator,
-) -> None:
+def test_a_free_frame_hides_what_leaves_the_guides_along_x(rng):
     """Of the six motions of the base the guides' parameters hold four: three shifts,
     and the turn about the travel.
     """

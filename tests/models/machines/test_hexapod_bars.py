@@ -51,7 +51,7 @@ def assembled(p: Array, q: Array, x: Array) -> tuple[Array, Array]:
 # -- kinematics ------------------------------------------------------------------------
 
 
-def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
+def test_newton_agrees_with_the_oracle(rng):
     tolerance = np.array([p.tolerance for p in MACHINE.parameters])
     x, q = KINEMATICS.inverse(commands(rng, 40))
     for xi, qi in zip(x, q, strict=True):
@@ -63,7 +63,7 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
         assert np.abs(rotation[0] - expected_rotation).max() < 1e-12
 
 
-def test_the_legs_at_home_are_told_by_the_generic_geometry() -> None:
+def test_the_legs_at_home_are_told_by_the_generic_geometry():
     """Base and platform joint of a leg are 30 degrees apart on circles of 300 and 200
     mm, 600 mm over each other.
     """
@@ -107,7 +107,7 @@ def lost(seen: Assessment) -> IdentifiabilityFinding:
     return next(f for f in explain(seen) if f.kind == "lost")
 
 
-def test_full_poses_in_a_known_frame_see_42_of_42(rng: np.random.Generator) -> None:
+def test_full_poses_in_a_known_frame_see_42_of_42(rng):
     seen = look(
         [mount(pose_tracker.instrument, "pose", tolerances=KNOWN)], [commands(rng, 60)]
     )
@@ -115,7 +115,7 @@ def test_full_poses_in_a_known_frame_see_42_of_42(rng: np.random.Generator) -> N
     assert (seen.shrinkage < 0.7).all()
 
 
-def test_seven_poses_are_enough_and_six_are_not(rng: np.random.Generator) -> None:
+def test_seven_poses_are_enough_and_six_are_not(rng):
     """Six equations a pose, seven unknowns a leg: each leg needs seven poses."""
     tracker = [mount(pose_tracker.instrument, "pose", tolerances=KNOWN)]
     at = commands(rng, 7)
@@ -123,9 +123,7 @@ def test_seven_poses_are_enough_and_six_are_not(rng: np.random.Generator) -> Non
     assert look(tracker, [at[:6]]).identifiability.rank == 36
 
 
-def test_positions_alone_lose_the_platforms_three_rotations(
-    rng: np.random.Generator,
-) -> None:
+def test_positions_alone_lose_the_platforms_three_rotations(rng):
     seen = look(
         [mount(pose_tracker.position, "point", tolerances=KNOWN)], [commands(rng, 60)]
     )
@@ -137,7 +135,7 @@ def test_positions_alone_lose_the_platforms_three_rotations(
     assert len(rest) == 0
 
 
-def test_a_free_frame_hides_the_base(rng: np.random.Generator) -> None:
+def test_a_free_frame_hides_the_base(rng):
     """42 + 6 of the registration; lost are the six motions of the base with the
     tracker's frame.
     """
@@ -152,7 +150,7 @@ def test_a_free_frame_hides_the_base(rng: np.random.Generator) -> None:
     )
 
 
-def test_a_single_ball_distance_says_what_it_loses(rng: np.random.Generator) -> None:
+def test_a_single_ball_distance_says_what_it_loses(rng):
     """36 of 45 at any number of poses: three turns of the platform joints about the
     ball, six motions of the base.
     """
@@ -177,7 +175,7 @@ def test_a_single_ball_distance_says_what_it_loses(rng: np.random.Generator) -> 
     assert "moving" not in told.text  # nothing is left that has no name
 
 
-def test_its_remedies_are_computed_and_hold(rng: np.random.Generator) -> None:
+def test_its_remedies_are_computed_and_hold(rng):
     """Each remedy's number, tried for real with instruments that the words did not use."""
     bar, tracker = free_cup(), mount(pose_tracker.instrument, "pose", tolerances=KNOWN)
     point = mount(pose_tracker.position, "point", tolerances=KNOWN)
@@ -201,9 +199,7 @@ def test_its_remedies_are_computed_and_hold(rng: np.random.Generator) -> None:
         assert len(seen.names) - seen.identifiability.rank == 9 - back
 
 
-def test_the_lost_turns_change_no_distance_at_any_size(
-    rng: np.random.Generator,
-) -> None:
+def test_the_lost_turns_change_no_distance_at_any_size(rng):
     """Not only to first order: turn the six platform joints by 5 degrees about the
     ball.
     """

@@ -42,9 +42,7 @@ def centres(p: Array) -> Array:
 # -- direct kinematics -----------------------------------------------------------------
 
 
-def test_closed_form_and_newton_agree_over_the_workspace(
-    rng: np.random.Generator,
-) -> None:
+def test_closed_form_and_newton_agree_over_the_workspace(rng):
     points = grid(9, 6)
     lengths = oracle.legs(
         points, oracle.centres([0.2] * 3, [0.06] * 3, oracle.THETA, oracle.THETA)
@@ -57,9 +55,7 @@ def test_closed_form_and_newton_agree_over_the_workspace(
     assert np.abs(closed - points).max() < 1e-12
 
 
-def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(
-    rng: np.random.Generator,
-) -> None:
+def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(rng):
     points, machines = grid(4, 3), random_machines(rng, 30)
     _, q = KINEMATICS.inverse(points)
     found = KINEMATICS.forward(q, machines, points)
@@ -71,7 +67,7 @@ def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(
 # -- the closed forms (6)-(8), as the extracted text has them ---------------------------
 
 
-def test_extracted_x_lacks_a_minus_sign_and_has_a_term_that_vanishes() -> None:
+def test_extracted_x_lacks_a_minus_sign_and_has_a_term_that_vanishes():
     """With the sign of 2 l1^2 restored, x is off by rho / 4 (35 mm): the term in rho is
     to be cos^2 + sin^2 - 1 = 0.
     """
@@ -83,13 +79,13 @@ def test_extracted_x_lacks_a_minus_sign_and_has_a_term_that_vanishes() -> None:
     assert np.abs(restored - (points[:, 0] + RHO / 4.0)).max() < 1e-13
 
 
-def test_extracted_y_has_the_opposite_sign() -> None:
+def test_extracted_y_has_the_opposite_sign():
     points = grid(5, 3)
     _, q = KINEMATICS.inverse(points)
     assert np.abs(oracle.printed(q, RHO)[:, 1].real + points[:, 1]).max() < 1e-13
 
 
-def test_extracted_z_needs_the_opposite_signs_of_x_and_y() -> None:
+def test_extracted_z_needs_the_opposite_signs_of_x_and_y():
     points = grid(5, 3)
     _, q = KINEMATICS.inverse(points)
     x, y, z = points.T
@@ -109,7 +105,7 @@ def test_extracted_z_needs_the_opposite_signs_of_x_and_y() -> None:
     )
 
 
-def test_two_signs_and_a_sine_make_them_those_of_a_frame_turned_half_round() -> None:
+def test_two_signs_and_a_sine_make_them_those_of_a_frame_turned_half_round():
     """(6) with 2 l1^2 - l2^2 - l3^2 and without its second term; (7) and (8) as they are."""
     points = grid(5, 3)
     _, q = KINEMATICS.inverse(points)
@@ -121,7 +117,7 @@ def test_two_signs_and_a_sine_make_them_those_of_a_frame_turned_half_round() -> 
     assert np.abs(np.column_stack([-x, -y, -z]) - points).max() < 1e-13
 
 
-def test_spherical_joints_do_not_keep_the_platform_parallel() -> None:
+def test_spherical_joints_do_not_keep_the_platform_parallel():
     """Turn the platform about a horizontal axis: it can be shifted so that all three
     legs keep their lengths.
     """
@@ -152,7 +148,7 @@ def measurement(*setups: Setup) -> Measurement:
     return Measurement(MACHINE, setups)
 
 
-def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations() -> None:
+def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations():
     m = measurement(mount(camera.known_frame, "position"))
     seen = Assessment.of(m, [m.series("position", grid(4, 3))])
     assert len(seen.names) == 15
@@ -170,7 +166,7 @@ def test_position_readings_see_nine_of_fifteen_in_the_stated_combinations() -> N
         )
 
 
-def test_the_lost_directions_change_no_reading_at_all() -> None:
+def test_the_lost_directions_change_no_reading_at_all():
     """Not only to first order: R_f and R_p together leave every position where it was."""
     points = grid(4, 3)
     _, q = KINEMATICS.inverse(points)
@@ -179,7 +175,7 @@ def test_the_lost_directions_change_no_reading_at_all() -> None:
     assert np.abs(KINEMATICS.forward(q, p, points) - points).max() < 1e-14
 
 
-def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well() -> None:
+def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well():
     """15 + 6 of the plate's registration, of which 12 are seen: 9 + 6 less x, y and the
     turn about z.
     """
@@ -188,9 +184,7 @@ def test_a_ball_plate_loses_the_machines_motions_in_its_plane_as_well() -> None:
     assert (len(seen.names), seen.identifiability.rank) == (21, 12)
 
 
-def test_distances_see_as_much_of_the_machine_as_the_plate(
-    rng: np.random.Generator,
-) -> None:
+def test_distances_see_as_much_of_the_machine_as_the_plate(rng):
     """Machine 9 less the three motions in the plane; the scale is a seventh."""
     m = measurement(mount(ball_plate.distance, "gauge"))
     pairs = np.vstack([rng.permutation(grid(3, 2)) for _ in range(4)])
@@ -200,7 +194,7 @@ def test_distances_see_as_much_of_the_machine_as_the_plate(
     assert (len(seen.names), seen.identifiability.rank) == (16, 7)
 
 
-def test_a_ball_plate_by_hand() -> None:
+def test_a_ball_plate_by_hand():
     """A plate shifted by 10 mm and turned by 90 degrees about z: (x, y) reads (-y, x),
     then the shift.
     """
@@ -214,7 +208,7 @@ def test_a_ball_plate_by_hand() -> None:
     assert m.readings([series], theta) == pytest.approx([-0.02, 0.02, -0.01], abs=1e-15)
 
 
-def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit() -> None:
+def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit():
     """It never turns its platform, so that its points alone are aligned: frame and
     platform turned together.
     """

@@ -28,9 +28,7 @@ def commands(machine: Machine, rng: np.random.Generator, count: int) -> np.ndarr
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_poses_with_errors_are_those_of_the_description(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_poses_with_errors_are_those_of_the_description(name, rng):
     """All errors but those of directions, whose names each side may choose."""
     machine, errors = model(name), {}
     p = machine.nominal.copy()
@@ -51,9 +49,7 @@ def test_poses_with_errors_are_those_of_the_description(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_readings_see_what_the_description_lets_them_see(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_readings_see_what_the_description_lets_them_see(name, rng):
     """The same space of readings of the pose, hence the same rank."""
     machine = model(name)
     stems = [p.name for p in machine.parameters if not p.name.startswith("tilt")]
@@ -82,7 +78,7 @@ def scaled(h: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in WITH_LEGS])
-def test_joints_turn_in_the_sense_of_their_words(name: str) -> None:
+def test_joints_turn_in_the_sense_of_their_words(name):
     machine = model(name)
     x, q = Kinematics(machine).inverse(machine.home_command)
     ahead = Kinematics(machine).struts(x, q + 1e-6, machine.nominal)[0][0]
@@ -116,12 +112,12 @@ def study(name: str, oed: Run, folder: Path) -> Path:
 
 @pytest.mark.usefixtures("own_folder")
 @pytest.mark.parametrize("name", NAMES)
-def test_a_new_study_passes_its_check(name: str, oed: Run, tmp_path: Path) -> None:
+def test_a_new_study_passes_its_check(name, oed, tmp_path):
     assert study(name, oed, tmp_path).is_file()
 
 
 @pytest.mark.parametrize("end", ["base", "platform"])
-def test_legs_whose_revolute_axes_disagree_are_refused(end: str) -> None:
+def test_legs_whose_revolute_axes_disagree_are_refused(end):
     family = model("tripod_upr_spr").family
     table = {d.name: np.array(d.default) for d in family.dimensions if d.name == end}
     table[end][1, 1] += 0.01

@@ -58,7 +58,7 @@ def table(v: Identifiability) -> list[dict[str, float]]:
 # -- the machine -----------------------------------------------------------------------
 
 
-def test_poses_agree_with_the_intersection_of_circles(rng: np.random.Generator) -> None:
+def test_poses_agree_with_the_intersection_of_circles(rng):
     m, _ = measured(5)
     command = np.column_stack([rng.uniform(-1.5, 1.5, 300), rng.uniform(0.0, 1.5, 300)])
     x, q = m.kinematics.inverse(command)
@@ -69,9 +69,7 @@ def test_poses_agree_with_the_intersection_of_circles(rng: np.random.Generator) 
         )
 
 
-def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(
-    rng: np.random.Generator,
-) -> None:
+def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(rng):
     """Eq. (11) as printed is right: it is the slope of the exact pose."""
     m, _ = measured(5)
     command = np.column_stack([rng.uniform(-1.5, 1.5, 50), rng.uniform(0.0, 1.5, 50)])
@@ -94,7 +92,7 @@ def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(
 
 
 @pytest.mark.parametrize("number", RM)
-def test_readings_are_the_oracle_s(number: int) -> None:
+def test_readings_are_the_oracle_s(number):
     m, series = measured(number)
     pose, line = oracle.lines(number)
     exact = oracle.relative(oracle.forward(oracle.inverse(pose), WRONG), line)
@@ -109,9 +107,7 @@ def test_readings_are_the_oracle_s(number: int) -> None:
     )
 
 
-def test_tolerances_make_the_deviations_the_paper_began_with(
-    rng: np.random.Generator,
-) -> None:
+def test_tolerances_make_the_deviations_the_paper_began_with(rng):
     """+-1.589 mm in y and +-1.715 mm in z on horizontal lines.
 
     A machine of median luck has about that.
@@ -130,7 +126,7 @@ def test_tolerances_make_the_deviations_the_paper_began_with(
 # -- noise -----------------------------------------------------------------------------
 
 
-def test_readings_of_a_line_share_the_noise_of_its_reference() -> None:
+def test_readings_of_a_line_share_the_noise_of_its_reference():
     """Covariance of X_i - X_0: 2 sigma^2 on the diagonal, sigma^2 off it.
 
     Between lines it is 0.
@@ -146,7 +142,7 @@ def test_readings_of_a_line_share_the_noise_of_its_reference() -> None:
     )
 
 
-def test_differences_carry_the_information_of_the_readings_themselves() -> None:
+def test_differences_carry_the_information_of_the_readings_themselves():
     """Correlated differences equal all readings of a line with a free zero point.
 
     Taken as independent, readings against the first of their line promise 20 % too
@@ -173,7 +169,7 @@ def test_differences_carry_the_information_of_the_readings_themselves() -> None:
 # -- identifiability: section 2.3.3 ----------------------------------------------------
 
 
-def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d() -> None:
+def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d():
     v = verdict(*_one(1))
     one = pytest.approx(1.0)
     slope = pytest.approx(1 / oracle.D, rel=1e-9)  # 0.279 1/m
@@ -188,7 +184,7 @@ def test_rm1_sees_five_combinations_with_the_coefficient_one_over_d() -> None:
     ]
 
 
-def test_rm2_sees_the_difference_of_the_guides_tilts_only() -> None:
+def test_rm2_sees_the_difference_of_the_guides_tilts_only():
     v = verdict(*_one(2))
     assert v.rank == 1
     assert table(v) == [{"beta1": pytest.approx(1.0), "beta2": pytest.approx(-1.0)}]
@@ -201,7 +197,7 @@ SIX = [
 ]
 
 
-def test_rm3_and_rm5_see_all_but_the_common_height() -> None:
+def test_rm3_and_rm5_see_all_but_the_common_height():
     for number in (3, 5):
         v = verdict(*_one(number))
         assert v.rank == 6
@@ -211,15 +207,13 @@ def test_rm3_and_rm5_see_all_but_the_common_height() -> None:
         ]
 
 
-def test_rm4_sees_both_tilts() -> None:
+def test_rm4_sees_both_tilts():
     v = verdict(*_one(4))
     assert v.rank == 2
     assert table(v) == [{"beta1": pytest.approx(1.0)}, {"beta2": pytest.approx(1.0)}]
 
 
-def test_all_relative_readings_of_the_workspace_see_six(
-    rng: np.random.Generator,
-) -> None:
+def test_all_relative_readings_of_the_workspace_see_six(rng):
     """Eqs. (14)-(15): 100 random poses against one, both components."""
     m = Measurement(machine, [mount(relative.rm5, "rm")])
     poses = np.column_stack([rng.uniform(-1.5, 1.5, 101), rng.uniform(0.0, 1.5, 101)])
@@ -228,7 +222,7 @@ def test_all_relative_readings_of_the_workspace_see_six(
     assert table(v) == SIX
 
 
-def test_smallest_singular_values() -> None:
+def test_smallest_singular_values():
     """Lengths in mm, angles scaled by 1 m, all seven columns, not whitened.
 
     Lines and reference points are the paper's.
@@ -241,7 +235,7 @@ def test_smallest_singular_values() -> None:
     assert both / least[5] == pytest.approx(19.0, rel=0.02)
 
 
-def test_indices_over_the_six_columns_of_eq_16() -> None:
+def test_indices_over_the_six_columns_of_eq_16():
     """The paper drops the column of z2 before Eq. (17)."""
     six = [0, 1, 3, 4, 5, 6]
     h3, h5 = (oracle.identification_rows(k)[:, six] for k in (3, 5))
@@ -249,7 +243,7 @@ def test_indices_over_the_six_columns_of_eq_16() -> None:
     assert np.linalg.svd(h5, compute_uv=False)[-1] == pytest.approx(0.0112, abs=5e-5)
 
 
-def test_singular_values_are_the_oracle_s() -> None:
+def test_singular_values_are_the_oracle_s():
     for k in RM:
         expected = np.linalg.svd(oracle.identification_rows(k), compute_uv=False)
         v = verdict(*_one(k))
@@ -258,7 +252,7 @@ def test_singular_values_are_the_oracle_s() -> None:
         )
 
 
-def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
+def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine():
     """Not in the paper, whose reference planes are perfect.
 
     Freed, the square's tilt takes one direction from RM 4: a common tilt of both guides.
@@ -281,7 +275,7 @@ def test_a_ruler_of_unknown_direction_hides_a_turn_of_the_machine() -> None:
     assert np.abs(m5.jacobian([s5], m5.nominal) @ turned).max() < 1e-12
 
 
-def test_by_the_index_alone_the_longest_line_is_the_best() -> None:
+def test_by_the_index_alone_the_longest_line_is_the_best():
     """Section 2.4.1 takes z = 0 and 900 mm.
 
     Eq. (17) grows in proportion to the travel, up to 1500 mm.
@@ -293,7 +287,7 @@ def test_by_the_index_alone_the_longest_line_is_the_best() -> None:
     assert index[1.5] / index[0.9] == pytest.approx(1.5 / 0.9)
 
 
-def test_the_height_of_step_two_makes_no_difference() -> None:
+def test_the_height_of_step_two_makes_no_difference():
     """Section 2.4.1 takes z = 200 mm: with the tilts known, no row depends on z."""
     index = []
     for z in (0.0, 0.2, 1.5):
@@ -325,7 +319,7 @@ def amplification(h: np.ndarray, poses: int) -> float:
     return CRITERIA.index("noise_amplification", s[s > 1e-9 * s[0]], poses)
 
 
-def test_rm2_is_excluded_and_rm4_is_selected() -> None:
+def test_rm2_is_excluded_and_rm4_is_selected():
     """RM 4 sees all that RM 2 sees, 2.3 times as strongly.
 
     RM 3 sees what RM 4 sees, and more, 7.9 times as weakly.
@@ -339,7 +333,7 @@ def test_rm2_is_excluded_and_rm4_is_selected() -> None:
     assert np.linalg.norm(space4 @ space2.T) == pytest.approx(1.0)
 
 
-def test_rm5_is_the_strongest_for_the_four_of_step_two() -> None:
+def test_rm5_is_the_strongest_for_the_four_of_step_two():
     """D, z1 - z2, l1, l2 with the tilts known."""
     index = {
         k: amplification(oracle.identification_rows(k)[:, [0, 1, 3, 4]], 33)

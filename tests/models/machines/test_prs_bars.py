@@ -53,12 +53,12 @@ def lost_text(analysis: Assessment) -> str:
 # -- the machine and its tables --------------------------------------------------------
 
 
-def test_table_4_is_table_3_less_table_1() -> None:
+def test_table_4_is_table_3_less_table_1():
     """To the last digit printed; some of Table 3's are cut off rather than rounded."""
     assert np.abs(oracle.TABLE_3 - oracle.TABLE_1 - oracle.TABLE_4).max() < 0.0101
 
 
-def test_eq_2_as_printed_has_another_origin_than_table_1() -> None:
+def test_eq_2_as_printed_has_another_origin_than_table_1():
     """The same triangle, (R/2, 0) further along X.
 
     With Table 1's platform, strut 1 would hang 0.3235 m sideways.
@@ -80,7 +80,7 @@ def test_eq_2_as_printed_has_another_origin_than_table_1() -> None:
     assert [p.name for p in FULL.parameters] == list(NAMES)
 
 
-def test_inverse_is_the_closed_form(rng: np.random.Generator) -> None:
+def test_inverse_is_the_closed_form(rng):
     command = np.vstack([poses(), random_commands(rng, 300)])
     kinematics = Kinematics(FULL)
     x, q = kinematics.inverse(command)
@@ -91,7 +91,7 @@ def test_inverse_is_the_closed_form(rng: np.random.Generator) -> None:
     assert np.abs(rotation - rot).max() < 1e-14
 
 
-def test_forward_is_the_triangle_on_three_swings(rng: np.random.Generator) -> None:
+def test_forward_is_the_triangle_on_three_swings(rng):
     command = random_commands(rng, 300)
     kinematics = Kinematics(FULL)
     x, q = kinematics.inverse(command)
@@ -106,7 +106,7 @@ def test_forward_is_the_triangle_on_three_swings(rng: np.random.Generator) -> No
 # -- instruments -----------------------------------------------------------------------
 
 
-def test_laser_ball_bar_reads_what_the_oracle_reads() -> None:
+def test_laser_ball_bar_reads_what_the_oracle_reads():
     m, series = measured(FULL, laser_ball_bar.instrument)
     exact = oracle.forward(series.q, PAPER)
     theta = np.r_[PAPER.ravel(), np.zeros(6)]
@@ -119,7 +119,7 @@ def test_laser_ball_bar_reads_what_the_oracle_reads() -> None:
     )
 
 
-def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) -> None:
+def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng):
     """Covariance of x, y, z, alpha, beta against 20000 readings.
 
     Their R, theta and phi are disturbed at A and at B.
@@ -151,7 +151,7 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) ->
     )  # readings are independent of each other
 
 
-def test_one_laser_ball_bar_reading_by_hand() -> None:
+def test_one_laser_ball_bar_reading_by_hand():
     """A ball 0.7 m in front of the gimbal at its height: R is y, phi -x, theta z.
 
     Noise is 0.3 um along y, and 0.7 m x 1.15 arcsec across.
@@ -163,7 +163,7 @@ def test_one_laser_ball_bar_reading_by_hand() -> None:
     assert 1e6 * m.sigma([series]) == pytest.approx([3.9027, 0.3, 3.9027], rel=1e-4)
 
 
-def test_registration_moves_what_is_read(rng: np.random.Generator) -> None:
+def test_registration_moves_what_is_read(rng):
     """A frame shifted by t and turned by w about the gimbal, by small-angle formulas.
 
     A known frame is at zero.
@@ -178,7 +178,7 @@ def test_registration_moves_what_is_read(rng: np.random.Generator) -> None:
     assert np.abs(moved - t - np.cross(w, tip - GIMBAL)).max() < 1e-11
 
 
-def test_pose_tracker_reads_position_and_angles() -> None:
+def test_pose_tracker_reads_position_and_angles():
     m, series = measured(FULL, pose_tracker.instrument)
     exact = oracle.forward(series.q, PAPER)
     expected = np.hstack([exact.tip, oracle.angles(exact.rotation)])
@@ -189,7 +189,7 @@ def test_pose_tracker_reads_position_and_angles() -> None:
 # -- what is seen ----------------------------------------------------------------------
 
 
-def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
+def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb():
     """Eq. (11) at the machine as drawn: the tangential column is zero.
 
     At Table 2's poses and at thousands more.
@@ -204,9 +204,7 @@ def test_strut_lengths_alone_see_five_of_six_errors_of_a_limb() -> None:
             assert np.abs(rows[:, i, 3:5] @ oracle.TANGENT[i]).max() < 1e-14
 
 
-def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses() -> (
-    None
-):
+def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses():
     analysis = analyse(STRUTS, pose_tracker.instrument)
     assert (analysis.identifiability.rank, len(analysis.names)) == (15, 18)
     tangential = np.zeros((3, 3, 6))
@@ -228,7 +226,7 @@ def test_strut_only_machine_loses_the_three_tangential_offsets_from_full_poses()
 @pytest.mark.parametrize(
     "z", [0.0, 0.2, np.linspace(0.0, 0.4, 22)], ids=["low", "middle", "climbing"]
 )
-def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
+def test_full_closure_sees_18_17_and_15_of_18(z):
     """Known frame, Table 2's poses: six components, position and axis, position.
 
     Heights, which are not printed, do not matter.
@@ -243,7 +241,7 @@ def test_full_closure_sees_18_17_and_15_of_18(z: float | np.ndarray) -> None:
         assert Assessment.of(m, [series]).identifiability.rank == rank
 
 
-def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
+def test_the_lost_directions_are_rotations_of_the_platform_joints():
     assert lost_text(analyse(FULL, laser_ball_bar.instrument)).startswith(
         f"Lost, 1 direction of 18: the {SPIN}."
     )
@@ -258,7 +256,7 @@ def test_the_lost_directions_are_rotations_of_the_platform_joints() -> None:
     assert np.abs(analysis.identifiability.combinations @ spin.ravel()).max() < 1e-9
 
 
-def test_a_frame_that_is_not_known_hides_two_more_directions() -> None:
+def test_a_frame_that_is_not_known_hides_two_more_directions():
     """Six unknowns more: 22, 21 and 19 of 24.
 
     A shift of all sliders along X or Y is a shift of the frame.
@@ -302,9 +300,7 @@ def planted(
 @pytest.mark.parametrize(
     "tolerances", [KNOWN, {}], ids=["known frame", "aligned frame"]
 )
-def test_table_4_comes_back_in_every_identifiable_combination(
-    tolerances: Mapping[str, float],
-) -> None:
+def test_table_4_comes_back_in_every_identifiable_combination(tolerances):
     """Eight seeds; 17 combinations with the frame known, 21 with its six unknowns.
 
     All lie within 3 posterior standard deviations. Their mean square is near 1 where
@@ -331,7 +327,7 @@ def test_table_4_comes_back_in_every_identifiable_combination(
     assert 0.6 < np.mean(score[:, decided] ** 2) < 1.6
 
 
-def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
+def test_what_the_paper_s_own_equations_return_for_its_own_numbers():
     """A virtual machine with Table 4's errors, poses without noise, Eq. (12) solved.
 
     As in section 6. All comes back to 2 um but the tangential offsets: they come back
@@ -351,9 +347,7 @@ def test_what_the_paper_s_own_equations_return_for_its_own_numbers() -> None:
     assert returned == pytest.approx([-0.89, -1.04, 0.38], abs=0.01)
 
 
-def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre() -> (
-    None
-):
+def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre():
     """Exactly e^2 / 2l, at measured poses. The laser ball bar reads to 4 um."""
     q = oracle.nominal(*poses().T)[2]
     exact = oracle.forward(q, PAPER)
@@ -373,7 +367,7 @@ def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre(
         )  # and what there is, is constant: it passes for dl
 
 
-def test_gamma_depends_on_the_machine_s_errors_as_well() -> None:
+def test_gamma_depends_on_the_machine_s_errors_as_well():
     """With Table 4's errors it is 1.7 to 2.4 mrad off that of the drawn machine.
 
     That is the mean tangential offset over r. With the drawn machine's gamma, the

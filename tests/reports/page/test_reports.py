@@ -6,7 +6,6 @@ import html
 import json
 import os
 import re
-from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -83,11 +82,11 @@ class Tags(HTMLParser):
 
 
 @pytest.mark.parametrize("build", SAMPLES)
-def test_fixture_conforms_to_the_schema(build: Callable[[], dict[str, Any]]) -> None:
+def test_fixture_conforms_to_the_schema(build):
     assert len(result_of(build()).machine.parameters) == 18
 
 
-def test_both_files_are_whole(full: tuple[Path, Path]) -> None:
+def test_both_files_are_whole(full):
     page, book = full
     assert page.name == "report.html"
     assert page.read_bytes().rstrip().endswith(b"</html>")
@@ -98,7 +97,7 @@ def test_both_files_are_whole(full: tuple[Path, Path]) -> None:
     assert files == [safe_files.LIST_NAME, "report.html", "report.pdf"]
 
 
-def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:
+def test_page_is_small_and_loads_nothing(full):
     page = full[0].read_text(encoding="utf-8")
     assert len(page) < 3_000_000
     parsed = Tags(page)
@@ -112,7 +111,7 @@ def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:
     assert not re.search(r"url\(|@import", page)
 
 
-def test_only_the_script_of_the_package_runs(full: tuple[Path, Path]) -> None:
+def test_only_the_script_of_the_package_runs(full):
     """By its digest; the data for the views are no script."""
     page = full[0].read_text(encoding="utf-8")
     allowed = re.findall(r"script-src 'sha256-([^']*)'", page)
@@ -125,7 +124,7 @@ def test_only_the_script_of_the_package_runs(full: tuple[Path, Path]) -> None:
     assert "default-src 'none'" in page
 
 
-def test_every_heading_is_there_and_linked(full: tuple[Path, Path]) -> None:
+def test_every_heading_is_there_and_linked(full):
     page = full[0].read_text(encoding="utf-8")
     chapters = page.partition('class="chapter"')[2]
     headings = re.findall(r"<h2>(.*?)</h2>", chapters)
@@ -139,9 +138,7 @@ def test_every_heading_is_there_and_linked(full: tuple[Path, Path]) -> None:
     assert set(re.findall(r'href="#([^"]+)"', page)) <= anchors
 
 
-def test_the_question_and_the_answers_come_first(
-    full: tuple[Path, Path], result: StudyResult
-) -> None:
+def test_the_question_and_the_answers_come_first(full, result):
     first, _, rest = full[0].read_text(encoding="utf-8").partition('class="chapter"')
     shown, appendix = text_of(first), text_of(rest)
     parts = [part.title for part in sections.answer_parts(result)]
@@ -153,7 +150,7 @@ def test_the_question_and_the_answers_come_first(
     assert "misses a claim: spindle axis, rms [arcsec]" in shown
 
 
-def test_every_figure_has_a_caption_with_a_number(full: tuple[Path, Path]) -> None:
+def test_every_figure_has_a_caption_with_a_number(full):
     page = full[0].read_text(encoding="utf-8")
     figures = re.findall(r'<figure class="picture">.*?</figure>', page, re.DOTALL)
     assert len(figures) == 16
@@ -164,14 +161,14 @@ def test_every_figure_has_a_caption_with_a_number(full: tuple[Path, Path]) -> No
         assert 'alt="' in figure
 
 
-def test_the_study_file_and_the_seed_are_shown(full: tuple[Path, Path]) -> None:
+def test_the_study_file_and_the_seed_are_shown(full):
     page = full[0].read_text(encoding="utf-8")
     assert report_fixture.TEXT.strip() in html.unescape(page)
     assert "20240607" in page
     assert "<tags>" not in page
 
 
-def test_users_settings_change_nothing(tmp_path: Path) -> None:
+def test_users_settings_change_nothing(tmp_path):
     drawing = report_fixture.sample()["drawing"]
     drawn = result_of(report_fixture.bare() | {"drawing": drawing})
     expected = Document.of_result(drawn).html()
@@ -180,9 +177,7 @@ def test_users_settings_change_nothing(tmp_path: Path) -> None:
         assert Document.of_result(drawn).html() == expected
 
 
-def test_a_failed_write_leaves_the_old_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_old_report(tmp_path, monkeypatch):
     (tmp_path / "report.html").write_text("old")
 
     def fail(*_: Any) -> None:
@@ -198,7 +193,7 @@ def test_a_failed_write_leaves_the_old_report(
 # -- missing sections and older results ------------------------------------------------
 
 
-def test_a_report_needs_no_optional_section(tmp_path: Path) -> None:
+def test_a_report_needs_no_optional_section(tmp_path):
     page, book = write_report(result_of(report_fixture.bare()), tmp_path)
     assert book.stat().st_size > 1000
     shown = text_of(page.read_text(encoding="utf-8"))
@@ -208,14 +203,14 @@ def test_a_report_needs_no_optional_section(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("missing", NEWER_KEYS)
-def test_a_result_of_an_older_version_lacks_a_key(missing: str) -> None:
+def test_a_result_of_an_older_version_lacks_a_key(missing):
     raw = report_fixture.bare()
     raw.pop(missing, None)
     report = Document.of_result(result_of(raw))
     assert report.pdf().startswith(b"%PDF")
 
 
-def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
+def test_a_result_file_of_an_older_version_still_loads(tmp_path):
     """With nothing but the contract's own keys at the top."""
     full = report_fixture.sample()
     keys = ("schema", "version", "study", "seed", "seconds", "machine", "design")
@@ -231,7 +226,7 @@ def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
     assert "Residual accuracy" not in page
 
 
-def test_a_parameter_that_is_not_sampled_has_no_diagnostics() -> None:
+def test_a_parameter_that_is_not_sampled_has_no_diagnostics():
     """Its R-hat and effective sample size are null in the file."""
     raw = report_fixture.bare() | {"posterior": report_fixture.sample()["posterior"]}
     raw["posterior"]["marginals"]["dq1"] |= {"rhat": None, "ess": None}
@@ -240,7 +235,7 @@ def test_a_parameter_that_is_not_sampled_has_no_diagnostics() -> None:
     assert "nan" not in shown.split()
 
 
-def test_independent_draws_have_no_diagnostics_of_chains() -> None:
+def test_independent_draws_have_no_diagnostics_of_chains():
     raw = report_fixture.bare() | {"posterior": report_fixture.sample()["posterior"]}
     raw["posterior"] |= {
         "sampler": "importance",
@@ -288,9 +283,7 @@ def _with_nasty_names() -> dict[str, Any]:
     return raw
 
 
-def test_text_of_the_study_is_never_markup(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_text_of_the_study_is_never_markup(tmp_path, monkeypatch):
     monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
     page, book = write_report(result_of(_with_nasty_names()), tmp_path)
     source = page.read_text(encoding="utf-8")
@@ -301,9 +294,7 @@ def test_text_of_the_study_is_never_markup(
     assert book.read_bytes().startswith(b"%PDF")
 
 
-def test_a_print_alone_draws_none_of_the_screens_pictures(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_print_alone_draws_none_of_the_screens_pictures(monkeypatch):
     drawn: list[str] = []
 
     def sketch(picture: Picture) -> style.Image:
@@ -325,7 +316,7 @@ def test_a_print_alone_draws_none_of_the_screens_pictures(
     assert len(drawn) == len(set(drawn))  # each once, for print and screen
 
 
-def test_the_print_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_print_is_short(monkeypatch):
     """At most 4 pages for all that a study can ask, in order; in full more."""
     monkeypatch.setattr(document, "drawn_image", report_fixture.sketched)
     report = Document.of_result(result_of(report_fixture.sample()))

@@ -85,7 +85,7 @@ def unfold(page: Any) -> None:
         heading.click()
 
 
-def test_a_link_opens_the_chapter_that_it_names(opened: Any) -> None:
+def test_a_link_opens_the_chapter_that_it_names(opened):
     page = opened(1440)
     chapter = page.locator("details#identification")
     assert chapter.get_attribute("open") is None
@@ -96,14 +96,14 @@ def test_a_link_opens_the_chapter_that_it_names(opened: Any) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", WIDTHS)
-def test_nothing_overflows(opened: Any, width: int, scheme: str) -> None:
+def test_nothing_overflows(opened, width, scheme):
     page = opened(width, scheme)
     unfold(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1440, "dark")])
-def test_everyone_can_read_the_page(opened: Any, width: int, scheme: str) -> None:
+def test_everyone_can_read_the_page(opened, width, scheme):
     from axe_playwright_python.sync_playwright import Axe
 
     page = opened(width, scheme)
@@ -113,7 +113,7 @@ def test_everyone_can_read_the_page(opened: Any, width: int, scheme: str) -> Non
     assert faults == []
 
 
-def test_the_first_screen_answers_what_how_long_how_accurate(opened: Any) -> None:
+def test_the_first_screen_answers_what_how_long_how_accurate(opened):
     page = opened(1440)
     for anchor in ("short", "measure", "how-accurate"):
         box = page.locator(f"#{anchor} h2").bounding_box()
@@ -122,7 +122,7 @@ def test_the_first_screen_answers_what_how_long_how_accurate(opened: Any) -> Non
     assert rows["y"] + rows["height"] < WIDTHS[1440]
 
 
-def test_letters_of_figures_can_be_read_on_a_telephone(opened: Any) -> None:
+def test_letters_of_figures_can_be_read_on_a_telephone(opened):
     """Drawn at 8 points for 6.7 inches: at least 9 pixels high at 390 pixels."""
     page = opened(390)
     unfold(page)
@@ -134,7 +134,7 @@ def test_letters_of_figures_can_be_read_on_a_telephone(opened: Any) -> None:
     assert min(widths) / drawn * 8.0 * 96.0 / 72.0 >= 9.0
 
 
-def test_the_button_changes_the_theme(opened: Any) -> None:
+def test_the_button_changes_the_theme(opened):
     page = opened(1440, "light")
     paper = "getComputedStyle(document.body).backgroundColor"
     assert page.evaluate(paper) == "rgb(255, 255, 255)"
@@ -145,7 +145,7 @@ def test_the_button_changes_the_theme(opened: Any) -> None:
     assert page.evaluate(paper) == "rgb(255, 255, 255)"
 
 
-def test_a_table_is_saved_as_csv(opened: Any, result: StudyResult) -> None:
+def test_a_table_is_saved_as_csv(opened, result):
     page = opened(1440)
     unfold(page)
     figure = page.locator("figure.table", has=page.locator("tr[data-reading]"))
@@ -214,9 +214,7 @@ def _points(result: StudyResult) -> tuple[Array, Array]:
     return 1e3 * np.vstack([*corners, *bars, np.array(drawing.tool_points)]), tips
 
 
-def test_the_view_turns_and_the_picked_reading_is_where_it_belongs(
-    opened: Any, result: StudyResult
-) -> None:
+def test_the_view_turns_and_the_picked_reading_is_where_it_belongs(opened, result):
     page = opened(1440)
     canvas = page.locator("#scene")
     canvas.scroll_into_view_if_needed()
@@ -247,7 +245,7 @@ def test_the_view_turns_and_the_picked_reading_is_where_it_belongs(
     assert canvas.get_attribute("data-picked") == "4"
 
 
-def test_a_reading_is_found_in_table_residuals_and_circle(opened: Any) -> None:
+def test_a_reading_is_found_in_table_residuals_and_circle(opened):
     page = opened(1440)
     unfold(page)
     page.locator("figure.table tr[data-reading='7']").click()
@@ -261,7 +259,7 @@ def test_a_reading_is_found_in_table_residuals_and_circle(opened: Any) -> None:
     assert bar.startswith("reading 8:")
 
 
-def test_a_reading_is_touched_in_the_drawing(opened: Any, result: StudyResult) -> None:
+def test_a_reading_is_touched_in_the_drawing(opened, result):
     page = opened(390, has_touch=True)
     canvas = page.locator("#scene")
     canvas.scroll_into_view_if_needed()
@@ -282,7 +280,7 @@ def test_a_reading_is_touched_in_the_drawing(opened: Any, result: StudyResult) -
     assert canvas.get_attribute("data-picked") == str(loneliest)
 
 
-def test_the_magnification_of_a_circle_can_be_changed(opened: Any) -> None:
+def test_the_magnification_of_a_circle_can_be_changed(opened):
     page = opened(1440)
     chart = page.locator("#polars .chart").first
     assert chart.count() == 1
@@ -299,9 +297,7 @@ def test_the_magnification_of_a_circle_can_be_changed(opened: Any) -> None:
     assert farthest() == pytest.approx(20.0, abs=0.5)
 
 
-def test_the_error_map_is_drawn_with_its_scale(
-    opened: Any, result: StudyResult
-) -> None:
+def test_the_error_map_is_drawn_with_its_scale(opened, result):
     page = opened(1440)
     page.select_option("#field", label="error of z")
     page.select_option("#state", "before")
@@ -311,7 +307,7 @@ def test_the_error_map_is_drawn_with_its_scale(
     assert "µm" in words
 
 
-def test_a_page_of_a_bare_result_has_no_view(browser: Any, tmp_path: Path) -> None:
+def test_a_page_of_a_bare_result_has_no_view(browser, tmp_path):
     (path,) = write_report(result_of(report_fixture.bare()), tmp_path, pdf=False)
     page = browser.new_page()
     errors: list[str] = []

@@ -21,11 +21,11 @@ from pkm_reports import text
         (1e-9, "10⁻⁹"),
     ],
 )
-def test_numbers_as_a_person_writes_them(value: float | None, written: str) -> None:
+def test_numbers_as_a_person_writes_them(value, written):
     assert text.number(value) == written
 
 
-def test_units_and_shares() -> None:
+def test_units_and_shares():
     assert text.heading("z_mm") == "z [mm]"
     assert text.heading("theta_deg") == "theta [°]"
     assert text.heading("order") == "order"
@@ -43,7 +43,7 @@ def test_units_and_shares() -> None:
     assert text.times(3.046) == "3.05×"
 
 
-def test_decimals() -> None:
+def test_decimals():
     assert text.trimmed(0.5) == "0.5"
     assert text.trimmed(1000.0) == "1000"
     assert text.fixed(-0.0001, 2) == "0.00"
@@ -51,7 +51,7 @@ def test_decimals() -> None:
     assert aligned == ["0.0000", "24.0000", "–", "33.8908"]
 
 
-def test_lists_and_combinations() -> None:
+def test_lists_and_combinations():
     assert text.listing(["a", "b", "c"]) == "a, b and c"
     combination = text.linear_combination({"a": -0.5, "b": 1.0})
     assert combination == "b − 0.5\N{NO-BREAK SPACE}a"
@@ -66,6 +66,6 @@ def test_lists_and_combinations() -> None:
     ],
 )
 def test_a_sentence_starts_with_a_capital_but_not_with_that_of_a_symbol(
-    words: str, sentence: str
-) -> None:
+    words, sentence
+):
     assert text.sentence(words) == sentence

@@ -33,7 +33,7 @@ def _words(result: StudyResult) -> dict[str, str]:
     return words
 
 
-def test_a_plan_says_what_how_long_and_how_accurate() -> None:
+def test_a_plan_says_what_how_long_and_how_accurate():
     words = _words(result_of(report_fixture.sample()))
     assert list(words) == ["short", "measure", "how-accurate", "unknown", "warnings"]
     assert "30, chosen from 1512 candidates" in words["measure"]
@@ -46,7 +46,7 @@ def test_a_plan_says_what_how_long_and_how_accurate() -> None:
     )
 
 
-def test_a_bare_result_promises_nothing() -> None:
+def test_a_bare_result_promises_nothing():
     words = _words(result_of(report_fixture.bare()))
     assert list(words) == ["measure", "warnings"]
     assert "no warnings" in words["warnings"]
@@ -57,9 +57,7 @@ def test_a_bare_result_promises_nothing() -> None:
 
 
 @pytest.mark.parametrize(("limit", "reached"), [(1e9, True), (1e-9, False)])
-def test_the_wanted_accuracy_stands_beside_the_predicted(
-    limit: float, reached: bool
-) -> None:
+def test_the_wanted_accuracy_stands_beside_the_predicted(limit, reached):
     raw = report_fixture.sample()
     raw["design"]["how_many"]["wanted"] = {"z_um": limit}
     (table, *_) = answer.accuracy_blocks(result_of(raw))
@@ -72,7 +70,7 @@ def test_the_wanted_accuracy_stands_beside_the_predicted(
     assert others == {text.MISSING}
 
 
-def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None:
+def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part():
     raw = report_fixture.sample()
     x = raw["prediction"]["components"]["x"]
     assert not x["compensatable"]
@@ -85,7 +83,7 @@ def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None
     assert re.search(r"x \[µm\] [\d.]+ 60 .* 100 over 99 % \? cannot tell", words)
 
 
-def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
+def test_without_a_wanted_accuracy_nothing_is_judged():
     raw = report_fixture.sample()
     raw["design"]["how_many"]["wanted"] = {}
     words = _words(result_of(raw))["how-accurate"]
@@ -93,7 +91,7 @@ def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
     assert "yes" not in words
 
 
-def test_a_plan_of_stages_stands_beside_its_goal() -> None:
+def test_a_plan_of_stages_stands_beside_its_goal():
     raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
     words = _words(result_of(raw))
     assert "Stages" in words["measure"]
@@ -103,14 +101,14 @@ def test_a_plan_of_stages_stands_beside_its_goal() -> None:
 # -- unknown ---------------------------------------------------------------------------
 
 
-def test_what_is_lost_stands_with_what_brings_it_back() -> None:
+def test_what_is_lost_stands_with_what_brings_it_back():
     result = result_of(report_fixture.sample())
     words = _words(result)["unknown"]
     assert "determine 21 of 24 unknowns: 3 combinations of them stay" in words
     assert "What helps: a second tool length (two of the three); an" in words
 
 
-def test_where_nothing_is_lost_the_page_says_so() -> None:
+def test_where_nothing_is_lost_the_page_says_so():
     raw = report_fixture.sample()
     raw["identifiability"] |= {"rank": 24, "lost": [], "words": []}
     (paragraph,) = answer.unknown_blocks(result_of(raw))
@@ -120,7 +118,7 @@ def test_where_nothing_is_lost_the_page_says_so() -> None:
 # -- warnings --------------------------------------------------------------------------
 
 
-def test_the_most_harmful_warning_stands_first() -> None:
+def test_the_most_harmful_warning_stands_first():
     goodness = {
         "chi2": 900.0,
         "dof": 10.0,
@@ -141,7 +139,7 @@ def test_the_most_harmful_warning_stands_first() -> None:
 # -- causes ----------------------------------------------------------------------------
 
 
-def test_causes_are_ranked_by_size_with_their_unit_and_probability() -> None:
+def test_causes_are_ranked_by_size_with_their_unit_and_probability():
     gap = {
         "verdict": "effect",
         "answers": [],
@@ -185,7 +183,7 @@ def test_causes_are_ranked_by_size_with_their_unit_and_probability() -> None:
     assert "before" not in words
 
 
-def test_a_ratio_of_percents_is_in_percent() -> None:
+def test_a_ratio_of_percents_is_in_percent():
     """Five digits of ppm hide that a leg's conversion is wrong by a twentieth."""
     sizes = {
         "encoder_scale: leg 1": EffectEstimate(

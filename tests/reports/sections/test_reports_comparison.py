@@ -41,7 +41,7 @@ def _plain(lines: list[Any]) -> str:
     return " ".join(words).replace(text.NO_BREAK, " ")
 
 
-def test_differences_come_first_and_name_the_better() -> None:
+def test_differences_come_first_and_name_the_better():
     results = two_of_one_head("plan")
     words = _plain(side_by_side.sentences(results))
     assert "one takes the least time" in words
@@ -54,14 +54,12 @@ def test_differences_come_first_and_name_the_better() -> None:
     assert content(results, ()).answer[0].anchor == "differences"
 
 
-def test_equal_results_have_no_differences(results: dict[str, StudyResult]) -> None:
+def test_equal_results_have_no_differences(results):
     (paragraph,) = side_by_side.sentences({"a": results["one"], "b": results["one"]})
     assert "agree" in paragraph.text
 
 
-def test_accuracies_stand_beside_what_is_wanted(
-    results: dict[str, StudyResult],
-) -> None:
+def test_accuracies_stand_beside_what_is_wanted(results):
     design = results["one"].design
     assert design.how_many is not None
     goal = replace(design.how_many, wanted={"z_um": 25.0})
@@ -71,9 +69,7 @@ def test_accuracies_stand_beside_what_is_wanted(
     assert row[1:] == ["30", "15", "25", "two"]
 
 
-def test_parameters_are_compared_for_one_machine_alone(
-    results: dict[str, StudyResult],
-) -> None:
+def test_parameters_are_compared_for_one_machine_alone(results):
     (table,) = side_by_side.parameter_blocks(results)
     assert len(table.rows) == len(results["one"].estimate.parameters)
     machine = replace(results["two"].machine, name="another")
@@ -82,9 +78,7 @@ def test_parameters_are_compared_for_one_machine_alone(
     assert "machines differ" in _plain(side_by_side.sentences(results))
 
 
-def test_both_files_are_written_the_same_each_time(
-    results: dict[str, StudyResult], tmp_path: Path
-) -> None:
+def test_both_files_are_written_the_same_each_time(results, tmp_path):
     page, book = write_comparison(results, tmp_path / "a", ["dq1 grew."])
     again = write_comparison(results, tmp_path / "b", ["dq1 grew."])
     assert [page.name, book.name] == ["comparison.html", "comparison.pdf"]
@@ -95,9 +89,7 @@ def test_both_files_are_written_the_same_each_time(
         write_comparison({"one": results["one"]}, tmp_path)
 
 
-def test_a_machine_with_other_components_or_none_is_no_trouble(
-    results: dict[str, StudyResult], tmp_path: Path
-) -> None:
+def test_a_machine_with_other_components_or_none_is_no_trouble(results, tmp_path):
     results |= {
         "three": result_of(report_fixture.delta()),
         "four": result_of(report_fixture.bare()),
@@ -115,9 +107,7 @@ def _stored(folder: Path, result: StudyResult) -> Path:
     return folder
 
 
-def test_the_command_puts_folders_side_by_side(
-    results: dict[str, StudyResult], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_puts_folders_side_by_side(results, tmp_path, capsys):
     folders = [_stored(tmp_path / name / "out", r) for name, r in results.items()]
     out = tmp_path / "side"
     assert main(["report", *map(str, folders), "--out", str(out)]) == 0
@@ -127,7 +117,7 @@ def test_the_command_puts_folders_side_by_side(
     assert not list(folders[0].glob("report.*"))
 
 
-def test_folders_get_names_that_tell_them_apart() -> None:
+def test_folders_get_names_that_tell_them_apart():
     folders = [Path("a/x/out"), Path("b/x/out"), Path("c")]
     assert history.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
     assert history.short_names([folders[0], folders[2]]) == ["out", "c"]

@@ -1,7 +1,6 @@
 """The report's chapter on the gap: sound for every verdict, its figures legible."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import gap_fixture
@@ -44,15 +43,13 @@ def _result(gap: GapSection | dict[str, Any]) -> StudyResult:
 # -- chapter ---------------------------------------------------------------------------
 
 
-def test_the_chapter_is_there_only_where_there_is_a_diagnosis(gap: GapSection) -> None:
+def test_the_chapter_is_there_only_where_there_is_a_diagnosis(gap):
     assert sections.chapters(_result(gap))[-1].anchor == "gap"
     without = sections.chapters(result_of(report_fixture.bare()))
     assert "gap" not in [section.anchor for section in without]
 
 
-def test_the_page_has_findings_causes_places_and_closure(
-    gap: GapSection, tmp_path: Path
-) -> None:
+def test_the_page_has_findings_causes_places_and_closure(gap, tmp_path):
     page, book = write_report(_result(gap), tmp_path)
     assert book.read_bytes().startswith(b"%PDF")
     source = page.read_text(encoding="utf-8")
@@ -72,9 +69,7 @@ def test_the_page_has_findings_causes_places_and_closure(
 
 
 @pytest.mark.parametrize("verdict", ["none", "unknown", "class", "mixture"])
-def test_every_verdict_has_a_page(
-    gap: GapSection, verdict: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_verdict_has_a_page(gap, verdict, monkeypatch):
     """Its figures are drawn and not written."""
     monkeypatch.setattr(document, "drawn_image", lambda p: Sketches()(p))
     section = replace(gap, verdict=verdict)
@@ -113,7 +108,7 @@ def _without_effects(gap: GapSection) -> GapSection:
     )
 
 
-def test_nothing_but_the_contract_s_own_keys_is_needed(gap: GapSection) -> None:
+def test_nothing_but_the_contract_s_own_keys_is_needed(gap):
     stored = msgspec.to_builtins(gap)
     contract = (
         "verdict",
@@ -131,20 +126,20 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap: GapSection) -> None:
 # -- tables ----------------------------------------------------------------------------
 
 
-def test_the_largest_coefficient_stands_first(gap: GapSection) -> None:
+def test_the_largest_coefficient_stands_first(gap):
     (table,) = chapter._coefficients(gap)
     names = ["leg 2", "leg 3", "leg 1"]
     assert [row[1] for row in table.rows] == [f"{name} [µm]" for name in names]
     assert float(table.rows[0][-1].split()[0]) == pytest.approx(3.0, abs=0.1)
 
 
-def test_a_coefficient_without_an_expected_size_has_none(gap: GapSection) -> None:
+def test_a_coefficient_without_an_expected_size_has_none(gap):
     unknown = [replace(c, prior_sd=None) for c in gap.coefficients]
     (table,) = chapter._coefficients(replace(gap, coefficients=unknown))
     assert {row[-1] for row in table.rows} == {text.MISSING}
 
 
-def test_one_of_many_is_not_named_before_the_others() -> None:
+def test_one_of_many_is_not_named_before_the_others():
     few, many = ["friction", "backlash"], ["step", *(f"effect_{k}" for k in range(6))]
     answer = AnswerRecord(["friction", "step", "unknown"], 0.4, [few, many])
     explanation, percent, others = chapter.explanation_row(answer)
@@ -153,7 +148,7 @@ def test_one_of_many_is_not_named_before_the_others() -> None:
     assert others.startswith("backlash, step, effect 0")
 
 
-def test_the_set_is_shown_where_it_has_more_than_one(gap: GapSection) -> None:
+def test_the_set_is_shown_where_it_has_more_than_one(gap):
     likely = AnswerRecord(["friction"], 0.97, [["friction"]])
     other = AnswerRecord(["step"], 0.03, [["step"]])
     bare = replace(gap, answers=[likely, other], sizes=[])
@@ -165,7 +160,7 @@ def test_the_set_is_shown_where_it_has_more_than_one(gap: GapSection) -> None:
 # -- figures ---------------------------------------------------------------------------
 
 
-def test_figures_without_data_say_so(gap: GapSection) -> None:
+def test_figures_without_data_say_so(gap):
     with style.applied():
         for figure in (gap_figures.draw_traces([]), chapter.draw_map([], "um")):
             assert not figure.axes
@@ -175,7 +170,7 @@ def test_figures_without_data_say_so(gap: GapSection) -> None:
         assert "No effect" in empty.texts[0].get_text()
 
 
-def test_figures_keep_all_words_inside(gap: GapSection) -> None:
+def test_figures_keep_all_words_inside(gap):
     with style.applied():
         for figure in _figures(gap):
             check_inside(figure)
@@ -190,7 +185,7 @@ def _figures(gap: GapSection) -> list[Figure]:
     ]
 
 
-def test_the_likeliest_cause_is_at_the_top_and_coloured(gap: GapSection) -> None:
+def test_the_likeliest_cause_is_at_the_top_and_coloured(gap):
     marginal = {f"effect_{k:02d}": 0.01 * k for k in range(14)} | {"backlash": 0.98}
     with style.applied():
         bars, sizes = gap_figures.draw_effects(replace(gap, marginal=marginal)).axes
@@ -210,7 +205,7 @@ def _scaled(trace: Trace, k: int) -> Trace:
     return replace(trace, run=f"r{k}", before=before)
 
 
-def test_only_the_runs_with_the_largest_residuals_are_drawn(gap: GapSection) -> None:
+def test_only_the_runs_with_the_largest_residuals_are_drawn(gap):
     many = [_scaled(gap.traces[0], k) for k in range(20)]
     shown = [trace.run for trace in gap_figures.choose_traces(many)]
     assert len(shown) == gap_figures.MAX_TRACES
@@ -224,7 +219,7 @@ def test_only_the_runs_with_the_largest_residuals_are_drawn(gap: GapSection) -> 
     assert len(panels) == gap_figures.MAX_TRACES
 
 
-def test_both_ways_of_a_circle_share_a_panel(gap: GapSection) -> None:
+def test_both_ways_of_a_circle_share_a_panel(gap):
     passes = chapter.gap_circles(gap.traces).values()
     directions = [[trace.direction for trace in runs] for runs in passes]
     assert directions == [[1, -1], [1, -1]]
@@ -240,7 +235,7 @@ def test_both_ways_of_a_circle_share_a_panel(gap: GapSection) -> None:
     assert drawn == pytest.approx(radius.tolist())
 
 
-def test_a_machine_in_a_plane_has_one_view_and_one_in_space_two() -> None:
+def test_a_machine_in_a_plane_has_one_view_and_one_in_space_two():
     flat = missing.table([[0.0, 10.0 * k, 100.0 * (k % 3)] for k in range(9)])
     assert chapter.map_views(flat) == [(1, 2)]
     solid = missing.table(
@@ -249,7 +244,7 @@ def test_a_machine_in_a_plane_has_one_view_and_one_in_space_two() -> None:
     assert chapter.map_views(solid) == [(0, 1), (0, 2)]
 
 
-def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:
+def test_what_is_too_small_to_be_seen_is_said_to_be():
     for unseen, words in (
         (0.0, "an effect of unknown form"),
         (0.13, "an effect too small for these readings to show"),
@@ -258,7 +253,7 @@ def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:
         assert chapter.explanation_row(answer)[0] == words
 
 
-def test_no_gap_closes_by_more_than_all_of_it(gap: GapSection) -> None:
+def test_no_gap_closes_by_more_than_all_of_it(gap):
     """Held-out readings that lie closer than the noise expects leave no less than none."""
     closer = replace(gap.closure[0], value=1.24, low=0.7, high=1.31)
     (table,) = chapter._closure(replace(gap, closure=[closer]))
@@ -266,6 +261,6 @@ def test_no_gap_closes_by_more_than_all_of_it(gap: GapSection) -> None:
     assert cells[2:4] == ["all of it", "70 % to over 100 %"]
 
 
-def test_no_closure_is_reported_where_no_effect_is(gap: GapSection) -> None:
+def test_no_closure_is_reported_where_no_effect_is(gap):
     assert chapter._closure(gap)
     assert not chapter._closure(replace(gap, verdict="none"))

@@ -1,8 +1,6 @@
 """The chapter of a plan in stages and its measurement sheet, also where parts lack."""
 
 import re
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -11,7 +9,6 @@ import pytest
 import report_fixture
 import report_fixture_plan
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from msgspec.structs import replace
 from report_fixture import check_box, result_of, shown_text
 
@@ -66,7 +63,7 @@ def _plan(**changes: Any) -> PlanSection:
 # -- chapter ---------------------------------------------------------------------------
 
 
-def test_the_chapter_is_there_only_where_stages_are_planned() -> None:
+def test_the_chapter_is_there_only_where_stages_are_planned():
     planned = sections.chapters(_small(report_fixture_plan.plan()))
     others = sections.chapters(result_of(report_fixture.sample()))
     assert [section.anchor for section in planned] == ["plan", "stages"]
@@ -75,7 +72,7 @@ def test_the_chapter_is_there_only_where_stages_are_planned() -> None:
     assert not stages.has_schedule(PlanSection([], 0.0, []))
 
 
-def test_stages_and_verdict_are_reported() -> None:
+def test_stages_and_verdict_are_reported():
     shown = " ".join(shown_text(_small(report_fixture_plan.plan())).split())
     for words in (
         "Known before: 12 readings of a first day, 33 min.",
@@ -112,7 +109,7 @@ def test_stages_and_verdict_are_reported() -> None:
     assert "AlternativePlan" not in shown
 
 
-def test_a_plan_without_a_goal_says_what_it_reaches() -> None:
+def test_a_plan_without_a_goal_says_what_it_reaches():
     shown = shown_text(_small(report_fixture_plan.plan(wanted=False)))
     verdict = (
         "The most accurate plan found has 3 stages and takes 108 min of a budget of"
@@ -123,7 +120,7 @@ def test_a_plan_without_a_goal_says_what_it_reaches() -> None:
     assert "out of reach" not in shown
 
 
-def test_a_reached_goal_is_reported() -> None:
+def test_a_reached_goal_is_reported():
     shown = shown_text(_small(report_fixture_plan.plan() | {"reached": True}))
     verdict = (
         "The goal (z 26.3 µm and theta 2.36 arcsec) is reached. The least costly plan"
@@ -143,7 +140,7 @@ def test_a_reached_goal_is_reported() -> None:
         (10.44, "a factor of 11.5"),
     ],
 )
-def test_a_loss_is_never_rounded_down(loss: float, written: str) -> None:
+def test_a_loss_is_never_rounded_down(loss, written):
     plan = report_fixture_plan.plan(wanted=False) | {"loss": loss}
     blocks = stages.blocks(_small(plan))
     texts = [block.text for block in blocks if isinstance(block, Paragraph)]
@@ -151,7 +148,7 @@ def test_a_loss_is_never_rounded_down(loss: float, written: str) -> None:
 
 
 @pytest.mark.parametrize("names", [*[[name] for name in OPTIONAL], OPTIONAL])
-def test_each_part_of_the_plan_may_be_absent(names: list[str]) -> None:
+def test_each_part_of_the_plan_may_be_absent(names):
     plan = report_fixture_plan.plan()
     for name in names:
         plan.pop(name, None)
@@ -159,12 +156,12 @@ def test_each_part_of_the_plan_may_be_absent(names: list[str]) -> None:
 
 
 @pytest.mark.parametrize("names", [*[[name] for name in NULLABLE], NULLABLE])
-def test_parts_of_the_plan_may_be_null(names: list[str]) -> None:
+def test_parts_of_the_plan_may_be_null(names):
     plan = report_fixture_plan.plan() | dict.fromkeys(names)
     _check(_small(plan), draw=len(names) > 1)
 
 
-def test_each_part_of_a_stage_may_be_absent() -> None:
+def test_each_part_of_a_stage_may_be_absent():
     for names in [*[[name] for name in OPTIONAL_OF_STAGE], OPTIONAL_OF_STAGE]:
         plan = report_fixture_plan.plan()
         for stage in plan["stages"]:
@@ -173,7 +170,7 @@ def test_each_part_of_a_stage_may_be_absent() -> None:
         _check(_small(plan), draw=len(names) > 1)
 
 
-def test_parts_of_a_stage_may_be_null() -> None:
+def test_parts_of_a_stage_may_be_null():
     for names in [*[[name] for name in NULLABLE_OF_STAGE], NULLABLE_OF_STAGE]:
         plan = report_fixture_plan.plan()
         for stage in plan["stages"]:
@@ -192,7 +189,7 @@ def _check(result: StudyResult, *, draw: bool) -> None:
         assert Document.of_result(result).pdf().startswith(b"%PDF")
 
 
-def test_names_are_never_markup(tmp_path: Path) -> None:
+def test_names_are_never_markup(tmp_path):
     plan = report_fixture_plan.plan()
     plan |= {"needs": [NASTY], "stop": NASTY, "after": NASTY}
     plan["stages"][0] |= {
@@ -217,7 +214,7 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
 # -- figures ---------------------------------------------------------------------------
 
 
-def test_lines_and_diamonds_are_the_numbers() -> None:
+def test_lines_and_diamonds_are_the_numbers():
     plan = _plan()
     with style.applied():
         panels = stages.draw_accuracies(plan).axes
@@ -237,7 +234,7 @@ def test_lines_and_diamonds_are_the_numbers() -> None:
     assert list(levels) == pytest.approx([plan.goal["z_um"]])
 
 
-def test_bars_lie_where_the_stages_are() -> None:
+def test_bars_lie_where_the_stages_are():
     with style.applied():
         axes = stages.draw_timeline(_plan()).axes[0]
     begins = [bar.get_x() for bar in axes.patches]
@@ -247,7 +244,7 @@ def test_bars_lie_where_the_stages_are() -> None:
 
 
 @pytest.mark.parametrize("wanted", [True, False])
-def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted: bool) -> None:
+def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted):
     plan = msgspec.convert(report_fixture_plan.plan(wanted=wanted), PlanSection)
     with style.applied():
         axes = stages.draw_front(plan).axes[0]
@@ -268,7 +265,7 @@ FIGURES = [stages.draw_accuracies, stages.draw_timeline, stages.draw_front]
 
 
 @pytest.mark.parametrize("draw", FIGURES)
-def test_figures_keep_all_words_inside(draw: Callable[[PlanSection], Figure]) -> None:
+def test_figures_keep_all_words_inside(draw):
     plan = _plan()
     stages = [
         replace(
@@ -287,7 +284,7 @@ def test_figures_keep_all_words_inside(draw: Callable[[PlanSection], Figure]) ->
 
 
 @pytest.mark.parametrize("draw", FIGURES)
-def test_a_figure_without_data_says_so(draw: Callable[[PlanSection], Figure]) -> None:
+def test_a_figure_without_data_says_so(draw):
     with style.applied():
         figure = draw(PlanSection([], 0.0, []))
     assert re.search(r"No .* (is|are) stored", figure.texts[0].get_text())
@@ -312,7 +309,7 @@ def _printed_rows(table: sheet.SheetTable) -> list[list[str]]:
     return [list(row) for block in table.blocks for row in block]
 
 
-def test_the_sheet_holds_every_pose_once_in_order() -> None:
+def test_the_sheet_holds_every_pose_once_in_order():
     result = result_of(report_fixture_plan.sample())
     poses = result.design.poses
     tables = {table.setup: table for table in _tables(sheet.build(result, poses))}
@@ -327,7 +324,7 @@ def test_the_sheet_holds_every_pose_once_in_order() -> None:
     assert _printed_rows(tables["tracker"]) == []
 
 
-def test_the_sheet_has_the_joints_beside_the_command() -> None:
+def test_the_sheet_has_the_joints_beside_the_command():
     result = result_of(report_fixture_plan.sample())
     poses = [replace(p, joints={"q1_mm": 500.0 + p.order}) for p in _rows(8, "bar")]
     (table,) = [t for t in _tables(sheet.build(result, poses)) if t.setup == "bar"]
@@ -339,9 +336,7 @@ def test_the_sheet_has_the_joints_beside_the_command() -> None:
 
 
 @pytest.mark.parametrize("counts", [(1, 0), (70, 50), (100, 40), (300, 5)])
-def test_a_long_sheet_is_cut_and_says_so(
-    counts: tuple[int, int], tmp_path: Path
-) -> None:
+def test_a_long_sheet_is_cut_and_says_so(counts, tmp_path):
     poses = _rows(counts[0], "short tool") + _rows(counts[1], "long tool")
     result = result_of(report_fixture_plan.sample())
     tables = _tables(sheet.build(result, poses))
@@ -358,7 +353,7 @@ def _pages(data: bytes) -> int:
     return max(int(n) for n in re.findall(rb"/Count (\d+)", data))
 
 
-def test_the_sheet_is_the_same_each_time_and_needs_poses(tmp_path: Path) -> None:
+def test_the_sheet_is_the_same_each_time_and_needs_poses(tmp_path):
     result = result_of(report_fixture_plan.sample())
     first = write_sheet(result, None, tmp_path / "a").read_bytes()
     again = write_sheet(result, result.design.poses, tmp_path / "b").read_bytes()

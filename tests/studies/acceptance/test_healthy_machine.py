@@ -1,7 +1,5 @@
 """`oed verify` beside what a plan said of a healthy machine."""
 
-from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -33,7 +31,7 @@ def planned(*, effects: bool, machine: str = "a3") -> SimpleNamespace:
     )
 
 
-def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
+def test_the_plan_says_what_a_healthy_machine_reaches():
     said = verification.healthy_accuracy(planned(effects=True), None, DEMANDS)
     assert said == {"z": 40.0}
     assert verification.healthy_accuracy(planned(effects=False), None, DEMANDS) == {}
@@ -46,9 +44,7 @@ def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
     assert "1.5 times that" in sentence
 
 
-def test_a_plan_without_effects_says_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_without_effects_says_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(
         verification, "load_result", lambda folder: planned(effects=False)
     )
@@ -56,9 +52,7 @@ def test_a_plan_without_effects_says_nothing(
         verification.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
 
 
-def test_a_plan_for_another_machine_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_for_another_machine_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(
         verification,
         "load_result",
@@ -70,8 +64,8 @@ def test_a_plan_for_another_machine_is_refused(
 
 @pytest.mark.parametrize("option", ["--plan", "--promise", "--uncertainty"])
 def test_what_a_test_is_planned_with_is_refused_with_its_readings(
-    option: str, tmp_path: Path, oed: Callable[..., tuple[int, str, str]]
-) -> None:
+    option, tmp_path, oed
+):
     given = ("verify", tmp_path, "--readings", "acceptance.csv", option, "z_um=30")
     code, _, error = oed(*given)
     assert code == 2

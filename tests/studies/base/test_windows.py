@@ -56,9 +56,7 @@ def oed(*arguments: object, encoding: str) -> subprocess.CompletedProcess[bytes]
 @pytest.mark.parametrize(
     "encoding", [pytest.param("cp1252", marks=pytest.mark.slow), "ascii"]
 )
-def test_a_terminal_without_unicode_gets_the_text(
-    encoding: str, tmp_path: Path
-) -> None:
+def test_a_terminal_without_unicode_gets_the_text(encoding, tmp_path):
     """A title with σ, ± and ≤ reaches stdout and stderr, with ? where it must."""
     study = tmp_path / "p.study.toml"
     text = sample.changed(PLAN, ('name = "circles"', 'name = "σ ± ≤"'))
@@ -82,7 +80,7 @@ def test_a_terminal_without_unicode_gets_the_text(
         ["list", "effects", "--json"],
     ],
 )
-def test_json_is_whole_on_any_terminal(arguments: list[str]) -> None:
+def test_json_is_whole_on_any_terminal(arguments):
     narrow = oed(*arguments, encoding="cp1252")
     wide = oed(*arguments, encoding="utf-8")
     assert narrow.returncode == wide.returncode == 0
@@ -92,9 +90,7 @@ def test_json_is_whole_on_any_terminal(arguments: list[str]) -> None:
 # -- names that only POSIX has ---------------------------------------------------------
 
 
-def test_a_study_runs_without_posix_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_runs_without_posix_names(tmp_path, monkeypatch):
     for module, names in NAMES.items():
         for name in names:
             monkeypatch.delattr(sys.modules[module], name, raising=False)
@@ -124,7 +120,7 @@ def _posix_names(path: Path) -> Iterator[str]:
             yield f"{node.value.id}.{node.attr}"
 
 
-def test_no_module_needs_posix() -> None:
+def test_no_module_needs_posix():
     paths = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
     assert len(paths) > 100
     names = {str(path.relative_to(ROOT)): list(_posix_names(path)) for path in paths}
@@ -134,9 +130,7 @@ def test_no_module_needs_posix() -> None:
 # -- files and pipes -------------------------------------------------------------------
 
 
-def test_a_file_that_another_program_has_open_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_another_program_has_open_is_named(tmp_path, monkeypatch, capsys):
     """Windows refuses to replace an open file: one line, and the old result stays."""
     study, out = tmp_path / "p.study.toml", tmp_path / "out"
     study.write_text(PLAN, encoding="utf-8")
@@ -158,7 +152,7 @@ def test_a_file_that_another_program_has_open_is_named(
     assert left.read_text(encoding="utf-8") == old
 
 
-def test_a_closed_pipe_is_known_by_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_pipe_is_known_by_its_error(monkeypatch):
     invalid = OSError(errno.EINVAL, "Invalid argument")
     assert console.reader_has_gone(BrokenPipeError())
     assert not console.reader_has_gone(invalid)
@@ -167,9 +161,7 @@ def test_a_closed_pipe_is_known_by_its_error(monkeypatch: pytest.MonkeyPatch) ->
     assert not console.reader_has_gone(OSError(errno.EINVAL, "Invalid", "a.csv"))
 
 
-def test_studies_and_readings_may_have_carriage_returns(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_studies_and_readings_may_have_carriage_returns(tmp_path, capsys):
     study, readings = tmp_path / "a.study.toml", tmp_path / "a.readings.csv"
     study.write_text(sample.STUDY, encoding="utf-8", newline="\r\n")
     readings.write_text(sample.READINGS, encoding="utf-8-sig", newline="\r\n")
@@ -177,7 +169,7 @@ def test_studies_and_readings_may_have_carriage_returns(
     assert "3 readings fit the columns of small" in capsys.readouterr().out
 
 
-def test_a_machine_is_found_on_a_drive(tmp_path: Path) -> None:
+def test_a_machine_is_found_on_a_drive(tmp_path):
     """The colon of C: does not end the name of a module."""
     with pytest.raises(InputError, match="does not lie in the folder of the study"):
         catalogue.machine("C:\\machines\\mine.py", Origin(tmp_path), Location("study"))

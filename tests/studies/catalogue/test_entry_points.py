@@ -83,7 +83,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 
 @pytest.mark.usefixtures("installed")
-def test_machine_of_a_package_is_listed() -> None:
+def test_machine_of_a_package_is_listed():
     with pytest.warns(UserWarning, match="shop_models:absent cannot be loaded"):
         entries = {e.name: e for e in catalogue.listing("machines")}
     assert entries["shop_arm"].about == "the shop's arm"
@@ -94,14 +94,12 @@ def test_machine_of_a_package_is_listed() -> None:
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("kind", NAMES)
-def test_other_parts_of_the_catalogue(kind: str) -> None:
+def test_other_parts_of_the_catalogue(kind):
     assert NAMES[kind] in {entry.name for entry in catalogue.listing(kind)}
 
 
 @pytest.mark.usefixtures("installed")
-def test_importers_of_a_package(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_importers_of_a_package(tmp_path, capsys):
     """A broken one is named, and only who asks for it is refused; no name is taken over."""
     with pytest.warns(UserWarning, match="shop_broken.*AttributeError"):
         assert main(["list", "importers", "--json"]) == 0
@@ -123,16 +121,14 @@ def test_importers_of_a_package(
 
 
 @pytest.mark.usefixtures("installed")
-def test_packages_of_others_add_no_commands(capsys: pytest.CaptureFixture[str]) -> None:
+def test_packages_of_others_add_no_commands(capsys):
     assert main(["--help"]) == 0
     assert "shop_command" not in capsys.readouterr().out
     assert main(["certificate", "--help"]) == 0
     assert "calibration certificate" in capsys.readouterr().out
 
 
-def test_what_is_not_installed_is_said(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_installed_is_said(monkeypatch, capsys):
     """Its files alone, on a search path: commands of this package go on."""
     monkeypatch.setattr(plugins, "PROJECT", "pkm-absent")
     assert main(["import", "klipper", "printer.cfg", "--out", "x"]) == 2

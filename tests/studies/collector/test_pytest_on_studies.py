@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import sample
@@ -27,7 +26,7 @@ def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_each_claim_is_a_test(tmp_path: Path) -> None:
+def test_each_claim_is_a_test(tmp_path):
     claims = (
         'wrong = { of = "identifiability.n", equals = 20 }\nnowhere = { of ='
         ' "identifiability.m", min = 1 }\n'
@@ -60,7 +59,7 @@ def test_each_claim_is_a_test(tmp_path: Path) -> None:
     assert "1 passed in" in pytest_on(f"{good}::rank").stdout
 
 
-def test_a_study_of_one_claim_names_its_line(tmp_path: Path) -> None:
+def test_a_study_of_one_claim_names_its_line(tmp_path):
     from pkm_studies import collector
 
     text = Study.load(write(tmp_path / "p.study.toml", PLAN)).text

@@ -62,7 +62,7 @@ def _suite(folder: Path, texts: Sequence[str], *options: str) -> str:
 
 
 @pytest.mark.slow
-def test_each_combination_is_a_test_on_two_processes(tmp_path: Path) -> None:
+def test_each_combination_is_a_test_on_two_processes(tmp_path):
     """A circle of 12 readings sees 12 directions: the claim of 18 fails, in words."""
     printed = _suite(tmp_path, [SUITE], "-n", "2")
     assert "2 workers" in printed or "gw1" in printed or "bringing up" in printed
@@ -76,7 +76,7 @@ def test_each_combination_is_a_test_on_two_processes(tmp_path: Path) -> None:
     assert all((folder / "result.json").is_file() for folder in results)
 
 
-def test_a_sweep_that_makes_no_sense_is_an_error_in_words(tmp_path: Path) -> None:
+def test_a_sweep_that_makes_no_sense_is_an_error_in_words(tmp_path):
     marks = {
         "": "varied_study needs the mark study_sweep",
         '@pytest.mark.study_sweep("plan.study.toml", vary={"setup.x.y": [1]})': (
@@ -97,9 +97,7 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def test_tests_of_one_combination_share_its_run(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tests_of_one_combination_share_its_run(study, tmp_path, monkeypatch):
     runs = []
     run = stages.run_study
 
@@ -120,9 +118,7 @@ def test_tests_of_one_combination_share_its_run(
     assert len(runs) == 2
 
 
-def test_a_failing_figure_says_measured_against_claimed(
-    study: Path, tmp_path: Path
-) -> None:
+def test_a_failing_figure_says_measured_against_claimed(study, tmp_path):
     (tmp_path / "results").mkdir()
     combination = sweep.Combination(
         Study.load(study), {"setup": [{"instrument": "camera"}]}

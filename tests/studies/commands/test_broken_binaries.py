@@ -1,7 +1,5 @@
 """An error names its file: draws and tables that are no such thing."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray
@@ -40,7 +38,7 @@ BROKEN = {
 }
 
 
-def test_whole_draws_are_read(tmp_path: Path) -> None:
+def test_whole_draws_are_read(tmp_path):
     path = tmp_path / "posterior.nc"
     path.write_bytes(GOOD)
     read = read_draws(path, ["b"])
@@ -50,7 +48,7 @@ def test_whole_draws_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=[*BROKEN])
-def test_broken_draws_are_named(tmp_path: Path, content: bytes) -> None:
+def test_broken_draws_are_named(tmp_path, content):
     path = tmp_path / "posterior.nc"
     path.write_bytes(content)
     with pytest.raises(InputError) as error:
@@ -71,13 +69,7 @@ DEEP = "x = " + "[" * 5000
         ("s.study.toml", ["check", "s.study.toml"]),
     ],
 )
-def test_nested_tables_are_named(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    command: list[str],
-) -> None:
+def test_nested_tables_are_named(tmp_path, monkeypatch, capsys, name, command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text(DEEP, encoding="utf-8")
     (tmp_path / "r.csv").write_text("x,y\n1,2\n", encoding="utf-8")
@@ -85,7 +77,7 @@ def test_nested_tables_are_named(
     assert f"{name}: tables or lists are nested too deeply" in capsys.readouterr().err
 
 
-def test_a_cell_that_no_reader_takes_is_named(tmp_path: Path) -> None:
+def test_a_cell_that_no_reader_takes_is_named(tmp_path):
     """Python's reader of CSV takes 131072 characters."""
     path = tmp_path / "long.csv"
     path.write_text(f"x,y\n1,2\n3,{'9' * 200_000}\n", encoding="utf-8")

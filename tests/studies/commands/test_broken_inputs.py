@@ -65,9 +65,7 @@ STUDIES = {
 
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize("name", STUDIES)
-def test_study(
-    name: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_study(name, command, capsys, tmp_path):
     change, field, remedy = STUDIES[name]
     path = tmp_path / "s.study.toml"
     path.write_text(sample.changed(sample.STUDY, change), encoding="utf-8")
@@ -78,9 +76,7 @@ def test_study(
     assert not (tmp_path / "out").exists()
 
 
-def test_study_without_any_set_up(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_study_without_any_set_up(capsys, tmp_path):
     path = tmp_path / "s.study.toml"
     path.write_text(
         'schema = 1\nname = "s"\nsetup = []\n[machine]\nmodel = "a3_head"\n',
@@ -104,9 +100,7 @@ READINGS = {
 
 
 @pytest.mark.parametrize("name", READINGS)
-def test_readings(
-    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_readings(name, capsys, tmp_path):
     change, where, remedy = READINGS[name]
     study, path = tmp_path / "s.study.toml", tmp_path / "r.readings.csv"
     study.write_text(sample.STUDY, encoding="utf-8")
@@ -124,9 +118,7 @@ def test_readings(
 
 @pytest.mark.parametrize("kind", ["binary", "lines", "text"])
 @pytest.mark.parametrize("name", ["x.study.toml", "x.readings.csv"])
-def test_ten_megabytes_of_noise(
-    name: str, kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_ten_megabytes_of_noise(name, kind, capsys, tmp_path):
     path = tmp_path / name
     path.write_bytes(noise(kind))
     assert str(path) in refusal(capsys, "check", path)
@@ -134,9 +126,7 @@ def test_ten_megabytes_of_noise(
 
 @pytest.mark.parametrize("content", [b"", b"\n \n", b"\xef\xbb\xbf"])
 @pytest.mark.parametrize("name", ["x.study.toml", "x.readings.csv"])
-def test_empty(
-    name: str, content: bytes, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_empty(name, content, capsys, tmp_path):
     path = tmp_path / name
     path.write_bytes(content)
     err = refusal(capsys, "check", path)
@@ -144,9 +134,7 @@ def test_empty(
     assert "empty" in err
 
 
-def test_no_file_a_folder_and_nesting(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_no_file_a_folder_and_nesting(capsys, tmp_path):
     assert "no such study file" in refusal(capsys, "run", tmp_path / "gone.study.toml")
     assert "no file" in refusal(capsys, "run", tmp_path)
     assert "gone.csv" in refusal(capsys, "check", tmp_path / "gone.csv")
@@ -163,7 +151,7 @@ def test_no_file_a_folder_and_nesting(
     [noise("binary"), sample.STUDY.replace("300.0", "nan").encode()],
     ids=["noise", "nan"],
 )
-def test_in_a_process_of_its_own(content: bytes, tmp_path: Path) -> None:
+def test_in_a_process_of_its_own(content, tmp_path):
     path = tmp_path / "x.study.toml"
     path.write_bytes(content)
     command = [
@@ -234,9 +222,7 @@ UNUSABLE = {
 
 
 @pytest.mark.parametrize("name", UNUSABLE)
-def test_a_check_refuses_what_a_run_refuses(
-    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_check_refuses_what_a_run_refuses(name, capsys, tmp_path):
     addition, words = UNUSABLE[name]
     text = sample.DELTA.split('[[setup]]\nname = "calliper"')[0]
     if addition.startswith("[machine]\n"):

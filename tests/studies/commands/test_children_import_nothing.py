@@ -92,7 +92,7 @@ def call(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_traps_snap(folder: Path) -> None:
+def test_the_traps_snap(folder):
     """Python does import from the current folder, where nothing prevents it."""
     command = [sys.executable, "-c", "import pickle"]
     subprocess.run(command, cwd=folder, capture_output=True, check=False)
@@ -104,9 +104,7 @@ def test_the_traps_snap(folder: Path) -> None:
     "command",
     [c if c == "list" else pytest.param(c, marks=pytest.mark.slow) for c in CALLS],
 )
-def test_a_command_imports_nothing_of_the_current_folder(
-    folder: Path, command: str
-) -> None:
+def test_a_command_imports_nothing_of_the_current_folder(folder, command):
     done = call(folder, command, *CALLS[command])
     assert ran(folder) == ""
     assert "Traceback" not in done.stderr
@@ -114,13 +112,11 @@ def test_a_command_imports_nothing_of_the_current_folder(
         assert done.returncode == 0, done.stderr
 
 
-def test_every_command_is_among_them() -> None:
+def test_every_command_is_among_them():
     assert {*CALLS} | BY_A_TEST_OF_ITS_OWN == {*Subcommands()}
 
 
-def test_the_page_s_commands_import_nothing_of_the_current_folder(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_s_commands_import_nothing_of_the_current_folder(folder, monkeypatch):
     monkeypatch.chdir(folder)
     job = BackgroundCommand()
     job.start("list", ["list", "criteria"])
@@ -130,7 +126,7 @@ def test_the_page_s_commands_import_nothing_of_the_current_folder(
     assert ran(folder) == ""
 
 
-def test_processes_are_started_in_one_place() -> None:
+def test_processes_are_started_in_one_place():
     """So that what is safe there is safe everywhere."""
     starters = {"subprocess", "multiprocessing", "concurrent.futures.process", "pty"}
     allowed = Path(child_process.__file__)

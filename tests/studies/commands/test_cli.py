@@ -6,8 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import sample
@@ -17,7 +15,6 @@ from fresh_process import printed_by
 from pkm_studies import catalogue, files
 from pkm_studies.base import InputError
 
-Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")
 
 
@@ -27,7 +24,7 @@ def children_seconds() -> float:
     return times.children_user + times.children_system
 
 
-def test_help_is_there_at_once() -> None:
+def test_help_is_there_at_once():
     """0.5 s of a processor: the best of three, as other work may share the machine."""
     times = []
     for _ in range(3):
@@ -42,7 +39,7 @@ def test_help_is_there_at_once() -> None:
     assert min(times) <= 0.5
 
 
-def test_a_command_of_its_own_process_leaves_no_garbage_to_look_for() -> None:
+def test_a_command_of_its_own_process_leaves_no_garbage_to_look_for():
     """Python would look through all that is alive at its end."""
     code = (
         "import gc, sys; from pkm_studies.commands import cli;"
@@ -53,13 +50,13 @@ def test_a_command_of_its_own_process_leaves_no_garbage_to_look_for() -> None:
     assert printed_by(code)[-1] == "0 True"
 
 
-def test_help_imports_nothing_heavy() -> None:
+def test_help_imports_nothing_heavy():
     heavy = {"numpy", "casadi", "pandas", "rich.console"}
     code = f"import sys, pkm_studies.commands.cli; sys.exit(len({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_lists_load_nothing_that_computes() -> None:
+def test_lists_load_nothing_that_computes():
     """In one process: what any of the lists loads stays loaded."""
     heavy = ["pandas", "scipy.spatial", "scipy.sparse", "scipy.optimize", "matplotlib"]
     heavy += ["oed.result", "pkm_studies.commands.check", "pkm_studies.resolve.machine"]
@@ -72,7 +69,7 @@ def test_lists_load_nothing_that_computes() -> None:
     assert printed_by(code)[-2:] == ["[0, 0, 0, 0]", "[]"]
 
 
-def test_checks_load_no_statistics_and_no_searches() -> None:
+def test_checks_load_no_statistics_and_no_searches():
     """They would take twice as long as all else that a check imports."""
     heavy = {
         "scipy.optimize",
@@ -94,14 +91,14 @@ def test_checks_load_no_statistics_and_no_searches() -> None:
     "command",
     ["run", "check", "simulate", "identify", "report", "list", "schema", "new"],
 )
-def test_every_command_has_help(command: str, oed: Run) -> None:
+def test_every_command_has_help(command, oed):
     code, out, _ = oed(command, "--help")
     assert code == 0
     assert out.startswith(f"Usage: oed {command}")
 
 
 @pytest.mark.parametrize("kind", catalogue.KINDS)
-def test_list(kind: str, oed: Run) -> None:
+def test_list(kind, oed):
     code, out, _ = oed("list", kind)
     assert code == 0
     code, as_json, _ = oed("list", kind, "--json")
@@ -119,13 +116,13 @@ def test_list(kind: str, oed: Run) -> None:
 
 
 @pytest.mark.parametrize("of", ["study", "result", "readings"])
-def test_schema(of: str, oed: Run) -> None:
+def test_schema(of, oed):
     code, out, _ = oed("schema", of)
     assert code == 0
     assert json.loads(out)["$schema"].startswith("https://json-schema.org")
 
 
-def test_new_is_sound(oed: Run, tmp_path: Path) -> None:
+def test_new_is_sound(oed, tmp_path):
     code, out, _ = oed(
         "new", "mine", "--machine", "a3_head", "--instrument", "ball_bar"
     )
@@ -139,7 +136,7 @@ def test_new_is_sound(oed: Run, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["mine.study.toml"]
 
 
-def test_check_reads_readings_with_their_study(oed: Run, tmp_path: Path) -> None:
+def test_check_reads_readings_with_their_study(oed, tmp_path):
     study = write(tmp_path / "a.study.toml", sample.STUDY)
     good = write(tmp_path / "good.readings.csv", sample.READINGS)
     bad = write(
@@ -158,9 +155,7 @@ def test_check_reads_readings_with_their_study(oed: Run, tmp_path: Path) -> None
     assert "3 readings fit the columns of small" in out
 
 
-def test_readings_of_a_study_with_an_error_are_checked_as_text(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_readings_of_a_study_with_an_error_are_checked_as_text(oed, tmp_path):
     study, readings = tmp_path / "a.study.toml", tmp_path / "r.csv"
     study.write_text(sample.STUDY.replace("a3_head", "a3_hed"), encoding="utf-8")
     readings.write_text(sample.READINGS, encoding="utf-8")
@@ -172,7 +167,7 @@ def test_readings_of_a_study_with_an_error_are_checked_as_text(
     assert "give the study as well" in oed("check", readings)[1]
 
 
-def test_check_says_where_data_is_missing(oed: Run, tmp_path: Path) -> None:
+def test_check_says_where_data_is_missing(oed, tmp_path):
     study = write(
         tmp_path / "d.study.toml",
         sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "gone"\n',
@@ -182,7 +177,7 @@ def test_check_says_where_data_is_missing(oed: Run, tmp_path: Path) -> None:
     assert "looked in" in out
 
 
-def test_run_prints_headline_claims_and_files(oed: Run, tmp_path: Path) -> None:
+def test_run_prints_headline_claims_and_files(oed, tmp_path):
     study = write(tmp_path / "p.study.toml", PLAN)
     code, out, err = oed("run", study)
     assert (code, err) == (0, "")
@@ -202,7 +197,7 @@ def test_run_prints_headline_claims_and_files(oed: Run, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "there/result.json").read_text())["seed"] == 3
 
 
-def test_a_failing_claim_exits_1(oed: Run, tmp_path: Path) -> None:
+def test_a_failing_claim_exits_1(oed, tmp_path):
     study = write(
         tmp_path / "p.study.toml", sample.changed(PLAN, ("equals = 18", "equals = 21"))
     )
@@ -211,7 +206,7 @@ def test_a_failing_claim_exits_1(oed: Run, tmp_path: Path) -> None:
     assert err == "oed: claim rank: not met: identifiability.rank = 21, measured 18\n"
 
 
-def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
+def test_simulated_readings_can_be_identified(oed, tmp_path):
     text = (
         PLAN
         + "[readings]\nsimulate = true\ntruth = { dq1_mm = 1.5 }\n[posterior]\nenabled"
@@ -237,7 +232,7 @@ def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
-def test_a_report_again(oed: Run, tmp_path: Path) -> None:
+def test_a_report_again(oed, tmp_path):
     assert oed("report", "nowhere")[0] == 2
     write(tmp_path / "result.json", '{"schema": 1}')
     code, _, err = oed("report", ".")
@@ -245,7 +240,7 @@ def test_a_report_again(oed: Run, tmp_path: Path) -> None:
     assert "no result" in err
 
 
-def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
+def test_one_seed_gives_the_same_bytes(oed, tmp_path):
     study = write(
         tmp_path / "p.study.toml",
         PLAN + "[readings]\nsimulate = true\n[posterior]\nenabled = false\n",
@@ -273,14 +268,14 @@ def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
         ["list"],
     ],
 )
-def test_a_wrong_call_gets_one_line(arguments: list[str], oed: Run) -> None:
+def test_a_wrong_call_gets_one_line(arguments, oed):
     code, out, err = oed(*arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.endswith("see `oed --help`.\n")
     assert "Value error" not in err
 
 
-def test_a_misspelt_command_is_asked_about_in_one_sentence(oed: Run) -> None:
+def test_a_misspelt_command_is_asked_about_in_one_sentence(oed):
     code, _, err = oed("diagnos")
     assert code == 2
     assert err == (
@@ -288,13 +283,13 @@ def test_a_misspelt_command_is_asked_about_in_one_sentence(oed: Run) -> None:
     )
 
 
-def test_no_command_gets_the_help(oed: Run) -> None:
+def test_no_command_gets_the_help(oed):
     code, out, err = oed()
     assert (code, out) == (2, "")
     assert err.startswith("Usage: oed [OPTIONS] COMMAND")
 
 
-def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted(oed, tmp_path, monkeypatch):
     from pkm_studies import stages
 
     def interrupt(*_: object, **__: object) -> None:
@@ -307,7 +302,7 @@ def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.skipif(os.name == "nt", reason="one process cannot be sent Ctrl-C")
-def test_interrupted_in_earnest(tmp_path: Path) -> None:
+def test_interrupted_in_earnest(tmp_path):
     """SIGINT in the middle of work: one line, and whole files only."""
     text = (
         sample.STUDY
@@ -346,7 +341,7 @@ def test_interrupted_in_earnest(tmp_path: Path) -> None:
     assert not [p for p in remaining if p.suffix == ".part" or p.name == "result.json"]
 
 
-def test_a_reader_that_goes_away_is_no_error() -> None:
+def test_a_reader_that_goes_away_is_no_error():
     code = (
         "import sys, os; os.close(sys.stdin.fileno()); from pkm_studies.commands.cli import"
         " main; sys.exit(main())"
@@ -362,9 +357,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert (process.returncode, err) == (0, "")
 
 
-def test_files_are_written_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_are_written_whole(tmp_path, monkeypatch):
     path = files.write_whole(tmp_path / "a/b.txt", "old")
 
     def broken(*_: object) -> None:
@@ -380,7 +373,7 @@ def test_files_are_written_whole(
             files.write_whole(taken, "x")
 
 
-def test_the_folder_must_be_one(oed: Run, tmp_path: Path) -> None:
+def test_the_folder_must_be_one(oed, tmp_path):
     study = write(tmp_path / "p.study.toml", PLAN)
     code, _, err = oed("run", study, "--out", study)
     assert code == 2

@@ -118,5 +118,5 @@ def fuzz(studies: int, readings: int, *, same_every_time: bool) -> None:
         some(given(st.just(study), mutated((text,)))(check_readings))()
 
 
-def test_200_mutations() -> None:
+def test_200_mutations():
     fuzz(*DEFAULT, same_every_time=True)

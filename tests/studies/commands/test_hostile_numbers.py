@@ -1,7 +1,5 @@
 """Numbers that no workshop has end in a sentence with file, field, value and remedy."""
 
-from pathlib import Path
-
 import pytest
 import sample
 
@@ -18,16 +16,14 @@ TOLERANCE = "[[prior.tolerance]]\nparameters = ['dq*']\nsigma_mm = 1e30\n[report
         (("[report]", TOLERANCE), "prior.tolerance[1].sigma_mm", "up to 1000 m"),
     ],
 )
-def test_noise_and_tolerances(change: tuple[str, str], field: str, remedy: str) -> None:
+def test_noise_and_tolerances(change, field, remedy):
     error = sample.refused(sample.STUDY, change)
     assert error.field == field
     assert error.value
     assert remedy in error.remedy
 
 
-def test_a_huge_reading_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_huge_reading_is_named(tmp_path, capsys):
     study, readings = tmp_path / "s.study.toml", tmp_path / "r.csv"
     study.write_text(sample.STUDY, encoding="utf-8")
     text = sample.changed(sample.READINGS, ("300.002", "1e300"))

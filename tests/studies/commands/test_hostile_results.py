@@ -40,7 +40,7 @@ def stored(folder: Path, **fields: object) -> Path:
 
 
 @pytest.mark.parametrize("name", PATHS)
-def test_the_name_of_a_study_is_no_path(tmp_path: Path, name: str) -> None:
+def test_the_name_of_a_study_is_no_path(tmp_path, name):
     folder = stored(tmp_path / "theirs", study=name)
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(InputError, match=r"result.json: study = .*no name for a study"):
@@ -58,23 +58,21 @@ def test_the_name_of_a_study_is_no_path(tmp_path: Path, name: str) -> None:
         ["certificate"],
     ],
 )
-def test_no_command_writes_outside_the_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
-) -> None:
+def test_no_command_writes_outside_the_folder(tmp_path, capsys, command):
     folder = stored(tmp_path / "theirs", study="../evil")
     assert main([command[0], str(folder), *command[1:]]) == 2
     assert "study" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["theirs"]
 
 
-def test_the_name_of_a_study_ends_with_its_line(tmp_path: Path) -> None:
+def test_the_name_of_a_study_ends_with_its_line(tmp_path):
     """Python lets a line feed follow the end of a pattern."""
     text = compensation_sample.study_text("linear_delta")
     with pytest.raises(InputError, match="letters, digits"):
         Study.parse(text.replace('"sample"', '"sample\\n"'), tmp_path / "s.study.toml")
 
 
-def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path: Path) -> None:
+def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path):
     """Each line of the text stays inside the comment that it is written into."""
     few = ["--commands", "64"]
     formats = {"csv": few, "json": few, "c": [], "klipper": [], "rrf": [], "marlin": []}
@@ -89,7 +87,7 @@ def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("dashes", range(8))
-def test_no_text_of_a_result_ends_a_comment_in_xml(dashes: int) -> None:
+def test_no_text_of_a_result_ends_a_comment_in_xml(dashes):
     text = "-" * dashes + ">" + "-" * dashes
     whole = body_names.commented(ElementTree.Element("robot"), [text, text])
     assert ElementTree.fromstring(whole).tag == "robot"

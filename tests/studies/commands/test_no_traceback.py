@@ -57,9 +57,7 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def test_readings_of_a_set_up_that_the_design_does_not_use(
-    study: Path, tmp_path: Path
-) -> None:
+def test_readings_of_a_set_up_that_the_design_does_not_use(study, tmp_path):
     readings, out = tmp_path / "r.csv", tmp_path / "out"
     readings.write_text(OTHER, encoding="utf-8")
     call = ["identify", study, "--readings", readings, "--out", out, "--quiet"]
@@ -83,9 +81,7 @@ def test_readings_of_a_set_up_that_the_design_does_not_use(
         ),
     ],
 )
-def test_studies(
-    change: tuple[str, str], words: str, study: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_studies(change, words, study, capsys):
     study.write_text(sample.changed(LINES, change), encoding="utf-8")
     assert main(["check", str(study)]) == 2
     assert words in capsys.readouterr().err
@@ -99,12 +95,7 @@ def test_studies(
         (("direction", "repeat"), "column repeat = -1"),
     ],
 )
-def test_readings(
-    change: tuple[str, str],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_readings(change, words, tmp_path, capsys):
     path = tmp_path / "r.csv"
     path.write_text(sample.changed(sample.READINGS, change), encoding="utf-8")
     assert main(["check", str(path)]) == 2

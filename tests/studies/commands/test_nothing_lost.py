@@ -31,7 +31,7 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def test_filled_in_readings_stay(study: Path, tmp_path: Path) -> None:
+def test_filled_in_readings_stay(study, tmp_path):
     out = tmp_path / "out"
     assert run("run", study, "--out", out) == 0
     poses = out / "poses.csv"
@@ -83,9 +83,7 @@ def whole(first_run: Path, tmp_path: Path) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("name", ["report.html", "posterior.nc"])
-def test_a_file_that_the_user_edited_stays(
-    whole: tuple[Path, Path], name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_the_user_edited_stays(whole, name, capsys):
     """The new one gets a number, and the terminal names it."""
     study, out = whole
     path = out / name
@@ -108,9 +106,7 @@ def test_a_file_that_the_user_edited_stays(
 
 
 @pytest.mark.parametrize("older", [False, True])
-def test_a_result_that_the_user_edited_is_set_aside(
-    whole: tuple[Path, Path], older: bool
-) -> None:
+def test_a_result_that_the_user_edited_is_set_aside(whole, older):
     """The same for folders of versions that kept no list of their files."""
     study, out = whole
     study.write_text(
@@ -128,9 +124,7 @@ def test_a_result_that_the_user_edited_is_set_aside(
     assert not (out / "result-earlier-2.json").exists()
 
 
-def test_what_the_program_did_not_write_stays_in_its_folders(
-    whole: tuple[Path, Path],
-) -> None:
+def test_what_the_program_did_not_write_stays_in_its_folders(whole):
     study, out = whole
     unfinished = out / "posterior.unfinished"
     assert not unfinished.exists()
@@ -143,9 +137,7 @@ def test_what_the_program_did_not_write_stays_in_its_folders(
     assert not list(unfinished.rglob("0*.h5"))
 
 
-def test_another_programs_result_stays(
-    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_programs_result_stays(study, tmp_path, capsys):
     taken = tmp_path / "result.json"
     taken.write_text("[1]", encoding="utf-8")
     assert run("run", study, "--out", tmp_path) == 2
@@ -154,9 +146,7 @@ def test_another_programs_result_stays(
 
 
 @pytest.mark.parametrize("name", ["p.study.toml", "old.readings.csv", "x.truth.json"])
-def test_simulate_overwrites_nothing(
-    name: str, study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_simulate_overwrites_nothing(name, study, tmp_path, capsys):
     study.write_text(SIMULATED, encoding="utf-8")
     path = tmp_path / name
     if path != study:
@@ -168,7 +158,7 @@ def test_simulate_overwrites_nothing(
     assert path.read_bytes() == content
 
 
-def test_every_file_of_a_plan_has_the_same_readings(tmp_path: Path) -> None:
+def test_every_file_of_a_plan_has_the_same_readings(tmp_path):
     """A study with a design as well: files and headline follow the plan."""
     design = (
         '[[design.candidates]]\nsetup = "rm4"\ny_mm = [0.0, 500.0, 1500.0]\n'

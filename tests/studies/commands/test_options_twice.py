@@ -4,7 +4,6 @@ import importlib
 import inspect
 import json
 import pkgutil
-from pathlib import Path
 
 import pytest
 import sample
@@ -19,9 +18,7 @@ from pkm_studies.commands import main
         "diagnose a3_ball_bar --out c --after a --after b",
     ],
 )
-def test_a_second_file_of_an_option_that_takes_one_is_refused(
-    call: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_file_of_an_option_that_takes_one_is_refused(call, capsys):
     """Else the first would be left out without a word."""
     assert main(call.split()) == 2
     option = "--readings" if "--readings" in call else "--after"
@@ -29,7 +26,7 @@ def test_a_second_file_of_an_option_that_takes_one_is_refused(
     assert capsys.readouterr().err == wanted
 
 
-def test_of_other_values_the_last_counts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_other_values_the_last_counts(capsys):
     """As where a call changes a script's default."""
     call = [
         "compensate",
@@ -45,7 +42,7 @@ def test_of_other_values_the_last_counts(capsys: pytest.CaptureFixture[str]) -> 
     assert "no_format" in capsys.readouterr().err
 
 
-def test_readings_of_all_files_count(tmp_path: Path) -> None:
+def test_readings_of_all_files_count(tmp_path):
     study = tmp_path / "delta.study.toml"
     text = sample.DELTA
     study.write_text(text, encoding="utf-8")
@@ -66,7 +63,7 @@ def test_readings_of_all_files_count(tmp_path: Path) -> None:
     assert counts[1] == 2 * counts[0]
 
 
-def test_no_command_runs_code_unasked() -> None:
+def test_no_command_runs_code_unasked():
     """Every command with `--allow-code` has it off, wherever the command comes from."""
     room = importlib.import_module("pkm_studies.commands")
     names = pkgutil.iter_modules(room.__path__, "pkm_studies.commands.")

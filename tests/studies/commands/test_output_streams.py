@@ -29,9 +29,7 @@ CLOSED, NO_ROOM = (">&-", "it is closed"), (">/dev/full", "no space left on devi
         ("--help", *NO_ROOM),
     ],
 )
-def test_an_output_that_cannot_be_written(
-    command: str, output: str, words: str, tmp_path: Path
-) -> None:
+def test_an_output_that_cannot_be_written(command, output, words, tmp_path):
     if "full" in output and not FULL.exists():
         pytest.skip("this system has no /dev/full")
     code, _, error = shell(f"{OED} {command} {output}", tmp_path)
@@ -40,7 +38,7 @@ def test_an_output_that_cannot_be_written(
     assert error.count("\n") == 1
 
 
-def test_other_streams_may_be_closed(tmp_path: Path) -> None:
+def test_other_streams_may_be_closed(tmp_path):
     """Their numbers go to no file that is opened later."""
     code, out, _ = shell(f"{OED} list criteria <&- 2>&-", tmp_path)
     assert code == 0

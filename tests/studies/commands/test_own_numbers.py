@@ -1,6 +1,5 @@
 """A user's own numbers: a CSV and a machine's name, against machines of NumPy and SciPy."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from pkm_studies.commands.own_numbers import calibration_answer, import_numbers
 from pkm_studies.study import Study
 from pkm_studies.user_code import Consent
 
-Run = Callable[..., tuple[int, str, str]]
 Array = np.ndarray
 #: mm, anchors as the user has them, and as they are
 ANCHORS = np.array([[-1500.0, -1000], [1500, -1000], [1500, 1000], [-1500, 1000]])
@@ -70,7 +68,7 @@ def answered(
     return judgement, sentence, values
 
 
-def test_twenty_measured_positions_of_four_belts(tmp_path: Path) -> None:
+def test_twenty_measured_positions_of_four_belts(tmp_path):
     true = ANCHORS + SHIFT
     rng = np.random.default_rng(2)
     read = reached(PLACES, ANCHORS, true) + rng.normal(0.0, 0.5, PLACES.shape)
@@ -89,7 +87,7 @@ def test_twenty_measured_positions_of_four_belts(tmp_path: Path) -> None:
     assert after < 0.6, (before, after)  # the noise, a coordinate: 0.5
 
 
-def test_numbers_that_are_right(tmp_path: Path) -> None:
+def test_numbers_that_are_right(tmp_path):
     rng = np.random.default_rng(4)
     read = PLACES + rng.normal(0.0, 0.5, PLACES.shape)
     file = write(tmp_path / "sheet.csv", "x;y;actual x;actual y", np.c_[PLACES, read])
@@ -97,7 +95,7 @@ def test_numbers_that_are_right(tmp_path: Path) -> None:
     assert judgement == "Yes", sentence
 
 
-def test_belts_alone_by_their_corners(tmp_path: Path) -> None:
+def test_belts_alone_by_their_corners(tmp_path):
     """As SciPy fits them, the lower left anchor the origin and the lower right one on x.
 
     The frame counts from a corner, and the columns are in another order than the cables.
@@ -149,7 +147,7 @@ def delta_points(commands: Array, now: tuple, true: tuple) -> Array:
     )
 
 
-def test_twenty_distances_of_a_delta(tmp_path: Path) -> None:
+def test_twenty_distances_of_a_delta(tmp_path):
     """Radius and differences of endstops as SciPy fits them to the same distances."""
     now = (125.0, 250.0, np.full(3, 300.0))
     true = (126.2, 250.0, np.array([300.4, 300.0, 299.8]))
@@ -200,16 +198,14 @@ def test_twenty_distances_of_a_delta(tmp_path: Path) -> None:
         ("x;y;distance", 3, "header = distance: a distance between which two places"),
     ],
 )
-def test_words_that_are_not_read(
-    header: str, rows: int, reason: str, tmp_path: Path
-) -> None:
+def test_words_that_are_not_read(header, rows, reason, tmp_path):
     file = write(tmp_path / "own.csv", header, np.ones((5, rows)))
     with pytest.raises(InputError, match=reason):
         import_numbers("cables_planar", [], [file], tmp_path / "f", Consent.RECORDED)
     assert not (tmp_path / "f").exists() or not list((tmp_path / "f").glob("*.toml"))
 
 
-def test_the_command_says_what_it_lacks(tmp_path: Path, oed: Run) -> None:
+def test_the_command_says_what_it_lacks(tmp_path, oed):
     file = write(tmp_path / "a.csv", "x;y;x measured;y measured", np.ones((5, 4)))
     code, _, error = oed("identify", "--readings", file, "--out", tmp_path / "o")
     assert code == 2

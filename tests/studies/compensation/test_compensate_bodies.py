@@ -84,8 +84,8 @@ def differences(
 
 @pytest.mark.parametrize("machine", MJCF, ids=lambda machine: machine.name)
 def test_poses_of_the_mjcf_are_those_of_the_machine(
-    machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator, mujoco: Any
-) -> None:
+    machine, oed, tmp_path, rng, mujoco
+):
     values = truth(machine, rng)
     folder = written(oed, tmp_path / "d", machine, values, "mjcf")
     model = mujoco.MjModel.from_xml_path(str(folder / "compensation.mjcf.xml"))
@@ -96,8 +96,8 @@ def test_poses_of_the_mjcf_are_those_of_the_machine(
 
 @pytest.mark.parametrize("machine", URDF, ids=lambda machine: machine.name)
 def test_poses_of_the_urdf_with_its_loops_are_those_of_the_machine(
-    machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator, mujoco: Any
-) -> None:
+    machine, oed, tmp_path, rng, mujoco
+):
     values = truth(machine, rng)
     folder = written(oed, tmp_path / "d", machine, values, "urdf")
     model = mujoco.MjModel.from_xml_path(str(folder / "compensation.urdf"))
@@ -113,8 +113,8 @@ def test_poses_of_the_urdf_with_its_loops_are_those_of_the_machine(
 
 
 def test_a_draw_put_into_the_mjcf_is_the_machine_with_the_drawn_parameters(
-    oed: Run, tmp_path: Path, rng: np.random.Generator, mujoco: Any
-) -> None:
+    oed, tmp_path, rng, mujoco
+):
     machine = rotary_delta.machine
     values = truth(machine, rng)
     folder = written(oed, tmp_path / "d", machine, values, "mjcf")
@@ -139,7 +139,7 @@ def test_a_draw_put_into_the_mjcf_is_the_machine_with_the_drawn_parameters(
     assert max(differences(mujoco, model, loops, machine, table[7])) < 1e-9
 
 
-def test_a_platform_that_hinges_hold_is_refused(oed: Run, tmp_path: Path) -> None:
+def test_a_platform_that_hinges_hold_is_refused(oed, tmp_path):
     head = sample.result(a3_head.machine, a3_head.machine.nominal)
     folder = sample.save(tmp_path / "d", head)
     for form in ("mjcf", "urdf"):

@@ -52,9 +52,7 @@ def written(oed: Run, folder: Path, machine: Machine, values: np.ndarray) -> Pat
 
 
 @pytest.mark.slow
-def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(oed, tmp_path, rng):
     machine, tool = hexapod_rus.machine, np.array([0.15, 0.0, 0.03])
     c = library(written(oed, tmp_path, machine, machine.nominal) / "compensation.c")
     command = np.tile(machine.home_command, (100, 1))
@@ -77,9 +75,7 @@ def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(
         a3_head.machine,
     ],
 )
-def test_ten_thousand_poses_are_those_of_python(
-    machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_ten_thousand_poses_are_those_of_python(machine, oed, tmp_path, rng):
     values = truth(machine, rng)
     c = library(written(oed, tmp_path / "d", machine, values) / "compensation.c")
     values = stored(tmp_path / "d" / "compensation.h")
@@ -109,9 +105,7 @@ def stored(header: Path) -> np.ndarray:
     return np.array([float(row[4]) for row in rows])
 
 
-def test_a_redundant_machine_settles_where_python_puts_it(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_redundant_machine_settles_where_python_puts_it(oed, tmp_path, rng):
     machine = cables_planar.machine
     values = truth(machine, rng)
     c = library(written(oed, tmp_path / "d", machine, values) / "compensation.c")
@@ -125,9 +119,7 @@ def test_a_redundant_machine_settles_where_python_puts_it(
         assert np.abs(pose - wanted).max() < 1e-12
 
 
-def test_what_cannot_be_assembled_is_a_code_and_changes_nothing(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_what_cannot_be_assembled_is_a_code_and_changes_nothing(oed, tmp_path):
     machine = linear_delta.machine
     folder = written(oed, tmp_path / "d", machine, machine.nominal)
     c = library(folder / "compensation.c")
@@ -145,9 +137,7 @@ def test_what_cannot_be_assembled_is_a_code_and_changes_nothing(
     assert (mirrored == above).all()
 
 
-def test_the_linuxcnc_module_holds_the_identified_delta(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_the_linuxcnc_module_holds_the_identified_delta(oed, tmp_path, rng):
     machine = linear_delta.machine
     values = truth(machine, rng)
     folder = written(oed, tmp_path / "d", machine, values)
@@ -173,7 +163,7 @@ def test_the_linuxcnc_module_holds_the_identified_delta(
     kins.rtapi_app_exit()
 
 
-def test_angles_of_a_head_are_linuxcncs_axes(oed: Run, tmp_path: Path) -> None:
+def test_angles_of_a_head_are_linuxcncs_axes(oed, tmp_path):
     machine = a3_head.machine
     folder = written(oed, tmp_path / "d", machine, machine.nominal)
     text = (folder / "compensation_kins.c").read_text("utf-8")

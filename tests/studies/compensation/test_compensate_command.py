@@ -3,7 +3,6 @@
 import csv
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import compensation_sample as sample
@@ -18,7 +17,6 @@ from oed.mechanism import Kinematics
 from oed.result import GoodnessSection, NoiseRecord, StudyResult
 from pkm_studies import describe
 
-Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops
 DELTA = linear_delta.machine.nominal + np.array(
     [3e-4, -5e-4, -6e-4, 4e-4, 1e-3, -2e-3, 0.0, 2e-4, 1.2e-3, -1e-4]
@@ -34,8 +32,8 @@ def delta_folder(tmp_path: Path) -> Path:
     ("name", "stem"), [("f.csv", "f"), ("f.txt", "f"), ("f", "f"), ("f.1", "f.1")]
 )
 def test_further_files_take_the_name_without_its_end(
-    name: str, stem: str, oed: Run, delta_folder: Path, tmp_path: Path
-) -> None:
+    name, stem, oed, delta_folder, tmp_path
+):
     out = tmp_path / "out" / name
     options = ("--to", "csv", "--commands", 64, "--out", out)
     assert oed("compensate", delta_folder, *options)[0] == 0
@@ -49,9 +47,7 @@ def nozzle(q: np.ndarray) -> np.ndarray:
     return delta.nozzle(q, DELTA[0], DELTA[1:4], DELTA[4:7], DELTA[7:])
 
 
-def test_linuxcnc_reproduces_a_hexapod_and_a_tripod(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_linuxcnc_reproduces_a_hexapod_and_a_tripod(oed, tmp_path, rng):
     for machine, shift in ((hexapod.machine, 0.05), (micro_cmm.machine, 0.02)):
         truth = machine.nominal + 0.5 * rng.standard_normal(len(machine.nominal)) * [
             p.tolerance for p in machine.parameters
@@ -100,9 +96,7 @@ def tripod_lengths(hal: str, pins: dict[str, float], point: np.ndarray) -> np.nd
     )
 
 
-def test_csv_and_json_hold_parameters_and_corrected_commands(
-    oed: Run, delta_folder: Path
-) -> None:
+def test_csv_and_json_hold_parameters_and_corrected_commands(oed, delta_folder):
     code, out, _ = oed("compensate", delta_folder, "--to", "csv")
     assert code == 0
     assert "the table is narrower than the workspace" in out.lower()
@@ -124,7 +118,7 @@ def test_csv_and_json_hold_parameters_and_corrected_commands(
     assert float(table["arm2"]["value"]) == pytest.approx(1e3 * DELTA[2], abs=1e-9)
 
 
-def test_gcode_moves_to_the_planned_poses(oed: Run, tmp_path: Path) -> None:
+def test_gcode_moves_to_the_planned_poses(oed, tmp_path):
     poses = [{"z_mm": 1186.0, "psi_deg": 30.0, "theta_deg": 12.5}]
     content = sample.result(
         a3_head.machine, a3_head.machine.nominal, design=sample.design(poses)
@@ -139,7 +133,7 @@ def test_gcode_moves_to_the_planned_poses(oed: Run, tmp_path: Path) -> None:
 # -- refusals --------------------------------------------------------------------------
 
 
-def test_a_failed_fit_is_refused_unless_forced(oed: Run, tmp_path: Path) -> None:
+def test_a_failed_fit_is_refused_unless_forced(oed, tmp_path):
     content = sample.result(linear_delta.machine, DELTA, chi2=2000.0)
     folder = sample.save(tmp_path / "bad", content)
     code, out, err = oed("compensate", folder, "--to", "klipper")
@@ -153,9 +147,7 @@ def test_a_failed_fit_is_refused_unless_forced(oed: Run, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("chi2", "code"), [(180.0, 0), (20e3, 1)])
-def test_an_estimated_noise_may_exceed_its_guess(
-    chi2: float, code: int, oed: Run, tmp_path: Path
-) -> None:
+def test_an_estimated_noise_may_exceed_its_guess(chi2, code, oed, tmp_path):
     """3 times the guess is the noise; 30 times it is no noise."""
     law = NoiseRecord("reading", "s.height", 30.0, 3.0, "um", stated=10.0)
     checked = GoodnessSection(chi2, 20.0, 1.0, 0.0, noise={"reading s.height": law})
@@ -164,7 +156,7 @@ def test_an_estimated_noise_may_exceed_its_guess(
     assert oed("compensate", folder, "--to", "klipper")[0] == code
 
 
-def test_a_file_of_the_user_stays(oed: Run, delta_folder: Path, tmp_path: Path) -> None:
+def test_a_file_of_the_user_stays(oed, delta_folder, tmp_path):
     mine = tmp_path / "printer.cfg"
     mine.write_text("mine", "utf-8")
     code, _, err = oed("compensate", delta_folder, "--to", "klipper", "--out", mine)
@@ -173,7 +165,7 @@ def test_a_file_of_the_user_stays(oed: Run, delta_folder: Path, tmp_path: Path) 
     assert mine.read_text("utf-8") == "mine"
 
 
-def test_bad_input_is_refused(oed: Run, delta_folder: Path, tmp_path: Path) -> None:
+def test_bad_input_is_refused(oed, delta_folder, tmp_path):
     code, _, err = oed("compensate", delta_folder, "--to", "klippr")
     assert code == 2
     assert "did you mean klipper?" in err
@@ -189,9 +181,7 @@ def test_bad_input_is_refused(oed: Run, delta_folder: Path, tmp_path: Path) -> N
     assert code == 2
 
 
-def test_a_format_of_the_users_own(
-    oed: Run, delta_folder: Path, tmp_path: Path
-) -> None:
+def test_a_format_of_the_users_own(oed, delta_folder, tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(
         "from pkm_studies.catalogue.controller_format import ControllerFormat\n"
@@ -210,9 +200,7 @@ def nominal_delta() -> StudyResult:
     return msgspec.structs.replace(content, machine=describe.machine_info(machine))
 
 
-def test_a_machine_in_a_file_of_the_user_needs_its_study(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_a_machine_in_a_file_of_the_user_needs_its_study(oed, tmp_path):
     """A result runs no code, also where study and machine lie beside it."""
     source = "from pkm_models.machines.linear_delta import machine\n"
     (tmp_path / "my.py").write_text(source, "utf-8")
@@ -236,8 +224,8 @@ def test_a_machine_in_a_file_of_the_user_needs_its_study(
     ],
 )
 def test_the_study_that_is_given_is_that_of_the_result(
-    oed: Run, tmp_path: Path, model: str, nominal: str, words: str
-) -> None:
+    oed, tmp_path, model, nominal, words
+):
     folder = sample.save(tmp_path / "d", nominal_delta())
     old, new = 'model = "linear_delta"\n', f'model = "{model}"\n{nominal}'
     study = tmp_path / "other.study.toml"

@@ -50,9 +50,7 @@ def carriage_heights(pins: dict[str, float], points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("machine", [linear_delta.machine, delta.machine])
-def test_lineardeltakins_drives_the_identified_delta(
-    machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_lineardeltakins_drives_the_identified_delta(machine, oed, tmp_path, rng):
     values, names = machine.nominal.copy(), [p.name for p in machine.parameters]
     for name, change in (("radius", 4e-4), ("arm", -6e-4)):
         values[[n.startswith(name) for n in names]] += change
@@ -88,9 +86,7 @@ def knee_down(pins: dict[str, float], point: np.ndarray) -> np.ndarray:
     return np.array(angles)
 
 
-def test_rotarydeltakins_drives_the_identified_delta(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_rotarydeltakins_drives_the_identified_delta(oed, tmp_path, rng):
     machine = rotary_delta.machine
     values, errors = machine.nominal.copy(), {}
     for name, change in {"zero1": 1e-3, "zero2": -2e-3, "zero3": 5e-4}.items():
@@ -116,9 +112,7 @@ def strut(pins: dict[str, float], k: int, world: np.ndarray) -> float:
     return float(np.hypot(at[2] - z, np.hypot(at[0], at[1]) - r))
 
 
-def test_pentakins_drives_the_identified_pentapod(
-    oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_pentakins_drives_the_identified_pentapod(oed, tmp_path, rng):
     machine = pentapod.machine
     names = [p.name for p in machine.parameters]
     sd = np.array([p.tolerance for p in machine.parameters])
@@ -142,14 +136,14 @@ def test_pentakins_drives_the_identified_pentapod(
         assert np.abs(pose - start).max() < 1e-7
 
 
-def test_what_the_module_cannot_hold_is_stated(oed: Run, tmp_path: Path) -> None:
+def test_what_the_module_cannot_hold_is_stated(oed, tmp_path):
     values = rotary_delta.machine.nominal.copy()
     values[rotary_delta.machine.index("l1")] += 2e-3
     *_, out = exported(oed, tmp_path / "d", rotary_delta.machine, values)
     assert 100.0 < largest_cost(out) < 2000.0
 
 
-def test_limbs_elsewhere_are_refused(oed: Run, tmp_path: Path) -> None:
+def test_limbs_elsewhere_are_refused(oed, tmp_path):
     turned = delta.family.build({"angle": np.radians([0.0, 120.0, 240.0])})
     content = sample.result(turned, turned.nominal)
     text = content.study_text.replace(

@@ -15,7 +15,6 @@ from result_sample import whole
 from scipy.interpolate import RegularGridInterpolator
 from shipped_models import a3_head, planar_2dof
 
-from oed.base import Array
 from oed.compensate import compensated_joints
 from oed.mechanism import Kinematics
 from oed.result import (
@@ -130,9 +129,7 @@ def exported(
     return msgspec.json.decode(written, type=BudgetSection)
 
 
-def test_rounding_costs_what_its_line_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rounding_costs_what_its_line_says(tmp_path, capsys):
     """Machines drawn about the identified one, with joints in steps and without."""
     rng, command = np.random.default_rng(3), commands()
     machines = TABLE3 + SD * rng.standard_normal((60, 24))
@@ -156,9 +153,7 @@ def test_rounding_costs_what_its_line_says(
     assert "with this file the predicted rms is" in capsys.readouterr().out.lower()
 
 
-def test_a_budget_without_effects_is_not_that_over_all_answers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_budget_without_effects_is_not_that_over_all_answers(tmp_path, capsys):
     """Each figure says of which machine it is, where a diagnosis corrects nothing."""
     folder = tmp_path / "out"
     few = ("--commands", "120")
@@ -178,9 +173,7 @@ def test_a_budget_without_effects_is_not_that_over_all_answers(
     assert alone.startswith("z 10 um")
 
 
-def test_usual_effects_count_as_on_the_first_page(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_usual_effects_count_as_on_the_first_page(tmp_path, capsys):
     """30 um with usual effects where geometry alone leaves 10: one figure for both."""
     folder, few = tmp_path / "out", ("--commands", "120")
     exported(folder, np.array([10.0, 5.0, 5.0]), "json", options=few)
@@ -246,12 +239,7 @@ EXACT = np.array([97.0, 20.0, 1.2])
     ("grid", "limit"),
     [(GRID, ()), pytest.param(ROUND, ("--commands", "400"), marks=pytest.mark.slow)],
 )
-def test_interpolation_costs_what_its_line_says(
-    tmp_path: Path,
-    grid: str,
-    limit: tuple[str, ...],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_interpolation_costs_what_its_line_says(tmp_path, grid, limit, capsys):
     """A nominal controller interpolates the table's corrections, by other code.
 
     Where commands go round, psi is any angle.
@@ -280,9 +268,7 @@ def test_interpolation_costs_what_its_line_says(
 
 
 @pytest.mark.slow
-def test_accuracy_that_is_zeroed_at_home_has_the_corrections_of_home(
-    tmp_path: Path,
-) -> None:
+def test_accuracy_that_is_zeroed_at_home_has_the_corrections_of_home(tmp_path):
     """Home is upright, the errors count from a tilt of 5 degrees."""
     budget = exported(tmp_path, EXACT, "csv", ROUND, reference="home")
     knots, _ = read_table(tmp_path)
@@ -299,7 +285,7 @@ def test_accuracy_that_is_zeroed_at_home_has_the_corrections_of_home(
     assert (sizes < 0.25 * EXACT).all()
 
 
-def test_machines_err_with_the_file_as_its_budget_predicts(tmp_path: Path) -> None:
+def test_machines_err_with_the_file_as_its_budget_predicts(tmp_path):
     """Machines drawn about the identified one; a coarse table, so that it counts."""
     rng = np.random.default_rng(3)
     machines = TABLE3 + SD * rng.standard_normal((60, 24))
@@ -314,9 +300,7 @@ def test_machines_err_with_the_file_as_its_budget_predicts(tmp_path: Path) -> No
     assert [budget.predicted[n] for n in NAMES] == pytest.approx(whole, rel=0.05)
 
 
-def test_a_limit_below_the_coarsest_table_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_limit_below_the_coarsest_table_is_refused(tmp_path, capsys):
     folder = sample.save(tmp_path, sample.result(a3_head.machine, TABLE3))
     arguments = ["compensate", str(folder), "--to", "csv", "--commands", "19"]
     assert main(arguments) == 2
@@ -324,7 +308,7 @@ def test_a_limit_below_the_coarsest_table_is_refused(
     assert not (folder / "compensation.csv").exists()
 
 
-def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) -> None:
+def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path):
     folder = sample.save(tmp_path, sample.result(a3_head.machine, TABLE3))
     few = ("--commands", "120")
     assert main(["compensate", str(folder), "--to", "csv", *few]) == 0
@@ -335,7 +319,7 @@ def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("joints", [np.zeros((3, 2)), np.full((2, 3), np.nan)])
-def test_joints_of_a_format_are_a_row_a_command(joints: Array) -> None:
+def test_joints_of_a_format_are_a_row_a_command(joints):
     controller = ControllerFormat(
         name="own",
         about="",
@@ -348,7 +332,7 @@ def test_joints_of_a_format_are_a_row_a_command(joints: Array) -> None:
         controller.driven_joints({}, content)
 
 
-def test_the_largest_errors_without_a_drive_are_named() -> None:
+def test_the_largest_errors_without_a_drive_are_named():
     machine = a3_head.machine
     names = [c.name for c in machine.components]
     undriven = [c.name for c in machine.components if not c.compensatable]

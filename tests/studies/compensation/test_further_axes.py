@@ -142,7 +142,7 @@ def section(folder: Path) -> StudyResult:
     return load_result(folder)
 
 
-def test_table_and_axes_leave_what_the_report_says(folder: Path) -> None:
+def test_table_and_axes_leave_what_the_report_says(folder):
     """A head that the toolkit did not simulate, driven by code that shares none."""
     prediction = section(folder).prediction
     assert prediction.mode == "identified"
@@ -157,7 +157,7 @@ def test_table_and_axes_leave_what_the_report_says(folder: Path) -> None:
     assert (with_axes[:2] < without[:2] / 5).all()
 
 
-def test_the_budget_of_the_file_has_both_lines(folder: Path) -> None:
+def test_the_budget_of_the_file_has_both_lines(folder):
     text = (folder / "compensation_budget.json").read_bytes()
     budget = msgspec.json.decode(text)
     assert list(budget["no_axes"]) == ["x", "y", "phi"]
@@ -176,9 +176,7 @@ def test_the_budget_of_the_file_has_both_lines(folder: Path) -> None:
         assert prediction.budget.no_axes[name] > exact
 
 
-def test_the_terminal_and_the_report_state_both_lines(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_terminal_and_the_report_state_both_lines(folder, capsys):
     few = ["--to", "json", "--commands", "60"]
     assert main(["compensate", str(folder), *few]) == 0
     printed = capsys.readouterr().out
@@ -215,7 +213,7 @@ def fill_in(folder: Path, to: Path, axes: bool | None, scale: float = 1.0) -> Pa
     return to
 
 
-def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -> None:
+def test_verify_judges_without_and_with_the_axes(folder, tmp_path):
     assert main(["verify", str(folder)]) == 0
     plan = section(folder).acceptance
     assert list(plan.components) == ["z", "psi", "theta"]
@@ -257,9 +255,7 @@ def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -
     ],
     ids=lambda value: value.name if hasattr(value, "name") else "",
 )
-def test_a_machine_has_the_axes_that_its_joints_lack(
-    machine: object, names: list[str], rng: np.random.Generator
-) -> None:
+def test_a_machine_has_the_axes_that_its_joints_lack(machine, names, rng):
     """Joints and axes together leave nothing."""
     kinematics = Kinematics(machine)
     further = FurtherAxes.of(kinematics)
@@ -281,9 +277,7 @@ def test_a_machine_has_the_axes_that_its_joints_lack(
     assert bool(names) == bool(len(further))
 
 
-def test_a_format_without_offsets_says_where_they_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: Path
-) -> None:
+def test_a_format_without_offsets_says_where_they_are(tmp_path, capsys, folder):
     (tmp_path / "bare.py").write_text(
         "from pkm_studies.catalogue.controller_format import ControllerFormat\n"
         "from pkm_studies.compensation.formats import json_file\n"
@@ -297,7 +291,7 @@ def test_a_format_without_offsets_says_where_they_are(
     assert "csv and json have columns for additional axes" in printed
 
 
-def test_a_machine_without_such_motions_has_no_such_columns(tmp_path: Path) -> None:
+def test_a_machine_without_such_motions_has_no_such_columns(tmp_path):
     machine = linear_delta.machine
     folder = sample.save(tmp_path, sample.result(machine, machine.nominal))
     assert main(["compensate", str(folder), "--to", "csv"]) == 0

@@ -1,7 +1,5 @@
 """CSV files of other programs: separators, encodings, names over several lines."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,9 +18,7 @@ from pkm_studies.base import InputError
         ("a,b\n1,2\na,b\n3,4\n", ("a", "b")),
     ],
 )
-def test_tables_of_any_separator(
-    text: str, header: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_tables_of_any_separator(text, header, tmp_path):
     (tmp_path / "t.csv").write_text(text)
     table = csv_table.read(tmp_path / "t.csv")
     assert table.header == header
@@ -31,9 +27,7 @@ def test_tables_of_any_separator(
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
-def test_a_file_of_another_program_has_an_encoding_of_its_own(
-    encoding: str, tmp_path: Path
-) -> None:
+def test_a_file_of_another_program_has_an_encoding_of_its_own(encoding, tmp_path):
     path = tmp_path / "t.csv"
     path.write_bytes("X [mm],Température [°C]\n1.5,20\n2.5,21\n".encode(encoding))
     table = csv_table.read(path)
@@ -73,9 +67,7 @@ MARKERS = ("rig:a X [mm]", "rig:a Y [mm]", "rig:a Z [mm]", "rig:b X [mm]")
         ),
     ],
 )
-def test_markers_side_by_side_have_their_names(
-    lines: tuple[str, ...], header: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_markers_side_by_side_have_their_names(lines, header, tmp_path):
     """Facts of the file, such as a rate, are no readings; a name is over three columns."""
     path = tmp_path / "m.csv"
     path.write_text("\n".join([*lines, "1,0,1,2,3,4,5,6", "2,0,7,8,9,10,11,12"]))
@@ -85,7 +77,7 @@ def test_markers_side_by_side_have_their_names(
     np.testing.assert_array_equal(table.numbers(header[2]), [1.0, 7.0])
 
 
-def test_a_first_row_with_empty_cells_is_no_header(tmp_path: Path) -> None:
+def test_a_first_row_with_empty_cells_is_no_header(tmp_path):
     """As a reference row has them, which reads nothing."""
     path = tmp_path / "s.readings.csv"
     path.write_text(

@@ -1,7 +1,6 @@
 """Labels of the drawing stand where their parameters act; plans state the joints."""
 
 import dataclasses
-from pathlib import Path
 
 import gap_fixture
 import numpy as np
@@ -27,7 +26,7 @@ def _labels(machine: object) -> dict[str, tuple[str, np.ndarray]]:
     return {n: (lab.text, np.array(lab.at)) for lab in labels for n in lab.parameters}
 
 
-def test_a_joint_s_errors_stand_at_the_joint() -> None:
+def test_a_joint_s_errors_stand_at_the_joint():
     labels = _labels(a3_head.machine)
     angle = a3_head.PHI[2]
     base = a3_head.B * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -38,7 +37,7 @@ def test_a_joint_s_errors_stand_at_the_joint() -> None:
     assert place == pytest.approx([0.0, -a3_head.A, home], abs=1e-5)
 
 
-def test_a_leg_s_errors_stand_in_the_middle_of_the_leg() -> None:
+def test_a_leg_s_errors_stand_in_the_middle_of_the_leg():
     labels = _labels(a3_head.machine)
     middle = [0.0, -(a3_head.A + a3_head.B) / 2.0, a3_head.D / 2.0]
     for name in ("dq1", "beta1"):
@@ -46,22 +45,20 @@ def test_a_leg_s_errors_stand_in_the_middle_of_the_leg() -> None:
         assert labels[name][0] == "dq1 beta1"
 
 
-def test_what_only_chooses_the_frame_has_no_label() -> None:
+def test_what_only_chooses_the_frame_has_no_label():
     labels = _labels(a3_head.machine)
     names = {p.name for p in a3_head.machine.parameters}
     assert set(labels) == names - set(a3_head.machine.frame)
 
 
 @pytest.mark.parametrize("machine", [delta.machine, hexapod.machine])
-def test_every_parameter_of_other_machines_has_a_place(machine: object) -> None:
+def test_every_parameter_of_other_machines_has_a_place(machine):
     labels = _labels(machine)
     names = {p.name for p in machine.parameters}  # type: ignore[attr-defined]
     assert names - set(machine.frame) <= set(labels)  # type: ignore[attr-defined]
 
 
-def test_planned_readings_state_the_joints_of_the_nominal_machine(
-    tmp_path: Path,
-) -> None:
+def test_planned_readings_state_the_joints_of_the_nominal_machine(tmp_path):
     """Against the lengths of the oracle, which shares no code with the kinematics."""
     state = RunState.start(Study.load(gap_fixture.written(tmp_path)), 3, Silent(), None)
     (series,) = planned_series(state)[:1]
@@ -76,7 +73,7 @@ def test_planned_readings_state_the_joints_of_the_nominal_machine(
     np.testing.assert_allclose(joints, 1e3 * expected, atol=1e-6)
 
 
-def test_a_machine_without_a_skeleton_has_no_labels() -> None:
+def test_a_machine_without_a_skeleton_has_no_labels():
     """As most files of a user's own are at first."""
     assert _labels(dataclasses.replace(delta.machine, skeleton=None)) == {}
 
@@ -116,7 +113,7 @@ theta = "hold"
 """
 
 
-def test_each_tool_point_has_its_own_far_end_or_none(tmp_path: Path) -> None:
+def test_each_tool_point_has_its_own_far_end_or_none(tmp_path):
     """Set-ups with a cup and without one: no reading gets the bar of another."""
     path = tmp_path / "mixed.study.toml"
     path.write_text(MIXED, "utf-8")

@@ -1,15 +1,12 @@
 """Files that are deeper or larger than any machine: refused at once, with the reason."""
 
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from pkm_studies.base import InputError
 from pkm_studies.drafts.bodies import xml_file
 
-Run = Callable[..., tuple[int, str, str]]
 LOOPS = "loop,link_a,a_x_m,a_y_m,a_z_m,link_b,b_x_m,b_y_m,b_z_m\n1,l1,0,0,0,l2,0,0,0\n"
 #: s; each of these took minutes, or did not end, where time grew with the square
 SOON = 5.0
@@ -27,9 +24,7 @@ def chain(count: int, *, is_long: bool = True) -> str:
 
 
 @pytest.mark.parametrize("count", [201, 30_000])
-def test_nested_bodies_beyond_any_machine_are_refused(
-    count: int, oed: Run, tmp_path: Path
-) -> None:
+def test_nested_bodies_beyond_any_machine_are_refused(count, oed, tmp_path):
     bodies = "<body><joint/>" * count + "</body>" * count
     text = f"<mujoco><worldbody>{bodies}</worldbody></mujoco>"
     (tmp_path / "deep.xml").write_text(text)
@@ -37,7 +32,7 @@ def test_nested_bodies_beyond_any_machine_are_refused(
     assert (code, "more than 200 within one another" in err) == (2, True), err
 
 
-def test_bodies_within_the_bound_are_read(tmp_path: Path) -> None:
+def test_bodies_within_the_bound_are_read(tmp_path):
     # 95 bodies, 1 m each along the turned x: 95 turns of 90 deg about z stand at x = 0
     body = "<body pos='1 0 0' euler='0 0 90'><joint/>"
     loop = "<connect body1='body95' body2='world' anchor='0 0 0'/>"
@@ -59,9 +54,7 @@ def test_bodies_within_the_bound_are_read(tmp_path: Path) -> None:
         (chain(4_000, is_long=False), None),
     ],
 )
-def test_time_grows_with_the_number_of_links(
-    text: str, words: str | None, tmp_path: Path
-) -> None:
+def test_time_grows_with_the_number_of_links(text, words, tmp_path):
     (tmp_path / "r.urdf").write_text(text)
     (tmp_path / "l.csv").write_text(LOOPS)
     files = tmp_path / "r.urdf", tmp_path / "l.csv"

@@ -2,8 +2,6 @@
 the platform of the file, and files that describe no family are refused.
 """
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import compensation_sample as sample
@@ -24,7 +22,6 @@ from oed.model import Machine
 from pkm_studies import study
 from pkm_studies.resolve import study_machine
 
-Run = Callable[..., tuple[int, str, str]]
 #: a rotary delta by hand: degrees, nested and turned bodies, universal joints of two
 #: hinges, sites, defaults, names of its own, shoulders and ankles away from the axis
 HAND = """\
@@ -125,9 +122,7 @@ def differences(
 
 
 @pytest.mark.usefixtures("own_folder")
-def test_a_hand_written_delta_stands_where_mujoco_puts_it(
-    oed: Run, tmp_path: Path, mujoco: Any
-) -> None:
+def test_a_hand_written_delta_stands_where_mujoco_puts_it(oed, tmp_path, mujoco):
     (tmp_path / "delta.xml").write_text(hand_written(), "utf-8")
     code, out, err = oed("new", "mine", "--machine", "delta.xml")
     assert code == 0, err
@@ -161,8 +156,8 @@ def test_a_hand_written_delta_stands_where_mujoco_puts_it(
     ],
 )
 def test_what_was_written_comes_back_as_the_same_machine(
-    original: Machine, form: str, oed: Run, tmp_path: Path, rng: np.random.Generator
-) -> None:
+    original, form, oed, tmp_path, rng
+):
     tolerance = np.array([p.tolerance for p in original.parameters])
     values = original.nominal + 0.3 * tolerance * rng.standard_normal(len(tolerance))
     folder = sample.save(tmp_path / "d", sample.result(original, values))
@@ -206,9 +201,7 @@ def test_what_was_written_comes_back_as_the_same_machine(
         ('name="hip1"', 'name="hip0"', "have the name 'hip0'"),
     ],
 )
-def test_what_is_no_machine_of_a_family_is_refused(
-    old: str, new: str, words: str, oed: Run, tmp_path: Path
-) -> None:
+def test_what_is_no_machine_of_a_family_is_refused(old, new, words, oed, tmp_path):
     text = hand_written()
     assert old in text
     (tmp_path / "bad.xml").write_text(text.replace(old, new), "utf-8")
@@ -219,7 +212,7 @@ def test_what_is_no_machine_of_a_family_is_refused(
 
 
 @pytest.mark.usefixtures("own_folder")
-def test_a_urdf_needs_its_loops(oed: Run, tmp_path: Path) -> None:
+def test_a_urdf_needs_its_loops(oed, tmp_path):
     (tmp_path / "robot.urdf").write_text("<robot name='r'><link name='a'/></robot>")
     code, _, err = oed("new", "mine", "--machine", "robot.urdf")
     assert code == 2
@@ -244,9 +237,7 @@ LOOPS = "loop,link_a,a_x_m,a_y_m,a_z_m,link_b,b_x_m,b_y_m,b_z_m\n"
         ('</joint><joint type="fixed"><parent link="c"/><child link="a"/>', "", "c"),
     ],
 )
-def test_a_broken_urdf_is_refused(
-    urdf: str, loops: str | None, words: str, oed: Run, tmp_path: Path
-) -> None:
+def test_a_broken_urdf_is_refused(urdf, loops, words, oed, tmp_path):
     links = '<link name="a"/><link name="b"/>'
     joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
     (tmp_path / "r.urdf").write_text(f"<robot>{links}{joint}{urdf}</joint></robot>")

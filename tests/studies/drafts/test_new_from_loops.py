@@ -85,7 +85,7 @@ def read(folder: Path, content: str):
     return StartingModel.named("robot.xml", Origin(folder, Consent.RECORDED)).machine
 
 
-def test_two_chains_that_meet_are_a_five_bar(tmp_path: Path) -> None:
+def test_two_chains_that_meet_are_a_five_bar(tmp_path):
     """The tool point where circles about both knees meet, at any joints."""
     machine = read(tmp_path, FIVE_BAR)
     assert machine.name == "five_bar"
@@ -126,7 +126,7 @@ OPEN = FIVE_BAR.replace(
 SITES = '<connect site1="a" site2="b"/>'
 
 
-def test_a_loop_that_is_drawn_open_keeps_its_lengths(tmp_path: Path) -> None:
+def test_a_loop_that_is_drawn_open_keeps_its_lengths(tmp_path):
     """Its ends are 2 cm apart as drawn; each strut reaches to its own site."""
     closing = '<connect body1="l2" body2="r2" anchor="0.17 0.2 0"/>'
     machine = read(tmp_path, OPEN.replace(closing, SITES))
@@ -135,7 +135,7 @@ def test_a_loop_that_is_drawn_open_keeps_its_lengths(tmp_path: Path) -> None:
     assert struts == pytest.approx([np.hypot(0.15, 0.2), np.hypot(0.16, 0.21)])
 
 
-def test_a_knee_that_is_drawn_straight_has_no_side(tmp_path: Path) -> None:
+def test_a_knee_that_is_drawn_straight_has_no_side(tmp_path):
     straight = OPEN.replace('pos="0.15 0.2 0"', 'pos="-0.09 0.285 0"')
     straight = straight.replace('pos="-0.16 0.21 0"', 'pos="0.105 0.27 0"')
     closing = '<connect body1="l2" body2="r2" anchor="0.17 0.2 0"/>'
@@ -176,7 +176,7 @@ def delta(half_foot: float = HALF) -> str:
     )
 
 
-def test_two_parallel_rods_on_a_crank_are_one_limb_of_a_delta(tmp_path: Path) -> None:
+def test_two_parallel_rods_on_a_crank_are_one_limb_of_a_delta(tmp_path):
     """No hexapod of six cranks; the tool point where three spheres about the knees meet."""
     machine = read(tmp_path, delta())
     assert machine.name == "rotary_delta"
@@ -195,7 +195,7 @@ def test_two_parallel_rods_on_a_crank_are_one_limb_of_a_delta(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("form", ["weld", "hung"])
-def test_a_stewart_platform_on_a_leg_or_welded(form: str, tmp_path: Path) -> None:
+def test_a_stewart_platform_on_a_leg_or_welded(form, tmp_path):
     machine = read(tmp_path, stewart(form))
     assert machine.name == "hexapod_ups"
     numbers = {p.name: p.nominal for p in machine.parameters}
@@ -230,9 +230,7 @@ def test_a_stewart_platform_on_a_leg_or_welded(form: str, tmp_path: Path) -> Non
         ),
     ],
 )
-def test_what_closes_no_machine(
-    old: str, new: str, reason: str, tmp_path: Path
-) -> None:
+def test_what_closes_no_machine(old, new, reason, tmp_path):
     assert old in FIVE_BAR
     with pytest.raises(InputError, match=reason):
         read(tmp_path, FIVE_BAR.replace(old, new))

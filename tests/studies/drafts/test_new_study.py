@@ -19,7 +19,7 @@ from pkm_studies.study import SCHEMAS
 from pkm_studies.user_code import Origin
 
 
-def test_a_machine_from_a_file(tmp_path: Path) -> None:
+def test_a_machine_from_a_file(tmp_path):
     (tmp_path / "mine.py").write_text(
         "import dataclasses\n"
         "from pkm_models.machines.a3_head import machine as base\n"
@@ -40,14 +40,14 @@ def test_a_machine_from_a_file(tmp_path: Path) -> None:
     ("source", "words"),
     [("1/0", "ZeroDivisionError"), ("(", "SyntaxError"), ("exit()", "SystemExit")],
 )
-def test_a_file_that_fails_is_refused(source: str, words: str, tmp_path: Path) -> None:
+def test_a_file_that_fails_is_refused(source, words, tmp_path):
     (tmp_path / "bad.py").write_text(source)
     assert words in str(
         sample.refused(sample.STUDY, ('"a3_head"', '"bad.py"'), folder=tmp_path)
     )
 
 
-def test_an_instrument_that_cannot_read_the_machine_is_refused(tmp_path: Path) -> None:
+def test_an_instrument_that_cannot_read_the_machine_is_refused(tmp_path):
     error = sample.refused(
         sample.STUDY,
         ('instrument = "ball_bar"', 'instrument = "redundancy"'),
@@ -60,7 +60,7 @@ def test_an_instrument_that_cannot_read_the_machine_is_refused(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("kind", catalogue.KINDS)
-def test_the_catalogue_gives_its_sources(kind: str) -> None:
+def test_the_catalogue_gives_its_sources(kind):
     entries = catalogue.listing(kind)
     assert all(e.name and e.about and e.source for e in entries)
     assert len({e.name for e in entries}) == len(entries)
@@ -148,7 +148,7 @@ def _pairs() -> list[Any]:
 
 
 @pytest.mark.parametrize(("machine", "instrument"), _pairs())
-def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> None:
+def test_a_new_study_is_sound(machine, instrument, tmp_path):
     if not can_read(machine, instrument):
         with pytest.raises(InputError, match=f"it cannot read {machine}"):
             write_draft("fresh", machine, instrument, Origin(tmp_path))
@@ -170,9 +170,7 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
         write_draft("fresh", machine, instrument, Origin(tmp_path))
 
 
-def test_what_a_draft_leaves_open_is_refused_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_draft_leaves_open_is_refused_by_name(tmp_path, monkeypatch, capsys):
     """A gimbal that nobody measured stands nowhere: not at the base frame's origin."""
     monkeypatch.chdir(tmp_path)
     new = ["new", "open", "--machine", "a3_head", "--instrument", "laser_ball_bar"]
@@ -194,7 +192,7 @@ def test_what_a_draft_leaves_open_is_refused_by_name(
     assert main(["check", path.name]) == 0
 
 
-def test_a_draft_states_the_noise_once(tmp_path: Path) -> None:
+def test_a_draft_states_the_noise_once(tmp_path):
     """Of a laser ball bar by its range and angles; of others by channel."""
     noise = {}
     for tool in ("laser_ball_bar", "ball_bar"):
@@ -205,7 +203,7 @@ def test_a_draft_states_the_noise_once(tmp_path: Path) -> None:
     assert noise["ball_bar"]["noise"] == {"length_um": 0.5}
 
 
-def test_any_number_of_a_study_may_be_open(tmp_path: Path) -> None:
+def test_any_number_of_a_study_may_be_open(tmp_path):
     """The mark of a draft is refused wherever it stands, with its place."""
     for old, location in (
         ("length_um = ", "noise.length_um"),
@@ -219,9 +217,7 @@ def test_any_number_of_a_study_may_be_open(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("family", ["delta", "hexapod_pus", "cables_spatial"])
-def test_a_drafted_geometry_describes_the_machine_of_the_model(
-    family: str, tmp_path: Path
-) -> None:
+def test_a_drafted_geometry_describes_the_machine_of_the_model(family, tmp_path):
     """With the comment signs removed, the table is complete and changes nothing."""
     path = write_draft("fresh", family, "pose_tracker_position", Origin(tmp_path))
     entry = re.compile(r"^# (\[machine\.geometry\]|\w+ = .*  # .*)", re.M)
@@ -238,7 +234,7 @@ def test_a_drafted_geometry_describes_the_machine_of_the_model(
         assert f"# {dimension.name}" in text[start:end]
 
 
-def test_the_schema_knows_tables_with_fields_of_free_name() -> None:
+def test_the_schema_knows_tables_with_fields_of_free_name():
     schema = SCHEMAS["study"]()
     table = schema["$defs"]["SetupTable"]
     assert table["additionalProperties"] == {"type": "number"}
@@ -289,8 +285,8 @@ nowhere = dataclasses.replace(
     "name", ["big", "narrow", pytest.param("free", marks=pytest.mark.slow)]
 )
 def test_a_draft_of_a_machine_that_reaches_less_than_its_ranges_is_sound(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    name, tmp_path, monkeypatch
+):
     """It keeps to a smaller part about home."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(REACH_LESS, "utf-8")
@@ -298,9 +294,7 @@ def test_a_draft_of_a_machine_that_reaches_less_than_its_ranges_is_sound(
     assert main(["check", f"{name}.study.toml"]) == 0
 
 
-def test_what_no_draft_can_do_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_no_draft_can_do_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(REACH_LESS, "utf-8")
     assert main(["new", "--machine", "mine.py:nowhere"]) == 2
@@ -309,9 +303,7 @@ def test_what_no_draft_can_do_is_named(
     assert not (tmp_path / "nowhere.study.toml").exists()
 
 
-def test_a_study_is_drafted_from_a_machine_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_is_drafted_from_a_machine_file_alone(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my.py").write_text(
         "import dataclasses\n"

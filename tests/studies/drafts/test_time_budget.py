@@ -1,7 +1,5 @@
 """Times as one says them, and the readings that they have room for."""
 
-from pathlib import Path
-
 import pytest
 
 from pkm_studies import catalogue
@@ -26,18 +24,18 @@ from pkm_studies.user_code import Origin
         ("One Hour", 1.0),
     ],
 )
-def test_a_time_as_one_says_it(text: str, hours: float) -> None:
+def test_a_time_as_one_says_it(text, hours):
     """By hand; a day has eight hours at the machine, a week five days."""
     assert read_time(text) == pytest.approx(3600.0 * hours)
 
 
 @pytest.mark.parametrize("text", ["soon", "", "-3 h", "3 parsecs", "1e9 h" * 20])
-def test_what_is_no_time_is_refused(text: str) -> None:
+def test_what_is_no_time_is_refused(text):
     with pytest.raises(InputError, match="two days"):
         read_time(text)
 
 
-def test_a_draft_has_the_readings_of_its_time(tmp_path: Path) -> None:
+def test_a_draft_has_the_readings_of_its_time(tmp_path):
     """Mounting and readings by the instrument's own times, counted here."""
     origin = Origin(tmp_path)
     tool = catalogue.instrument("pose_tracker_position", origin, Location("test"))
@@ -47,7 +45,7 @@ def test_a_draft_has_the_readings_of_its_time(tmp_path: Path) -> None:
     assert design.size == 40
 
 
-def test_too_short_a_time_is_refused(tmp_path: Path) -> None:
+def test_too_short_a_time_is_refused(tmp_path):
     with pytest.raises(InputError, match="too short"):
         write_draft("timed", "delta", "pose_tracker_position", Origin(tmp_path), 60.0)
     assert list(tmp_path.iterdir()) == []

@@ -62,9 +62,7 @@ def content(folder: Path) -> dict[str, bytes]:
     }
 
 
-def test_a_result_is_kept_where_its_draws_find_no_room(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_result_is_kept_where_its_draws_find_no_room(folder, monkeypatch, capsys):
     """First a disk for the result without its draws, then one for neither."""
     study, out = folder / "s.study.toml", folder / "out"
     assert main(["run", str(study), "--out", str(folder / "whole"), "--quiet"]) == 1
@@ -106,13 +104,7 @@ COMMANDS = {
 
 @pytest.mark.parametrize("room", [0, 700])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_leaves_nothing_half(
-    folder: Path,
-    command: str,
-    room: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_command_leaves_nothing_half(folder, command, room, monkeypatch, capsys):
     """Of files that go together, as readings and their truth, neither or both."""
     monkeypatch.chdir(folder)
     before = content(folder)
@@ -137,9 +129,7 @@ def test_a_command_leaves_nothing_half(
         (errno.EACCES, "its permissions"),
     ],
 )
-def test_what_the_disk_refuses_is_said_as_such(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, words: str
-) -> None:
+def test_what_the_disk_refuses_is_said_as_such(tmp_path, monkeypatch, number, words):
     Disk(tmp_path, 0, number).install(monkeypatch)
     with pytest.raises(OSError, match=re.escape(os.strerror(number))) as caught:
         files.write_whole(tmp_path / "a.csv", "text")
@@ -149,9 +139,7 @@ def test_what_the_disk_refuses_is_said_as_such(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_files_that_go_together_are_all_written_or_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_go_together_are_all_written_or_none(tmp_path, monkeypatch):
     one, two = tmp_path / "one", tmp_path / "two"
     two.write_text("before", encoding="utf-8")
     Disk(tmp_path, 5).install(monkeypatch)
@@ -163,7 +151,7 @@ def test_files_that_go_together_are_all_written_or_none(
     assert content(tmp_path) == {"one": b"short", "two": b"after"}
 
 
-def test_the_system_s_own_limit_ends_in_no_crash(tmp_path: Path) -> None:
+def test_the_system_s_own_limit_ends_in_no_crash(tmp_path):
     """HDF5 never writes to the disk: what it cannot close would end the process."""
     code = (
         "import sys, numpy as np, resource\n"

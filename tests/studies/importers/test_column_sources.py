@@ -53,7 +53,7 @@ def imported(
     return rows, list(result.statements), path
 
 
-def test_a_column_has_a_factor_an_offset_and_a_coverage_factor(tmp_path: Path) -> None:
+def test_a_column_has_a_factor_an_offset_and_a_coverage_factor(tmp_path):
     rows, sentences, _ = imported(TEXT, MAP, tmp_path)
     assert [row["order"] for row in rows] == ["1", "3"]
     assert any(
@@ -67,7 +67,7 @@ def test_a_column_has_a_factor_an_offset_and_a_coverage_factor(tmp_path: Path) -
     assert [float(row["height_in"]) for row in rows] == [0.4, -0.25]
 
 
-def test_the_written_map_reads_the_same(tmp_path: Path) -> None:
+def test_the_written_map_reads_the_same(tmp_path):
     rows, _, path = imported(TEXT, MAP, tmp_path)
     again = tmp_path / "again"
     again.mkdir()
@@ -97,9 +97,7 @@ def test_the_written_map_reads_the_same(tmp_path: Path) -> None:
         ('order = { column = "H", factor = 2 }', "order", "no unit"),
     ],
 )
-def test_what_a_source_may_not_have(
-    line: str, field: str, problem: str, tmp_path: Path
-) -> None:
+def test_what_a_source_may_not_have(line, field, problem, tmp_path):
     head = 'machine = "linear_delta"\ninstrument = "height_probe"\n[columns]\n'
     with pytest.raises(InputError) as caught:
         imported(TEXT, head + line, tmp_path)
@@ -107,9 +105,7 @@ def test_what_a_source_may_not_have(
     assert field in str(caught.value)
 
 
-def test_the_tracker_of_a_robot_needs_seven_lines(
-    shared_data: Path, tmp_path: Path
-) -> None:
+def test_the_tracker_of_a_robot_needs_seven_lines(shared_data, tmp_path):
     """Decimal commas, semicolons, and a standard deviation for each reading."""
     file = shared_data / "ur10_tracker" / "series_b.csv"
     text = file.read_text()
@@ -137,7 +133,7 @@ def test_the_tracker_of_a_robot_needs_seven_lines(
         assert squares[0] == pytest.approx(squares[1], rel=1e-6)
 
 
-def test_the_jugglebot_needs_fourteen_lines(shared_data: Path, tmp_path: Path) -> None:
+def test_the_jugglebot_needs_fourteen_lines(shared_data, tmp_path):
     """Motor revolutions, quaternions, a geometry of its own: no code."""
     k = np.arange(6)
     base = np.radians(200 + 100 * (k // 2) + 20 * ((k + 1) // 2))
@@ -198,5 +194,5 @@ quaternion = ["orientation_w", "orientation_x", "orientation_y", "orientation_z"
     assert np.abs(scales[1:]).max() < 0.015
 
 
-def test_readings_in_inches_are_metres() -> None:
+def test_readings_in_inches_are_metres():
     assert dataset.ReadingsColumn.parse("height_in").factor == 25.4e-3

@@ -51,9 +51,7 @@ def write_trace(path: Path, runs: list[np.ndarray]) -> Path:
     return path
 
 
-def test_a_trace_of_4000_points_both_ways(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_trace_of_4000_points_both_ways(tmp_path, rng):
     forward, backward = trace(rng, 1, 0.9), trace(rng, -1, 0.9)
     backward[:, 0] += 360.0
     path = write_trace(tmp_path / "bar.csv", [forward, backward])
@@ -148,9 +146,7 @@ def _import_circles(
     )
 
 
-def test_several_circles_each_have_their_centre_and_plane(
-    tmp_path: Path, circles: list[Path]
-) -> None:
+def test_several_circles_each_have_their_centre_and_plane(tmp_path, circles):
     study, imported = _import_circles(tmp_path, circles, CIRCLES)
     runs = {row["run"]: row["setup"] for row in imported.rows}
     assert runs == {
@@ -175,9 +171,7 @@ def test_several_circles_each_have_their_centre_and_plane(
     assert again[1].rows == imported.rows  # the map that was written is complete
 
 
-def test_circles_without_names_of_files_are_one_in_each(
-    tmp_path: Path, circles: list[Path]
-) -> None:
+def test_circles_without_names_of_files_are_one_in_each(tmp_path, circles):
     table = "[[circles]]\ncentre_mm = [0, 10, 60]\nradius_mm = 100\n"
     text = f'machine = "linear_delta"\n{table}setup = "a"\n{table}setup = "b"\n'
     _, imported = _import_circles(tmp_path, circles[:2], text)
@@ -197,8 +191,8 @@ def test_circles_without_names_of_files_are_one_in_each(
     ],
 )  # fmt: skip
 def test_runs_that_belong_to_no_circle_or_two_are_refused(
-    tmp_path: Path, circles: list[Path], old: str, new: str, words: str
-) -> None:
+    tmp_path, circles, old, new, words
+):
     text = CIRCLES.replace(old, new, 1)
     assert text != CIRCLES
     with pytest.raises(InputError) as raised:
@@ -206,14 +200,12 @@ def test_runs_that_belong_to_no_circle_or_two_are_refused(
     assert words in str(raised.value)
 
 
-def test_a_run_of_a_file_must_not_be_forgotten(
-    tmp_path: Path, circles: list[Path]
-) -> None:
+def test_a_run_of_a_file_must_not_be_forgotten(tmp_path, circles):
     with pytest.raises(InputError, match=r"run 2 of .* belongs to no circle"):
         _import_circles(tmp_path, circles, CIRCLES[: CIRCLES.rindex("[[circles]]")])
 
 
-def test_means_have_the_noise_that_correlation_leaves(rng: np.random.Generator) -> None:
+def test_means_have_the_noise_that_correlation_leaves(rng):
     """AR(1) by its closed form: variance and lag-one covariance of block means."""
     rho, block, spread = 0.9, 20, []
     for _ in range(40):
@@ -248,7 +240,7 @@ def test_means_have_the_noise_that_correlation_leaves(rng: np.random.Generator) 
         ("angle;deviation\n1;2\n2;3\n", "the run from here has 2 points"),
     ],
 )
-def test_bad_traces_name_line_and_remedy(text: str, words: str, tmp_path: Path) -> None:
+def test_bad_traces_name_line_and_remedy(text, words, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     (tmp_path / "my.toml").write_text(MAP)
     with pytest.raises(InputError) as raised:

@@ -1,7 +1,5 @@
 """`oed import` of any CSV, against the oracles."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from oracles import planar_cables
@@ -11,7 +9,7 @@ from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 
 
-def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
+def test_columns_by_a_map_that_is_kept(tmp_path):
     (tmp_path / "a.csv").write_text(
         "# made by hand\nname|X set|Y set|Z set|touch|remark\n"
         "1|0|0|10|0,02|good\n2|50|0|10||\n3|0|50|10|-0,01|fine\n"
@@ -55,7 +53,7 @@ q4_mm = "D"
 """
 
 
-def test_cable_lengths_alone_come_in(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_cable_lengths_alone_come_in(tmp_path, rng):
     """Recorded joints of a machine with two spare ones are its readings."""
     robot = planar_cables.drawn(rng)
     wanted = rng.uniform(-0.5, 0.5, (30, 2))
@@ -84,7 +82,7 @@ def test_cable_lengths_alone_come_in(tmp_path: Path, rng: np.random.Generator) -
         )
 
 
-def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
+def test_channels_that_were_not_read_are_left_out(tmp_path):
     """A camera that looks from above reads x and y; z is missing, not 0."""
     (tmp_path / "c.csv").write_text(
         "x_mm,y_mm,z_mm,read_x_mm,read_y_mm\n0,0,10,0.1,0.0\n50,0,10,50.1,0.1\n"
@@ -100,7 +98,7 @@ def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
     assert readings.y.size == 4
 
 
-def test_contacts_alone_come_in(tmp_path: Path) -> None:
+def test_contacts_alone_come_in(tmp_path):
     """Poses at which a probe stopped the machine need no column of readings."""
     (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n0,0,0.02\n50,0,0.01\n0,50,0.04\n")
     text = 'machine = "linear_delta"\ninstrument = "contact_probe"\n'

@@ -56,7 +56,7 @@ def write(path: Path, values: np.ndarray) -> Path:
     return path
 
 
-def test_position_and_axis_from_two_balls(tmp_path: Path) -> None:
+def test_position_and_axis_from_two_balls(tmp_path):
     """As the paper's readings in Cartesian coordinates would be (sections 5.1, 5.2)."""
     values = seen()
     file = write(tmp_path / "lbb.csv", values)
@@ -72,7 +72,7 @@ def test_position_and_axis_from_two_balls(tmp_path: Path) -> None:
     assert "read_x_mm" not in text.splitlines()[-23]
 
 
-def test_ball_a_alone_is_a_position(tmp_path: Path) -> None:
+def test_ball_a_alone_is_a_position(tmp_path):
     file = write(tmp_path / "lbb.csv", seen())
     text = MAP.replace("{a,b}", "a").replace("{1,2}", "1")
     (tmp_path / "m.toml").write_text(text)
@@ -94,14 +94,14 @@ def test_ball_a_alone_is_a_position(tmp_path: Path) -> None:
         ('_deg" = "phi', '_mm" = "phi', r"columns\.azimuth_a_mm: no column"),
     ],
 )
-def test_words_that_are_none(old: str, new: str, reason: str, tmp_path: Path) -> None:
+def test_words_that_are_none(old, new, reason, tmp_path):
     file = write(tmp_path / "lbb.csv", seen())
     (tmp_path / "m.toml").write_text(MAP.replace(old, new))
     with pytest.raises(InputError, match=reason):
         import_files("columns", [file], tmp_path, column_map=tmp_path / "m.toml")
 
 
-def test_a_place_beside_what_it_follows_from_is_refused(tmp_path: Path) -> None:
+def test_a_place_beside_what_it_follows_from_is_refused(tmp_path):
     file = write(tmp_path / "lbb.csv", seen())
     (tmp_path / "m.toml").write_text(MAP)
     study, _ = import_files("columns", [file], tmp_path, column_map=tmp_path / "m.toml")

@@ -1,7 +1,5 @@
 """Tables whose lines carry times: in the order of time, or refused."""
 
-from pathlib import Path
-
 import pytest
 
 from pkm_studies.base import InputError
@@ -9,9 +7,7 @@ from pkm_studies.importers import read_tables
 
 
 @pytest.mark.parametrize("times", ["clock", "number"])
-def test_a_table_with_the_newest_line_first_is_refused(
-    times: str, tmp_path: Path
-) -> None:
+def test_a_table_with_the_newest_line_first_is_refused(times, tmp_path):
     cells = [f"10:0{k}:00" if times == "clock" else f"17000000{k}.25" for k in range(6)]
     lines = [f"{cell},{k}.5,{k * k}.5" for k, cell in enumerate(cells)]
     file = tmp_path / "t.csv"

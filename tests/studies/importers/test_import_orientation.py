@@ -72,9 +72,7 @@ def imported_angles(study: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("kind", ["columns", "tracker"])
-def test_other_forms_of_an_orientation_come_in(
-    form: str, kind: str, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_other_forms_of_an_orientation_come_in(form, kind, tmp_path, rng):
     """They become Rx(alpha) Ry(beta) Rz(gamma), which is what the tracker reads."""
     command = poses(rng)
     rotation, point = stand(command)
@@ -90,9 +88,7 @@ def test_other_forms_of_an_orientation_come_in(
     assert "[orientation]" in kept
 
 
-def test_a_tracker_s_frame_turns_the_orientations_too(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_tracker_s_frame_turns_the_orientations_too(tmp_path, rng):
     """Seen by a tracker that stands 3 m away, turned by 70 degrees."""
     command = poses(rng)
     rotation, point = stand(command)
@@ -159,9 +155,7 @@ MISTAKEN = {
 
 @pytest.mark.parametrize("kind", ["columns", "tracker"])
 @pytest.mark.parametrize("mistake", MISTAKEN)
-def test_orientations_of_another_order_or_sense_are_named(
-    mistake: str, kind: str, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_orientations_of_another_order_or_sense_are_named(mistake, kind, tmp_path, rng):
     written, form, words = MISTAKEN[mistake]
     command = poses(rng)
     rotation, point = stand(command)
@@ -180,9 +174,7 @@ def test_orientations_of_another_order_or_sense_are_named(
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_angles_of_the_inverse_rotation_are_refused(
-    sense: float, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_angles_of_the_inverse_rotation_are_refused(sense, tmp_path, rng):
     """Angles, too, may be those of the passive rotation; noise of .1 deg is none."""
     command = poses(rng)
     rotation, point = stand(command)
@@ -225,7 +217,7 @@ direction = ["u", "v", "w"]
 """
 
 
-def test_the_direction_of_a_laser_ball_bar(tmp_path: Path) -> None:
+def test_the_direction_of_a_laser_ball_bar(tmp_path):
     """From B to A, in any length; a row may lack it."""
     command = np.array([[0.2, 0.3, -0.2], [0.1, -0.4, 0.1], [0.3, 0.0, 0.0]])
     kinematics = Kinematics(prs_spindle.machine)
@@ -280,9 +272,7 @@ def test_the_direction_of_a_laser_ball_bar(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_map_that_states_no_orientation_is_refused(
-    change: tuple[str, str], words: str, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_map_that_states_no_orientation_is_refused(change, words, tmp_path, rng):
     command = poses(rng)
     rotation, point = stand(command)
     write(tmp_path / "p.csv", command, point, rotation.as_quat(scalar_first=True))

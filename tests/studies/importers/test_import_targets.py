@@ -69,7 +69,7 @@ def imported(folder: Path, text: str, *, angles: bool = False) -> oed.Study:
     return oed.load_study(study)
 
 
-def test_nests_share_the_frame_of_their_tracker(tmp_path: Path) -> None:
+def test_nests_share_the_frame_of_their_tracker(tmp_path):
     """Six unknowns, and not eighteen; exact points of an exact machine fit exactly."""
     study = imported(tmp_path, MAP.format(instrument=""))
     measurement = resolve(study, readings=()).measurement
@@ -82,7 +82,7 @@ def test_nests_share_the_frame_of_their_tracker(tmp_path: Path) -> None:
     assert np.abs(predicted - readings.y).max() < 1e-8
 
 
-def test_an_orientation_that_was_not_measured_stays_out(tmp_path: Path) -> None:
+def test_an_orientation_that_was_not_measured_stays_out(tmp_path):
     """No row is lost for it: 36 points, and 6 orientations of one nest."""
     text = WITH_ANGLES.format(instrument='instrument = "pose_tracker"')
     study = imported(tmp_path, text, angles=True)
@@ -96,7 +96,7 @@ def test_an_orientation_that_was_not_measured_stays_out(tmp_path: Path) -> None:
     assert channels["N2"] == ["read_x", "read_y", "read_z"]
 
 
-def test_a_nest_without_a_place_is_refused(tmp_path: Path) -> None:
+def test_a_nest_without_a_place_is_refused(tmp_path):
     text = MAP.format(instrument="").replace("N3 =", "N4 =")
     with pytest.raises(InputError, match=r"targets = N3|targets.*N3.*no such target"):
         imported(tmp_path, text)

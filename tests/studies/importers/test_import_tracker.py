@@ -25,7 +25,7 @@ def true_points(commanded: np.ndarray) -> np.ndarray:
     return nozzle(travel_to(commanded, *NOMINAL), *TRUE)
 
 
-def test_tracker_points_in_a_frame_of_their_own(tmp_path: Path) -> None:
+def test_tracker_points_in_a_frame_of_their_own(tmp_path):
     """The true delta, seen by a tracker 3 m away and turned by 70 degrees."""
     grid = np.linspace(-80.0, 80.0, 4)
     mesh = np.meshgrid(grid, grid, [20.0, 150.0], indexing="ij")
@@ -99,9 +99,7 @@ def write_large_points(path: Path, noise: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("by_map", [True, False])
-def test_points_of_a_machine_of_any_size(
-    by_map: bool, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_points_of_a_machine_of_any_size(by_map, tmp_path, rng):
     """The map has the machine's table, or --machine a study with it."""
     path = tmp_path / "points.csv"
     write_large_points(path, 0.01 * rng.standard_normal((18, 3)))
@@ -134,8 +132,8 @@ def test_points_of_a_machine_of_any_size(
     ],
 )
 def test_a_frame_is_free_held_or_known(
-    registration: str, words: str, tolerance: float, errors: str, tmp_path: Path
-) -> None:
+    registration, words, tolerance, errors, tmp_path
+):
     path = tmp_path / "points.csv"
     write_large_points(path, np.zeros((18, 3)))
     text = f'registration = "{registration}"\n' + LARGE_MAP
@@ -161,13 +159,8 @@ def _commanded(rows: Sequence[Mapping[str, str]]) -> np.ndarray:
     [(0.03, 0, "the noise was understated"), (0.5, 1, "The fit is bad")],
 )
 def test_a_tracker_noisier_than_its_data_sheet(
-    noise: float,
-    code: int,
-    words: str,
-    tmp_path: Path,
-    rng: np.random.Generator,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    noise, code, words, tmp_path, rng, capsys
+):
     """The importer states 10 um as a guess: more is estimated, far more is refused."""
     path = tmp_path / "points.csv"
     write_large_points(path, noise * rng.standard_normal((18, 3)))
@@ -179,7 +172,7 @@ def test_a_tracker_noisier_than_its_data_sheet(
     assert words in "".join(capsys.readouterr())
 
 
-def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> None:
+def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path):
     path = tmp_path / "points.csv"
     write_large_points(path, np.zeros((18, 3)))
     (tmp_path / "m.toml").write_text(LARGE_MAP.replace("arm_mm", "arms_mm"))
@@ -245,9 +238,7 @@ METRES = LEICA.replace("[mm]", "[m]"), LEICA_LINE.replace("0.008", "0.000008")
 
 
 @pytest.mark.parametrize("form", [(LEICA, LEICA_LINE, 1.0), (*METRES, 1e-3)])
-def test_points_and_uncertainties_of_a_leica_need_no_map(
-    form: tuple[str, str, float], tmp_path: Path
-) -> None:
+def test_points_and_uncertainties_of_a_leica_need_no_map(form, tmp_path):
     header, line, factor = form
     files = exported(tmp_path, header, line, np.array(factor))
     study, imported = import_files(
@@ -309,9 +300,7 @@ Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ
         ),
     ],
 )
-def test_points_of_motion_capture_need_no_map(
-    header: str, line: str, factor: float, name: str, tmp_path: Path
-) -> None:
+def test_points_of_motion_capture_need_no_map(header, line, factor, name, tmp_path):
     files = exported(tmp_path, header, line, np.array(factor))
     _, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
@@ -336,15 +325,13 @@ def test_points_of_motion_capture_need_no_map(
         ),
     ],
 )
-def test_words_of_motion_capture_that_are_not_read(
-    header: str, line: str, words: str, tmp_path: Path
-) -> None:
+def test_words_of_motion_capture_that_are_not_read(header, line, words, tmp_path):
     files = exported(tmp_path, header, line, np.array(1.0))
     with pytest.raises(InputError, match=words):
         import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
-def test_two_files_without_names_of_columns_say_so(tmp_path: Path) -> None:
+def test_two_files_without_names_of_columns_say_so(tmp_path):
     for name in ("points.txt", "poses.txt"):
         (tmp_path / name).write_text("1.0 2.0 3.0\n4.0 5.0 6.0\n")
     files = [tmp_path / "points.txt", tmp_path / "poses.txt"]
@@ -352,7 +339,7 @@ def test_two_files_without_names_of_columns_say_so(tmp_path: Path) -> None:
         import_files("tracker", files, tmp_path / "o", machine="linear_delta")
 
 
-def test_an_index_without_a_name_is_no_file_without_names(tmp_path: Path) -> None:
+def test_an_index_without_a_name_is_no_file_without_names(tmp_path):
     """As a table of Python's has it, in both files."""
     files = exported(tmp_path, ",x,y,z", "J{k},{x},{y},{z}", np.array(1.0))
     lines = files[1].read_text().splitlines()
@@ -365,9 +352,7 @@ def test_an_index_without_a_name_is_no_file_without_names(tmp_path: Path) -> Non
         import_files("tracker", files, tmp_path / "b", machine="linear_delta")
 
 
-def test_an_uncertainty_that_is_rounded_to_0_is_half_its_last_digit(
-    tmp_path: Path,
-) -> None:
+def test_an_uncertainty_that_is_rounded_to_0_is_half_its_last_digit(tmp_path):
     line = LEICA_LINE.replace("0.008,0.008,0.008", "0.008,0.000,0.008")
     files = exported(tmp_path, LEICA, line, np.array(1.0))
     with pytest.raises(InputError, match="a standard deviation is above 0"):
@@ -388,9 +373,7 @@ def test_an_uncertainty_that_is_rounded_to_0_is_half_its_last_digit(
         import_files("tracker", files, tmp_path / "b", machine="linear_delta")
 
 
-def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
-    tmp_path: Path,
-) -> None:
+def test_points_of_spatial_analyzer_have_their_names_in_a_comment(tmp_path):
     line = "A,  Main,  p{k},  {x},  {y},  {z}"
     files = exported(tmp_path, SPATIAL_ANALYZER, line, np.array(1.0))
     _, imported = import_files(
@@ -420,9 +403,7 @@ def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
         ),
     ],
 )
-def test_what_a_header_does_not_say_needs_a_map(
-    header: str, line: str, words: str, tmp_path: Path
-) -> None:
+def test_what_a_header_does_not_say_needs_a_map(header, line, words, tmp_path):
     header = header.replace("x_meas  [deg]", "x_meas")
     files = exported(tmp_path, header, line, np.array(1.0))
     with pytest.raises(InputError, match=words):
@@ -438,15 +419,15 @@ def test_what_a_header_does_not_say_needs_a_map(
     ],
 )
 def test_numbers_that_no_readings_file_could_have_are_refused_by_their_line(
-    line: str, words: str, tmp_path: Path
-) -> None:
+    line, words, tmp_path
+):
     header = "X,Y,Z,U(95) X [um],U(95) Y [um],U(95) Z [um]"
     files = exported(tmp_path, header, line, np.array(1.0))
     with pytest.raises(InputError, match=words):
         import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
-def test_an_uncertainty_of_unknown_coverage_is_stated(tmp_path: Path) -> None:
+def test_an_uncertainty_of_unknown_coverage_is_stated(tmp_path):
     files = exported(tmp_path, "X,Y,Z,Ux,Uy,Uz", "{x},{y},{z},1,1,1", np.array(1.0))
     _, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"

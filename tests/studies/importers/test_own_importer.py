@@ -50,9 +50,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 
-def test_a_file_of_the_user_reads_once_it_is_allowed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_of_the_user_reads_once_it_is_allowed(tmp_path, capsys):
     """Two rows of two values are two readings, as the pages say."""
     own, log, out = tmp_path / "own.py", tmp_path / "stage.log", tmp_path / "out"
     own.write_text(OWN)
@@ -67,7 +65,7 @@ def test_a_file_of_the_user_reads_once_it_is_allowed(
     assert "2 readings fit the columns of stage" in printed
 
 
-def test_a_file_without_importer_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_importer_is_refused(tmp_path):
     own = tmp_path / "own.py"
     own.write_text("reader = 1\n")
     allowed = ["import", str(own), "a.log", "--out", str(tmp_path), "--allow-code"]
@@ -76,6 +74,6 @@ def test_a_file_without_importer_is_refused(tmp_path: Path) -> None:
         import_files(str(own), [Path("a.log")], tmp_path)
 
 
-def test_an_unknown_kind_names_the_way_to_a_file() -> None:
+def test_an_unknown_kind_names_the_way_to_a_file():
     with pytest.raises(InputError, match=r"known: .*, or a file of your own"):
         import_files("stagelog", [Path("a.log")], Path("out"))

@@ -36,26 +36,26 @@ def estimate(readings):
     return oed.identify(readings)
 
 
-def test_every_public_name_is_there() -> None:
+def test_every_public_name_is_there():
     assert 20 <= len(oed.__all__) <= 32
     for name in oed.__all__:
         assert getattr(oed, name) is not None
         assert name in dir(oed)
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'fit_everything'"):
         oed.fit_everything  # noqa: B018
 
 
-def test_importing_the_face_imports_nothing_heavy() -> None:
+def test_importing_the_face_imports_nothing_heavy():
     code = (
         "import sys, oed; print(sorted({'casadi', 'pandas', 'scipy'} & {*sys.modules}))"
     )
     assert printed_by(code) == ["[]"]
 
 
-def test_the_stub_names_the_same(tmp_path: Path) -> None:
+def test_the_stub_names_the_same(tmp_path):
     stub = Path(oed.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
     assert {*re.findall(r"import \w+ as (\w+)", stub), "__version__"} == {*oed.__all__}
 
@@ -63,7 +63,7 @@ def test_the_stub_names_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "study", ["small", pytest.param("a3_ball_bar", marks=pytest.mark.slow)]
 )
-def test_the_ten_lines_of_the_readme_run(study, tmp_path, monkeypatch) -> None:
+def test_the_ten_lines_of_the_readme_run(study, tmp_path, monkeypatch):
     """By day with a small study in place of the shipped one."""
     text = README.read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(import oed\n.*?)```", text, re.DOTALL)
@@ -82,19 +82,19 @@ def test_the_ten_lines_of_the_readme_run(study, tmp_path, monkeypatch) -> None:
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-def test_a_view_shows_itself_as_html(estimate) -> None:
+def test_a_view_shows_itself_as_html(estimate):
     page = estimate._repr_html_()
     assert "<table" in page
     assert "rms residual" in page
     assert estimate.title in repr(estimate)
 
 
-def test_warnings_are_shown_and_escaped(estimate) -> None:
+def test_warnings_are_shown_and_escaped(estimate):
     warned = type(estimate)(estimate.state.add_warnings("sd < 1 mm"))
     assert "sd &lt; 1 mm" in warned._repr_html_()
 
 
-def test_tables_hold_what_the_section_says(readings, estimate) -> None:
+def test_tables_hold_what_the_section_says(readings, estimate):
     table = estimate.to_pandas()
     for name, parameter in estimate.section.parameters.items():
         assert table.loc[name, "value"] == parameter.value
@@ -103,7 +103,7 @@ def test_tables_hold_what_the_section_says(readings, estimate) -> None:
     assert estimate.to_xarray().sizes["index"] == len(table)
 
 
-def test_a_study_is_built_from_tables() -> None:
+def test_a_study_is_built_from_tables():
     study = oed.build_study(
         {
             "name": "gauge",
@@ -128,14 +128,14 @@ def test_a_study_is_built_from_tables() -> None:
     assert 'model = "planar_2dof"' in study.text
 
 
-def test_a_wrong_table_names_field_value_and_remedy() -> None:
+def test_a_wrong_table_names_field_value_and_remedy():
     with pytest.raises(oed.InputError, match="machine"):
         oed.build_study({"name": "gauge", "machine": {"modell": "planar_2dof"}})
     with pytest.raises(oed.InputError, match="no TOML form"):
         oed.build_study({"name": "gauge", "machine": None})
 
 
-def test_what_a_study_lacks_is_said() -> None:
+def test_what_a_study_lacks_is_said():
     study = oed.load_study("planar_step_calibration")
     with pytest.raises(oed.InputError, match="no candidates"):
         oed.choose_design(study)
@@ -143,7 +143,7 @@ def test_what_a_study_lacks_is_said() -> None:
         oed.plan(study)
 
 
-def test_readings_of_a_file_are_those_of_the_command(readings, tmp_path) -> None:
+def test_readings_of_a_file_are_those_of_the_command(readings, tmp_path):
     path = tmp_path / "mine.readings.csv"
     readings.to_pandas().to_csv(path, index=False)
     again = oed.read_readings(readings.state.study, path).to_pandas()
@@ -154,20 +154,20 @@ def test_readings_of_a_file_are_those_of_the_command(readings, tmp_path) -> None
     pd.testing.assert_frame_equal(read[written.columns], written, check_dtype=False)
 
 
-def test_the_studies_names_are_entry_points() -> None:
+def test_the_studies_names_are_entry_points():
     from importlib.metadata import entry_points
 
     offered = {point.name for point in entry_points(group=oed.ENTRY_POINTS)}
     assert offered == {*oed._STUDIES}
 
 
-def test_a_name_that_no_package_offers_says_what_to_install(monkeypatch) -> None:
+def test_a_name_that_no_package_offers_says_what_to_install(monkeypatch):
     monkeypatch.setattr(oed, "ENTRY_POINTS", "oed.nothing")
     with pytest.raises(AttributeError, match="pip install pkm-oed"):
         oed.__getattr__("load_study")
 
 
-def test_an_estimate_is_arrays(estimate) -> None:
+def test_an_estimate_is_arrays(estimate):
     reported = estimate.section.parameters  # of the machine; those of set-ups follow
     count = len(reported)
     assert estimate.names[:count] == tuple(reported)
@@ -180,7 +180,7 @@ def test_an_estimate_is_arrays(estimate) -> None:
     assert np.diag(estimate.covariance) == pytest.approx(estimate.sd**2)
 
 
-def test_a_fit_begins_where_it_is_told_to(readings, estimate) -> None:
+def test_a_fit_begins_where_it_is_told_to(readings, estimate):
     name = estimate.names[0]
     tolerance = readings.state.measurement.tolerance[0]
     begin = {name: estimate.theta[0] + tolerance}
@@ -193,7 +193,7 @@ def test_a_fit_begins_where_it_is_told_to(readings, estimate) -> None:
         oed.identify(readings, start={"leg": 1.0})
 
 
-def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
+def test_options_of_a_fit_are_those_of_the_study(readings, estimate):
     estimated = oed.identify(readings, estimate_noise=True)
     assert estimate.state.estimate.noise_posterior is None
     assert estimated.state.estimate.noise_posterior is not None
@@ -203,7 +203,7 @@ def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
     assert staged.theta == pytest.approx(estimate.theta)
 
 
-def test_a_posterior_goes_to_arviz(estimate) -> None:
+def test_a_posterior_goes_to_arviz(estimate):
     posterior = oed.sample(estimate)
     tree = posterior.to_arviz()
     draws = tree["posterior"]["theta"]
@@ -224,7 +224,7 @@ def small_study(folder: Path) -> Path:
     return path
 
 
-def test_a_study_is_no_readings(tmp_path: Path) -> None:
+def test_a_study_is_no_readings(tmp_path):
     study = oed.load_study(small_study(tmp_path))
     with pytest.raises(oed.InputError, match=r"no readings .*oed\.read_readings"):
         oed.identify(study)  # type: ignore[arg-type]
@@ -232,7 +232,7 @@ def test_a_study_is_no_readings(tmp_path: Path) -> None:
         oed.diagnose(oed.choose_design(study))  # type: ignore[arg-type]
 
 
-def test_the_acceptance_test_is_a_function(tmp_path: Path) -> None:
+def test_the_acceptance_test_is_a_function(tmp_path):
     oed.run(oed.load_study(small_study(tmp_path)), tmp_path / "run")
     test = oed.verify(tmp_path / "run")
     assert len(test.outcome.poses) > 0

@@ -70,7 +70,7 @@ def of_file(section):
 
 
 @pytest.mark.slow
-def test_a_notebook_has_the_diagnosis_of_the_command(scaled, commanded) -> None:
+def test_a_notebook_has_the_diagnosis_of_the_command(scaled, commanded):
     study, path = scaled
     view = oed.diagnose(oed.identify(oed.read_readings(study, path)))
     assert commanded.gap.mixture is not None
@@ -84,7 +84,7 @@ def test_a_notebook_has_the_diagnosis_of_the_command(scaled, commanded) -> None:
     assert set(commanded.warnings) == set(view.warnings)
 
 
-def test_a_refused_step_says_why() -> None:
+def test_a_refused_step_says_why():
     estimate = oed.identify(oed.simulate(oed.build_study({**TABLES, **VIRTUAL})))
     # as a check leaves recorded readings that look mistaken
     state = estimate.state

@@ -39,7 +39,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_design_is_drawn_over_its_commands(names: dict[str, Any]) -> None:
+def test_the_design_is_drawn_over_its_commands(names):
     drawn = names["design"].plot(_new_axes())
     poses = names["design"].section.poses
     dots = np.vstack([line.get_xydata() for line in drawn.lines[1::2]])
@@ -57,7 +57,7 @@ def test_the_design_is_drawn_over_its_commands(names: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_residuals_and_bars_are_those_of_the_sections(names: dict[str, Any]) -> None:
+def test_residuals_and_bars_are_those_of_the_sections(names):
     drawn = names["estimate"].plot(_new_axes())
     np.testing.assert_array_equal(
         drawn.lines[0].get_ydata(), names["estimate"].section.residuals
@@ -71,7 +71,7 @@ def _new_axes() -> Axes:
     return Figure().subplots()
 
 
-def test_other_sections_are_drawn_too() -> None:
+def test_other_sections_are_drawn_too():
     full = result_of(report_fixture.sample())
     drawn = axes.posterior(full.posterior, full.estimate.parameters, _new_axes())
     name = drawn.get_yticklabels()[0].get_text()
@@ -88,7 +88,7 @@ def test_other_sections_are_drawn_too() -> None:
     )
 
 
-def test_what_cannot_be_drawn_says_why() -> None:
+def test_what_cannot_be_drawn_says_why():
     design = result_of(report_fixture.sample()).design
     assert isinstance(design, DesignSection)
     import msgspec

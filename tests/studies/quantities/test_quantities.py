@@ -14,7 +14,7 @@ name = st.from_regex(r"[a-z]{1,12}[0-9]?(_[xyz])?", fullmatch=True)
 
 
 @given(name=name, unit=st.sampled_from(sorted(units.UNITS)), value=st.floats(-1e6, 1e6))
-def test_a_key_gives_its_value_in_si(name: str, unit: str, value: float) -> None:
+def test_a_key_gives_its_value_in_si(name, unit, value):
     values = quantities.read_values(
         {f"{name}_{unit}": value}, {name: units.si_unit(unit)}, HERE
     )
@@ -26,9 +26,7 @@ def test_a_key_gives_its_value_in_si(name: str, unit: str, value: float) -> None
     unit=st.sampled_from(sorted(units.UNITS)),
     kind=st.sampled_from(sorted(units.DISPLAY)),
 )
-def test_a_unit_of_another_kind_is_refused_with_those_that_fit(
-    name: str, unit: str, kind: str
-) -> None:
+def test_a_unit_of_another_kind_is_refused_with_those_that_fit(name, unit, kind):
     if units.si_unit(unit) == kind:
         return
     with pytest.raises(InputError) as error:
@@ -46,12 +44,12 @@ def test_a_unit_of_another_kind_is_refused_with_those_that_fit(
         ("length_deg", "length_um"),
     ],
 )
-def test_a_key_that_fits_nothing(key: str, words: str) -> None:
+def test_a_key_that_fits_nothing(key, words):
     with pytest.raises(InputError, match=words):
         quantities.read_values({key: 1.0}, {"length": "m"}, HERE)
 
 
-def test_a_quantity_given_twice_is_refused() -> None:
+def test_a_quantity_given_twice_is_refused():
     with pytest.raises(InputError, match="given twice"):
         quantities.read_values(
             {"length_mm": 1.0, "length_um": 1.0}, {"length": "m"}, HERE

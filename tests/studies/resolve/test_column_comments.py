@@ -14,7 +14,7 @@ def instrument(name: str) -> Instrument:
     return catalogue.instrument(name, Path(), Location("catalogue"))
 
 
-def test_columns_of_a_file_are_stated_above_its_header() -> None:
+def test_columns_of_a_file_are_stated_above_its_header():
     m = prs_spindle.machine
     tool = instrument("pose_tracker")
     header = [

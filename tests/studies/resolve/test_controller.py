@@ -16,7 +16,6 @@ from shipped_models import a3_head, hexapod, linear_delta
 
 from oed.accuracy import driven_errors
 from oed.measurement import Measurement
-from oed.model import Machine
 from oed.result import StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
@@ -110,9 +109,7 @@ def commands() -> Array:
 @pytest.mark.parametrize(
     "name", ["first", "first/compensation.json", "first/compensation_parameters.csv"]
 )
-def test_joints_are_those_of_the_controllers_parameters(
-    folder: Path, name: str
-) -> None:
+def test_joints_are_those_of_the_controllers_parameters(folder, name):
     m = measured(folder, name)
     joints = rounds.of_parameters(KNOWN)
     for setup, tool in (("bare", 0.0), ("long", LONG)):
@@ -125,7 +122,7 @@ def test_joints_are_those_of_the_controllers_parameters(
         assert np.abs(y - tip).max() < 1e-10
 
 
-def test_joints_of_a_table_are_nominal_ones_with_its_corrections(folder: Path) -> None:
+def test_joints_of_a_table_are_nominal_ones_with_its_corrections(folder):
     m = measured(folder, "first/compensation.csv")
     joints = rounds.of_table(folder / "first" / "compensation.csv")
     command = commands()
@@ -137,16 +134,14 @@ def test_joints_of_a_table_are_nominal_ones_with_its_corrections(folder: Path) -
     assert np.abs(m.series("long", moved).q - sent).max() < 1e-9
 
 
-def test_recorded_joints_stay_as_they_are(folder: Path) -> None:
+def test_recorded_joints_stay_as_they_are(folder):
     m = measured(folder, "first")
     q = a3.inverse_nominal(*commands().T)
     assert np.abs(m.series_from_joints("bare", q).q - q).max() == 0.0
 
 
 @pytest.mark.parametrize("name", ["first", "first/compensation.csv"])
-def test_errors_before_compensation_are_those_that_the_controller_leaves(
-    folder: Path, name: str
-) -> None:
+def test_errors_before_compensation_are_those_that_the_controller_leaves(folder, name):
     kinematics = measured(folder, name).kinematics
     table = rounds.of_table(folder / "first" / "compensation.csv")
     joints = rounds.of_parameters(KNOWN) if name == "first" else table
@@ -159,7 +154,7 @@ def test_errors_before_compensation_are_those_that_the_controller_leaves(
     assert np.abs(driven - exact).max() < 0.01 * np.abs(exact).max()
 
 
-def test_planned_readings_are_those_of_the_compensated_machine(folder: Path) -> None:
+def test_planned_readings_are_those_of_the_compensated_machine(folder):
     m = measured(folder, "first")
     series = m.series("bare", commands())
     y = m.expected_readings(series).reshape(-1, 3)
@@ -192,9 +187,7 @@ def test_planned_readings_are_those_of_the_compensated_machine(folder: Path) -> 
         ("first/result.txt", "this is no table of parameters"),
     ],
 )
-def test_what_cannot_be_the_controller_is_named(
-    folder: Path, oed: Run, name: str, words: str
-) -> None:
+def test_what_cannot_be_the_controller_is_named(folder, oed, name, words):
     delta = sample.result(linear_delta.machine, linear_delta.machine.nominal)
     sample.save(folder / "delta", delta)
     empty = sample.result(a3_head.machine, a3_head.machine.nominal)
@@ -223,7 +216,7 @@ def test_what_cannot_be_the_controller_is_named(
     assert "machine.controller" in out + err or "_grid.csv" in out + err
 
 
-def test_a_bar_is_held_where_the_compensated_machine_is(folder: Path) -> None:
+def test_a_bar_is_held_where_the_compensated_machine_is(folder):
     """Commands of a circle of the bar, on the head that the controller believes in."""
     cup = a3.forward(KNOWN, rounds.of_parameters(KNOWN)(TEACH, 0.0)).tip[0]
     text = STUDY.format(controller="first") + BAR.format(*(1e3 * cup))
@@ -233,7 +226,7 @@ def test_a_bar_is_held_where_the_compensated_machine_is(folder: Path) -> None:
     assert np.linalg.norm(tip - cup, axis=1) == pytest.approx(0.3, abs=1e-9)
 
 
-def test_polishing_is_for_nominal_numbers(folder: Path, oed: Run) -> None:
+def test_polishing_is_for_nominal_numbers(folder, oed):
     path = folder / "round2.study.toml"
     bar = STUDY.format(controller="first") + BAR.format(0, 0, 1286)
     path.write_text(bar + "[design.polish]\n")
@@ -243,9 +236,7 @@ def test_polishing_is_for_nominal_numbers(folder: Path, oed: Run) -> None:
 
 
 @pytest.mark.parametrize("table", ["controller", "earlier"])
-def test_a_changed_grid_or_a_missing_session_is_noticed(
-    folder: Path, table: str
-) -> None:
+def test_a_changed_grid_or_a_missing_session_is_noticed(folder, table):
     if table == "controller":
         grid = folder / "first" / "compensation_grid.csv"
         rows = grid.read_text().splitlines()
@@ -279,9 +270,7 @@ def compensated(folder: Path, content: StudyResult, form: str, oed: Run) -> str:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_every_format_says_that_it_is_the_whole(
-    tmp_path: Path, oed: Run, machine: Machine, form: str, suffix: str
-) -> None:
+def test_every_format_says_that_it_is_the_whole(tmp_path, oed, machine, form, suffix):
     first = sample.result(machine, machine.nominal)
     text = first.study_text.replace("[machine]", '[machine]\ncontroller = "../first"')
     later = msgspec.structs.replace(first, study_text=text)
@@ -314,7 +303,7 @@ def session(covariance: Array) -> StudyResult:
     return msgspec.structs.replace(content, estimate=estimate)
 
 
-def test_the_posterior_of_an_earlier_session_is_the_prior(folder: Path) -> None:
+def test_the_posterior_of_an_earlier_session_is_the_prior(folder):
     rng = np.random.default_rng(4)
     root = 0.01 * rng.standard_normal((18, 18))
     covariance = root @ root.T
@@ -347,9 +336,7 @@ def test_the_posterior_of_an_earlier_session_is_the_prior(folder: Path) -> None:
         ("[machine.nominal]\ndq1_mm = 1", "dq1 = 1 for 0 mm"),
     ],
 )
-def test_what_the_posterior_of_a_session_does_not_go_with(
-    folder: Path, table: str, words: str
-) -> None:
+def test_what_the_posterior_of_a_session_does_not_go_with(folder, table, words):
     content = session(np.eye(18))
     rows = [{"name": "dq1", "nominal": 0.0, "tolerance": 1.0, "unit": "mm"}]
     machine = msgspec.structs.replace(content.machine, parameters=rows)

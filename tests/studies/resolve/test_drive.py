@@ -51,9 +51,7 @@ def study(
         ('drive = { kind = "belt", ratio = 2.5 }', (1.0, 2.5)),
     ],
 )
-def test_wheels_turn_as_the_drive_states(
-    drive: str, ratios: tuple[float, ...], tmp_path: Path
-) -> None:
+def test_wheels_turn_as_the_drive_states(drive, ratios, tmp_path):
     """The wheel at the joint, then each further stage."""
     arm = study(tmp_path, drive)
     effects = {e.name: e for e in GapRequest.of_study(arm, study_machine(arm)).effects}
@@ -61,13 +59,13 @@ def test_wheels_turn_as_the_drive_states(
     assert resolve(arm, readings=()).machine.drive in drive
 
 
-def test_a_drive_without_numbers_tries_usual_ones(tmp_path: Path) -> None:
+def test_a_drive_without_numbers_tries_usual_ones(tmp_path):
     arm = study(tmp_path, 'drive = { kind = "gear" }')
     effects = {e.name: e for e in GapRequest.of_study(arm, study_machine(arm)).effects}
     assert len(effects["gear_eccentricity"].constants["ratio"]) > 5
 
 
-def test_the_lead_of_a_screw(tmp_path: Path) -> None:
+def test_the_lead_of_a_screw(tmp_path):
     text = 'drive = { kind = "screw", lead_mm = 7 }'
     head = study(tmp_path, text, "planar_2dof", "rm5")
     effects = {
@@ -92,7 +90,7 @@ def test_the_lead_of_a_screw(tmp_path: Path) -> None:
         ("five_bar", '{ kind = "worm" }', r"machine\.drive"),
     ],
 )
-def test_what_no_drive_has(model: str, drive: str, reason: str, tmp_path: Path) -> None:
+def test_what_no_drive_has(model, drive, reason, tmp_path):
     with pytest.raises(InputError, match=reason):
         study_machine(study(tmp_path, f"drive = {drive}", model))
 
@@ -108,7 +106,7 @@ def tool(angles: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow  # a whole diagnosis: 13 s
-def test_the_diagnosis_finds_the_motor_gear(tmp_path: Path) -> None:
+def test_the_diagnosis_finds_the_motor_gear(tmp_path):
     """63 turns a turn of the joint, which no usual single stage has."""
     turn = np.linspace(0.0, 1.0, 90)
     angles = np.column_stack(

@@ -20,7 +20,7 @@ def effects(text: str) -> dict[str, Effect]:
     return {e.name: e for e in resolved.gap.effects}
 
 
-def test_a_stated_size_is_that_of_the_coefficients() -> None:
+def test_a_stated_size_is_that_of_the_coefficients():
     """Textbook's ones have it; what adapts the form keeps its ratio; others stay."""
     usual = effects("")
     stated = effects("[effects]\nbacklash_mm = 0.03\nmount_drift_urad = 50\n")
@@ -37,7 +37,7 @@ def test_a_stated_size_is_that_of_the_coefficients() -> None:
     assert scales(stated["gravity"]) == scales(usual["gravity"])
 
 
-def test_a_warm_leg_has_a_size_in_kelvin_and_one_per_kelvin() -> None:
+def test_a_warm_leg_has_a_size_in_kelvin_and_one_per_kelvin():
     both = "[effects]\nleg_thermal_C = 1\nleg_thermal_ppm_per_C = 23\n"
     effect = effects(both)["leg_thermal"]
     for name, scale in scales(effect).items():
@@ -57,13 +57,13 @@ def test_a_warm_leg_has_a_size_in_kelvin_and_one_per_kelvin() -> None:
     ],
 )
 @pytest.mark.parametrize("gap", ["", "[gap]\n"])
-def test_a_field_that_is_no_size_is_refused(gap: str, field: str, words: str) -> None:
+def test_a_field_that_is_no_size_is_refused(gap, field, words):
     with pytest.raises(InputError, match=r"effects\.") as caught:
         sample.resolved(f"{sample.STUDY}{gap}[effects]\n{field} = 1\n")
     assert caught.value.field == f"effects.{field}"
     assert words in str(caught.value)
 
 
-def test_a_size_is_above_zero() -> None:
+def test_a_size_is_above_zero():
     with pytest.raises(InputError, match=r"effects\.gravity_um"):
         sample.resolved(f"{sample.STUDY}[effects]\ngravity_um = 0\n")

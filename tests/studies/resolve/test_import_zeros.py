@@ -1,8 +1,5 @@
 """Joints that count from another zero: strokes of legs in place of their lengths."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,7 +10,6 @@ from pkm_studies import catalogue, study
 from pkm_studies.resolve import replace_nominal, study_machine
 from pkm_studies.resolve.machine import ZERO
 
-Run = Callable[..., tuple[int, str, str]]
 #: m; base and platform joints of a platform at home 0.6 m up, and the length of its legs
 FEET = np.array([[0.5, -0.1, 0.0], [0.5, 0.1, 0.0], [-0.17, 0.49, 0.0]])
 FEET = np.vstack([FEET, FEET[[2, 1, 0]] * [1, -1, 1] + [-0.18, 0.0, 0.0]])
@@ -46,9 +42,7 @@ def drawn(ref: float) -> str:
 
 @pytest.mark.usefixtures("own_folder")
 @pytest.mark.parametrize("ref", [0.0, 0.125])
-def test_a_joint_has_its_zero_where_the_file_has_it(
-    ref: float, oed: Run, tmp_path: Path
-) -> None:
+def test_a_joint_has_its_zero_where_the_file_has_it(ref, oed, tmp_path):
     (tmp_path / "legs.xml").write_text(drawn(ref))
     code, _, err = oed("new", "mine", "--machine", "legs.xml")
     assert code == 0, err
@@ -73,7 +67,7 @@ MACHINES: dict[str, Machine] = {
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_the_range_of_a_joint_goes_with_its_zero(name: str) -> None:
+def test_the_range_of_a_joint_goes_with_its_zero(name):
     model = MACHINES[name]
     zeros = [p.name for p in model.parameters if p.about.startswith(ZERO)]
     strokes = replace_nominal(model, dict.fromkeys(zeros, 0.3))

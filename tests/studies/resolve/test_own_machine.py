@@ -84,16 +84,14 @@ def refusal(folder: Path, old: str, new: str) -> str:
         ("lever=BASE", "levre=BASE", "importing it failed with TypeError"),
     ],
 )
-def test_a_mistake_is_named(old: str, new: str, words: str, tmp_path: Path) -> None:
+def test_a_mistake_is_named(old, new, words, tmp_path):
     message = refusal(tmp_path, old, new)
     assert words in message
     assert "machine.model" in message
     assert "\n" not in message
 
 
-def test_poses_where_the_bar_cannot_hold_its_length_give_a_warning(
-    tmp_path: Path,
-) -> None:
+def test_poses_where_the_bar_cannot_hold_its_length_give_a_warning(tmp_path):
     """A bar holds its length, so 100 mm cannot be read at a radius of 40 mm."""
     for name in ("my_machine.py", "circles.study.toml"):
         text = (TUTORIAL / name).read_text(encoding="utf-8")

@@ -68,8 +68,8 @@ def checked(
 
 
 def test_rods_of_700_m_are_refused_by_the_joints_that_they_need(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     code, text = checked(tmp_path, capsys)
     assert code == 0
@@ -84,9 +84,7 @@ def test_rods_of_700_m_are_refused_by_the_joints_that_they_need(
     assert not list(tmp_path.glob("*.toml"))
 
 
-def test_joints_are_compared_with_their_ranges_over_the_workspace(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_joints_are_compared_with_their_ranges_over_the_workspace(tmp_path, capsys):
     """At y = 900 mm the carriages stand at 1474 mm to 1570 mm, beyond 1400 mm."""
     high = ('"y", "m", 0.0, 0.5', '"y", "m", 0.0, 0.9')
     code, text = checked(tmp_path, capsys, high)
@@ -95,9 +93,7 @@ def test_joints_are_compared_with_their_ranges_over_the_workspace(
     assert "the first at x = -100 mm, y = 900 mm" in text
 
 
-def test_a_length_without_proportion_is_doubted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_length_without_proportion_is_doubted(tmp_path, capsys):
     """Joints without ends refuse nothing: the rods are long beside all that moves."""
     free = (', "m", 0.0, 1.4', ', "m"')
     code, text = checked(tmp_path, capsys, free)
@@ -107,9 +103,7 @@ def test_a_length_without_proportion_is_doubted(
     assert "rod1 is 700000 mm, and nothing of the machine moves beyond 500 mm" in text
 
 
-def test_a_studys_own_numbers_are_held_to_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_studys_own_numbers_are_held_to_the_same(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "rails.py").write_text(MACHINE, encoding="utf-8")
     assert main(["new", "--machine", "rails.py", "--allow-code"]) == 0

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -10,8 +9,6 @@ import sample
 
 from pkm_studies.commands import main
 from pkm_studies.study import Study
-
-Run = Callable[..., tuple[int, str, str]]
 
 OPTIONS = "[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
 STUDY = sample.changed(sample.DELTA, ("schema = 1", "schema = 1\nseed = {seed}"))
@@ -41,7 +38,7 @@ def third(folder: Path, prior: str, text: str = STUDY) -> Path:
     return path
 
 
-def test_a_study_takes_the_fleet(fleet: Path, oed: Run) -> None:
+def test_a_study_takes_the_fleet(fleet, oed):
     code, out, error = oed(
         "run", third(fleet, 'from = ["m1", "m2"]'), "--out", fleet / "third"
     )
@@ -62,7 +59,7 @@ def test_a_study_takes_the_fleet(fleet: Path, oed: Run) -> None:
         assert row["tolerance"] < tolerance
 
 
-def test_what_does_not_fit_is_refused(fleet: Path, oed: Run) -> None:
+def test_what_does_not_fit_is_refused(fleet, oed):
     oed("run", third(fleet, 'from = ["m1"]'), "--out", fleet / "third", "--quiet")
     shutil.copytree(fleet / "m1", fleet / "copy")
     larger = STUDY.replace(

@@ -1,7 +1,6 @@
 """Studies as the kernel's objects: every number in SI where it belongs."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from pkm_studies.base import SourceAbsentError
 from pkm_studies.resolve import resolve
 
 
-def test_the_grid_varies_its_first_coordinate_slowest() -> None:
+def test_the_grid_varies_its_first_coordinate_slowest():
     resolved = sample.resolved()
     (series,) = resolved.candidates
     command = series.reading_commands()
@@ -27,7 +26,7 @@ def test_the_grid_varies_its_first_coordinate_slowest() -> None:
     np.testing.assert_allclose(reading, 0.300, rtol=1e-9)
 
 
-def test_numbers_of_the_study_reach_the_kernel() -> None:
+def test_numbers_of_the_study_reach_the_kernel():
     text = (
         sample.STUDY
         + """
@@ -67,7 +66,7 @@ sigma_mm = 2
     assert resolved.machine.frame == ("db1z", "db2z", "db3z", "beta1")
 
 
-def test_a_set_up_that_only_a_reference_names_stays_out() -> None:
+def test_a_set_up_that_only_a_reference_names_stays_out():
     text = (
         sample.STUDY
         + """
@@ -100,7 +99,7 @@ theta_deg = 5
     assert list(resolved.measurement_with(plan.setups).setups) == ["cup", "other"]
 
 
-def test_pairs_are_runs_of_two() -> None:
+def test_pairs_are_runs_of_two():
     text = (
         sample.DELTA
         + """
@@ -121,7 +120,7 @@ pairs_mm = [[[0, 0, 20], [50, 0, 20]], [[0, 0, 20], [0, 50, 20]], [[0, 0, 20], [
     )
 
 
-def test_candidates_without_a_held_reading_are_left_out_with_a_warning() -> None:
+def test_candidates_without_a_held_reading_are_left_out_with_a_warning():
     resolved = sample.resolved(
         sample.changed(sample.STUDY, ("length_mm = 300.0", "length_mm = 100.0"))
     )
@@ -129,7 +128,7 @@ def test_candidates_without_a_held_reading_are_left_out_with_a_warning() -> None
     assert "left out" in resolved.warnings[0]
 
 
-def test_circles_are_spaced_over_the_range() -> None:
+def test_circles_are_spaced_over_the_range():
     text = (
         sample.STUDY
         + """
@@ -156,7 +155,7 @@ coordinate = "theta"
     assert values[0] / values[17] == pytest.approx(3748, rel=1e-3)
 
 
-def test_circles_are_read_with_a_reference_plan() -> None:
+def test_circles_are_read_with_a_reference_plan():
     """Two circles of 15 points and the six home rows: 17259, home orientation in rad."""
     of_paper = study.Study.load(shipped.studies()["a3_home_orientation"].path)
     (circles,) = resolve(of_paper).kappa_circles
@@ -166,7 +165,7 @@ def test_circles_are_read_with_a_reference_plan() -> None:
     assert np.linalg.cond(rows[:, m.free]) == pytest.approx(17259, abs=1)
 
 
-def test_truth_is_in_si_and_names_the_set_up() -> None:
+def test_truth_is_in_si_and_names_the_set_up():
     truth = '[readings.truth]\nbeta1_deg = 0.5\n"cup.cup_y_um" = 3\n'
     of_setup = "[readings.truth.cup]\ncup_x_mm = 0.1\n"
     text = f"{sample.STUDY}[readings]\nsimulate = true\n{truth}{of_setup}"
@@ -178,7 +177,7 @@ def test_truth_is_in_si_and_names_the_set_up() -> None:
     }
 
 
-def test_readings_of_a_study_are_relative_to_it(tmp_path: Path) -> None:
+def test_readings_of_a_study_are_relative_to_it(tmp_path):
     (tmp_path / "a.csv").write_text(sample.READINGS, encoding="utf-8")
     text = sample.STUDY + '[readings]\nfiles = ["a.csv"]\n'
     resolved = sample.resolved(text, tmp_path)
@@ -192,13 +191,13 @@ def test_readings_of_a_study_are_relative_to_it(tmp_path: Path) -> None:
     assert error.field == "readings.predict"
 
 
-def test_an_absent_source_has_an_error_of_its_own(tmp_path: Path) -> None:
+def test_an_absent_source_has_an_error_of_its_own(tmp_path):
     text = sample.DELTA + '[readings]\nsource = "delta_v400"\npath = "nowhere"\n'
     with pytest.raises(SourceAbsentError, match="nowhere"):
         sample.resolved(text, tmp_path)
 
 
-def test_a_source_becomes_readings(tmp_path: Path) -> None:
+def test_a_source_becomes_readings(tmp_path):
     (tmp_path / "sessions.json").write_text(
         '[{"session": "S1", "step_distance_mm": [0.01, 0.01, 0.02]}]'
     )

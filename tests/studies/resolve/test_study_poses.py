@@ -31,13 +31,13 @@ def refusal(table: str, folder: Path = Path()) -> str:
     return str(raised.value)
 
 
-def test_a_list_is_no_product() -> None:
+def test_a_list_is_no_product():
     table = "poses = { x_mm = [0, 50, 0], y_mm = [0, 0, 60], z_mm = [10, 20, 30] }"
     wanted = [[0, 0, 10], [50, 0, 20], [0, 60, 30]]
     np.testing.assert_allclose(commands_mm(table), wanted)
 
 
-def test_a_file_as_a_spreadsheet_writes_it(tmp_path: Path) -> None:
+def test_a_file_as_a_spreadsheet_writes_it(tmp_path):
     (tmp_path / "poses.csv").write_text("run;x_mm;y_mm;z_mm\na;0,5;1;10\nb;2;3;20,25\n")
     text = sample.DELTA + TABLE + 'file = "poses.csv"'
     (series,) = sample.resolved(text, tmp_path).candidates
@@ -46,7 +46,7 @@ def test_a_file_as_a_spreadsheet_writes_it(tmp_path: Path) -> None:
     assert list(series.run) == ["a", "b"]
 
 
-def test_a_circle_both_ways() -> None:
+def test_a_circle_both_ways():
     """Worked by hand: in zx the angle runs from z to x."""
     table = (
         'circle = { centre_mm = [10, 5, 100], radius_mm = 40, plane = "zx",'
@@ -57,7 +57,7 @@ def test_a_circle_both_ways() -> None:
     np.testing.assert_allclose(commands_mm(table), forward + backward, atol=1e-9)
 
 
-def test_a_line_and_a_cube() -> None:
+def test_a_line_and_a_cube():
     table = "line = { from_mm = [0, 0, 20], to_mm = [30, 60, 20], count = 4 }"
     wanted = [[0, 0, 20], [10, 20, 20], [20, 40, 20], [30, 60, 20]]
     np.testing.assert_allclose(commands_mm(table), wanted, atol=1e-9)
@@ -68,7 +68,7 @@ def test_a_line_and_a_cube() -> None:
     assert cube.max(axis=0) == pytest.approx([30, 30, 130])
 
 
-def test_samples_fill_the_workspace_and_can_be_reached() -> None:
+def test_samples_fill_the_workspace_and_can_be_reached():
     points = commands_mm("")
     assert 200 < len(points) <= 500
     assert points[:, :2].min() < -120.0
@@ -79,7 +79,7 @@ def test_samples_fill_the_workspace_and_can_be_reached() -> None:
     np.testing.assert_allclose(near[:, 0], 5.0)
 
 
-def test_a_machine_commanded_in_angles_follows_a_circle() -> None:
+def test_a_machine_commanded_in_angles_follows_a_circle():
     """An A3 head with a ball bar: all points lie on the sphere about the cup."""
     circle = (
         "circle = { centre_mm = [0, 0, 1106], radius_mm = 240,"
@@ -117,8 +117,6 @@ def test_a_machine_commanded_in_angles_follows_a_circle() -> None:
         ('sample = 9\nz = "hold"', "sampled poses hold no reading"),
     ],
 )
-def test_poses_that_do_not_fit_are_refused(
-    table: str, words: str, tmp_path: Path
-) -> None:
+def test_poses_that_do_not_fit_are_refused(table, words, tmp_path):
     (tmp_path / "bad.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n1,wide,3\n")
     assert words in refusal(table, tmp_path)

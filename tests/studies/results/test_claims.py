@@ -40,7 +40,7 @@ RESULT = {
         ("kappa_maps.taught.kappa[1][0]", 3.0),
     ],
 )
-def test_paths_lead_to_results(path: str, value: object) -> None:
+def test_paths_lead_to_results(path, value):
     assert value_at(RESULT, path) == value
 
 
@@ -60,7 +60,7 @@ def test_paths_lead_to_results(path: str, value: object) -> None:
         ('of = "identifiability.rang", equals = 18', False),
     ],
 )
-def test_claims_are_measured(claim: str, met: bool) -> None:
+def test_claims_are_measured(claim, met):
     parsed = study.Study.parse(
         sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x")
     )
@@ -69,14 +69,14 @@ def test_claims_are_measured(claim: str, met: bool) -> None:
     assert checked.claim == "it"
 
 
-def test_an_unknown_path_says_what_there_is() -> None:
+def test_an_unknown_path_says_what_there_is():
     with pytest.raises(
         LookupError, match=r"no such result: design.plan.0: .* did you mean plans"
     ):
         value_at(RESULT, "design.plan.0")
 
 
-def test_a_claim_has_the_unit_of_its_figure_alone() -> None:
+def test_a_claim_has_the_unit_of_its_figure_alone():
     """A share that stands in one table with a unit has none."""
     result = {"held_out": [{"name": "S1", "rms": 58.2, "coverage": 0.93, "unit": "um"}]}
     expect = (

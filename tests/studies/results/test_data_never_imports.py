@@ -179,7 +179,7 @@ def call(*arguments: object) -> int:
     return code
 
 
-def test_the_watch_sees_each_way_to_run_code(tmp_path: Path) -> None:
+def test_the_watch_sees_each_way_to_run_code(tmp_path):
     """Otherwise the tests below could not fail."""
     import importlib
     import runpy
@@ -197,7 +197,7 @@ def test_the_watch_sees_each_way_to_run_code(tmp_path: Path) -> None:
 
 @settings(EXAMPLES, max_examples=12)
 @given(st.data())
-def test_results(draw: st.DataObject) -> None:
+def test_results(draw):
     """The study within is data too: its model, instruments and effects."""
     machine = linear_delta.machine
     content = compensation_sample.result(machine, machine.nominal)
@@ -221,7 +221,7 @@ def test_results(draw: st.DataObject) -> None:
 
 @settings(EXAMPLES, max_examples=2)
 @given(st.data())
-def test_reports(draw: st.DataObject) -> None:
+def test_reports(draw):
     plain = copy.deepcopy(report_fixture.sample())  # its parts are others' too
     with field() as folder:
         replace_some(plain, draw, folder)
@@ -232,7 +232,7 @@ def test_reports(draw: st.DataObject) -> None:
 
 @EXAMPLES
 @given(st.data())
-def test_campaigns(draw: st.DataObject) -> None:
+def test_campaigns(draw):
     with field() as folder:
         (folder / "small.study.toml").write_text(STUDY, "utf-8")
         text = draw.draw(st.sampled_from([CAMPAIGN, STUDY_CAMPAIGN]))
@@ -247,7 +247,7 @@ def test_campaigns(draw: st.DataObject) -> None:
 
 @EXAMPLES
 @given(st.data())
-def test_checkpoints(draw: st.DataObject) -> None:
+def test_checkpoints(draw):
     """Names of arrays, and strings in them, also such as only a pickle holds."""
     reference = draw.draw(st.sampled_from(REFERENCES))
     with field() as folder:
@@ -260,7 +260,7 @@ def test_checkpoints(draw: st.DataObject) -> None:
 
 @EXAMPLES
 @given(st.data())
-def test_column_maps(draw: st.DataObject) -> None:
+def test_column_maps(draw):
     with field() as folder:
         (folder / "a.csv").write_text("x,y,z,h\n0,0,10,0.02\n50,0,10,0.01\n", "utf-8")
         (folder / "map.toml").write_text(changed_toml(MAP, draw, folder), "utf-8")
@@ -270,7 +270,7 @@ def test_column_maps(draw: st.DataObject) -> None:
 
 @EXAMPLES
 @given(st.data())
-def test_readings(draw: st.DataObject) -> None:
+def test_readings(draw):
     """Names of set-ups, runs and columns, and any other cell."""
     rows = [line.split(",") for line in sample.READINGS.splitlines()]
     with field() as folder:

@@ -7,7 +7,6 @@ import itertools
 import json
 import shutil
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from pkm_studies.commands import main
 from pkm_studies.resolve import study_machine
 from pkm_studies.study import Study
 
-Run = Callable[..., tuple[int, str, str]]
 STUDIES = Path(__file__).resolve().parents[3] / "studies"
 QUICK = "[report]\nhtml = false\npdf = false\n\n[expect]"
 
@@ -53,7 +51,7 @@ def best_of_all(p: StepProblem, reach: int) -> dict[int, float]:
 @pytest.mark.parametrize(
     "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 8))]
 )
-def test_the_list_is_that_of_an_exhaustive_search(seed: int) -> None:
+def test_the_list_is_that_of_an_exhaustive_search(seed):
     p = problem(np.random.default_rng(seed), step=0.5, most=3.0)
     amounts = choose_steps(p)
     best = best_of_all(p, 6)
@@ -66,13 +64,13 @@ def test_the_list_is_that_of_an_exhaustive_search(seed: int) -> None:
     assert (without > 1.05 * p.size(amounts)).all()
 
 
-def test_no_line_where_little_is_known() -> None:
+def test_no_line_where_little_is_known():
     p = problem(np.random.default_rng(1), step=0.5, most=3.0)
     unknown = StepProblem(p.errors, p.gradients, 1e5, p.scatter, p.step, p.most)
     assert not choose_steps(unknown).any()
 
 
-def test_no_line_where_the_hand_errs_more_than_it_corrects() -> None:
+def test_no_line_where_the_hand_errs_more_than_it_corrects():
     p = problem(np.random.default_rng(1), step=0.5, most=3.0)
     clumsy = StepProblem(p.errors, p.gradients, 0.1, np.full(5, 1e4), p.step, p.most)
     assert not choose_steps(clumsy).any()
@@ -111,7 +109,7 @@ def adjusted(adjusted_session: tuple[Path, str], tmp_path: Path) -> Path:
     return Path(shutil.copytree(adjusted_session[0], tmp_path / "adjusted"))
 
 
-def test_the_files_say_the_same(adjusted_session: tuple[Path, str]) -> None:
+def test_the_files_say_the_same(adjusted_session):
     folder, out = adjusted_session
     section = json.loads((folder / "result.json").read_text("utf-8"))["adjustment"]
     lines = section["lines"]
@@ -129,7 +127,7 @@ def test_the_files_say_the_same(adjusted_session: tuple[Path, str]) -> None:
     assert (folder / "adjustment.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_total_and_what_software_leaves(adjusted: Path) -> None:
+def test_total_and_what_software_leaves(adjusted):
     result = json.loads((adjusted / "result.json").read_text("utf-8"))
     records = result["adjustment"]["accuracy"]
     lever, arcsec = 0.340722, np.pi / 648000.0
@@ -145,7 +143,7 @@ def test_total_and_what_software_leaves(adjusted: Path) -> None:
     assert records[-1]["plain"]["z"] > 50.0
 
 
-def test_the_next_study_takes_the_adjusted_machine(adjusted: Path) -> None:
+def test_the_next_study_takes_the_adjusted_machine(adjusted):
     result = json.loads((adjusted / "result.json").read_text("utf-8"))
     table = tomllib.loads((adjusted / "adjusted.toml").read_text("utf-8"))
     nominal = table["machine"]["nominal"]
@@ -163,9 +161,7 @@ def test_the_next_study_takes_the_adjusted_machine(adjusted: Path) -> None:
     )
 
 
-def test_a_controller_gets_the_adjusted_machine(
-    folder: Path, adjusted: Path, oed: Run
-) -> None:
+def test_a_controller_gets_the_adjusted_machine(folder, adjusted, oed):
     code, _, error = oed("compensate", folder, "--to", "json", "--adjusted")
     assert code == 2
     assert "oed adjust DIR" in error
@@ -183,7 +179,7 @@ def test_a_controller_gets_the_adjusted_machine(
     assert values["db1z"] == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_fitters_own_notes_stay(adjusted: Path, oed: Run) -> None:
+def test_the_fitters_own_notes_stay(adjusted, oed):
     path = adjusted / "adjust.csv"
     notes = path.read_text("utf-8") + "done by the late shift\n"
     path.write_text(notes, encoding="utf-8")
@@ -193,14 +189,14 @@ def test_the_fitters_own_notes_stay(adjusted: Path, oed: Run) -> None:
     assert "adjust-2.csv" in out
 
 
-def test_the_report_has_the_chapter(adjusted: Path, oed: Run) -> None:
+def test_the_report_has_the_chapter(adjusted, oed):
     assert oed("report", adjusted)[0] == 0
     page = (adjusted / "report.html").read_text("utf-8")
     assert "Adjustments at the machine" in page
     assert "shim under ball joint 1" in page
 
 
-def test_a_section_that_contradicts_itself_is_refused(adjusted: Path, oed: Run) -> None:
+def test_a_section_that_contradicts_itself_is_refused(adjusted, oed):
     path = adjusted / "result.json"
     result = json.loads(path.read_text("utf-8"))
     for field, change in {
@@ -216,9 +212,7 @@ def test_a_section_that_contradicts_itself_is_refused(adjusted: Path, oed: Run) 
         assert field in error
 
 
-def test_what_is_wanted_counts_and_a_thread_has_no_steps(
-    folder: Path, oed: Run
-) -> None:
+def test_what_is_wanted_counts_and_a_thread_has_no_steps(folder, oed):
     text = (folder.parent / "out" / "result.json").read_text("utf-8")
     study = folder.parent / "wanted.study.toml"
     words = json.loads(text)["study_text"].replace("step_mm = 0.02\n", "")
@@ -239,9 +233,7 @@ def test_what_is_wanted_counts_and_a_thread_has_no_steps(
         assert line["amount"] == pytest.approx(round(line["amount"], 3), abs=1e-9)
 
 
-def test_the_reports_limits_do_not_change_the_adjustment(
-    adjusted: Path, tmp_path: Path, oed: Run
-) -> None:
+def test_the_reports_limits_do_not_change_the_adjustment(adjusted, tmp_path, oed):
     """[prediction] wanted is for a verdict: lines and total stay as without it."""
     path = adjusted / "result.json"
     result = json.loads(path.read_text("utf-8"))
@@ -257,7 +249,7 @@ def test_the_reports_limits_do_not_change_the_adjustment(
     assert f"As it is: total {total:.4g} um (x " in out
 
 
-def test_the_posterior_of_the_folder_counts(adjusted: Path, oed: Run) -> None:
+def test_the_posterior_of_the_folder_counts(adjusted, oed):
     """Draws that scatter more than the normal approximation leave more unknown."""
     path = adjusted / "result.json"
     sections = [json.loads(path.read_text("utf-8"))["adjustment"]]
@@ -275,7 +267,7 @@ def test_the_posterior_of_the_folder_counts(adjusted: Path, oed: Run) -> None:
     assert driven[1] == pytest.approx(10.0 * driven[0], rel=0.05)
 
 
-def test_a_bad_fit_is_refused(folder: Path, oed: Run) -> None:
+def test_a_bad_fit_is_refused(folder, oed):
     path = folder / "result.json"
     result = json.loads(path.read_text("utf-8"))
     for section in ("estimate", "goodness"):
@@ -289,7 +281,7 @@ def test_a_bad_fit_is_refused(folder: Path, oed: Run) -> None:
     assert "oed diagnose" in error
 
 
-def test_a_plan_alone_adjusts_nothing(tmp_path: Path, oed: Run) -> None:
+def test_a_plan_alone_adjusts_nothing(tmp_path, oed):
     (tmp_path / "a.study.toml").write_text(sample.STUDY, encoding="utf-8")
     out = tmp_path / "out"
     assert oed("run", tmp_path / "a.study.toml", "--out", out, "--quiet")[0] == 0
@@ -298,7 +290,7 @@ def test_a_plan_alone_adjusts_nothing(tmp_path: Path, oed: Run) -> None:
     assert "no estimate" in error
 
 
-def test_software_corrects_what_the_drives_reach(folder: Path, oed: Run) -> None:
+def test_software_corrects_what_the_drives_reach(folder, oed):
     """Struts of another length are no work for a fitter."""
     text = json.loads((folder / "result.json").read_text("utf-8"))["study_text"]
     start, end = text.index("[[machine.adjust]]"), text.index("[[setup]]")
@@ -326,9 +318,7 @@ TABLE = '\n[[machine.adjust]]\nparameters = ["{}"]\nby = "shim {{i}}"\n{}\n'
         ("db2y", "", "only chooses the base frame"),
     ],
 )
-def test_what_cannot_be_is_refused(
-    names: str, amounts: str, words: str, tmp_path: Path, oed: Run
-) -> None:
+def test_what_cannot_be_is_refused(names, amounts, words, tmp_path, oed):
     text = sample.STUDY.replace(
         '[[setup]]\nname = "cup"',
         f'{TABLE.format(names, amounts)}\n[[setup]]\nname = "cup"',
@@ -342,7 +332,7 @@ def test_what_cannot_be_is_refused(
     assert "machine.adjust" in error
 
 
-def test_the_study_replaces_the_models_adjustments() -> None:
+def test_the_study_replaces_the_models_adjustments():
     text = sample.STUDY.replace(
         "[[setup]]",
         TABLE.format("db2x", "step_um = 5.0\nsd_um = 2.0") + "\n[[setup]]",

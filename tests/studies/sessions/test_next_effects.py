@@ -43,7 +43,7 @@ def adviser(folder: Path, effects: str, wanted: str = "") -> next_reading.Advise
     return next_reading.Adviser(Study.load(file), wanted)
 
 
-def test_accuracy_is_that_of_a_dense_update(tmp_path: Path) -> None:
+def test_accuracy_is_that_of_a_dense_update(tmp_path):
     """Parameters and effects with their priors, updated by all readings at once."""
     with_effects = adviser(tmp_path, '["encoder_scale", "gravity"]')
     measurement = with_effects.base.measurement
@@ -70,7 +70,7 @@ def test_accuracy_is_that_of_a_dense_update(tmp_path: Path) -> None:
     assert (said.after < said.known).all()
 
 
-def test_effects_leave_more_than_the_geometry_alone(tmp_path: Path) -> None:
+def test_effects_leave_more_than_the_geometry_alone(tmp_path):
     rigid = adviser(tmp_path, '"none"')
     measurement = rigid.base.measurement
     taken = [rigid.base.resolved.candidates[0].take(np.arange(0, 20, 2))]
@@ -80,7 +80,7 @@ def test_effects_leave_more_than_the_geometry_alone(tmp_path: Path) -> None:
     assert (real.known > alone.known).all()
 
 
-def test_what_no_reading_reduces_is_never_reached(tmp_path: Path) -> None:
+def test_what_no_reading_reduces_is_never_reached(tmp_path):
     """Wanted is less than effects that these readings do not tell."""
     rigid = adviser(tmp_path, '"none"', "y_um=5,z_um=5")
     measurement = rigid.base.measurement
@@ -90,7 +90,7 @@ def test_what_no_reading_reduces_is_never_reached(tmp_path: Path) -> None:
     assert not real.advise_after(measurement, every, y).is_reached
 
 
-def test_residuals_of_expected_effects_are_no_bad_fit(tmp_path: Path) -> None:
+def test_residuals_of_expected_effects_are_no_bad_fit(tmp_path):
     """A scale of one drive: the fit without effects is bad, with them it is not."""
     files, expected = {}, {}
     for effects in ('"none"', '["encoder_scale"]'):

@@ -51,9 +51,7 @@ def readings(study: Path, tmp_path: Path) -> Callable[[int], Path]:
     return first
 
 
-def test_each_reading_makes_the_machine_better_known(
-    study: Path, readings: Callable[[int], Path]
-) -> None:
+def test_each_reading_makes_the_machine_better_known(study, readings):
     adviser = next_reading.Adviser(Study.load(study))
     few, more = (adviser.advise(readings(count)) for count in (4, 9))
     assert (few.readings, more.readings) == (4, 9)
@@ -62,9 +60,7 @@ def test_each_reading_makes_the_machine_better_known(
     assert 0.0 < more.gain < 1.0
 
 
-def test_the_command_says_what_is_next_and_when_to_stop(
-    study: Path, readings: Callable[[int], Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_what_is_next_and_when_to_stop(study, readings, capsys):
     arguments = ["next", str(study), "--readings", str(readings(6))]
     assert main([*arguments, "--wanted", "z_um=1e7"]) == 0
     out = capsys.readouterr().out
@@ -85,9 +81,7 @@ def test_the_command_says_what_is_next_and_when_to_stop(
     assert "It should read length" in out
 
 
-def test_readings_that_do_not_fit_end_no_session(
-    study: Path, readings: Callable[[int], Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_readings_that_do_not_fit_end_no_session(study, readings, capsys):
     """Every second length is off by 0.02 mm: no accuracy is reached with those."""
     path = readings(21)
     header, *rows = path.read_text(encoding="utf-8").splitlines()
@@ -105,7 +99,7 @@ def test_readings_that_do_not_fit_end_no_session(
     assert "Stop: every wanted accuracy" not in out
 
 
-def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
+def test_the_file_is_followed(study, readings):
     path = readings(5)
     following = next_reading.Adviser(Study.load(study)).watch(path)
     assert next(following)[0].startswith("5 readings taken")
@@ -115,7 +109,7 @@ def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> N
     assert "column setup is missing" in next(following)[0]
 
 
-def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -> None:
+def test_before_the_first_reading_the_plan_begins(study, tmp_path):
     """A sheet of poses whose cells are still empty."""
     sheet = tmp_path / "poses.csv"
     sheet.write_text(
@@ -135,9 +129,7 @@ def _advised(
     return adviser, adviser.advise(readings)
 
 
-def test_the_plan_s_accuracy_can_be_wanted(
-    study: Path, readings: Callable[[int], Path]
-) -> None:
+def test_the_plan_s_accuracy_can_be_wanted(study, readings):
     """Reached by the plan's own readings, and promised by no more than those."""
     adviser = next_reading.Adviser(Study.load(study), next_reading.AS_PLANNED)
     measurement = adviser.base.measurement
@@ -157,7 +149,7 @@ def test_the_plan_s_accuracy_can_be_wanted(
     assert adviser.advise(readings(21)).is_reached
 
 
-def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
+def test_the_plan_is_one_of_the_fewest(study):
     """One reading fewer, planned for the same goal, misses it."""
     adviser = next_reading.Adviser(Study.load(study))
     measurement = adviser.base.measurement
@@ -180,7 +172,7 @@ def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
     assert beyond > 21
 
 
-def test_what_is_missing_is_said(tmp_path: Path) -> None:
+def test_what_is_missing_is_said(tmp_path):
     path = tmp_path / "bare.study.toml"
     path.write_text(sample.STUDY, encoding="utf-8")
     with pytest.raises(InputError, match="where accuracy counts"):
@@ -191,9 +183,7 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         )
 
 
-def test_sessions_are_compared_with_the_fixed_plan(
-    study: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sessions_are_compared_with_the_fixed_plan(study, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[3])
     benchmark = importlib.import_module("benchmarks.next_reading")
     setting = {"study": str(study)}
@@ -210,7 +200,7 @@ def test_sessions_are_compared_with_the_fixed_plan(
 
 
 @pytest.mark.slow
-def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s() -> None:
+def test_a_plan_for_the_goal_takes_fewer_readings_than_the_volume_s():
     """27 readings reach, on the nominal head, what 30 D-optimal ones do, throughout."""
     adviser = next_reading.Adviser(Study.load(shipped.study_path(Path("a3_ball_bar"))))
     resolved = adviser.base.resolved

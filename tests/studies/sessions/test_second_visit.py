@@ -1,13 +1,11 @@
 """A second visit as a user does it: advised, printed, read and diagnosed with the first."""
 
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import msgspec
-import pytest
 
 from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
 from pkm_reports.blocks import Paragraph, Table
@@ -16,7 +14,6 @@ from pkm_studies.sessions import next_reading
 from pkm_studies.stages.gap import diagnosis
 from pkm_studies.study import Study
 
-Run = Callable[..., tuple[int, str, str]]
 CONDITION = {"direction": -1.0, "feed": 1.0 / 60.0, "payload": 1500.0}
 
 
@@ -31,7 +28,7 @@ def visit(after: float) -> SecondVisitRecord:
     )
 
 
-def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
+def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide():
     sure, unsure = (diagnosis.second_visit_sentences(visit(p)) for p in (0.93, 0.6))
     assert "13 poses" in sure[0]
     assert "93 %" in sure[0]
@@ -41,14 +38,14 @@ def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
     assert "bar length from encoder scale and gravity" in sure[-1]
 
 
-def test_the_advice_of_a_diagnosis_begins_with_the_visit() -> None:
+def test_the_advice_of_a_diagnosis_begins_with_the_visit():
     gap = GapSection("class", [], [], [], [], [], [], next=["Preload the nuts."])
     record = SecondVisitRecord([], [], 0.5, 0.9, [], [], ["Take the poses."])
     steps = diagnosis.add_visit(gap, record).next
     assert steps == ["Take the poses.", "Preload the nuts."]
 
 
-def test_the_report_has_the_visit_as_a_table() -> None:
+def test_the_report_has_the_visit_as_a_table():
     class Result:
         gap = GapSection("class", [], [], [], [], [], [])
 
@@ -68,7 +65,7 @@ def worded(record: SecondVisitRecord) -> SecondVisitRecord:
     )
 
 
-def test_next_needs_readings_or_a_diagnosis(oed: Run, tmp_path: Path) -> None:
+def test_next_needs_readings_or_a_diagnosis(oed, tmp_path):
     code, _, error = oed("next", "planar_gap")
     assert code == 2
     assert "--after" in error
@@ -79,9 +76,7 @@ def test_next_needs_readings_or_a_diagnosis(oed: Run, tmp_path: Path) -> None:
     assert "--wanted" in error
 
 
-def test_the_advised_command_can_be_typed_as_it_stands(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_advised_command_can_be_typed_as_it_stands(monkeypatch):
     """It names the study as it was given, and quotes paths with blanks."""
     gap = diagnosis.add_visit(
         GapSection("class", [], [], [], [], [], []), worded(visit(0.9))

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ import sample
 
 from pkm_studies.commands import main
 
-Run = Callable[..., tuple[int, str, str]]
 #: offset dq1 (mm) of the machine by date
 STILL = {"2026-01-01": 0.10, "2026-01-11": 0.10}
 DRIFTING = {"2026-01-01": 0.10, "2026-01-31": 0.16, "2026-03-02": 0.22}
@@ -43,7 +41,7 @@ def drifting(machine: Path, tmp_path: Path) -> Path:
     return tmp_path / "drifting"
 
 
-def test_a_change_is_reported_with_its_cause(machine: Path, oed: Run) -> None:
+def test_a_change_is_reported_with_its_cause(machine, oed):
     before, same, after = (machine / d for d in (*STILL, "2026-03-02"))
     code, out, _ = oed("compare", before, same)
     assert code == 0
@@ -56,9 +54,7 @@ def test_a_change_is_reported_with_its_cause(machine: Path, oed: Run) -> None:
     assert float(cause[0]) == pytest.approx(0.12, abs=4 * float(cause[3]))
 
 
-def test_no_session_is_compared_with_itself(
-    machine: Path, tmp_path: Path, oed: Run
-) -> None:
+def test_no_session_is_compared_with_itself(machine, tmp_path, oed):
     first = machine / "2026-01-01"
     code, _, error = oed("compare", first, tmp_path)
     assert code == 2
@@ -71,9 +67,7 @@ def test_no_session_is_compared_with_itself(
             assert "the readings are equal" in error
 
 
-def test_a_fit_that_is_bad_is_not_compared_without_a_word(
-    machine: Path, tmp_path: Path, oed: Run
-) -> None:
+def test_a_fit_that_is_bad_is_not_compared_without_a_word(machine, tmp_path, oed):
     first, second = (machine / date for date in STILL)
     shutil.copytree(second, tmp_path / "bad")
     make_bad(tmp_path / "bad")
@@ -91,9 +85,7 @@ def make_bad(folder: Path) -> None:
     path.write_text(json.dumps(result), encoding="utf-8")
 
 
-def test_the_command_tells_the_drift_and_the_next_date(
-    drifting: Path, oed: Run
-) -> None:
+def test_the_command_tells_the_drift_and_the_next_date(drifting, oed):
     code, out, _ = oed("history", drifting, "--limit", "z_um=100")
     assert code == 0
     assert out.startswith("3 sessions over 60 days.\nThe machine drifts")
@@ -111,9 +103,7 @@ def test_the_command_tells_the_drift_and_the_next_date(
     assert "two sessions" in error
 
 
-def test_two_sessions_have_one_test_and_no_date_where_nothing_drifts(
-    machine: Path, oed: Run
-) -> None:
+def test_two_sessions_have_one_test_and_no_date_where_nothing_drifts(machine, oed):
     """Of two seeds of one machine `compare` and `history` say the same."""
     folders = [machine / date for date in STILL]
     _, compared, _ = oed("compare", *folders)

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ from pkm_studies import shipped, stages
 from pkm_studies.base import InputError
 from pkm_studies.study import SUFFIX, Study
 
-Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")
 STUDIES = Path(__file__).resolve().parents[3] / "studies"
 NAMES = sorted(path.name.removesuffix(SUFFIX) for path in STUDIES.glob(f"*{SUFFIX}"))
@@ -30,7 +28,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Study, Path]]:
     return calls
 
 
-def test_every_study_is_listed_with_title_and_question(oed: Run) -> None:
+def test_every_study_is_listed_with_title_and_question(oed):
     code, out, _ = oed("list", "studies")
     assert code == 0
     entries = json.loads(oed("list", "studies", "--json")[1])
@@ -42,22 +40,20 @@ def test_every_study_is_listed_with_title_and_question(oed: Run) -> None:
         assert study.question in oed("list", "studies", study.name)[1]
 
 
-def test_a_study_runs_by_its_name(oed: Run, ran: list[tuple[Study, Path]]) -> None:
+def test_a_study_runs_by_its_name(oed, ran):
     oed("run", "planar_gap")
     study, folder = ran[0]
     assert study.path == shipped.studies()["planar_gap"].path
     assert folder == Path("out/planar_gap")
 
 
-def test_a_file_of_the_same_name_goes_first(
-    oed: Run, ran: list[tuple[Study, Path]], tmp_path: Path
-) -> None:
+def test_a_file_of_the_same_name_goes_first(oed, ran, tmp_path):
     shutil.copy(STUDIES / f"micro_cmm{SUFFIX}", tmp_path / "planar_gap")
     oed("run", "planar_gap")
     assert ran[0][0].name == "micro_cmm"
 
 
-def test_an_unknown_name_is_corrected(oed: Run) -> None:
+def test_an_unknown_name_is_corrected(oed):
     code, _, err = oed("run", "planar_gab")
     assert code == 2
     assert "STUDY = planar_gab: no such shipped study" in err
@@ -67,7 +63,7 @@ def test_an_unknown_name_is_corrected(oed: Run) -> None:
     assert "there is no such study file" in err
 
 
-def test_a_copy_has_its_own_name(oed: Run, tmp_path: Path) -> None:
+def test_a_copy_has_its_own_name(oed, tmp_path):
     code, out, _ = oed("new", "mine", "--from", "a3_ball_bar")
     assert code == 0
     assert "oed run mine.study.toml" in out
@@ -80,7 +76,7 @@ def test_a_copy_has_its_own_name(oed: Run, tmp_path: Path) -> None:
     ]
 
 
-def test_a_copy_overwrites_nothing(oed: Run, tmp_path: Path) -> None:
+def test_a_copy_overwrites_nothing(oed, tmp_path):
     path = tmp_path / "mine.study.toml"
     path.write_text("mine", encoding="utf-8")
     code, _, err = oed("new", "mine", "--from", "a3_ball_bar")
@@ -98,25 +94,21 @@ def test_a_copy_overwrites_nothing(oed: Run, tmp_path: Path) -> None:
         (["--instrument", "ball_bar"], "give --machine, a name or a file of your own"),
     ],
 )
-def test_what_to_start_from_is_stated_once(
-    options: list[str], words: str, oed: Run, tmp_path: Path
-) -> None:
+def test_what_to_start_from_is_stated_once(options, words, oed, tmp_path):
     code, _, err = oed("new", "mine", *options)
     assert (code, err.count("\n")) == (2, 1)
     assert words in err
     assert not list(tmp_path.iterdir())
 
 
-def test_a_machine_alone_gets_an_instrument(oed: Run, tmp_path: Path) -> None:
+def test_a_machine_alone_gets_an_instrument(oed, tmp_path):
     code, out, _ = oed("new", "mine", "--machine", "a3_head")
     assert code == 0
     assert "Instrument: " in out
     assert [path.name for path in tmp_path.iterdir()] == ["mine.study.toml"]
 
 
-def test_an_installed_package_has_its_studies_inside(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_installed_package_has_its_studies_inside(tmp_path, monkeypatch):
     """As in the wheel, where the repository's folder is not there."""
     inside = tmp_path / "pkm_studies" / "shipped"
     inside.mkdir(parents=True)
@@ -126,9 +118,7 @@ def test_an_installed_package_has_its_studies_inside(
     assert shipped.study_path(Path("micro_cmm")) == inside / f"micro_cmm{SUFFIX}"
 
 
-def test_a_folder_of_results_does_not_hide_the_study(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_of_results_does_not_hide_the_study(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "micro_cmm").mkdir()
     (tmp_path / "mine").mkdir()

@@ -53,9 +53,7 @@ def result(folder: Path) -> StudyResult:
     return load_result(folder / "out")
 
 
-def test_corrected_parameters_are_within_their_deviations(
-    folder: Path, result: StudyResult
-) -> None:
+def test_corrected_parameters_are_within_their_deviations(folder, result):
     truth = json.loads((folder / "loads.truth.json").read_text())
     assert result.estimate is not None
     factor = {"mm": 1e-3, "mrad": 1e-3}
@@ -68,22 +66,20 @@ def test_corrected_parameters_are_within_their_deviations(
     assert worst_plain > 3.0
 
 
-def test_coefficients_have_a_readers_unit(result: StudyResult) -> None:
+def test_coefficients_have_a_readers_unit(result):
     struts = result.corrected.effects["gravity: struts"]
     assert struts.unit == "um"
     assert abs(struts.value - 60.0) < 4.0 * struts.sd
 
 
-def test_the_prediction_states_its_conditions(result: StudyResult) -> None:
+def test_the_prediction_states_its_conditions(result):
     corrected = result.corrected
     assert any("payload" in sentence for sentence in corrected.conditions)
     z = corrected.prediction.components["z"]
     assert z.after.rms < 0.2 * corrected.parameters_only["z"].rms
 
 
-def test_exports_hold_tables_of_the_effects_or_say_so(
-    folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_exports_hold_tables_of_the_effects_or_say_so(folder, result, capsys):
     corrected = result.corrected
     assert {t.state for t in corrected.tables} >= {"payload_N"}
     out = folder / "out"
@@ -111,9 +107,7 @@ def test_exports_hold_tables_of_the_effects_or_say_so(
     assert "joint corrections by" not in capsys.readouterr().out.lower()
 
 
-def test_interpolation_of_the_effects_tables_is_in_the_budget(
-    folder: Path, result: StudyResult
-) -> None:
+def test_interpolation_of_the_effects_tables_is_in_the_budget(folder, result):
     """A bound: the errors of all tables in the same sense."""
     costs = [t.interpolation for t in result.corrected.tables]
     assert all(cost["y"] > 0.0 for cost in costs)
@@ -126,9 +120,7 @@ def test_interpolation_of_the_effects_tables_is_in_the_budget(
 
 
 @pytest.mark.slow
-def test_a_file_without_the_effects_has_them_in_its_budget(
-    folder: Path, result: StudyResult
-) -> None:
+def test_a_file_without_the_effects_has_them_in_its_budget(folder, result):
     """Its accuracy is then that with the parameters alone; with tables nothing lacks."""
     assert result.corrected is not None
     (folder / "plain.py").write_text(
@@ -153,9 +145,7 @@ def test_a_file_without_the_effects_has_them_in_its_budget(
             assert total == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_terminal_says_what_the_accuracy_rests_on(
-    folder: Path, result: StudyResult, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_terminal_says_what_the_accuracy_rests_on(folder, result, capsys):
     budget = result.corrected.prediction.budget
     assert budget.advice
     headline.report_outcome(result, folder / "out", quiet=False)
@@ -168,9 +158,7 @@ def test_the_terminal_says_what_the_accuracy_rests_on(
         assert rms > 0.0
 
 
-def test_an_effect_that_the_readings_cannot_show_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_effect_that_the_readings_cannot_show_is_refused(folder, capsys):
     study, readings = folder / "loads.study.toml", folder / "loads.readings.csv"
     options = ["--with", "backlash", "--out", str(folder / "no")]
     assert run("identify", study, "--readings", readings, *options) == 2
@@ -181,7 +169,7 @@ def test_an_effect_that_the_readings_cannot_show_is_refused(
 # -- the alarm of a bad fit ------------------------------------------------------------
 
 
-def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
+def test_the_first_line_is_true_of_the_corrected_fit(folder):
     lines = (folder / "printed.txt").read_text(encoding="utf-8").splitlines()
     model = "With gravity and frame bending in the model the residuals"
     (first,) = (line for line in lines if model in line)
@@ -226,9 +214,7 @@ def fill_in(planned: Path, to: Path, factor: float) -> Path:
     return to
 
 
-def test_acceptance_poses_are_not_those_of_the_calibration(
-    planned: Path, folder: Path
-) -> None:
+def test_acceptance_poses_are_not_those_of_the_calibration(planned, folder):
     result = load_result(folder / "out")
     acceptance, estimate = result.acceptance, result.estimate
     known = {tuple(f"{v:g}" for v in c.values()) for c in estimate.commands}
@@ -245,9 +231,7 @@ def _readings(folder: Path) -> list[str]:
     return (folder / "loads.readings.csv").read_text().splitlines()[1:]
 
 
-def test_a_good_machine_passes_and_a_bad_one_fails(
-    planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_good_machine_passes_and_a_bad_one_fails(planned, tmp_path, capsys):
     out = planned.parent
     unsure = Path(shutil.copytree(out, tmp_path / "unsure"))
     coarse = ["--uncertainty", "y_um=100,z_um=100"]
@@ -267,16 +251,14 @@ def test_a_good_machine_passes_and_a_bad_one_fails(
     assert not stored.passed
 
 
-def test_a_file_that_lacks_a_pose_is_refused(planned: Path, tmp_path: Path) -> None:
+def test_a_file_that_lacks_a_pose_is_refused(planned, tmp_path):
     whole = fill_in(planned, tmp_path / "whole.csv", 0.9)
     part = tmp_path / "part.csv"
     part.write_text("\n".join(whole.read_text().splitlines()[:-1]) + "\n")
     assert run("verify", planned.parent, "--readings", part) == 2
 
 
-def test_the_report_has_the_corrected_model_and_the_acceptance_test(
-    planned: Path, tmp_path: Path
-) -> None:
+def test_the_report_has_the_corrected_model_and_the_acceptance_test(planned, tmp_path):
     bad = fill_in(planned, tmp_path / "bad.csv", 1.5)
     assert run("verify", planned.parent, "--readings", bad) == 1
     page = (planned.parent / "report.html").read_text(encoding="utf-8")

@@ -23,13 +23,13 @@ def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
     return state
 
 
-def test_a_diagnosis_stands_where_its_correction_fails(state: mock.MagicMock) -> None:
+def test_a_diagnosis_stands_where_its_correction_fails(state):
     (warning,) = corrected.correct_for_effects(state)
     assert warning.startswith("nothing is corrected for step")
     assert "did not converge" in warning
 
 
-def test_effects_that_were_named_are_refused(state: mock.MagicMock) -> None:
+def test_effects_that_were_named_are_refused(state):
     state.with_effects = ("step",)
     with pytest.raises(IdentificationError):
         corrected.correct_for_effects(state)

@@ -62,7 +62,7 @@ def filled(folder: Path, name: str, sigma: np.ndarray, header: str = "") -> Path
     return path
 
 
-def test_the_plan_is_a_sheet_to_fill_in(planned: Path) -> None:
+def test_the_plan_is_a_sheet_to_fill_in(planned):
     sheet = rows(planned / "out" / "forecast_nodes.csv")
     assert len(sheet) == 28
     assert list(sheet[0]) == ["y_mm", "z_mm", "error_y_um", "error_z_um"]
@@ -87,9 +87,7 @@ def table_joints(path: Path) -> RegularGridInterpolator:
     return RegularGridInterpolator((y, z), values.reshape(len(y), len(z), 2))
 
 
-def test_the_table_brings_a_hundredth(
-    planned: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_brings_a_hundredth(planned, capsys):
     nodes = filled(planned, "nodes.csv", forecast_data.SIGMA)
     out = planned / "out"
     assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
@@ -124,9 +122,7 @@ def test_the_table_brings_a_hundredth(
         assert change == pytest.approx(expected, abs=5e-9)
 
 
-def test_a_wrong_reading_is_named_and_stated_noise_counts(
-    planned: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_reading_is_named_and_stated_noise_counts(planned, capsys):
     nodes = filled(planned, "wrong.csv", forecast_data.SIGMA)
     lines = nodes.read_text().splitlines()
     y, z, error, other = lines[5].split(",")
@@ -150,9 +146,7 @@ def test_a_wrong_reading_is_named_and_stated_noise_counts(
     assert "measure it again" not in capsys.readouterr().out
 
 
-def test_errors_in_another_unit_are_doubted(
-    planned: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_in_another_unit_are_doubted(planned, capsys):
     """Millimetres under a header in micrometres."""
     nodes = filled(planned, "wrong_unit.csv", forecast_data.SIGMA)
     header, *lines = nodes.read_text().splitlines()
@@ -175,9 +169,7 @@ def test_errors_in_another_unit_are_doubted(
         (lambda t: t.replace("0,1200,", "0,1200,x", 1), "not a finite number"),
     ],
 )
-def test_bad_nodes_are_refused(
-    planned: Path, capsys: pytest.CaptureFixture[str], change: Any, words: str
-) -> None:
+def test_bad_nodes_are_refused(planned, capsys, change, words):
     nodes = filled(planned, "bad.csv", forecast_data.SIGMA)
     text = nodes.read_text()
     assert "0,1200," in text
@@ -199,18 +191,14 @@ def test_bad_nodes_are_refused(
         (PLAN[PLAN.index("[forecast]") :], "", "does not say what calibration leaves"),
     ],
 )
-def test_studies_without_what_it_needs_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, words: str
-) -> None:
+def test_studies_without_what_it_needs_are_refused(tmp_path, capsys, old, new, words):
     assert old in PLAN
     path = study(tmp_path, PLAN.replace(old, new))
     assert run("forecast", path, "--out", tmp_path / "out") == 2
     assert words in capsys.readouterr().err
 
 
-def test_an_empty_sheet_is_refused(
-    planned: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_sheet_is_refused(planned, capsys):
     nodes = planned / "out" / "forecast_nodes.csv"
     path = study(planned)
     assert run("forecast", path, "--out", planned / "out", "--readings", nodes) == 2
@@ -218,9 +206,7 @@ def test_an_empty_sheet_is_refused(
 
 
 @pytest.mark.parametrize(("reference", "count"), [("home", 1), ("absolute", 0)])
-def test_only_errors_against_home_leave_home_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], reference: str, count: int
-) -> None:
+def test_only_errors_against_home_leave_home_alone(tmp_path, capsys, reference, count):
     stated = f'[prediction]\nreference = "{reference}"'
     path = study(tmp_path, QUIET.replace("[prediction]", stated))
     assert run("forecast", path, "--out", tmp_path / "out") == 0
@@ -253,7 +239,7 @@ runs_by = "z"
 
 
 @pytest.mark.slow
-def test_an_estimate_in_the_folder_is_the_mean_of_the_field(tmp_path: Path) -> None:
+def test_an_estimate_in_the_folder_is_the_mean_of_the_field(tmp_path):
     """Eight nodes of a machine with the nominal numbers, whose errors are 0.3 mm."""
     setup = """[[setup]]
 name = "rm4"
@@ -309,7 +295,7 @@ name = "rm5" """
     assert predicted["held"] < 1e-6
 
 
-def test_shipped_nodes_are_what_the_oracle_reads() -> None:
+def test_shipped_nodes_are_what_the_oracle_reads():
     arcsec = np.radians(1.0 / 3600.0)
     cases = (
         (

@@ -95,9 +95,7 @@ def places(count: int) -> Array:
     return np.random.default_rng(11).uniform([-1.5, 0.0], [1.5, 1.5], (count, 2))
 
 
-def test_the_table_goes_into_the_controllers_file(
-    planned: Array, tmp_path: Path, oed: Run
-) -> None:
+def test_the_table_goes_into_the_controllers_file(planned, tmp_path, oed):
     measured(tmp_path, oed, Machine(), planned)
     out = tmp_path / "out"
     code, said, error = oed("compensate", out, "--to", "csv")
@@ -127,9 +125,7 @@ def test_the_table_goes_into_the_controllers_file(
 
 
 @pytest.mark.slow
-def test_a_finer_line_widens_the_interval(
-    planned: Array, tmp_path: Path, oed: Run
-) -> None:
+def test_a_finer_line_widens_the_interval(planned, tmp_path, oed):
     """A screw of 4 um leaves what nodes far apart cannot predict, and say so."""
     machine = Machine(AMPLITUDE)
     said = measured(tmp_path, oed, machine, planned)

@@ -16,7 +16,7 @@ def _gap(verdict: str, answers: list[AnswerRecord]) -> GapSection:
     )
 
 
-def test_what_is_more_likely_than_noise_alone_is_not_the_next_most_likely() -> None:
+def test_what_is_more_likely_than_noise_alone_is_not_the_next_most_likely():
     """No gap stands by noise and what is too small to be seen, 56 % together."""
     answers = [
         AnswerRecord((), 0.36),
@@ -34,14 +34,14 @@ def test_what_is_more_likely_than_noise_alone_is_not_the_next_most_likely() -> N
     ]
 
 
-def test_what_is_less_likely_than_noise_alone_is_the_next() -> None:
+def test_what_is_less_likely_than_noise_alone_is_the_next():
     answers = [AnswerRecord((), 0.6), AnswerRecord(("gravity",), 0.4, (("gravity",),))]
     assert second_explanation(_gap("none", answers)) == [
         "The next most likely explanation is gravity (probability 40 %)."
     ]
 
 
-def test_a_gap_that_is_less_likely_than_noise_says_so_at_once() -> None:
+def test_a_gap_that_is_less_likely_than_noise_says_so_at_once():
     """The first sentence is all that the report's first page has of it."""
     answers = [
         AnswerRecord(("gravity",), 0.3, (("gravity",),)),

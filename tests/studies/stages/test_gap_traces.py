@@ -15,7 +15,7 @@ def _diagnosed(tmp_path: Path) -> Diagnosis:
     return gap_fixture.diagnosis(gap_fixture.problem(gap_fixture.written(tmp_path)))
 
 
-def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
+def test_traces_are_circles_both_ways(tmp_path):
     diagnosis = _diagnosed(tmp_path)
     traces = run_curves.traces(diagnosis)
     assert [t.kind for t in traces] == ["circle"] * 4
@@ -46,7 +46,7 @@ def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
         ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], "points"),
     ],
 )
-def test_the_shape_of_a_run(points: list[list[float]], kind: str) -> None:
+def test_the_shape_of_a_run(points, kind):
     shape, at, radius = run_curves.run_shape(np.array(points), np.zeros(len(points)))
     assert shape == kind
     assert (radius is None) == (kind != "circle")
@@ -56,7 +56,7 @@ def test_the_shape_of_a_run(points: list[list[float]], kind: str) -> None:
         np.testing.assert_allclose(np.diff(at), 1e3 * math.hypot(0.1, 0.05))
 
 
-def test_places_of_the_tool_gather_their_readings(tmp_path: Path) -> None:
+def test_places_of_the_tool_gather_their_readings(tmp_path):
     diagnosis = _diagnosed(tmp_path)
     spots, unit = run_curves.spots(diagnosis)
     assert unit == "um"

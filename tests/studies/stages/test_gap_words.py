@@ -63,7 +63,7 @@ def _gap(
     return add_sentences(GapSection(**fields | more))
 
 
-def test_no_gap_in_words() -> None:
+def test_no_gap_in_words():
     words = _gap("none", [], []).words
     assert (
         words[0] == "No effect is found: noise alone explains what calibration leaves"
@@ -72,7 +72,7 @@ def test_no_gap_in_words() -> None:
     assert len(words) == 2  # the other one is about what could not be tested
 
 
-def test_an_effect_in_words() -> None:
+def test_an_effect_in_words():
     section = _gap("effect", ["gravity"], [["gravity"]])
     assert section.words == [
         "The residual error comes from gravity (probability 90 %).",
@@ -93,7 +93,7 @@ def test_an_effect_in_words() -> None:
     assert section.next == ["Look again.", "Remedy for gravity: stiffen the legs."]
 
 
-def test_an_effect_at_a_size_that_no_machine_has_is_left_out_with_its_reason() -> None:
+def test_an_effect_at_a_size_that_no_machine_has_is_left_out_with_its_reason():
     more = {"left_out": ["leg_thermal"], "nearest": ["leg_thermal", "step"]}
     words = " ".join(
         _gap("unknown", ["unknown"], [], unknown={"drift": 1.0}, **more).words
@@ -103,7 +103,7 @@ def test_an_effect_at_a_size_that_no_machine_has_is_left_out_with_its_reason() -
     assert "Known causes of that kind: step;" in words
 
 
-def test_a_class_in_words() -> None:
+def test_a_class_in_words():
     section = _gap("class", ["gravity"], [["gravity", "encoder_scale"]])
     assert section.words[0].startswith(
         "The residual error comes from gravity or encoder scale; these readings cannot tell which"
@@ -112,7 +112,7 @@ def test_a_class_in_words() -> None:
     assert "If it is gravity: stiffen the legs." in section.next
 
 
-def test_a_class_of_many_is_told_by_what_its_effects_have_in_common() -> None:
+def test_a_class_of_many_is_told_by_what_its_effects_have_in_common():
     names = ["leg_thermal", "frame_thermal", "bar_thermal", "mount_drift", "step"]
 
     def words(natures: list[str]) -> str:
@@ -134,7 +134,7 @@ def test_a_class_of_many_is_told_by_what_its_effects_have_in_common() -> None:
     assert "leg thermal, frame thermal" in words([""] * 5)
 
 
-def test_mixtures_and_unknowns_in_words() -> None:
+def test_mixtures_and_unknowns_in_words():
     both = _gap(
         "mixture", ["gravity", "encoder_scale"], [["gravity"], ["encoder_scale"]]
     ).words[0]
@@ -149,7 +149,7 @@ def test_mixtures_and_unknowns_in_words() -> None:
     assert "2 effects" in unknown
 
 
-def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
+def test_an_effect_beside_an_unknown_one_is_the_same_cause():
     """Its probability counts both; what is named elsewhere, or unseen, is another."""
     answers = [
         AnswerRecord(("gravity",), 0.54, (("gravity",),)),
@@ -175,7 +175,7 @@ def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
     assert not any("beside it" in sentence for sentence in mixed)
 
 
-def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
+def test_an_unknown_effect_is_as_probable_as_all_answers_with_one():
     """Its place is where to look first; a rival that is any of many has no name."""
     many = ("gravity", *(f"effect_{k}" for k in range(6)))
     answers = [
@@ -200,7 +200,7 @@ def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
     assert not any("Look first" in step for step in spread)
 
 
-def test_a_clear_effect_stands_before_a_class() -> None:
+def test_a_clear_effect_stands_before_a_class():
     classes = [["gravity", "encoder_scale"], ["servo_lag"]]
     section = _gap("class", ["gravity", "servo_lag"], classes)
     assert section.words[0].startswith(
@@ -220,7 +220,7 @@ def test_a_clear_effect_stands_before_a_class() -> None:
     assert section.words[2].startswith("Servo lag changes length by 12.3 um rms")
 
 
-def test_no_gap_in_doubt_names_the_way_to_a_second_session() -> None:
+def test_no_gap_in_doubt_names_the_way_to_a_second_session():
     for probability, in_doubt in ((0.04, False), (0.08, True)):
         answers = [
             AnswerRecord((), 0.6),
@@ -231,7 +231,7 @@ def test_no_gap_in_doubt_names_the_way_to_a_second_session() -> None:
         assert any("--after DIR" in text for text in section.next) == in_doubt
 
 
-def test_what_an_unknown_effect_resembles() -> None:
+def test_what_an_unknown_effect_resembles():
     """The likeliest form, and others that matter; nothing where there is none."""
     waves = {"leg 2 in a wave of 12 min": 0.62}
     forms = waves | {"the tool about the place 1, 2, 3 mm": 0.3, "drift": 0.04}
@@ -253,9 +253,7 @@ def test_what_an_unknown_effect_resembles() -> None:
     (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "over 100 % more to 40 % less"),
     (-0.2, 1.2, "20 % more to 100 % less"),
 ])  # fmt: skip
-def test_an_interval_ends_at_the_whole_and_says_what_is_growth(
-    low: float, high: float, interval: str
-) -> None:
+def test_an_interval_ends_at_the_whole_and_says_what_is_growth(low, high, interval):
     section = _gap(
         "effect",
         ["gravity"],
@@ -265,7 +263,7 @@ def test_an_interval_ends_at_the_whole_and_says_what_is_growth(
     assert f"({interval}) on whole held-out runs" in section.words[3]
 
 
-def test_places_that_hold_much_of_the_gap_are_named() -> None:
+def test_places_that_hold_much_of_the_gap_are_named():
     places = [
         PlaceRecord("leg 1", 0.01, 0.8),
         PlaceRecord("run 2", 0.01, 0.7),
@@ -279,7 +277,7 @@ def test_places_that_hold_much_of_the_gap_are_named() -> None:
     assert nowhere.startswith("No leg, set-up, run, time")
 
 
-def test_a_set_up_that_was_read_in_one_stretch_of_time_is_that_too() -> None:
+def test_a_set_up_that_was_read_in_one_stretch_of_time_is_that_too():
     places = [PlaceRecord("set-up ruler", 0.01, 0.98, "time 0-1800")]
     sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[2]
     assert (
@@ -288,7 +286,7 @@ def test_a_set_up_that_was_read_in_one_stretch_of_time_is_that_too() -> None:
     )
 
 
-def test_of_several_channels_each_has_its_amounts() -> None:
+def test_of_several_channels_each_has_its_amounts():
     sizes = [SizeRecord("gravity", {"y": 3.0, "a": 0.5}, 9.0, {"y": 3.4, "a": 0.1})]
     units = {"y": "um", "a": "arcsec"}
     words = _gap("effect", ["gravity"], [["gravity"]], sizes=sizes, units=units).words
@@ -304,7 +302,7 @@ def _coefficient(value: float, **more: Any) -> CoefficientRecord:
     )
 
 
-def test_a_coefficient_far_beyond_its_expected_size_is_marked() -> None:
+def test_a_coefficient_far_beyond_its_expected_size_is_marked():
     """With the figure and what to check; no other is, nor one of its form alone."""
 
     def marked(*coefficients: CoefficientRecord) -> list[str]:
@@ -327,7 +325,7 @@ def test_a_coefficient_far_beyond_its_expected_size_is_marked() -> None:
     assert marked(_coefficient(-0.0599, shape=True)) == []
 
 
-def test_a_gap_is_never_reported_as_closed_whole() -> None:
+def test_a_gap_is_never_reported_as_closed_whole():
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[3]
     rounded = [ClosureRecord("within", 0.766, None, None, 0.0, 3.0, 1.1, 1.0, 200)]
@@ -336,13 +334,13 @@ def test_a_gap_is_never_reported_as_closed_whole() -> None:
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
 
 
-def test_more_than_the_whole_is_all_that_exceeds_the_noise() -> None:
+def test_more_than_the_whole_is_all_that_exceeds_the_noise():
     more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[3]
     assert "shrinks by all that exceeds the noise (80 to 100 %) on held-out" in sentence
 
 
-def test_a_gap_that_grows_does_not_shrink() -> None:
+def test_a_gap_that_grows_does_not_shrink():
     grown = [ClosureRecord("whole", -0.21, -0.5, 0.1, 0.8, 3.0, 3.3, 1.2, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[3]
     assert "grows by 21 % (50 % more to 10 % less) on whole held-out runs" in sentence
@@ -352,9 +350,7 @@ def test_a_gap_that_grows_does_not_shrink() -> None:
 @pytest.mark.parametrize(("lows", "proven"), [
     ((0.1, -0.2), True), ((-0.1, -0.2), False), ((None, -0.2), False), ((None,), True),
 ])  # fmt: skip
-def test_what_no_held_out_reading_confirms_is_measured_first(
-    lows: tuple[float | None, ...], proven: bool
-) -> None:
+def test_what_no_held_out_reading_confirms_is_measured_first(lows, proven):
     closures = [
         ClosureRecord("whole", 0.3, low, 0.5, 0.1, 3.0, 2.4, 1.2, 200) for low in lows
     ]
@@ -363,7 +359,7 @@ def test_what_no_held_out_reading_confirms_is_measured_first(
     assert section.next[0].endswith("may do harm (probability 10 %).") != proven
 
 
-def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:
+def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow():
     both = [
         ClosureRecord("within", 0.8, 0.6, 0.9, 0.0, 3.0, 1.4, 1.2, 200),
         ClosureRecord("whole", -0.21, -0.5, -0.1, 1.0, 3.0, 3.3, 1.2, 200),
@@ -373,13 +369,13 @@ def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:
     assert "grows by 21 % (50 % more to 10 % more) on whole held-out runs" in words[4]
 
 
-def test_probabilities_under_one_noise_law_are_rough() -> None:
+def test_probabilities_under_one_noise_law_are_rough():
     for laws, rough in ((1.2, True), (1.6, False), (None, False)):
         words = _gap("effect", ["gravity"], [["gravity"]], effective_laws=laws).words
         assert any("probabilities are rough" in w for w in words) == rough
 
 
-def test_an_open_answer_names_the_way_to_a_second_session() -> None:
+def test_an_open_answer_names_the_way_to_a_second_session():
     for verdict, probability, is_open in (
         ("effect", 0.9, False),
         ("effect", 0.7, True),
@@ -392,7 +388,7 @@ def test_an_open_answer_names_the_way_to_a_second_session() -> None:
         assert any("--after DIR" in text for text in section.next) == is_open
 
 
-def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
+def test_advice_that_the_diagnosis_gives_is_not_given_twice():
     advice, named = ["encoder_scale: measure the scale."], ["encoder_scale"]
     section = _gap("effect", named, [named], next=advice)
     assert section.next == ["Encoder scale: measure the scale."]
@@ -402,11 +398,11 @@ def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
     (1.0, "100 %"), (0.9999, "over 99 %"), (0.0001, "under 1 %"), (0.0, "0 %"),
     (0.734, "73 %"),
 ])  # fmt: skip
-def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
+def test_a_probability_is_never_made_certain(share, text):
     assert format_probability(share) == text
 
 
-def test_scatter_beyond_the_instrument_in_words() -> None:
+def test_scatter_beyond_the_instrument_in_words():
     section = _gap("scatter", [], [], scatter=2.34, noise=["single readings scatter"])
     first, second, *_ = section.words
     assert first.startswith("The readings scatter 2.3 times as much as stated")

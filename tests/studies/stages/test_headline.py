@@ -1,7 +1,6 @@
 """Sentences and table on the predicted accuracy say what becomes of each component."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -95,9 +94,7 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
         ),
     ],
 )
-def test_what_does_not_change_is_not_reduced(
-    changes: dict[str, tuple[float, float]], words: str
-) -> None:
+def test_what_does_not_change_is_not_reduced(changes, words):
     (sentence,) = [
         sentence
         for sentence in headline.sentences(result(changes))
@@ -109,7 +106,7 @@ def test_what_does_not_change_is_not_reduced(
 CHANGES = {"z": (1208.0, 97.2), "psi": (3488.0, 20.6), "theta": (403.0, 1.31)}
 
 
-def test_the_terminal_and_the_report_have_one_accuracy(tmp_path: Path) -> None:
+def test_the_terminal_and_the_report_have_one_accuracy(tmp_path):
     lines = headline.lines(result(CHANGES), tmp_path, verbose=False)
     (row,) = [line for line in lines if line.split()[:1] == ["z"]]
     assert row.split()[2:4] == ["1208", "1300"]
@@ -120,7 +117,7 @@ def test_the_terminal_and_the_report_have_one_accuracy(tmp_path: Path) -> None:
     assert "What removes it: measure each joint's travel." in printed
 
 
-def test_what_no_drive_corrects_is_said_on_the_first_page() -> None:
+def test_what_no_drive_corrects_is_said_on_the_first_page():
     full = report_fixture.sample()["prediction"]["components"]
     others = [name for name, c in full.items() if not c["compensatable"]]
     assert others
@@ -132,9 +129,7 @@ def test_what_no_drive_corrects_is_said_on_the_first_page() -> None:
     assert re.split(", | and ", sentence) == others
 
 
-def test_the_headline_is_not_printed_twice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_headline_is_not_printed_twice(tmp_path, capsys):
     of = result(CHANGES)
     sentences = [*headline.sentences(of)[:1], "The readings determine 3 of 3."]
     raw = report_fixture.bare() | {"headline": sentences}
@@ -151,7 +146,7 @@ def test_the_headline_is_not_printed_twice(
     assert out.count("97.2") == 0
 
 
-def test_the_first_page_says_what_the_model_lacks() -> None:
+def test_the_first_page_says_what_the_model_lacks():
     parts = {p.anchor: p for p in answer.answer_parts(result(CHANGES))}
     words = " ".join(getattr(block, "text", "") for block in parts["short"].blocks)
     plain = words.replace("\N{NO-BREAK SPACE}", " ")

@@ -1,7 +1,5 @@
 """Parameters over all hypotheses of a diagnosis: who takes them, and what is printed."""
 
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
@@ -38,17 +36,13 @@ def sent(result: StudyResult, *, tables: bool) -> tuple[np.ndarray, str]:
     return values, identified.origin
 
 
-def test_a_controller_without_effects_takes_the_parameters_over_all_answers(
-    result: StudyResult,
-) -> None:
+def test_a_controller_without_effects_takes_the_parameters_over_all_answers(result):
     values, origin = sent(result, tables=False)
     assert origin == "gap.mixture"
     assert values == pytest.approx([1.1e-3, 0.9e-3])
 
 
-def test_a_controller_with_effects_takes_what_was_estimated_with_them(
-    result: StudyResult,
-) -> None:
+def test_a_controller_with_effects_takes_what_was_estimated_with_them(result):
     assert result.corrected is not None
     values, origin = sent(result, tables=True)
     assert origin == "corrected"
@@ -56,13 +50,13 @@ def test_a_controller_with_effects_takes_what_was_estimated_with_them(
     assert values == pytest.approx(best)
 
 
-def test_without_a_table_of_any_effect_geometry_is_all_that_is_sent() -> None:
+def test_without_a_table_of_any_effect_geometry_is_all_that_is_sent():
     plain = whole()
     drop("corrected/tables/0")(plain)
     assert sent(report_fixture.result_of(plain), tables=True)[1] == "gap.mixture"
 
 
-def test_a_file_says_what_is_reached_and_what_it_lacks(result: StudyResult) -> None:
+def test_a_file_says_what_is_reached_and_what_it_lacks(result):
     identified = identified_parameters(result, machine, tables=False)
     prediction = mixture_of(result).prediction
     words = " ".join(identified.conditions)
@@ -71,9 +65,7 @@ def test_a_file_says_what_is_reached_and_what_it_lacks(result: StudyResult) -> N
     assert f"z {rms:.3g}" in words
 
 
-def test_a_next_plan_knows_the_parameters_over_all_answers(
-    result: StudyResult, tmp_path: Path
-) -> None:
+def test_a_next_plan_knows_the_parameters_over_all_answers(result, tmp_path):
     value, covariance, source = known_parameters(
         result, machine.name, list(NAMES), tmp_path
     )
@@ -82,9 +74,7 @@ def test_a_next_plan_knows_the_parameters_over_all_answers(
     assert "all hypotheses" in source
 
 
-def test_words_name_answers_disagreement_and_each_compensation(
-    result: StudyResult,
-) -> None:
+def test_words_name_answers_disagreement_and_each_compensation(result):
     mixture = mixture_of(result)
     parameters = dict(mixture.parameters)
     agreed = msgspec.structs.replace(parameters["da1z"], within=0.2)
@@ -100,7 +90,7 @@ def test_words_name_answers_disagreement_and_each_compensation(
     assert "best hypothesis alone" not in choices
 
 
-def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
+def test_answers_that_agree_are_said_to(result):
     mixture = mixture_of(result)
     parameters = {
         name: msgspec.structs.replace(p, within=p.sd)
@@ -110,14 +100,14 @@ def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
     assert mixture_sentences(agreed)[1] == "The hypotheses agree on all parameters."
 
 
-def test_one_answer_agrees_with_no_other(result: StudyResult) -> None:
+def test_one_answer_agrees_with_no_other(result):
     mixture = mixture_of(result)
     alone = msgspec.structs.replace(mixture, answers=mixture.answers[:1], rest=0.0)
     words = " ".join(mixture_sentences(alone))
     assert "agree" not in words
 
 
-def test_a_file_with_effects_says_what_all_answers_expect(result: StudyResult) -> None:
+def test_a_file_with_effects_says_what_all_answers_expect(result):
     mixture = mixture_of(result)
     assert result.gap is not None
     both = msgspec.structs.replace(mixture, with_effects=mixture.prediction)
@@ -130,13 +120,13 @@ def test_a_file_with_effects_says_what_all_answers_expect(result: StudyResult) -
     assert f"z {rms:.3g} um" in identified.conditions[-1]
 
 
-def test_what_to_do_first_is_no_second_diagnosis(result: StudyResult) -> None:
+def test_what_to_do_first_is_no_second_diagnosis(result):
     assert trust.remedy(result) == "do first what its diagnosis advises"
     plain = msgspec.structs.replace(result, gap=None)
     assert trust.remedy(plain) == "run `oed diagnose`"
 
 
-def test_a_promise_says_what_geometry_alone_reaches(result: StudyResult) -> None:
+def test_a_promise_says_what_geometry_alone_reaches(result):
     (condition,) = promise.without_effects(result)
     prediction = mixture_of(result).prediction
     rms = prediction.components["z"].after.rms
@@ -146,7 +136,7 @@ def test_a_promise_says_what_geometry_alone_reaches(result: StudyResult) -> None
     assert not promise.without_effects(msgspec.structs.replace(result, gap=gap))
 
 
-def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) -> None:
+def test_without_a_correction_a_test_promises_what_is_sent(result):
     """That is over all hypotheses, as the certificate says too (tests/certificate)."""
     sent_alone = msgspec.structs.replace(result, corrected=None)
     number = [c.name for c in machine.components].index("z")
@@ -158,7 +148,7 @@ def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) 
     assert rms == pytest.approx(1e-6 * prediction.components["z"].after.rms)
 
 
-def test_the_chapter_is_there_with_a_mixture_only(result: StudyResult) -> None:
+def test_the_chapter_is_there_with_a_mixture_only(result):
     assert chapter.mixture_blocks(result)
     assert result.gap is not None
     gap = msgspec.structs.replace(result.gap, mixture=None)

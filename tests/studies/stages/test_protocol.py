@@ -39,7 +39,7 @@ def resolved(protocol: str) -> ResolvedStudy:
     )
 
 
-def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> None:
+def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long():
     once, six = resolved(""), resolved("repeats = 3\nboth_directions = true")
     assert six.setups["cup"].sigma[0] == pytest.approx(
         once.setups["cup"].sigma[0] / np.sqrt(6)
@@ -57,7 +57,7 @@ def test_the_mean_of_six_passes_has_less_noise_and_takes_six_times_as_long() -> 
     assert (seconds[1] - mounting) == pytest.approx(6 * (seconds[0] - mounting))
 
 
-def test_separate_passes_hold_what_their_mean_holds() -> None:
+def test_separate_passes_hold_what_their_mean_holds():
     """180 readings have the same information as 30 means of six, in runs by pass."""
     separate = resolved("repeats = 3\nboth_directions = true\naverage = false")
     mean = resolved("repeats = 3\nboth_directions = true")
@@ -78,7 +78,7 @@ def test_separate_passes_hold_what_their_mean_holds() -> None:
     assert (back == forth[::-1]).all()
 
 
-def test_runs_that_carry_their_reference_are_not_repeated() -> None:
+def test_runs_that_carry_their_reference_are_not_repeated():
     text = (
         STUDY.replace("ball_bar", "calliper")
         .replace("teach =", "# teach =")

@@ -46,15 +46,13 @@ def curves(fitted: tuple[Measurement, list[Series], Estimate]) -> list[RunCurve]
     return run_curves.fitted_curves(*fitted)
 
 
-def test_a_curve_for_each_circle(curves: list[RunCurve]) -> None:
+def test_a_curve_for_each_circle(curves):
     assert [c.run for c in curves] == ["0 mm", "100 mm", "200 mm"]
     assert {c.kind for c in curves} == {"circle"}
     assert all(np.all(np.diff(c.at) > 0.0) and len(c.at) == POINTS for c in curves)
 
 
-def test_measured_departures_are_the_oracles(
-    fitted: tuple[Measurement, list[Series], Estimate], curves: list[RunCurve]
-) -> None:
+def test_measured_departures_are_the_oracles(fitted, curves):
     """Bar length less 300 mm, along the circle."""
     y = 1e6 * (exact(fitted[1][0], TRUTH) - 0.300)
     for k, curve in enumerate(curves):
@@ -63,9 +61,7 @@ def test_measured_departures_are_the_oracles(
         assert np.sort(curve.predicted) == pytest.approx(of_run, abs=1.5)
 
 
-def test_the_compensated_head_reads_what_is_predicted(
-    fitted: tuple[Measurement, list[Series], Estimate], curves: list[RunCurve]
-) -> None:
+def test_the_compensated_head_reads_what_is_predicted(fitted, curves):
     """Figs. 8 and 9: the oracle's head, moved at the compensated joints, with a cup that
     it teaches anew, reads within the interval. x and y stay in the readings.
     """
@@ -89,9 +85,7 @@ def test_the_compensated_head_reads_what_is_predicted(
     assert inside >= 0.87 * len(y)
 
 
-def test_joints_alone_have_no_compensated_reading(
-    fitted: tuple[Measurement, list[Series], Estimate],
-) -> None:
+def test_joints_alone_have_no_compensated_reading(fitted):
     m, (series,), estimate = fitted
     recorded = m.series_from_joints("cup", series.q[:-1], list(series.run))
     curve = run_curves.fitted_curves(m, [recorded], estimate)[0]
@@ -99,7 +93,7 @@ def test_joints_alone_have_no_compensated_reading(
     assert len(curve.measured) == POINTS
 
 
-def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
+def test_the_report_draws_the_runs(curves):
     raw = sample()
     raw["estimate"]["runs"] = msgspec.to_builtins(curves)
     result = result_of(raw)
@@ -164,12 +158,8 @@ def write_readings(folder: Path, path: Path, error_um: float) -> None:
 
 @pytest.mark.parametrize(("error_um", "code"), [(0.0, 0), (28.6, 1)])
 def test_verify_compares_the_compensated_head_with_its_prediction(
-    folder: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    error_um: float,
-    code: int,
-) -> None:
+    folder, tmp_path, capsys, error_um, code
+):
     """Fig. 9: an error that the model lacks, of the paper's 28.6 um, contradicts it."""
     readings = tmp_path / "after.readings.csv"
     write_readings(folder, readings, error_um)
@@ -183,9 +173,7 @@ def test_verify_compares_the_compensated_head_with_its_prediction(
     assert error.max() == pytest.approx(error_um, abs=4.0)
 
 
-def test_verify_refuses_readings_of_a_result_without_estimate(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verify_refuses_readings_of_a_result_without_estimate(folder, tmp_path, capsys):
     readings = tmp_path / "after.readings.csv"
     write_readings(folder, readings, 0.0)
     bare = tmp_path / "bare"

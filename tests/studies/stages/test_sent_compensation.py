@@ -31,7 +31,7 @@ def spreads(**rms: float) -> dict[str, Spread]:
     return {name: Spread(value, value, value) for name, value in rms.items()}
 
 
-def test_components_count_in_units_of_their_error_with_nothing_sent() -> None:
+def test_components_count_in_units_of_their_error_with_nothing_sent():
     """(1/2)^2 + (1/2)^2 < (1/10)^2 + 1^2 < 2, though the lengths alone say otherwise."""
     before = spreads(x=100e-6, turn=1e-3, held=0.0)
     after = {
@@ -45,14 +45,14 @@ def test_components_count_in_units_of_their_error_with_nothing_sent() -> None:
     )
 
 
-def test_nothing_is_sent_where_all_is_worse() -> None:
+def test_nothing_is_sent_where_all_is_worse():
     before = spreads(x=100e-6, turn=1e-3)
     worse = {"one": spreads(x=101e-6, turn=1e-3), "other": spreads(x=1.0, turn=0.0)}
     assert least_error(before, worse, {"x", "turn"}) == CompensationName.NOTHING
     assert least_error(before, {**worse, "equal": before}, {"x", "turn"}) == "equal"
 
 
-def test_what_no_drive_corrects_does_not_decide() -> None:
+def test_what_no_drive_corrects_does_not_decide():
     """y falls to a quarter by one, x to a half by the other; y has no drive."""
     before = spreads(x=4e-6, y=100e-6)
     after = {"y": spreads(x=4e-6, y=25e-6), "x": spreads(x=2e-6, y=100e-6)}
@@ -78,7 +78,7 @@ def score(section: MixtureSection, name: str) -> float:
     )
 
 
-def test_all_candidates_are_judged_and_the_least_is_sent(case: Case) -> None:
+def test_all_candidates_are_judged_and_the_least_is_sent(case):
     mean = case.mixture.mean
     section = section_of(case, case.answers[0].mean, case.answers[1].mean)
     names = [choice.name for choice in section.choices]
@@ -95,9 +95,7 @@ def test_all_candidates_are_judged_and_the_least_is_sent(case: Case) -> None:
     assert len(section.controller) <= len(mean)
 
 
-def test_a_shift_that_is_worse_than_the_plain_fit_is_not_sent(
-    case: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shift_that_is_worse_than_the_plain_fit_is_not_sent(case, monkeypatch):
     """As from states that no machine is in: parameters far off what the readings say."""
 
     def far(known: knowledge.ParameterKnowledge, *given: object) -> object:
@@ -118,7 +116,7 @@ def test_a_shift_that_is_worse_than_the_plain_fit_is_not_sent(
     assert "with nothing corrected" in hopeless.words[-1]
 
 
-def test_a_result_whose_best_is_nothing_is_objected_to() -> None:
+def test_a_result_whose_best_is_nothing_is_objected_to():
     result = report_fixture.result_of(whole())
     assert result.gap.mixture is not None
     mixture = msgspec.structs.replace(result.gap.mixture, sent=CompensationName.NOTHING)
@@ -132,7 +130,7 @@ def test_a_result_whose_best_is_nothing_is_objected_to() -> None:
     assert "no correction" in objection
 
 
-def test_every_section_says_what_a_controller_gets() -> None:
+def test_every_section_says_what_a_controller_gets():
     """After a correction by name: those of its `controller` for geometry alone."""
     result = report_fixture.result_of(whole())
     result = msgspec.structs.replace(result, gap=None)
@@ -146,7 +144,7 @@ def test_every_section_says_what_a_controller_gets() -> None:
     assert with_effects[at] == pytest.approx(own)
 
 
-def test_effects_are_corrected_only_where_that_is_better() -> None:
+def test_effects_are_corrected_only_where_that_is_better():
     result = report_fixture.result_of(whole())
     assert result.corrects_effects
     assert result.gap.mixture is not None

@@ -36,7 +36,7 @@ def written(folder: Path, states: str, allowed: str = ALLOWED) -> Path:
     return file
 
 
-def test_states_are_read_with_their_units(tmp_path: Path) -> None:
+def test_states_are_read_with_their_units(tmp_path):
     states = "{ payload_N = [0, 500], temp_leg1_C = 30, direction = [-1, 1] }"
     resolved = resolve(Study.load(written(tmp_path, states)), readings=[])
     values = resolved.prediction.states
@@ -57,12 +57,12 @@ def test_states_are_read_with_their_units(tmp_path: Path) -> None:
         ("{ feed_mm_min = -1 }", "at least 0"),
     ],
 )
-def test_what_is_no_state_is_refused(tmp_path: Path, states: str, words: str) -> None:
+def test_what_is_no_state_is_refused(tmp_path, states, words):
     with pytest.raises(InputError, match=words):
         resolve(Study.load(written(tmp_path, states)), readings=[])
 
 
-def test_states_beyond_the_readings_are_said_to_be() -> None:
+def test_states_beyond_the_readings_are_said_to_be():
     """Recorded: 0 and 100 N, 293 to 296 K; what lies inside is no extrapolation."""
     rows = pd.DataFrame(
         {"payload": [0.0, 100.0, np.nan], "temp_leg1": [20.0, 23.0, 22.0]}
@@ -75,16 +75,14 @@ def test_states_beyond_the_readings_are_said_to_be() -> None:
     assert not extrapolated_states(used, rows)
 
 
-def test_states_need_effects(tmp_path: Path) -> None:
+def test_states_need_effects(tmp_path):
     """Where the study keeps the geometry alone."""
     bare = '[identify]\neffects = "none"\n'
     with pytest.raises(InputError, match="only effects differ"):
         resolve(Study.load(written(tmp_path, "{ payload_N = 1 }", bare)), readings=[])
 
 
-def test_a_state_that_no_reading_recorded_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_state_that_no_reading_recorded_is_refused(tmp_path, capsys):
     study, readings = bad_fit_sample.write(tmp_path, bar_readings.a3_readings(0))
     text = study.read_text().replace(
         "[prediction]\n", "[prediction]\nstates = { temp_frame_C = [18, 26] }\n"
@@ -98,7 +96,7 @@ def test_a_state_that_no_reading_recorded_is_refused(
     assert "record it in the readings" in message
 
 
-def test_recorded_states_are_the_default() -> None:
+def test_recorded_states_are_the_default():
     """Two directions and payloads as they are, a leg cold and warm, no bar."""
     rows = pd.DataFrame(
         {

@@ -25,7 +25,7 @@ from pkm_studies.results import load_result
         pytest.param("G", marks=pytest.mark.slow),
     ],
 )
-def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
+def test_no_subset_is_better_nor_above_the_bound(name):
     resolved, design = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
     h = rows(resolved)
     best = max(
@@ -46,7 +46,7 @@ def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["E", "O3", "O4"])
-def test_eigenvalues_without_tolerances(name: str) -> None:
+def test_eigenvalues_without_tolerances(name):
     """18 of 20 readings, over the directions that all of them see."""
     tables = (
         GRID.format(name="cup")
@@ -74,7 +74,7 @@ def test_eigenvalues_without_tolerances(name: str) -> None:
     assert "directions that the candidates see" in section(resolved, design).words
 
 
-def test_compound_is_the_mean_of_logarithms() -> None:
+def test_compound_is_the_mean_of_logarithms():
     resolved, design = chosen(text("compound = { D = 3.0, A = 1.0 }\n" + KNOWN))
     h = rows(resolved)
 
@@ -87,7 +87,7 @@ def test_compound_is_the_mean_of_logarithms() -> None:
     assert section(resolved, design).compound == {"D": 3.0, "A": 1.0}
 
 
-def test_compared_designs_score_each_other() -> None:
+def test_compared_designs_score_each_other():
     resolved, design = chosen(
         text('criterion = "D"\ncompare = ["A", "c"]\n' + KNOWN + EXTRA)
     )
@@ -104,7 +104,7 @@ def test_compared_designs_score_each_other() -> None:
         )
 
 
-def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
+def test_predicted_accuracy_is_that_of_the_prediction(tmp_path):
     reference = (
         GRID.format(name="cup")
         .replace("candidates", "reference")
@@ -130,7 +130,7 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
 # -- instruments -----------------------------------------------------------------------
 
 
-def test_readings_that_share_a_reference() -> None:
+def test_readings_that_share_a_reference():
     """Readings against one reference are correlated, and so is their identifiability."""
     planar = (
         'schema = 1\nname = "small"\nmachine = { model = "planar_2dof"'
@@ -161,7 +161,7 @@ def test_readings_that_share_a_reference() -> None:
         )
 
 
-def test_instruments_with_different_channels() -> None:
+def test_instruments_with_different_channels():
     tracker = '[[setup]]\nname = "tracker"\ninstrument = "pose_tracker"\n'
     resolved, design = chosen(
         text(KNOWN, tables=GRID.format(name="cup") + TRACKED, setups=CUP + tracker)
@@ -223,7 +223,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_refused_with_field_and_remedy(name: str) -> None:
+def test_refused_with_field_and_remedy(name):
     fields, field, words = REFUSED[name]
     with pytest.raises(InputError) as error:
         sample.resolved(text(fields + "\n"))
@@ -244,18 +244,14 @@ def test_refused_with_field_and_remedy(name: str) -> None:
         ),
     ],
 )
-def test_a_plan_that_does_not_exist_is_refused(
-    fields: str, field: str, words: str
-) -> None:
+def test_a_plan_that_does_not_exist_is_refused(fields, field, words):
     with pytest.raises(InputError) as error:
         chosen(text(fields + "\n"))
     assert error.value.field == field, str(error.value)
     assert words in str(error.value)
 
 
-def test_a_run_realises_what_it_predicts_and_names_the_widest_directions(
-    tmp_path: Path,
-) -> None:
+def test_a_run_realises_what_it_predicts_and_names_the_widest_directions(tmp_path):
     """Terms of a direction are shares of a unit vector, per prior standard deviation."""
     path = tmp_path / "s.study.toml"
     tables = (

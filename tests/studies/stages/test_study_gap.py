@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import gap_fixture
@@ -19,9 +19,6 @@ from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import GapRequest
 from pkm_studies.study import Study
-
-Run = Callable[..., tuple[int, str, str]]
-
 
 #: the small study with half of its readings, where their number does not matter
 FEW = sample.changed(gap_fixture.STUDY, ("count = 24", "count = 12"))
@@ -91,7 +88,7 @@ def virtual(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
 # -- the table ----------------------------------------------------------------------
 
 
-def test_all_known_effects_are_tried_but_those_left_out() -> None:
+def test_all_known_effects_are_tried_but_those_left_out():
     names = {e.name for e in sample.resolved(sample.STUDY + "[gap]\n").gap.effects}
     assert {"gravity", "backlash", "leg_thermal"} <= names
     without = sample.resolved(sample.STUDY + '[gap]\nwithout = ["gravity"]\n').gap
@@ -99,7 +96,7 @@ def test_all_known_effects_are_tried_but_those_left_out() -> None:
     assert sample.resolved().gap is None
 
 
-def test_a_user_s_effect_replaces_one_of_the_library(tmp_path: Path) -> None:
+def test_a_user_s_effect_replaces_one_of_the_library(tmp_path):
     path = gap_fixture.written(
         tmp_path, sample.STUDY + '[gap]\neffects = ["all", "effects.py:backlash"]\n'
     )
@@ -151,7 +148,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("case", MISTAKES)
-def test_a_mistake_is_refused_with_field_and_remedy(case: str) -> None:
+def test_a_mistake_is_refused_with_field_and_remedy(case):
     text, field, remedy = MISTAKES[case]
     with pytest.raises(InputError) as error:
         sample.resolved(sample.STUDY + text + "\n")
@@ -163,7 +160,7 @@ def test_a_mistake_is_refused_with_field_and_remedy(case: str) -> None:
 
 
 @pytest.mark.usefixtures("without_mixture")
-def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
+def test_the_command_diagnoses_readings(oed, tmp_path):
     study = gap_fixture.written(tmp_path, gap_fixture.STUDY + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     code, out, err = oed("diagnose", study, "--readings", "r.csv", "--out", "out")
@@ -191,7 +188,7 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
     assert decoded["prediction"] is None
 
 
-def test_claims_can_point_into_the_diagnosis(virtual: Diagnosed) -> None:
+def test_claims_can_point_into_the_diagnosis(virtual):
     assert virtual.code == 1
     assert (
         virtual.err
@@ -200,7 +197,7 @@ def test_claims_can_point_into_the_diagnosis(virtual: Diagnosed) -> None:
     )
 
 
-def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
+def test_nothing_to_diagnose(oed, tmp_path):
     text = sample.changed(
         gap_fixture.STUDY, ("[readings]\nsimulate = true\ndraw = true\n", "")
     )
@@ -212,9 +209,7 @@ def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_mixture")
-def test_a_study_without_a_table_is_diagnosed_with_all_effects(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_a_study_without_a_table_is_diagnosed_with_all_effects(oed, tmp_path):
     study = gap_fixture.written(tmp_path, FEW[: FEW.index("[gap]")] + PREDICTION)
     assert oed("diagnose", study, "--out", "x", "--quiet")[0] == 0
     decoded = json.loads((tmp_path / "x/result.json").read_text())
@@ -247,9 +242,7 @@ def _two_sessions(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_mixture")
-def test_two_sessions_together_are_as_one_file_of_both(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_two_sessions_together_are_as_one_file_of_both(oed, tmp_path):
     """And a third session finds both in the second's folder."""
     study = gap_fixture.written(tmp_path, FEW + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
@@ -277,9 +270,7 @@ def test_two_sessions_together_are_as_one_file_of_both(
         assert stored.read_bytes() == (tmp_path / f"s{number}.csv").read_bytes()
 
 
-def test_a_second_session_needs_readings_and_a_first_one(
-    oed: Run, virtual: Diagnosed
-) -> None:
+def test_a_second_session_needs_readings_and_a_first_one(oed, virtual):
     study, earlier = virtual.study, virtual.folder
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     code, _, err = oed("diagnose", study, "--out", "x", "--after", earlier)

@@ -72,9 +72,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]
     return json.loads((out / "result.json").read_text()), out
 
 
-def test_chosen_runs_separate_what_the_published_ones_cannot(
-    ran: tuple[dict[str, Any], Path],
-) -> None:
+def test_chosen_runs_separate_what_the_published_ones_cannot(ran):
     chosen = ran[0]["gap_before"]["chosen"]
     assert chosen["candidates"] == 8
     assert len(chosen["runs"]) == 4
@@ -88,7 +86,7 @@ def test_chosen_runs_separate_what_the_published_ones_cannot(
     assert "4 of 8 candidate runs" in ran[0]["headline"][0]
 
 
-def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
+def test_the_table_is_the_kernels(ran):
     table = ran[0]["gap_before"]["table"]
     resolved = resolve(study.Study.parse(STUDY, HERE))
     published = resolved.reference_plans[0].series[0]
@@ -121,9 +119,7 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     assert "direction" in rows["backlash"]["not_testable"]
 
 
-def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
-    ran: tuple[dict[str, Any], Path], tmp_path: Path
-) -> None:
+def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(ran, tmp_path):
     text = (ran[1] / "gap_poses.csv").read_text()
     lines = table_lines(text)
     header = lines[0].split(",")
@@ -141,7 +137,7 @@ def test_poses_of_the_chosen_runs_can_be_filled_in_and_read(
     assert (np.diff(psi) < 0).sum() >= 10
 
 
-def test_a_retained_plan_is_part_of_the_choice() -> None:
+def test_a_retained_plan_is_part_of_the_choice():
     changes = (
         ('candidates = ["circles"]', 'candidates = ["circles"]\nkeep = "published"'),
         ("runs = 4", "runs = 2"),
@@ -152,7 +148,7 @@ def test_a_retained_plan_is_part_of_the_choice() -> None:
     assert request.rules.setups.mounted == (0,)
 
 
-def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
+def test_runs_at_stated_times_do_not_overlap(tmp_path):
     times = (
         "conditions = [{ payload_N = 0, start_min = 0 }, { payload_N = 200, start_min ="
         " 0.5 }, { start_min = 9 }]"
@@ -195,14 +191,12 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_done_is_refused_before_anything_runs(
-    old: str, new: str, words: str
-) -> None:
+def test_what_cannot_be_done_is_refused_before_anything_runs(old, new, words):
     with pytest.raises(InputError, match=re.escape(words)):
         resolve(study.Study.parse(changed(STUDY, (old, new)), HERE))
 
 
-def test_effects_that_no_candidate_can_test_are_refused(tmp_path: Path) -> None:
+def test_effects_that_no_candidate_can_test_are_refused(tmp_path):
     text = STUDY.replace(
         'find = ["gravity", "encoder_scale"]', 'find = ["gravity", "servo_lag"]'
     )
@@ -214,9 +208,7 @@ def test_effects_that_no_candidate_can_test_are_refused(tmp_path: Path) -> None:
         stages.run_study(study.Study.load(path), tmp_path / "out", report=False)
 
 
-def test_the_chapter_states_runs_pairs_and_sizes(
-    ran: tuple[dict[str, Any], Path],
-) -> None:
+def test_the_chapter_states_runs_pairs_and_sizes(ran):
     raw = report_fixture.bare() | {"gap_before": ran[0]["gap_before"]}
     result = report_fixture.result_of(raw)
     assert "gap-before" in [c.anchor for c in sections.chapters(result)]
@@ -229,9 +221,7 @@ def test_the_chapter_states_runs_pairs_and_sizes(
     assert "Backlash: the readings do not have direction: both." in shown
 
 
-def test_the_matrix_shows_every_pair_and_stays_within_its_frame(
-    ran: tuple[dict[str, Any], Path],
-) -> None:
+def test_the_matrix_shows_every_pair_and_stays_within_its_frame(ran):
     stored = ran[0]["gap_before"]["chosen"]["table"]
     table = msgspec.convert(stored, DetectabilityTable)
     with style.applied():

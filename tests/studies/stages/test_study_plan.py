@@ -95,7 +95,7 @@ def every_choice(budget: float) -> list[tuple[float, dict[str, float]]]:
     return choices
 
 
-def test_no_choice_of_lines_is_better_nor_below_the_bound(plan: PlanSection) -> None:
+def test_no_choice_of_lines_is_better_nor_below_the_bound(plan):
     best, accuracy = min(every_choice(110.0 * 60.0), key=lambda choice: choice[0])
     # linearisation residual and drawn machines aside
     assert plan.value == pytest.approx(best, rel=0.02)
@@ -106,7 +106,7 @@ def test_no_choice_of_lines_is_better_nor_below_the_bound(plan: PlanSection) -> 
     assert plan.loss == pytest.approx(plan.value / plan.bound - 1.0)
 
 
-def test_stages_follow_each_other_and_report_what_they_leave(plan: PlanSection) -> None:
+def test_stages_follow_each_other_and_report_what_they_leave(plan):
     first, last = plan.stages
     assert first.begin_min == 0.0
     assert last.begin_min == first.end_min
@@ -125,7 +125,7 @@ def test_stages_follow_each_other_and_report_what_they_leave(plan: PlanSection) 
     assert plan.stop
 
 
-def test_sequences_stand_beside_the_plan_of_their_time(plan: PlanSection) -> None:
+def test_sequences_stand_beside_the_plan_of_their_time(plan):
     alone = next(c for c in plan.compared if c.name == "RM 5")
     assert alone.rank == 6
     assert alone.sequence.names == ["RM 5"]
@@ -144,7 +144,7 @@ def csv_rows(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(table_lines(path.read_text(encoding="utf-8"))))
 
 
-def test_files_hold_the_stages_and_their_poses(plan: PlanSection, folder: Path) -> None:
+def test_files_hold_the_stages_and_their_poses(plan, folder):
     rows = csv_rows(folder / "plan.csv")
     assert [r["measurement"] for r in rows] == [s.measurement for s in plan.stages]
     assert float(rows[-1]["end_min"]) == pytest.approx(plan.cost, abs=0.06)
@@ -160,7 +160,7 @@ def test_files_hold_the_stages_and_their_poses(plan: PlanSection, folder: Path) 
     assert {pose["dy_mm"] for pose in poses if pose["order"] != "1"} <= {""}
 
 
-def test_an_old_plan_can_still_be_read() -> None:
+def test_an_old_plan_can_still_be_read():
     old = {"stages": [], "cost": 3.0, "alternatives": ["paper"]}
     assert msgspec.convert(old, PlanSection).alternatives == ["paper"]
     alternative = {
@@ -174,9 +174,7 @@ def test_an_old_plan_can_still_be_read() -> None:
     assert isinstance(newer.alternatives[0], AlternativePlan)
 
 
-def test_a_target_accuracy_takes_the_least_time(
-    plan: PlanSection, tmp_path: Path
-) -> None:
+def test_a_target_accuracy_takes_the_least_time(plan, tmp_path):
     targets = {k: 1.5 * v for k, v in plan.accuracy.items()}
     table = ", ".join(f"{k} = {v}" for k, v in targets.items())
     text = changed(STUDY, ("stages = 2\n", f"stages = 2\nwanted = {{ {table} }}\n"))
@@ -187,9 +185,7 @@ def test_a_target_accuracy_takes_the_least_time(
     assert shorter.needs == []
 
 
-def test_a_target_out_of_reach_is_reported_and_no_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_target_out_of_reach_is_reported_and_no_error(tmp_path, capsys):
     path = tmp_path / "far.study.toml"
     text = changed(STUDY, ("stages = 2\n", "stages = 2\nwanted = { y_um = 0.001 }\n"))
     path.write_text(text, encoding="utf-8")
@@ -222,7 +218,7 @@ def run_session(text: str, posterior: str, out: Path) -> StudyResult:
     return stages.run_study(study.Study.parse(session, HERE), out, report=False)
 
 
-def test_further_stages_are_planned_after_a_session(tmp_path: Path) -> None:
+def test_further_stages_are_planned_after_a_session(tmp_path):
     """RM 4 read and identified: its measurement is done and its time spent.
 
     The machine is known as well as the session left it.
@@ -253,7 +249,7 @@ def posterior_draws(folder: Path, wanted: tuple[str, ...]) -> np.ndarray:
         return np.asarray(data["theta"].values).reshape(-1, len(names))[:, columns]
 
 
-def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
+def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path):
     """RM 4 identified with draws: the next plan and its machines begin there."""
     text = changed(STUDY, (SEQUENCES, "virtual_machines = 60\n"))
     first = tmp_path / "first"
@@ -286,7 +282,7 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
     assert all(0.75 < v < 1.3 for v in only.realised.values()), only.realised
 
 
-def test_how_much_better_is_a_share_or_a_factor() -> None:
+def test_how_much_better_is_a_share_or_a_factor():
     assert loss_bound_text(0.05) == "5.0 % better"
     assert loss_bound_text(10.44) == "11.4 times as accurate"
     assert more_accurate(1.19, 1.0) == "19 % more accurate"
@@ -316,21 +312,19 @@ def test_how_much_better_is_a_share_or_a_factor() -> None:
         (('name = "RM 5"', 'name = "RM 4"'), "plan.measurement[2].name"),
     ],
 )
-def test_what_cannot_be_planned_is_refused_by_field(
-    change: tuple[str, str], field: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_planned_is_refused_by_field(change, field, tmp_path):
     with pytest.raises(InputError) as caught:
         planned(changed(STUDY, change), tmp_path)
     assert field in str(caught.value)
 
 
-def test_a_plan_needs_a_workspace(tmp_path: Path) -> None:
+def test_a_plan_needs_a_workspace(tmp_path):
     text = STUDY[: STUDY.index("[prediction]")]
     with pytest.raises(InputError, match="add a \\[prediction\\] table"):
         planned(text, tmp_path)
 
 
-def test_what_linearisation_leaves_is_the_largest_of_the_lengths() -> None:
+def test_what_linearisation_leaves_is_the_largest_of_the_lengths():
     """A set-up that reads a length and an angle, and one that reads angles alone."""
 
     def setup(*units: str) -> Fake:

@@ -65,7 +65,7 @@ def added_seconds(chosen: ChosenRuns) -> float:
     return sum(run.seconds for run in new_runs(chosen))
 
 
-def test_the_cause_takes_its_time_from_the_plan(tmp_path: Path) -> None:
+def test_the_cause_takes_its_time_from_the_plan(tmp_path):
     result = planned(STUDY, tmp_path)
     plan, chosen = result.plan, result.gap_before.chosen
     assert plan.budget_min == pytest.approx(120.0)
@@ -80,7 +80,7 @@ def test_the_cause_takes_its_time_from_the_plan(tmp_path: Path) -> None:
     assert (tmp_path / "gap_poses.csv").is_file()
 
 
-def test_the_cause_has_the_time_that_the_plan_does_not_take(tmp_path: Path) -> None:
+def test_the_cause_has_the_time_that_the_plan_does_not_take(tmp_path):
     result = planned(changed(STUDY, ("budget_min = 30.0\n", "")), tmp_path)
     plan, chosen = result.plan, result.gap_before.chosen
     assert plan.budget_min == pytest.approx(150.0)
@@ -98,15 +98,13 @@ def test_the_cause_has_the_time_that_the_plan_does_not_take(tmp_path: Path) -> N
         ),
     ],
 )
-def test_too_little_time_is_refused(
-    tmp_path: Path, change: tuple[str, str], message: str
-) -> None:
+def test_too_little_time_is_refused(tmp_path, change, message):
     with pytest.raises(InputError) as error:
         planned(changed(STUDY, change), tmp_path)
     assert message in str(error.value)
 
 
-def test_a_plan_that_the_study_does_not_request_is_not_retained(tmp_path: Path) -> None:
+def test_a_plan_that_the_study_does_not_request_is_not_retained(tmp_path):
     text = STUDY[: STUDY.index("[plan]")] + STUDY[STUDY.index("[[design.reference]]") :]
     with pytest.raises(InputError) as error:
         resolve(study.Study.parse(text, tmp_path / "both.study.toml"))

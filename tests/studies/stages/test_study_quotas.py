@@ -4,7 +4,6 @@ Plans are compared with every subset of eight candidates.
 """
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,7 +50,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "numbers"), CASES)
-def test_the_best_plan_under_a_quota(name: str, numbers: str) -> None:
+def test_the_best_plan_under_a_quota(name, numbers):
     """At most one, at least two, or all three readings above z = 1.2 m."""
     tables = GRID.format(name="cup") + HIGH + numbers + "\n"
     resolved, design = chosen(
@@ -75,7 +74,7 @@ def test_the_best_plan_under_a_quota(name: str, numbers: str) -> None:
     assert made.efficiency is not None
 
 
-def test_equal_numbers_a_setup() -> None:
+def test_equal_numbers_a_setup():
     resolved, design = chosen(
         text('equal = "setup"\n' + KNOWN, tables=GRIDS, setups=THREE, workspace="")
     )
@@ -88,7 +87,7 @@ def test_equal_numbers_a_setup() -> None:
     assert section(resolved, design).n == 3
 
 
-def test_runs_and_setups_select_candidates() -> None:
+def test_runs_and_setups_select_candidates():
     """Runs at two heights: two readings of the lower one, by its label."""
     tables = GRID.format(name="cup") + 'runs_by = "z"\n'
     tables += (
@@ -99,7 +98,7 @@ def test_runs_and_setups_select_candidates() -> None:
     assert low[design.choice.indices].sum() == 2
 
 
-def test_whole_runs_are_counted_as_one() -> None:
+def test_whole_runs_are_counted_as_one():
     """Two of four circles, at most one of the upper two."""
     grid = GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1246]")
     tables = grid + 'runs_by = "z"\n' + HIGH + "max = 1\n"
@@ -111,7 +110,7 @@ def test_whole_runs_are_counted_as_one() -> None:
     assert len(heights(resolved)) == 16
 
 
-def test_a_study_with_quotas_runs_end_to_end(tmp_path: Path) -> None:
+def test_a_study_with_quotas_runs_end_to_end(tmp_path):
     """The command's result: poses keep the quota, the certificate is against its bound."""
     file = tmp_path / "quota.study.toml"
     tables = GRID.format(name="cup") + HIGH + "max = 1\n"
@@ -172,7 +171,7 @@ CONTRADICTION = (
         (KNOWN + 'equal = "run"\n', HIGH + "max = 1\n", ""),
     ],
 )
-def test_impossible_quotas_are_refused(design: str, quotas: str, message: str) -> None:
+def test_impossible_quotas_are_refused(design, quotas, message):
     tables = GRID.format(name="cup") + quotas
     if not message:  # one run: equal numbers are no rule
         assert chosen(text(design, tables=tables))
@@ -181,7 +180,7 @@ def test_impossible_quotas_are_refused(design: str, quotas: str, message: str) -
         chosen(text(design, tables=tables))
 
 
-def test_readings_that_cannot_be_shared_equally_are_refused() -> None:
+def test_readings_that_cannot_be_shared_equally_are_refused():
     plan = KNOWN.replace("3", "4") + 'equal = "setup"\n'
     with pytest.raises(
         InputError, match=r'equal = "setup": 4 cannot .* ask for 3 or 6'
@@ -193,7 +192,7 @@ def test_readings_that_cannot_be_shared_equally_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["D", "O5"])
-def test_branching_proves_the_best_plan(name: str) -> None:
+def test_branching_proves_the_best_plan(name):
     resolved, design = chosen(
         text(f'criterion = "{name}"\nbranch_nodes = 500\n' + KNOWN + EXTRA)
     )
@@ -216,9 +215,7 @@ def test_branching_proves_the_best_plan(name: str) -> None:
         ("robust = {}\n", "", "does not know the rule robust"),
     ],
 )
-def test_branching_is_refused_where_it_does_not_apply(
-    design: str, tables: str, message: str
-) -> None:
+def test_branching_is_refused_where_it_does_not_apply(design, tables, message):
     plan = design + "branch_nodes = 5\n" + KNOWN
     with pytest.raises(InputError, match=message):
         chosen(text(plan, tables=GRID.format(name="cup") + tables))

@@ -1,7 +1,6 @@
 """Weights in a study: D, A and E by each solver, against cvxpy's own atoms; refusals."""
 
 import sys
-from pathlib import Path
 
 import pytest
 from design_sample import KNOWN, chosen, text
@@ -11,7 +10,7 @@ from pkm_studies.base import InputError
 
 
 @pytest.mark.parametrize("solver", ["built_in", "clarabel"])
-def test_a_study_with_weights_runs(solver: str, tmp_path: Path) -> None:
+def test_a_study_with_weights_runs(solver, tmp_path):
     """Weights are the kernel's (tests/oed/design/test_relaxation.py); the largest are read."""
     path = tmp_path / "weights.study.toml"
     fields = f'criterion = "D"\nmethod = "relaxed"\nsolver = "{solver}"\n'
@@ -33,18 +32,14 @@ def test_a_study_with_weights_runs(solver: str, tmp_path: Path) -> None:
         ('solver = "scs"\n', "solver", 'method = "relaxed"'),
     ],
 )
-def test_what_weights_do_not_go_with_is_refused(
-    design: str, field: str, words: str
-) -> None:
+def test_what_weights_do_not_go_with_is_refused(design, field, words):
     with pytest.raises(InputError) as error:
         chosen(text(design + KNOWN))
     assert f"design.{field}" in str(error.value)
     assert words in str(error.value)
 
 
-def test_a_solver_that_is_not_installed_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_solver_that_is_not_installed_is_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "scs", None)
     with pytest.raises(InputError, match=r"pip install pkm-oed\[scs\]"):
         chosen(text('method = "relaxed"\nsolver = "scs"\n' + KNOWN))

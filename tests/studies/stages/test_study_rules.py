@@ -27,7 +27,7 @@ from pkm_studies.base import InputError
 # -- rules -----------------------------------------------------------------------------
 
 
-def test_the_best_two_of_three_setups() -> None:
+def test_the_best_two_of_three_setups():
     resolved, design = chosen(
         text(
             KNOWN.replace("3", "4") + "setups_max = 2\n",
@@ -49,7 +49,7 @@ def test_the_best_two_of_three_setups() -> None:
     assert section(resolved, design).setups == design.order.setups
 
 
-def test_a_budget_is_respected_and_used() -> None:
+def test_a_budget_is_respected_and_used():
     resolved, design = chosen(
         text(
             'scaling = "tolerance"\nprior = true\nbudget_min = 31\n',
@@ -66,7 +66,7 @@ def test_a_budget_is_respected_and_used() -> None:
     assert sum(map(len, fewer.series)) == 3
 
 
-def test_readings_keep_their_distance() -> None:
+def test_readings_keep_their_distance():
     _, design = chosen(text(KNOWN + "apart = { z_mm = 320, psi_deg = 110 }\n"))
     command = np.vstack([s.reading_commands() for s in design.series])[:, :2] / [
         0.32,
@@ -94,7 +94,7 @@ def test_readings_keep_their_distance() -> None:
     )
 
 
-def test_whole_circles() -> None:
+def test_whole_circles():
     tables = (
         GRID.format(name="cup").replace("[1086, 1246]", "[1086, 1146, 1206, 1246]")
         + 'runs_by = "z"\n'
@@ -123,7 +123,7 @@ RETAINED = (
 )
 
 
-def test_a_plan_is_added_to() -> None:
+def test_a_plan_is_added_to():
     """The best three, added to eight retained ones."""
     tables = GRID.format(name="cup").replace("1086", "1106") + RETAINED
     resolved, design = chosen(text(KNOWN + 'keep = "before"\n', tables=tables))
@@ -140,7 +140,7 @@ def test_a_plan_is_added_to() -> None:
     assert "added to 8 retained readings" in report.words
 
 
-def test_a_set_up_of_retained_readings_is_mounted_already() -> None:
+def test_a_set_up_of_retained_readings_is_mounted_already():
     """One of two further set-ups, besides the one with retained readings."""
     tables = GRIDS + GRID.format(name="low").replace("candidates", "reference").replace(
         '"low"', '"low"\nname = "before"'
@@ -163,7 +163,7 @@ def test_a_set_up_of_retained_readings_is_mounted_already() -> None:
     assert set(design.order.setups) == {"low"} | set(owner[design.choice.indices])
 
 
-def test_readings_of_a_file_are_retained(tmp_path: Path) -> None:
+def test_readings_of_a_file_are_retained(tmp_path):
     resolved, first = chosen(text(KNOWN))
     y = resolved.measurement.readings(first.series, resolved.measurement.nominal)
     readings = dataset.from_series(first.series, y, resolved.measurement)
@@ -174,7 +174,7 @@ def test_readings_of_a_file_are_retained(tmp_path: Path) -> None:
     assert second.choice.value > first.choice.value + 1.0
 
 
-def test_limits_are_counted_in_words() -> None:
+def test_limits_are_counted_in_words():
     limits = """
 [design.limits]
 joints = { q1_mm = { from = 380, to = 800 } }
@@ -198,7 +198,7 @@ cup_cone = { axis = [0, 0, -1], half_angle_deg = 60 }
     assert any("leave the cone at the cup" in w for w in resolved.warnings)
 
 
-def test_a_sphere_in_the_way_and_an_unlikely_travel() -> None:
+def test_a_sphere_in_the_way_and_an_unlikely_travel():
     obstacle = (
         "\n[design.limits]\nspheres = [{ at_mm = [90, 80, 1180], radius_mm = 20"
         " }]\nbar_mm = 5\nmargin_mm = 15\n"
@@ -232,7 +232,7 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel() -> None:
         pytest.param("c", marks=pytest.mark.slow),
     ],
 )
-def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -> None:
+def test_polished_poses_are_better_and_on_hold(criterion, tmp_path):
     polish = (
         "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"
     )
@@ -262,9 +262,7 @@ def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -
     )
 
 
-def test_the_order_is_short_and_the_reference_comes_often_enough(
-    tmp_path: Path,
-) -> None:
+def test_the_order_is_short_and_the_reference_comes_often_enough(tmp_path):
     order = """
 [design.order]
 speed_mm_s = 2.0

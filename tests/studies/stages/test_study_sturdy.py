@@ -40,9 +40,7 @@ def best_accuracy(
     return dict(zip(maps.names, np.sqrt(variance), strict=True))
 
 
-def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound() -> (
-    None
-):
+def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound():
     resolved, design = small.chosen(small.text(ROBUST))
     robust = design.robust
     assert len(robust.values) == 6
@@ -63,7 +61,7 @@ def test_a_robust_plan_is_never_worse_than_the_nominal_one_and_below_its_bound()
     )
 
 
-def test_accuracy_against_the_number_of_readings() -> None:
+def test_accuracy_against_the_number_of_readings():
     """No pair of readings is more accurate than the bound, and the curve falls."""
     resolved, design = small.chosen(small.text(MANY))
     curve = design.how_many
@@ -78,7 +76,7 @@ def test_accuracy_against_the_number_of_readings() -> None:
 
 
 @pytest.mark.slow
-def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
+def test_the_fewest_readings_for_a_wanted_accuracy():
     resolved, design = small.chosen(small.text(MANY))
     best = {n: best_accuracy(resolved, design, n)["z"] for n in (3, 4)}
     wanted = 1e6 * 0.5 * (best[3] + best[4])  # four can, three cannot
@@ -106,6 +104,6 @@ def test_the_fewest_readings_for_a_wanted_accuracy() -> None:
         (small.KNOWN + 'robust = { risk = "hope" }\n', "risk"),
     ],
 )
-def test_what_cannot_be_computed_is_refused(design: str, words: str) -> None:
+def test_what_cannot_be_computed_is_refused(design, words):
     with pytest.raises(InputError, match=words):
         small.chosen(small.text(design))

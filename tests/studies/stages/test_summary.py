@@ -1,6 +1,5 @@
 """A summary on the terminal has few lines, and hides nothing that a user must see."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,7 +45,7 @@ def held_out(channel: str, verdict: str) -> dict[str, Any]:
     }
 
 
-def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path: Path) -> None:
+def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path):
     result = sample(claims=[MET, UNMET], warnings=[WARNING])
     (tmp_path / "report.html").touch()
     short = headline.lines(result, tmp_path, verbose=False)
@@ -57,7 +56,7 @@ def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path: Path) ->
     assert short[-1].startswith("Claims: 1 of 2 met. --verbose prints every sentence")
 
 
-def test_verbose_prints_every_sentence(tmp_path: Path) -> None:
+def test_verbose_prints_every_sentence(tmp_path):
     result = sample(claims=[MET])
     short = headline.lines(result, tmp_path, verbose=False)
     full = headline.lines(result, tmp_path, verbose=True)
@@ -66,7 +65,7 @@ def test_verbose_prints_every_sentence(tmp_path: Path) -> None:
     assert not set(result.headline) <= set(short)
 
 
-def test_a_contradiction_is_never_summed_up(tmp_path: Path) -> None:
+def test_a_contradiction_is_never_summed_up(tmp_path):
     sections = [held_out("x", "confirms"), held_out("y", "contradicts")]
     result = sample(held_out=sections)
     short = headline.lines(result, tmp_path, verbose=False)
@@ -76,7 +75,7 @@ def test_a_contradiction_is_never_summed_up(tmp_path: Path) -> None:
     assert "agree with the fit in 1 of 2 channels, in 1 better than with" in line
 
 
-def test_readings_that_agree_do_not_read_as_a_failure(tmp_path: Path) -> None:
+def test_readings_that_agree_do_not_read_as_a_failure(tmp_path):
     sections = [held_out(name, "agrees") for name in "xyzu"]
     lines = headline.lines(sample(held_out=sections), tmp_path, verbose=False)
     (line,) = [line for line in lines if "Held-out readings" in line]
@@ -86,7 +85,7 @@ def test_readings_that_agree_do_not_read_as_a_failure(tmp_path: Path) -> None:
     assert line.count("%") == 2  # one share, for all have the same, of 95 %
 
 
-def test_stages_of_a_plan_are_rows_with_a_column_for_each_accuracy() -> None:
+def test_stages_of_a_plan_are_rows_with_a_column_for_each_accuracy():
     raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
     plan = report_fixture.result_of(raw).plan
     printed = display.plan_lines(plan, verbose=False)
@@ -111,7 +110,7 @@ def table_of(blocks: list[Block], caption: str) -> Table:
     return table
 
 
-def test_held_out_channels_are_rows_and_contradictions_notices() -> None:
+def test_held_out_channels_are_rows_and_contradictions_notices():
     sections = [held_out(name, "confirms") for name in "xyz"]
     sections.append(held_out("a", "contradicts"))
     blocks = answer.accuracy_blocks(sample(held_out=sections))
@@ -121,7 +120,7 @@ def test_held_out_channels_are_rows_and_contradictions_notices() -> None:
     assert any(isinstance(b, Notice) and "contradicts" in b.text for b in blocks)
 
 
-def test_the_readings_stand_in_their_order() -> None:
+def test_the_readings_stand_in_their_order():
     result = sample()
     poses = result.design.poses
     table = table_of(answer.measure_blocks(result), "in their order")

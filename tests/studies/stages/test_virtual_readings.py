@@ -2,7 +2,6 @@
 
 import csv
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from pkm_studies.stages.gap.diagnosis import empty_readings
 from pkm_studies.stages.readings import planned_series
 from pkm_studies.study import Study
 
-Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")
 
 
@@ -36,7 +34,7 @@ def _covariates(path: Path) -> pd.DataFrame:
     return request.planned_covariates(measurement, series)
 
 
-def test_conditions_of_readings(tmp_path: Path) -> None:
+def test_conditions_of_readings(tmp_path):
     """Times, ways, feeds and loads of two circles both ways, counted by hand."""
     path = gap_fixture.written(tmp_path)
     covariates = _covariates(path)
@@ -55,7 +53,7 @@ def test_conditions_of_readings(tmp_path: Path) -> None:
     np.testing.assert_array_equal(covariates["repeat"], 1.0)
 
 
-def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path: Path) -> None:
+def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path):
     path = gap_fixture.written(
         tmp_path,
         sample.changed(gap_fixture.STUDY, ("average = false", "average = true")),
@@ -65,7 +63,7 @@ def test_averaged_passes_have_no_direction_and_take_their_time(tmp_path: Path) -
     np.testing.assert_allclose(covariates["time"].iloc[:2], [904.0, 908.0])
 
 
-def test_temperatures_rise_with_their_time_constant(tmp_path: Path) -> None:
+def test_temperatures_rise_with_their_time_constant(tmp_path):
     text = sample.changed(
         gap_fixture.STUDY,
         (
@@ -90,7 +88,7 @@ def _planned(path: Path) -> tuple[Any, tuple[Series, ...]]:
     return state.measurement, planned_series(state)
 
 
-def test_simulated_readings_have_the_effect(oed: Run, tmp_path: Path) -> None:
+def test_simulated_readings_have_the_effect(oed, tmp_path):
     """Against exact readings at joints moved by hand: q_i + b_i sign(dq_i) / 2."""
     with_effect = gap_fixture.written(tmp_path)
     plain = tmp_path / "plain.study.toml"
@@ -149,7 +147,7 @@ def _fields(series: Series) -> dict[str, Any]:
     }
 
 
-def test_each_pass_has_a_state_of_its_own(tmp_path: Path) -> None:
+def test_each_pass_has_a_state_of_its_own(tmp_path):
     """Passes of a circle share their poses in the plan, but not their direction."""
     path = gap_fixture.written(tmp_path)
     measurement, series = _planned(path)
@@ -162,9 +160,7 @@ def test_each_pass_has_a_state_of_its_own(tmp_path: Path) -> None:
     )
 
 
-def test_drawn_coefficients_are_of_the_textbook_s_form(
-    oed: Run, tmp_path: Path
-) -> None:
+def test_drawn_coefficients_are_of_the_textbook_s_form(oed, tmp_path):
     text = sample.changed(
         gap_fixture.STUDY,
         ('coefficients = { "leg 2" = 2.0, "leg 3" = -0.5 }', "draw = true"),
@@ -183,7 +179,7 @@ def test_drawn_coefficients_are_of_the_textbook_s_form(
     assert len({c["prior_sds"] for c in coefficients[0].values()}) == 3
 
 
-def test_without_a_table_readings_are_as_before(oed: Run, tmp_path: Path) -> None:
+def test_without_a_table_readings_are_as_before(oed, tmp_path):
     """No covariates; and with a table and nothing acting, the same readings."""
     text = gap_fixture.STUDY
     texts = {
@@ -201,7 +197,7 @@ def test_without_a_table_readings_are_as_before(oed: Run, tmp_path: Path) -> Non
     assert {"time_s", "direction", "feed_mm_min", "payload_N", "repeat"} <= set(b[0])
 
 
-def test_a_coefficient_that_an_effect_has_not(oed: Run, tmp_path: Path) -> None:
+def test_a_coefficient_that_an_effect_has_not(oed, tmp_path):
     study = gap_fixture.written(
         tmp_path, sample.changed(gap_fixture.STUDY, ('"leg 2" = 2.0', '"leg 4" = 2.0'))
     )

@@ -34,9 +34,7 @@ def _result(folder: Path) -> StudyResult:
     return msgspec.json.decode(raw, type=StudyResult)
 
 
-def test_verdicts_stand_beside_the_predicted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verdicts_stand_beside_the_predicted(tmp_path, capsys):
     """A plan's verdict holds usual effects; x has no drive and stays geometry alone.
 
     What does not pass exits with 1.
@@ -66,15 +64,13 @@ def test_verdicts_stand_beside_the_predicted(
     assert verdicts["theta"] == "✗ fail"
 
 
-def test_what_passes_exits_with_zero(tmp_path: Path) -> None:
+def test_what_passes_exits_with_zero(tmp_path):
     study = _study(tmp_path, "z_mm = 100")
     assert main(["run", str(study), "--out", str(tmp_path / "o"), "--quiet"]) == 0
 
 
 @pytest.mark.parametrize(("rms", "stated"), [(2.0, "pass"), (9.0, "cannot tell")])
-def test_stored_verdicts_follow_an_acceptance_test(
-    tmp_path: Path, rms: float, stated: str
-) -> None:
+def test_stored_verdicts_follow_an_acceptance_test(tmp_path, rms, stated):
     """A test that meets 5 um confirms what is wanted; one that fails takes the pass."""
     study, out = _study(tmp_path, "z_mm = 100"), tmp_path / "out"
     assert main(["run", str(study), "--out", str(out), "--quiet"]) == 0
@@ -88,7 +84,7 @@ def test_stored_verdicts_follow_an_acceptance_test(
     assert (again.judgement, again.confirmed) == (stated, meets)
 
 
-def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
+def test_the_study_s_limits_guide_the_next_reading(tmp_path):
     study = _study(tmp_path, "z_mm = 0.02")
     adviser = advice.Adviser(Study.load(study))
     limits = dict(zip(adviser.maps.names, adviser.limits, strict=True))
@@ -106,7 +102,7 @@ def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
     assert np.nanmin(option.limits) == pytest.approx(5e-6)
 
 
-def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
+def test_the_prediction_s_limit_wins_over_that_of_a_design():
     raw = report_fixture.sample()
     raw["prediction"]["wanted"] = {"z": 3.0}
     raw["design"]["how_many"]["wanted"] = {"z_um": 9.0, "x_um": 8.0}
@@ -122,9 +118,7 @@ def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
         ("z_um = 3, z_mm = 1", "given twice"),
     ],
 )
-def test_a_limit_that_makes_no_sense_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], wanted: str, words: str
-) -> None:
+def test_a_limit_that_makes_no_sense_is_refused(tmp_path, capsys, wanted, words):
     assert main(["check", str(_study(tmp_path, wanted))]) == 2
     error = capsys.readouterr().err
     assert "prediction.wanted" in error

@@ -52,7 +52,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_refused_with_field_and_remedy(name: str) -> None:
+def test_refused_with_field_and_remedy(name):
     change, field, words = BROKEN[name]
     error = sample.refused(sample.STUDY, change)
     assert error.field.startswith(field)
@@ -91,14 +91,14 @@ ADDED = {
 
 
 @pytest.mark.parametrize("name", ADDED)
-def test_tables_refused_with_field_and_remedy(name: str) -> None:
+def test_tables_refused_with_field_and_remedy(name):
     text, field, words = ADDED[name]
     error = sample.refused(sample.STUDY + "\n" + text + "\n")
     assert error.field.startswith(field), str(error)
     assert words in str(error)
 
 
-def test_a_pose_that_does_not_close_is_refused() -> None:
+def test_a_pose_that_does_not_close_is_refused():
     grid = "setup = 'probe'\nx_mm = [0, 100]\ny_mm = 0\nz_mm = 20\n"
     text = f"{sample.DELTA}[[design.candidates]]\n{grid}"
     short_arm = '"linear_delta"\nnominal = { arm1_mm = 200 }'
@@ -129,15 +129,13 @@ def test_a_pose_that_does_not_close_is_refused() -> None:
         ),
     ],
 )
-def test_limits_are_stated_in_the_unit_of_their_field(
-    old: str, new: str, words: str
-) -> None:
+def test_limits_are_stated_in_the_unit_of_their_field(old, new, words):
     error = sample.refused(sample.STUDY, (old, new))
     assert words in str(error)
     assert " mm" not in str(error).partition("; ")[0]
 
 
-def test_entries_count_from_1() -> None:
+def test_entries_count_from_1():
     error = sample.refused(
         sample.STUDY,
         ("teach = { z_mm = 1286.0", "tool_mm = [0.0, 1.0]\nteach = { z_mm = 1286.0"),

@@ -15,7 +15,6 @@ from pkm_studies.tables import (
     MeasuredTable,
     PlanTable,
     PosteriorTable,
-    StudyTable,
 )
 
 CENTRE: dict[str, Any] = {"centre_mm": [0.0, 0.0, 0.0]}
@@ -32,13 +31,7 @@ LIMITS = [
 
 
 @pytest.mark.parametrize(("table", "required", "field", "ends", "beyond"), LIMITS)
-def test_a_number_is_within_its_limits(
-    table: type[StudyTable],
-    required: dict[str, Any],
-    field: str,
-    ends: list[float],
-    beyond: list[float],
-) -> None:
+def test_a_number_is_within_its_limits(table, required, field, ends, beyond):
     for value in ends:
         made = msgspec.convert(required | {field: value}, table)
         assert getattr(made, field) == value
@@ -47,7 +40,7 @@ def test_a_number_is_within_its_limits(
             msgspec.convert(required | {field: value}, table)
 
 
-def test_options_of_the_sampler_are_those_that_it_takes() -> None:
+def test_options_of_the_sampler_are_those_that_it_takes():
     table = PosteriorTable(walkers=40, steps=7, ess=5, draws=3, thin=2, sampler="emcee")
     options = table.sampler_options
     assert set(options) <= set(inspect.signature(posterior.sample).parameters)
@@ -56,7 +49,7 @@ def test_options_of_the_sampler_are_those_that_it_takes() -> None:
     assert [options[name] for name in ("walkers", "ess", "thin")] == [40, 5, 2]
 
 
-def test_only_a_budget_leaves_the_size_of_a_plan_open() -> None:
+def test_only_a_budget_leaves_the_size_of_a_plan_open():
     assert DesignTable(readings=9, budget_min=5.0).size == 9
     assert DesignTable(budget_min=5.0).size is None
     assert DesignTable().size is not None
@@ -70,13 +63,13 @@ def test_only_a_budget_leaves_the_size_of_a_plan_open() -> None:
     )
 
 
-def test_a_measurement_mounts_its_first_set_up_first() -> None:
+def test_a_measurement_mounts_its_first_set_up_first():
     measured = MeasuredTable(name="a", counts=[1], setup="cup", setups=["long", "bare"])
     assert measured.mounted == ["cup", "long", "bare"]
     assert MeasuredTable(name="a", counts=[1], setups=["long"]).mounted == ["long"]
 
 
-def test_a_circle_is_a_whole_turn_in_whole_degrees_unless_stated() -> None:
+def test_a_circle_is_a_whole_turn_in_whole_degrees_unless_stated():
     circle = msgspec.convert(CENTRE | {"radius_mm": 1.0}, CircleTable)
     assert circle.arc_deg == 360.0
     assert circle.arc_deg % circle.count == 0.0

@@ -70,7 +70,7 @@ def runs(folder: Path) -> int:
     return len(trace.read_text()) if trace.exists() else 0
 
 
-def test_no_command_runs_the_file_of_a_study_by_itself(folder: Path, call: Run) -> None:
+def test_no_command_runs_the_file_of_a_study_by_itself(folder, call):
     path, readings, out = folder / "s.study.toml", folder / "r.csv", folder / "out"
     digest = hashlib.sha256(MACHINE.encode()).hexdigest()
     for command in (
@@ -95,7 +95,7 @@ def test_no_command_runs_the_file_of_a_study_by_itself(folder: Path, call: Run) 
     assert not (out / "result.json").exists()
 
 
-def test_consent_holds_while_the_file_is_unchanged(folder: Path, call: Run) -> None:
+def test_consent_holds_while_the_file_is_unchanged(folder, call):
     path = folder / "s.study.toml"
     assert call("check", path, "--allow-code")[0] == 0
     assert runs(folder) == 1
@@ -108,7 +108,7 @@ def test_consent_holds_while_the_file_is_unchanged(folder: Path, call: Run) -> N
     assert runs(folder) == 2
 
 
-def test_consent_is_remembered_by_other_processes(folder: Path, call: Run) -> None:
+def test_consent_is_remembered_by_other_processes(folder, call):
     study = str(folder / "s.study.toml")
     assert call("check", study)[0] == 2
     assert call("check", study, "--allow-code")[0] == 0
@@ -117,9 +117,7 @@ def test_consent_is_remembered_by_other_processes(folder: Path, call: Run) -> No
     assert runs(folder) == 2
 
 
-def test_a_trusted_folder_needs_no_consent(
-    folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trusted_folder_needs_no_consent(folder, call, monkeypatch):
     path = folder / "s.study.toml"
     monkeypatch.setenv(
         "OED_TRUSTED_FOLDERS", os.pathsep.join(["/elsewhere", str(folder)])
@@ -156,8 +154,8 @@ def test_a_trusted_folder_needs_no_consent(
     ],
 )
 def test_a_study_names_files_of_its_folder_alone(
-    reference: str, words: str, folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    reference, words, folder, call, monkeypatch
+):
     """Consent covers the folder of the study, not every file that its text reaches."""
     parent = folder.parent
     (parent / "mine.py").write_text(MACHINE, "utf-8")
@@ -173,7 +171,7 @@ def test_a_study_names_files_of_its_folder_alone(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Windows has other permissions")
-def test_others_cannot_allow_a_file(folder: Path, call: Run) -> None:
+def test_others_cannot_allow_a_file(folder, call):
     """Whoever can write into these files, or above them, could allow any file."""
     path = folder / "s.study.toml"
     assert call("check", path, "--allow-code")[0] == 0
@@ -197,9 +195,7 @@ def test_others_cannot_allow_a_file(folder: Path, call: Run) -> None:
     assert "other users can change this file" in err
 
 
-def test_folders_that_share_a_machine_are_both_trusted(
-    folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folders_that_share_a_machine_are_both_trusted(folder, call, monkeypatch):
     (folder.parent / "mine.py").write_text(MACHINE, "utf-8")
     path = folder / "s.study.toml"
     path.write_text(STUDY.replace("mine.py", "../mine.py"), "utf-8")
@@ -209,9 +205,7 @@ def test_folders_that_share_a_machine_are_both_trusted(
     assert call("check", path)[0] == 0
 
 
-def test_the_text_of_the_digest_runs_and_no_cached_code(
-    folder: Path, call: Run
-) -> None:
+def test_the_text_of_the_digest_runs_and_no_cached_code(folder, call):
     """Python itself would run compiled code that lies beside an innocent file."""
     evil = compile(MACHINE.replace('"+"', '"++"'), "mine.py", "exec")
     cache = Path(importlib.util.cache_from_source(str(folder / "mine.py")))
@@ -222,9 +216,7 @@ def test_the_text_of_the_digest_runs_and_no_cached_code(
     assert runs(folder) == 1
 
 
-def test_a_result_runs_no_code(
-    tmp_path: Path, call: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_result_runs_no_code(tmp_path, call, monkeypatch):
     """Also where the file was allowed, or lies in a trusted folder."""
     monkeypatch.setenv("OED_TRUSTED_FOLDERS", str(tmp_path))
     content = compensation_sample.result(
@@ -252,9 +244,7 @@ def test_a_result_runs_no_code(
     assert runs(results[0]) == runs(results[1]) == 0
 
 
-def test_drafts_and_formats_need_consent(
-    folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_drafts_and_formats_need_consent(folder, call, monkeypatch):
     monkeypatch.chdir(folder)
     new = ("new", "mine", "--machine", "mine.py:machine", "--instrument", "ball_bar")
     assert call(*new)[0] == 2
@@ -276,7 +266,7 @@ def test_drafts_and_formats_need_consent(
     assert (folder / "d" / "compensation.txt").read_text() == "written"
 
 
-def test_an_import_takes_the_machine_along(folder: Path, call: Run) -> None:
+def test_an_import_takes_the_machine_along(folder, call):
     """A study names files of its folder: the machine's is copied there."""
     (folder / "points.csv").write_text(
         "z_mm,psi_deg,theta_deg,read_x_mm,read_y_mm,read_z_mm\n"
@@ -298,7 +288,7 @@ def test_an_import_takes_the_machine_along(folder: Path, call: Run) -> None:
     assert "importing overwrites nothing" in error
 
 
-def test_campaigns_need_consent_in_each_process(folder: Path, call: Run) -> None:
+def test_campaigns_need_consent_in_each_process(folder, call):
     (folder / "mine.py").write_text(
         MACHINE + "def figures(setting, seed):\n    return {'value': seed}\n", "utf-8"
     )
@@ -313,9 +303,7 @@ def test_campaigns_need_consent_in_each_process(folder: Path, call: Run) -> None
     assert sorted(row["value"] for row in rows) == [1, 2, 3, 4]
 
 
-def test_without_a_list_consent_ends_with_the_process(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_a_list_consent_ends_with_the_process(folder, monkeypatch, tmp_path):
     """As in a container whose home cannot be written."""
     (tmp_path / "file").write_text("", "utf-8")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
@@ -325,7 +313,7 @@ def test_without_a_list_consent_ends_with_the_process(
         resolve(study.Study.load(path))
 
 
-def test_a_module_that_has_moved_has_a_remedy(folder: Path, call: Run) -> None:
+def test_a_module_that_has_moved_has_a_remedy(folder, call):
     (folder / "mine.py").write_text("from oed.machine import Machine\n", "utf-8")
     code, _, error = call("check", folder / "s.study.toml", "--allow-code")
     assert code == 2

@@ -40,7 +40,7 @@ def _machine(path: Path) -> Machine:
     return machine
 
 
-def test_rods_that_are_too_short_miss_by_their_shortage(tmp_path: Path) -> None:
+def test_rods_that_are_too_short_miss_by_their_shortage(tmp_path):
     machine = _machine(_file(tmp_path, "0.020"))
     closest = closest_closure(machine, machine.home_command)
     assert closest.still_open == (0, 1, 2)
@@ -54,16 +54,14 @@ def test_rods_that_are_too_short_miss_by_their_shortage(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("module", [hexapod, cable_robot, tripod_passive_leg])
-def test_a_sound_machine_closes(module: object) -> None:
+def test_a_sound_machine_closes(module):
     machine = module.machine  # type: ignore[attr-defined]
     closest = closest_closure(machine, machine.home_command)
     assert closest.still_open == ()
     assert closest.nearest.struts.shape == (len(machine.joints), 2, 3)
 
 
-def test_the_command_draws_what_does_not_close(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_draws_what_does_not_close(tmp_path, capsys):
     path, picture = _file(tmp_path, "0.020"), tmp_path / "home.svg"
     arguments = ["check", str(path), "--picture", str(picture)]
     assert main(arguments) == 2
@@ -75,9 +73,7 @@ def test_the_command_draws_what_does_not_close(
     assert "it is not overwritten" in capsys.readouterr().err
 
 
-def test_the_command_draws_a_sound_machine(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_draws_a_sound_machine(tmp_path, capsys):
     path, picture = _file(tmp_path, "0.220"), tmp_path / "home.svg"
     assert main(["check", str(path), "--picture", str(picture)]) == 0
     printed = capsys.readouterr().out
@@ -86,9 +82,7 @@ def test_the_command_draws_a_sound_machine(
     assert style.RED not in picture.read_text(encoding="utf-8")
 
 
-def test_a_study_whose_numbers_do_not_assemble_is_drawn(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_whose_numbers_do_not_assemble_is_drawn(tmp_path, capsys):
     """A strut shorter than the way to its guide; the guess has no value there."""
     study = tmp_path / "tripod.study.toml"
     study.write_text(
@@ -103,15 +97,13 @@ def test_a_study_whose_numbers_do_not_assemble_is_drawn(
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_another_kind_of_picture_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_kind_of_picture_is_refused(tmp_path, capsys):
     arguments = ["check", "a3_ball_bar", "--picture", str(tmp_path / "home.bmp")]
     assert main(arguments) == 2
     assert ".png, .svg, .pdf" in capsys.readouterr().err
 
 
-def test_amounts_stand_beside_their_bars(tmp_path: Path) -> None:
+def test_amounts_stand_beside_their_bars(tmp_path):
     machine = _machine(_file(tmp_path, "0.020"))
     closest = closest_closure(machine, machine.home_command)
     with style.applied():

@@ -73,7 +73,7 @@ def _each_and_all(names: list[str]) -> list[list[str]]:
     return [*[[name] for name in names], names]
 
 
-def test_the_certificate_and_its_numbers_are_reported() -> None:
+def test_the_certificate_and_its_numbers_are_reported():
     shown = shown_text(result_of(report_fixture.sample()))
     for words in (
         _design()["words"],
@@ -102,12 +102,12 @@ def test_the_certificate_and_its_numbers_are_reported() -> None:
 
 
 @pytest.mark.parametrize("names", _each_and_all(OPTIONAL))
-def test_each_part_of_the_design_may_be_absent(names: list[str]) -> None:
+def test_each_part_of_the_design_may_be_absent(names):
     _check_texts(_with_design(_design_without(names)))
 
 
 @pytest.mark.parametrize("names", _each_and_all(NULLABLE))
-def test_parts_of_the_design_may_be_null(names: list[str]) -> None:
+def test_parts_of_the_design_may_be_null(names):
     _check_texts(_with_design(_design() | dict.fromkeys(names)))
 
 
@@ -117,12 +117,12 @@ def _check_texts(result: StudyResult) -> None:
     assert not {"nan", "None"} & set(re.findall(r"\w+", blocks))
 
 
-def test_a_design_without_optional_parts_has_its_page() -> None:
+def test_a_design_without_optional_parts_has_its_page():
     result = _with_design(_design_without(OPTIONAL))
     assert "How good" in shown_text(result)
 
 
-def test_numbers_that_were_not_finite_leave_gaps() -> None:
+def test_numbers_that_were_not_finite_leave_gaps():
     design = _design()
     design["compared"][1]["values"] = {"D": None, "E": 3.0e-6, "kappa": None}
     del design["plans"][1]["predicted"]["z_um"]
@@ -133,7 +133,7 @@ def test_numbers_that_were_not_finite_leave_gaps() -> None:
     assert report.pdf().startswith(b"%PDF")
 
 
-def test_an_old_result_still_has_its_certificate() -> None:
+def test_an_old_result_still_has_its_certificate():
     old = _design_without(NEWER)
     sentence = (
         "Certified to 97.3 % of the best possible 30 readings out of 1512 candidates."
@@ -174,7 +174,7 @@ def _comparison(
 
 
 @pytest.mark.parametrize("main", ["D", "Ds", "kappa"])
-def test_efficiencies_are_ratios_of_phi(main: str) -> None:
+def test_efficiencies_are_ratios_of_phi(main):
     """Against phi itself, of random plans; the report knows only the stored numbers."""
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(13, 9, 4))
@@ -201,7 +201,7 @@ def _poses(commands: list[dict[str, float]]) -> list[PlannedReading]:
     ]
 
 
-def test_the_path_takes_the_coordinates_that_vary_most() -> None:
+def test_the_path_takes_the_coordinates_that_vary_most():
     # 2000 mm, 18 mm, 5.7 degrees, 20 degrees
     commands = [
         {"a_mm": 1e3 * k, "b_um": 9e3 * k, "c_rad": 0.05 * k, "d_deg": 10.0 * k}
@@ -214,7 +214,7 @@ def test_the_path_takes_the_coordinates_that_vary_most() -> None:
     assert single.names == ("reading", "b_mm")
 
 
-def test_a_way_over_a_full_turn_is_the_short_one() -> None:
+def test_a_way_over_a_full_turn_is_the_short_one():
     poses = _poses(
         [
             {"z_mm": 0.0, "psi_deg": 350.0},
@@ -237,7 +237,7 @@ def test_a_way_over_a_full_turn_is_the_short_one() -> None:
 
 
 @pytest.mark.parametrize("count", [12, 90, 400])
-def test_numbers_of_the_path_do_not_overlap(count: int) -> None:
+def test_numbers_of_the_path_do_not_overlap(count):
     rng = np.random.default_rng(5)
     commands = [
         {"z_mm": float(10 * rng.integers(12)), "psi_deg": float(15 * rng.integers(24))}
@@ -261,7 +261,7 @@ def test_numbers_of_the_path_do_not_overlap(count: int) -> None:
 # -- scenarios -------------------------------------------------------------------------
 
 
-def test_the_figure_shows_the_share_of_scenarios() -> None:
+def test_the_figure_shows_the_share_of_scenarios():
     half, quarter = float(np.log(0.5)), float(np.log(0.25))
     summary = RobustSummary(
         risk="worst",

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -73,7 +72,7 @@ def _empty_figures() -> list[Callable[[], Figure]]:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
-def test_each_map_and_each_set_of_held_out_readings_has_a_panel(number: int) -> None:
+def test_each_map_and_each_set_of_held_out_readings_has_a_panel(number):
     full = result_of(report_fixture.sample())
     maps, held_out = full.kappa_maps[:1] * number, full.held_out[:1] * number
     with style.applied():
@@ -83,14 +82,14 @@ def test_each_map_and_each_set_of_held_out_readings_has_a_panel(number: int) -> 
         assert sum(axes.get_visible() for axes in figure.axes) == number
 
 
-def test_a_condition_number_is_of_determined_directions() -> None:
+def test_a_condition_number_is_of_determined_directions():
     section = result_of(report_fixture.sample()).identifiability
     some = msgspec.structs.replace(section, singular_values=[8.0, 2.0, 0.0], rank=2)
     assert identifiability.condition(some) == 4.0
 
 
 @pytest.mark.parametrize("draw", _empty_figures())
-def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
+def test_a_figure_without_data_says_so(draw):
     with style.applied():
         figure = draw()
         assert not figure.axes
@@ -102,7 +101,7 @@ def test_a_figure_without_data_says_so(draw: Callable[[], Figure]) -> None:
     "build",
     [report_fixture.sample, pytest.param(report_fixture.delta, marks=pytest.mark.slow)],
 )
-def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> None:
+def test_figures_keep_all_words_inside(build):
     full = result_of(build())
     design, prediction = full.design, full.prediction
     assert design is not None
@@ -125,7 +124,7 @@ def test_figures_keep_all_words_inside(build: Callable[[], dict[str, Any]]) -> N
 
 
 @pytest.mark.parametrize("names", [("z_mm", "a_deg"), ("z_mm",)])
-def test_a_plan_of_other_machines_is_drawn(names: tuple[str, ...]) -> None:
+def test_a_plan_of_other_machines_is_drawn(names):
     raw = report_fixture.delta()
     raw["prediction"] |= {
         "components": {"z": raw["prediction"]["components"]["z"]},
@@ -144,7 +143,7 @@ def test_a_plan_of_other_machines_is_drawn(names: tuple[str, ...]) -> None:
         assert accuracy.draw_workspace(prediction).axes
 
 
-def test_a_figure_of_many_marks_becomes_pixels() -> None:
+def test_a_figure_of_many_marks_becomes_pixels():
     raw = report_fixture.bare()
     values = [float(k % 17) for k in range(6000)]
     raw["estimate"] = report_fixture.sample()["estimate"] | {
@@ -158,9 +157,7 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
     assert report.pdf().startswith(b"%PDF")
 
 
-def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(monkeypatch):
     monkeypatch.setattr(style, "MAX_SVG", 0)
     place = (0.1, 0.1, 0.4, 0.4)
     with style.applied():
@@ -171,7 +168,7 @@ def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(
     assert axes.get_position().bounds == pytest.approx(place)
 
 
-def test_the_bars_of_a_component_stand_about_its_place() -> None:
+def test_the_bars_of_a_component_stand_about_its_place():
     prediction = result_of(report_fixture.sample()).prediction
     assert prediction is not None
     for axes in accuracy.draw_components(prediction).axes:
