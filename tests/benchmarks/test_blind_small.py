@@ -18,16 +18,10 @@ pytestmark = pytest.mark.slow
 
 #: kind, machine, number of cases
 SMALL = (
-    ("null", "a3", 2),
-    ("null", "planar", 2),
-    ("null", "delta", 1),
-    ("single", "a3", 1),
-    ("single", "planar", 2),
-    ("exact", "a3", 1),
-    ("pair", "planar", 1),
-    ("unknown", "a3", 1),
-    ("unknown", "planar", 1),
-)
+    ("null", "a3", 2), ("null", "planar", 2), ("null", "delta", 1), ("single", "a3", 1),
+    ("single", "planar", 2), ("exact", "a3", 1), ("pair", "planar", 1),
+    ("unknown", "a3", 1), ("unknown", "planar", 1),
+)  # fmt: skip
 SETTING = {"world": "blind", "set": "dev", "set_seed": 2026}
 #: least sqrt(lambda) at which an effect must be found, and that others leave of it
 CLEAR, OUTSIDE = 9.0, 6.0

@@ -149,20 +149,17 @@ def test_a_summary_counts_failures_and_means(campaign):
     assert first["not_trusted"] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"noise.length_um"', '"noise.lenght_um"', "lenght_um"),
-        ("setup.cup.length", "setup.cap.length", "no entry 'cap'"),
-        ("[0.5, 2.0]", "[]", "no values"),
-        ("[0.5, 2.0]", "[0.5, -2.0]", "length_um"),
-        ("seeds = 3", "seeds = 0", "seeds"),
-        ("seeds = 3", "seeds = 900000", "stay below"),
-        ("small.study.toml", "none.study.toml", "none.study.toml"),
-        ("schema = 1", "schema = 2", "unknown version"),
-        ("[vary]", "[vary", "no TOML"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('"noise.length_um"', '"noise.lenght_um"', "lenght_um"),
+    ("setup.cup.length", "setup.cap.length", "no entry 'cap'"),
+    ("[0.5, 2.0]", "[]", "no values"),
+    ("[0.5, 2.0]", "[0.5, -2.0]", "length_um"),
+    ("seeds = 3", "seeds = 0", "seeds"),
+    ("seeds = 3", "seeds = 900000", "stay below"),
+    ("small.study.toml", "none.study.toml", "none.study.toml"),
+    ("schema = 1", "schema = 2", "unknown version"),
+    ("[vary]", "[vary", "no TOML"),
+])  # fmt: skip
 def test_bad_campaigns_are_refused_by_field(
     campaign, tmp_path, capsys, old, new, words
 ):
@@ -245,38 +242,26 @@ def test_a_summary_of_a_user_s_own(own, tmp_path):
     assert summary["sd"][0] == pytest.approx(np.std(values, ddof=1))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("own.py:figures", "own.py:figure", "did you mean figures"),
-        ("own.py:figures", "other.py:figures", "no such file"),
-        ("own.py:figures", "no_such_module:figures", "belongs to no installed"),
-        ("own.py:figures", "own.py", "names no function"),
-        ("seeds = 6", 'study = "a3_ball_bar"\nseeds = 6', "one of them"),
-        ('case = "own.py:figures"\n', "", "one of them"),
-        ("seeds = 6", "diagnose = true\nseeds = 6", "only machines of a study"),
-        ("stream = [4]", "seed = [4]", "names another column"),
-        ('"singular"', '"bug"', "case = 'bug', stream = 4, seed = 3"),
-        ('"singular"', '"taken"', "'seed', which names another column"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("own.py:figures", "own.py:figure", "did you mean figures"),
+    ("own.py:figures", "other.py:figures", "no such file"),
+    ("own.py:figures", "no_such_module:figures", "belongs to no installed"),
+    ("own.py:figures", "own.py", "names no function"),
+    ("seeds = 6", 'study = "a3_ball_bar"\nseeds = 6', "one of them"),
+    ('case = "own.py:figures"\n', "", "one of them"),
+    ("seeds = 6", "diagnose = true\nseeds = 6", "only machines of a study"),
+    ("stream = [4]", "seed = [4]", "names another column"),
+    ('"singular"', '"bug"', "case = 'bug', stream = 4, seed = 3"),
+    ('"singular"', '"taken"', "'seed', which names another column"),
+])  # fmt: skip
 def test_bad_case_functions_are_refused(own, tmp_path, capsys, old, new, words):
     own.write_text(sample.changed(OWN, (old, new)), encoding="utf-8")
     assert_refused(own, tmp_path / "out", words, capsys)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b'{"case": "plain", "str',
-        b"[1]",
-        b"\xff\xfe",
-        b"{}",
-        b'{"seed": 3}',
-        "other",
-    ],
-)
+@pytest.mark.parametrize("content", [
+    b"", b'{"case": "plain", "str', b"[1]", b"\xff\xfe", b"{}", b'{"seed": 3}', "other",
+])  # fmt: skip
 def test_a_broken_case_is_set_aside_and_computed_again(own, tmp_path, capsys, content):
     out = tmp_path / "out"
     assert run(own, out) == 0

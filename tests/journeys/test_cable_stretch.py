@@ -191,15 +191,12 @@ def test_without_tensions_a_warning_says_what_is_missing(tmp_path, rng):
     assert "tension_1_N" in warning
 
 
-@pytest.mark.parametrize(
-    ("column", "cells", "words"),
-    [
-        ("tension_1_N", ("40", ""), "the cell is empty"),
-        ("tension_1_N", ("40", "-3"), "tension_1 is at least 0"),
-        ("tension_1_mm", ("40", "30"), "the unit does not fit"),
-        ("tension_5_N", ("40", "30"), "unknown column"),
-    ],
-)
+@pytest.mark.parametrize(("column", "cells", "words"), [
+    ("tension_1_N", ("40", ""), "the cell is empty"),
+    ("tension_1_N", ("40", "-3"), "tension_1 is at least 0"),
+    ("tension_1_mm", ("40", "30"), "the unit does not fit"),
+    ("tension_5_N", ("40", "30"), "unknown column"),
+])  # fmt: skip
 def test_tensions_that_make_no_sense_are_refused(tmp_path, column, cells, words):
     header = f"setup,run,order,q1_mm,q2_mm,q3_mm,q4_mm,{column}"
     rows = [

@@ -100,15 +100,12 @@ def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path):
     assert not goodness["noise"]
 
 
-@pytest.mark.parametrize(
-    ("reach", "longest", "words"),
-    [
-        (22145.0, 27, "over whole runs of up to 27 readings"),
-        (20.0, 27, "over whole runs of up to 27 readings"),
-        (5.2, 27, "over about 5 readings"),
-        (0.3, 27, "to the next reading"),
-        (300.0, float("inf"), "over about 300 readings"),
-    ],
-)
+@pytest.mark.parametrize(("reach", "longest", "words"), [
+    (22145.0, 27, "over whole runs of up to 27 readings"),
+    (20.0, 27, "over whole runs of up to 27 readings"),
+    (5.2, 27, "over about 5 readings"),
+    (0.3, 27, "to the next reading"),
+    (300.0, float("inf"), "over about 300 readings"),
+])  # fmt: skip
 def test_a_reach_is_what_the_runs_can_show(reach, longest, words):
     assert reach_phrase(reach, longest) == words

@@ -21,14 +21,11 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("command", "step", "computed", "absent"),
-    [
-        ("run", "report_single_stage", "estimate", "plan"),
-        ("diagnose", "diagnose_always", "estimate", "gap"),
-        ("diagnose", "fit_parameters", "identifiability", "estimate"),
-    ],
-)
+@pytest.mark.parametrize(("command", "step", "computed", "absent"), [
+    ("run", "report_single_stage", "estimate", "plan"),
+    ("diagnose", "diagnose_always", "estimate", "gap"),
+    ("diagnose", "fit_parameters", "identifiability", "estimate"),
+])  # fmt: skip
 def test_what_came_before_a_failure_is_written(
     command, step, computed, absent, study, tmp_path, monkeypatch, capsys
 ):

@@ -38,16 +38,13 @@ def test_a_number_for_one_set_up_goes_before_one_for_all():
 REFUSED = {
     "seating_um = -0.1": "an amount of noise is a standard deviation",
     "length_run_um = -1.0": "an amount of noise is a standard deviation",
-    "seating = 0.1": "the unit is missing",
-    "seating_deg = 0.1": "no unit for seating",
-    "carried = 1.2": "carried = 1.2",
-    "carried = -0.1": "carried = -0.1",
-    "reach_readings = 0": "reach_readings = 0",
-    "student_dof = 2": "student_dof = 2",
+    "seating = 0.1": "the unit is missing", "seating_deg = 0.1": "no unit for seating",
+    "carried = 1.2": "carried = 1.2", "carried = -0.1": "carried = -0.1",
+    "reach_readings = 0": "reach_readings = 0", "student_dof = 2": "student_dof = 2",
     "outlier_share = 0.6": "outlier_share = 0.6",
     "carried = 0.0\nreach_readings = 3": "nothing is carried along",
     "student_dof = 4\noutlier_share = 0.01": "states the tails already",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("lines", list(REFUSED))

@@ -91,12 +91,10 @@ BOUNDS_REFUSED = {
     BOUNDS.replace("upper_mm", "upper"): "the unit is missing",
     BOUNDS.replace("upper_mm", "upper_deg"): "no unit for upper",
     BOUNDS.replace("lower_mm = 0.0", "lower_mm = 1.0"): "is not within",
-    BOUNDS.replace(
-        "lower_mm = 0.0\nupper_mm = 2.0\n", ""
-    ): "give lower, upper, or both",
+    BOUNDS.replace("lower_mm = 0.0\nupper_mm = 2.0\n", ""): "give lower, upper, or both",
     BOUNDS.replace("2.0", "0.01"): "of the machines of the tolerances keep",
     BOUNDS.replace('"dq1"', '"dq*", "beta*"'): "parameters of different kinds",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("lines", list(BOUNDS_REFUSED))

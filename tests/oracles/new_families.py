@@ -142,14 +142,10 @@ def _tripod_wrist(x: Array, q: Array, e: Errors) -> Array:
 
 
 CLOSURES: dict[str, Callable[[Array, Array, Errors], Array]] = {
-    "rotary_delta": _rotary_delta,
-    "hexapod_rus": _hexapod_rus,
-    "five_bar": _five_bar,
-    "orthoglide": _orthoglide,
-    "pentapod": _pentapod,
-    "tripod_upr_spr": _tripod_upr_spr,
+    "rotary_delta": _rotary_delta, "hexapod_rus": _hexapod_rus, "five_bar": _five_bar,
+    "orthoglide": _orthoglide, "pentapod": _pentapod, "tripod_upr_spr": _tripod_upr_spr,
     "tripod_wrist": _tripod_wrist,
-}
+}  # fmt: skip
 
 
 def pose(name: str, q: Array, errors: Errors, start: Array) -> Array:

@@ -217,18 +217,15 @@ def test_pages_hear_of_each_reading(machine):
 # -- slips of the hand -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("-300.12", "300.12 would fit: is the sign reversed?"),
-        ("30.012", "300.12 would fit: is the decimal point misplaced?"),
-        ("300.21", "300.12 would fit: were two digits exchanged?"),
-        ("3000.12", "300.12 would fit: was a digit typed twice?"),
-        ("300.122", "300.12 would fit: was a digit typed twice?"),
-        ("3050.12", None),
-        ("123.45", None),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ("-300.12", "300.12 would fit: is the sign reversed?"),
+    ("30.012", "300.12 would fit: is the decimal point misplaced?"),
+    ("300.21", "300.12 would fit: were two digits exchanged?"),
+    ("3000.12", "300.12 would fit: was a digit typed twice?"),
+    ("300.122", "300.12 would fit: was a digit typed twice?"),
+    ("3050.12", None),
+    ("123.45", None),
+])  # fmt: skip
 def test_a_slip_is_named(text, words):
     assert typed.slip(text, 300.11, 300.13) == words
 

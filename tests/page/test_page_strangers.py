@@ -12,15 +12,9 @@ Request = Mapping[str, Any]
 SCRIPT = "<script>alert(1)</script>"
 GOOD = {"version": "absent", "key": "k", "entries": ["300"], "confirmed": True}
 PATHS = (
-    "/reading",
-    "/undo",
-    "/remark",
-    "/fit",
-    "/compensation",
-    "/acceptance",
-    "/judge",
+    "/reading", "/undo", "/remark", "/fit", "/compensation", "/acceptance", "/judge",
     "/skip",
-)
+)  # fmt: skip
 BAD: tuple[Any, ...] = (
     {**GOOD, "entries": [SCRIPT]},
     {**GOOD, "version": SCRIPT},

@@ -57,22 +57,19 @@ def test_the_forms_file_waits_for_what_must_be_measured(tmp_path):
         Study.load(path)
 
 
-@pytest.mark.parametrize(
-    ("values", "field"),
-    [
-        ({"sizes": {"arm_mm": "long"}}, "geometry.arm_mm"),
-        ({"sizes": {"arm_mm": "-1"}}, "geometry.arm_mm"),
-        ({"sizes": {"arm_mm": "1\n[setup]"}}, "geometry.arm_mm"),
-        ({"sizes": {"arm_mm": '"x"'}}, "geometry.arm_mm"),
-        ({"sizes": {"angle_deg": "[1, 2]"}}, "geometry.angle_deg"),
-        ({"sizes": {"leg_mm": "1"}}, "geometry.leg_mm"),
-        ({"name": "../outside"}, "name"),
-        ({"time": "1 min"}, "time"),
-        ({"time": "soon"}, "time"),
-        ({"wanted": {"z_um": "-3"}}, "wanted.z_um"),
-        ({"wanted": {"q_um": "3"}}, "wanted.q_um"),
-    ],
-)
+@pytest.mark.parametrize(("values", "field"), [
+    ({"sizes": {"arm_mm": "long"}}, "geometry.arm_mm"),
+    ({"sizes": {"arm_mm": "-1"}}, "geometry.arm_mm"),
+    ({"sizes": {"arm_mm": "1\n[setup]"}}, "geometry.arm_mm"),
+    ({"sizes": {"arm_mm": '"x"'}}, "geometry.arm_mm"),
+    ({"sizes": {"angle_deg": "[1, 2]"}}, "geometry.angle_deg"),
+    ({"sizes": {"leg_mm": "1"}}, "geometry.leg_mm"),
+    ({"name": "../outside"}, "name"),
+    ({"time": "1 min"}, "time"),
+    ({"time": "soon"}, "time"),
+    ({"wanted": {"z_um": "-3"}}, "wanted.z_um"),
+    ({"wanted": {"q_um": "3"}}, "wanted.q_um"),
+])  # fmt: skip
 def test_an_error_stands_at_its_field(tmp_path, values, field):
     with pytest.raises(FieldError) as error:
         StudyForm(tmp_path).write(form(**values))

@@ -102,31 +102,25 @@ def test_marlin_names_its_version_and_spares_the_calibration_radius(
         assert "\nM500 ; store\n" in written(same_rods, "marlin")
 
 
-@pytest.mark.parametrize(
-    ("kind", "version", "said"),
-    [
-        ("marlin", "1.0.2", "has no M665 H"),
-        ("marlin", "1.1.0-RC8", "has no M665 H"),
-        ("marlin", "new", "no version of Marlin"),
-        ("csv", "2.0.5", "csv is the same for all versions"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "version", "said"), [
+    ("marlin", "1.0.2", "has no M665 H"),
+    ("marlin", "1.1.0-RC8", "has no M665 H"),
+    ("marlin", "new", "no version of Marlin"),
+    ("csv", "2.0.5", "csv is the same for all versions"),
+])  # fmt: skip
 def test_versions_that_cannot_be_written_for(kind, version, said, oed, delta_folder):
     code, _, err = oed("compensate", delta_folder, "--to", kind, "--firmware", version)
     assert code == 2
     assert said in err
 
 
-@pytest.mark.parametrize(
-    ("version", "offset", "said"),
-    [
-        ("1.1.0", 0.0, ""),
-        ("1.1.8", 0.1, ""),
-        ("1.1.9", 0.0, "take them off H"),
-        ("2.0.5", 0.0, "take them off H"),
-        ("2.1.2", 0.0, "need M851 Z added to it"),
-    ],
-)
+@pytest.mark.parametrize(("version", "offset", "said"), [
+    ("1.1.0", 0.0, ""),
+    ("1.1.8", 0.1, ""),
+    ("1.1.9", 0.0, "take them off H"),
+    ("2.0.5", 0.0, "take them off H"),
+    ("2.1.2", 0.0, "need M851 Z added to it"),
+])  # fmt: skip
 def test_the_height_at_home_is_that_of_the_version(
     version, offset, said, oed, tmp_path
 ):

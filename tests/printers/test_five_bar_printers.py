@@ -79,18 +79,15 @@ def test_places_put_the_nozzle_right(mode, tmp_path):
     assert kept in export
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ("L1", "L3", "line 1, M669 L.*modes 1, 2 and 4"),
-        ("D200:200:0:0", "D200:200:0:40", "line 1, M669 D.*beyond the joint"),
-        ("D200:200:0:0", "D200", "line 1, M669 D.*1 numbers, where 2 or 4"),
-        ("P150:150 ", "", "M669 has no P"),
-        ("S100", "", "line 5, column x.*do not reach"),
-        ("A20:", "U20:", "line 1, M669 U.*does not know this word"),
-        ("M669 K9", "M666 X1\nM669 K9", "line 1, M666.*of linear deltas"),
-    ],
-)
+@pytest.mark.parametrize(("before", "after", "problem"), [
+    ("L1", "L3", "line 1, M669 L.*modes 1, 2 and 4"),
+    ("D200:200:0:0", "D200:200:0:40", "line 1, M669 D.*beyond the joint"),
+    ("D200:200:0:0", "D200", "line 1, M669 D.*1 numbers, where 2 or 4"),
+    ("P150:150 ", "", "M669 has no P"),
+    ("S100", "", "line 5, column x.*do not reach"),
+    ("A20:", "U20:", "line 1, M669 U.*does not know this word"),
+    ("M669 K9", "M666 X1\nM669 K9", "line 1, M666.*of linear deltas"),
+])  # fmt: skip
 def test_what_the_model_has_not_is_refused(before, after, problem, tmp_path):
     rows = table(CONFIGS["1"])
     if before == "S100":

@@ -42,22 +42,19 @@ def test_the_real_machine_comes_in_and_its_lines_close(shared_data, tmp_path):
     assert max(section.rms_after[f"read_{axis}"] for axis in "xyz") < 2000.0
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ("U2:2:2:4 ", "", "line 3, M666 U.*M666 has no U"),
-        ("O1:1:1:1", "O1:1:1:2", "line 3, M666 O.*different numbers of lines"),
-        ("R75:75:75:75", "R75:75:75", "line 3, M666 R.*3 numbers, where 4 belong"),
-        ("D2350", "D2350 J0:0:2000", "line 2, M669 J.*five anchors at most"),
-        ("D2350", "I2350", "line 2, M669 N.*4 anchors are stated as A, B, C, I"),
-        ("D2350", "D2350 N5", "line 2, M669 N.*5 anchors are stated as A, B, C, D"),
-        ("A0:-1620:-150", "A0:-1620", "x, y and z"),
-        ("W2.0", "E20", "does not know this word"),
-        ("D2350", "D1e300", "x, y and z, in mm"),
-        ("M669 K6", "G20\nM669 K6", "in inches"),
-        ("M669 A0", "if true\n  M669 A0", "stands under"),
-    ],
-)
+@pytest.mark.parametrize(("before", "after", "problem"), [
+    ("U2:2:2:4 ", "", "line 3, M666 U.*M666 has no U"),
+    ("O1:1:1:1", "O1:1:1:2", "line 3, M666 O.*different numbers of lines"),
+    ("R75:75:75:75", "R75:75:75", "line 3, M666 R.*3 numbers, where 4 belong"),
+    ("D2350", "D2350 J0:0:2000", "line 2, M669 J.*five anchors at most"),
+    ("D2350", "I2350", "line 2, M669 N.*4 anchors are stated as A, B, C, I"),
+    ("D2350", "D2350 N5", "line 2, M669 N.*5 anchors are stated as A, B, C, D"),
+    ("A0:-1620:-150", "A0:-1620", "x, y and z"),
+    ("W2.0", "E20", "does not know this word"),
+    ("D2350", "D1e300", "x, y and z, in mm"),
+    ("M669 K6", "G20\nM669 K6", "in inches"),
+    ("M669 A0", "if true\n  M669 A0", "stands under"),
+])  # fmt: skip
 def test_other_machines_are_refused(before, after, problem, shared_data, tmp_path):
     with pytest.raises(InputError, match=problem):
         taken(CONFIG.replace(before, after), shared_data, tmp_path)

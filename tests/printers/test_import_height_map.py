@@ -110,23 +110,20 @@ def test_a_map_alone_calibrates_a_bed_that_leans(tmp_path):
     assert radius.value == pytest.approx(firmware.radius + 0.4, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ("20,30,5,3", "20,30,5,4", "3 rows of heights"),
-        ("20,30,5,3", "20,30,6,3", "5 heights"),
-        ("0.250", "x", "x is no number"),
-        ("0.250", "nan", "nan is no number"),
-        ("0.250", "0_25", "0_25 is no number"),
-        ("0.250", "٢", "is no number"),
-        (GRID, "a,b\n1,2\n", "heightmap.csv"),
-        ("0.250", "1e400", "1e400 is no number"),
-        ("20,30,5,3", "20,30,nan,3", "nan is no number"),
-        ("20,30,5,3", "0,30,5,3", "no grid"),
-        ("-40,41", "-40,30", "beyond its xmax"),
-        ("xspacing", "step", "not known"),
-    ],
-)
+@pytest.mark.parametrize(("before", "after", "problem"), [
+    ("20,30,5,3", "20,30,5,4", "3 rows of heights"),
+    ("20,30,5,3", "20,30,6,3", "5 heights"),
+    ("0.250", "x", "x is no number"),
+    ("0.250", "nan", "nan is no number"),
+    ("0.250", "0_25", "0_25 is no number"),
+    ("0.250", "٢", "is no number"),
+    (GRID, "a,b\n1,2\n", "heightmap.csv"),
+    ("0.250", "1e400", "1e400 is no number"),
+    ("20,30,5,3", "20,30,nan,3", "nan is no number"),
+    ("20,30,5,3", "0,30,5,3", "no grid"),
+    ("-40,41", "-40,30", "beyond its xmax"),
+    ("xspacing", "step", "not known"),
+])  # fmt: skip
 def test_a_broken_map_is_refused(before, after, problem, tmp_path):
     content = (HEAD + GRID + ROWS).replace(before, after)
     with pytest.raises(InputError, match=problem) as caught:

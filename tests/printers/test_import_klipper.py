@@ -167,19 +167,16 @@ def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path):
     assert "98.0 of line" in sentence
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("kinematics: delta", "kinematics: corexy", "line 2, [printer] kinematics"),
-        ("delta_radius = 98.0", "delta_radius = wide", "a number is wanted here"),
-        ("delta_radius = 98.0", "delta_radius = 300", "not longer than the delta's"),
-        ("height3_pos = ", "height3_pos = 1,", "3 numbers are wanted here"),
-        ("height3_pos = ", "height3_was = ", "[delta_calibrate] height3_pos: missing"),
-        ("#*# [delta_calibrate]", "#*# [other]", "run DELTA_CALIBRATE"),
-        ("rotation_distance = 40", "", "give the file that has it as well"),
-        ("microsteps: 16", "microsteps: 0", "must be above 0"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("kinematics: delta", "kinematics: corexy", "line 2, [printer] kinematics"),
+    ("delta_radius = 98.0", "delta_radius = wide", "a number is wanted here"),
+    ("delta_radius = 98.0", "delta_radius = 300", "not longer than the delta's"),
+    ("height3_pos = ", "height3_pos = 1,", "3 numbers are wanted here"),
+    ("height3_pos = ", "height3_was = ", "[delta_calibrate] height3_pos: missing"),
+    ("#*# [delta_calibrate]", "#*# [other]", "run DELTA_CALIBRATE"),
+    ("rotation_distance = 40", "", "give the file that has it as well"),
+    ("microsteps: 16", "microsteps: 0", "must be above 0"),
+])  # fmt: skip
 def test_bad_files_name_line_and_remedy(old, new, words, tmp_path):
     text = printer(readings_of_truth())
     assert old in text

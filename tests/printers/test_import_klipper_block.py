@@ -28,20 +28,13 @@ def test_a_saved_block_comes_in(tmp_path):
     assert value["endstop2"] == pytest.approx(259.7, abs=5e-3)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            "#*# height3 = 2.5",
-            "height3 = 2.5",
-            "height3 = 2.5: Klipper drops the whole",
-        ),
-        ("#*# height3 = 2.5", "#*#height3 = 2.5", "beginning with #*# and a blank"),
-        ("#*# DO NOT EDIT", "#*# EDIT", "below its three lines of heading"),
-        ("[probe]", "#*# [probe]", "#*# [probe]: Klipper drops the whole"),
-        (HEADER, "", "below its three lines of heading"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("#*# height3 = 2.5", "height3 = 2.5", "height3 = 2.5: Klipper drops the whole"),
+    ("#*# height3 = 2.5", "#*#height3 = 2.5", "beginning with #*# and a blank"),
+    ("#*# DO NOT EDIT", "#*# EDIT", "below its three lines of heading"),
+    ("[probe]", "#*# [probe]", "#*# [probe]: Klipper drops the whole"),
+    (HEADER, "", "below its three lines of heading"),
+])  # fmt: skip
 def test_a_block_that_klipper_drops_is_refused(old, new, words, tmp_path):
     text = printer().text()
     assert old in text

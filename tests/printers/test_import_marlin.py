@@ -69,22 +69,15 @@ def test_a_calibration_radius_is_no_trim_of_a_rod(tmp_path):
     assert not {"A", "B", "C"} & set(geometry)
 
 
-@pytest.mark.parametrize(
-    ("lines", "meaning", "arm2"),
-    [
-        ("M665 B0.25\nfirmware_version = 1.1.9\n", "calibration radius", 250.0),
-        ("M665 B0.25\nfirmware_version = 2.0.5\n", "not read", 250.0),
-        ("M665 B0.25\nfirmware_version = 2.0.6\n", "rod trim", 250.25),
-        (
-            "M665 B0.25\nFIRMWARE_NAME:Marlin 1.1.0 (Github)\n",
-            "calibration radius",
-            250,
-        ),
-        ("M665 B0.25\nFIRMWARE_NAME:Marlin 1.1.0-RC8 (Github)\n", "rod trim", 250.25),
-        ("M665 B70\n", "calibration radius", 250.0),
-        ("M665 A0 B0.25 C0\n", "rod trim", 250.25),
-    ],
-)
+@pytest.mark.parametrize(("lines", "meaning", "arm2"), [
+    ("M665 B0.25\nfirmware_version = 1.1.9\n", "calibration radius", 250.0),
+    ("M665 B0.25\nfirmware_version = 2.0.5\n", "not read", 250.0),
+    ("M665 B0.25\nfirmware_version = 2.0.6\n", "rod trim", 250.25),
+    ("M665 B0.25\nFIRMWARE_NAME:Marlin 1.1.0 (Github)\n", "calibration radius", 250),
+    ("M665 B0.25\nFIRMWARE_NAME:Marlin 1.1.0-RC8 (Github)\n", "rod trim", 250.25),
+    ("M665 B70\n", "calibration radius", 250.0),
+    ("M665 A0 B0.25 C0\n", "rod trim", 250.25),
+])  # fmt: skip
 def test_what_b_is(lines, meaning, arm2, tmp_path):
     log = f"M665 L250 R125 H300\nM666 X0 Y0 Z0\n{lines}home_height_mm = 300\n{BED}"
     if "RC8" in lines:
@@ -134,13 +127,10 @@ def test_a_small_value_makes_no_move_in_later_versions(version, wanted, tmp_path
     assert ("M666 X-0.07 counts as 0" in said(imported)) == (version == "2.1.2")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "remedy"),
-    [
-        ("M92 X80.00 Y80.00 Z80.00\n", "", "the line M92 X80 Y80 Z80"),
-        (NEW, "M665 L250 R125 H300\n", "firmware_version = 2.1.2"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "remedy"), [
+    ("M92 X80.00 Y80.00 Z80.00\n", "", "the line M92 X80 Y80 Z80"),
+    (NEW, "M665 L250 R125 H300\n", "firmware_version = 2.1.2"),
+])  # fmt: skip
 def test_a_small_value_of_an_unknown_printer_is_asked_for(old, new, remedy, tmp_path):
     log = (NEW + "M666 X-0.30 Y-0.07 Z0\n" + BED).replace(old, new)
     with pytest.raises(InputError, match=rf"M666 Y.*{remedy}"):

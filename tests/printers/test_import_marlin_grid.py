@@ -73,19 +73,16 @@ def test_heights_that_are_readings_are_no_hold_out(tmp_path):
     assert "among the readings already" in sentences
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ("Recv:  3 +0.410", "Recv:  5 +0.410", "does not follow"),
-        ("+0.450", "+1_000", "does not follow"),
-        ("+0.450", "inf", "does not follow"),
-        ("+0.350", "0,35", "does not follow"),
-        ("-0.520", "-52000.0", "is on no bed"),
-        ("Bed X: 0.00 Y: 70.00", "Bed X: 0,00 Y: 70.00", "this is no point"),
-        ("Y: 70.00 Z: 0.03", "Y: 70.00 Z: 0,03", "this is no point"),
-        ("Bed X: 0.00 Y: 70.00", "Bed X: 1e12 Y: 70.00", "is on no bed"),
-    ],
-)
+@pytest.mark.parametrize(("before", "after", "problem"), [
+    ("Recv:  3 +0.410", "Recv:  5 +0.410", "does not follow"),
+    ("+0.450", "+1_000", "does not follow"),
+    ("+0.450", "inf", "does not follow"),
+    ("+0.350", "0,35", "does not follow"),
+    ("-0.520", "-52000.0", "is on no bed"),
+    ("Bed X: 0.00 Y: 70.00", "Bed X: 0,00 Y: 70.00", "this is no point"),
+    ("Y: 70.00 Z: 0.03", "Y: 70.00 Z: 0,03", "this is no point"),
+    ("Bed X: 0.00 Y: 70.00", "Bed X: 1e12 Y: 70.00", "is on no bed"),
+])  # fmt: skip
 def test_a_broken_line_is_refused_and_not_left_out(before, after, problem, tmp_path):
     log = PLACES + OLD_LOG + GRID
     assert before in log

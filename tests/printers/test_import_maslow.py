@@ -137,26 +137,23 @@ def check_anchors(path: Path, lengths: np.ndarray) -> None:
     np.testing.assert_allclose(values, [TRUE[i, k] for i, k in FREE], atol=3.0)
 
 
-@pytest.mark.parametrize(
-    ("yaml", "text", "problem"),
-    [
-        (YAML.replace("Maslow_trY: 2010.0", ""), None, "Maslow_trY"),
-        (YAML.replace("tlX: -20.0", "tlX: wide"), None, "no number"),
-        (YAML.replace("blX: 0", "blX: 12"), None, "lower left anchor"),
-        (YAML, "ok\n", "no belts"),
-        (YAML, "CLBM:[{bl:1.0, br:2.0, tr:3.0},]\n", "four belts"),
-        (YAML.replace("tlX: -20.0", "tlX: nan"), None, "no number"),
-        (YAML.replace("tlY: 2000.0", "tlY: 2e300"), None, "no number"),
-        (YAML, log(belts())[:-40], "the line is cut off"),
-        (YAML, log(belts() / 1000.0), "do not meet"),
-        (YAML, log(-belts()), "do not meet"),
-        (YAML.replace("tlY: 2000.0", "tlY: 2_000"), None, "no number"),
-        (YAML, log(belts()).replace(".", ","), "four belts"),
-        (YAML, log(belts()).replace("br:2", "br:2_"), "four belts"),
-        (YAML, log(belts()).replace("br:2", "br:2e12", 1), "four belts"),
-        (YAML, log(belts()[:, [1, 0, 2, 3]]), "do not meet"),
-    ],
-)
+@pytest.mark.parametrize(("yaml", "text", "problem"), [
+    (YAML.replace("Maslow_trY: 2010.0", ""), None, "Maslow_trY"),
+    (YAML.replace("tlX: -20.0", "tlX: wide"), None, "no number"),
+    (YAML.replace("blX: 0", "blX: 12"), None, "lower left anchor"),
+    (YAML, "ok\n", "no belts"),
+    (YAML, "CLBM:[{bl:1.0, br:2.0, tr:3.0},]\n", "four belts"),
+    (YAML.replace("tlX: -20.0", "tlX: nan"), None, "no number"),
+    (YAML.replace("tlY: 2000.0", "tlY: 2e300"), None, "no number"),
+    (YAML, log(belts())[:-40], "the line is cut off"),
+    (YAML, log(belts() / 1000.0), "do not meet"),
+    (YAML, log(-belts()), "do not meet"),
+    (YAML.replace("tlY: 2000.0", "tlY: 2_000"), None, "no number"),
+    (YAML, log(belts()).replace(".", ","), "four belts"),
+    (YAML, log(belts()).replace("br:2", "br:2_"), "four belts"),
+    (YAML, log(belts()).replace("br:2", "br:2e12", 1), "four belts"),
+    (YAML, log(belts()[:, [1, 0, 2, 3]]), "do not meet"),
+])  # fmt: skip
 def test_what_is_missing_or_wrong_is_refused(yaml, text, problem, tmp_path):
     files = {"m.yaml": yaml, "log.txt": log(belts()) if text is None else text}
     with pytest.raises(InputError, match=problem):

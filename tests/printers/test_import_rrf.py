@@ -218,14 +218,11 @@ def test_points_of_a_loop_are_those_of_its_last_pass(tmp_path):
     assert nominal(study)["radius_mm"] == 124.309
 
 
-@pytest.mark.parametrize(
-    "lines",
-    [
-        in_loop("if heat.heaters[0].current > 50\n  G30 P0 X0 Y80"),
-        in_loop("G31 X20\nG30 P0 X0 Y80"),
-        in_loop("G30 P{iterations} X{10*iterations} Y0"),
-    ],
-)
+@pytest.mark.parametrize("lines", [
+    in_loop("if heat.heaters[0].current > 50\n  G30 P0 X0 Y80"),
+    in_loop("G31 X20\nG30 P0 X0 Y80"),
+    in_loop("G30 P{iterations} X{10*iterations} Y0"),
+])  # fmt: skip
 def test_what_a_loop_changes_is_refused(lines, tmp_path):
     with pytest.raises(InputError, match="stands under"):
         take("rrf", FILES | {"bed.g": lines}, tmp_path)
@@ -234,33 +231,15 @@ def test_what_a_loop_changes_is_refused(lines, tmp_path):
 # -- files that mislead ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new", "words"),
-    [
-        (
-            "log.txt",
-            "G32 bed",
-            "Calibrated 6 factors using 10 points\nG32 bed",
-            "config-override",
-        ),
-        ("bed.g", "G30 P3 X0.00 ", "G30 P3 ", "G30 X.*point 3 has no X"),
-        ("log.txt", "0.764", "probing failed", "a point was not probed"),
-        (
-            "config.g",
-            "G31 X23 Y0",
-            "G31 T1 X9 Y0\nG31 T4 X23 Y0",
-            "probe_offset_mm = x, y",
-        ),
-        ("config.g", "M558", "M669 K0\nM558", "none of linear delta"),
-        ("config.g", "M558", "M669 K6\nM558", "line 4, M669 K.*`hangprinter`"),
-        (
-            "config.g",
-            "L241.987",
-            "L241.987:242:242:200",
-            "4 numbers, where 1 or 3 belong",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "old", "new", "words"), [
+    ("log.txt", "G32 bed", "Calibrated 6 factors using 10 points\nG32 bed", "config-override"),
+    ("bed.g", "G30 P3 X0.00 ", "G30 P3 ", "G30 X.*point 3 has no X"),
+    ("log.txt", "0.764", "probing failed", "a point was not probed"),
+    ("config.g", "G31 X23 Y0", "G31 T1 X9 Y0\nG31 T4 X23 Y0", "probe_offset_mm = x, y"),
+    ("config.g", "M558", "M669 K0\nM558", "none of linear delta"),
+    ("config.g", "M558", "M669 K6\nM558", "line 4, M669 K.*`hangprinter`"),
+    ("config.g", "L241.987", "L241.987:242:242:200", "4 numbers, where 1 or 3 belong"),
+])  # fmt: skip
 def test_files_that_mislead_are_refused(name, old, new, words, tmp_path):
     assert old in FILES[name]
     with pytest.raises(InputError, match=words):

@@ -33,12 +33,9 @@ def stamped(form: str, lines: list[str], start: float = 36000.0) -> list[str]:
 
 
 FORMS = [
-    "{day}.11.2026, {clock}\t",
-    "2026-11-{day} {clock},123 - Recv: ",
-    "11/{day}/2026, {half} ",
-    "[{clock}] ",
-    "{clock}.250 > ",
-]
+    "{day}.11.2026, {clock}\t", "2026-11-{day} {clock},123 - Recv: ",
+    "11/{day}/2026, {half} ", "[{clock}] ", "{clock}.250 > ",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("start", [36000.0, 85800.0], ids=["morning", "over midnight"])

@@ -110,26 +110,14 @@ SECTIONS = {
     "bltouch": ["sensor_pin", "control_pin", "pin_move_time", "x_offset", "z_offset"],
 }
 RRF_WORDS = {
-    "M665": "LRBHXYZ",
-    "M666": "XYZAB",
-    "M557": "XYRSPABC",
-    "M558": "PCHFTABRSKIXYZUV",
-    "G31": "PXYZCSTHK",
-    "M669": "KXYST",
-    "M579": "XYZ",
-    "M851": "Z",
-    "G29": "SPK",
+    "M665": "LRBHXYZ", "M666": "XYZAB", "M557": "XYRSPABC", "M558": "PCHFTABRSKIXYZUV",
+    "G31": "PXYZCSTHK", "M669": "KXYST", "M579": "XYZ", "M851": "Z", "G29": "SPK",
     "G30": "PXYZHSK",
-}
+}  # fmt: skip
 MARLIN_WORDS = {
-    "M665": "HLRSXYZABC",
-    "M666": "XYZ",
-    "M851": "XYZ",
-    "M206": "XYZPTABCUVW",
-    "G29": "ACOQXYZWSEDHFBLRJVPTUKIN",
-    "G30": "XYCE",
-    "G33": "ACEPTVORSXYZF",
-}
+    "M665": "HLRSXYZABC", "M666": "XYZ", "M851": "XYZ", "M206": "XYZPTABCUVW",
+    "G29": "ACOQXYZWSEDHFBLRJVPTUKIN", "G30": "XYCE", "G33": "ACEPTVORSXYZF",
+}  # fmt: skip
 #: words whose number decides nothing that a study holds
 ONLY_CHECKED = {
     "kinematics", "M669 K", "G31 K", "G30 K", "G30 P", "G30 Z", "G33 O", "G33 P", "M558 K",
@@ -323,26 +311,10 @@ def test_the_radius_of_calibration_changes_no_length(tmp_path):
     assert 'm665_b = "calibration radius"' in imported.study
 
 
-@pytest.mark.parametrize(
-    "word",
-    [
-        "c",
-        "x",
-        "y",
-        "z",
-        "yz",
-        "zx",
-        "xy",
-        "Height",
-        "Ex",
-        "Ey",
-        "Ez",
-        "Radius",
-        "Tx",
-        "Ty",
-        "Tz",
-    ],
-)
+@pytest.mark.parametrize("word", [
+    "c", "x", "y", "z", "yz", "zx", "xy", "Height", "Ex", "Ey", "Ez", "Radius", "Tx",
+    "Ty", "Tz",
+])  # fmt: skip
 def test_every_number_of_a_g33_report(word, tmp_path):
     """What G33 prints of its changes is the geometry of the heights below it."""
     before = read("marlin", {"log": REPORT}, tmp_path)
@@ -366,15 +338,9 @@ def test_radius_trims_of_forks_are_refused_by_name(kind, letter, tmp_path):
         read(kind, files, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("kind", "command"),
-    [
-        ("marlin", "M666 D0.3"),
-        ("marlin", "M665 Q2"),
-        ("rrf", "M666 Q1"),
-        ("rrf", "G20"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "command"), [
+    ("marlin", "M666 D0.3"), ("marlin", "M665 Q2"), ("rrf", "M666 Q1"), ("rrf", "G20"),
+])  # fmt: skip
 def test_a_word_that_nobody_documents_is_refused(kind, command, tmp_path):
     files = RRF if kind == "rrf" else {"log": NEW_MARLIN}
     first = next(iter(files))

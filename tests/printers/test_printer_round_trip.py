@@ -234,16 +234,10 @@ def test_marlin_makes_no_move_for_a_small_value(tmp_path):
     check(firmware, real, best)
 
 
-@pytest.mark.parametrize(
-    ("words", "offset"),
-    [
-        ("P4 V0", False),
-        ("P3 V0 O", True),
-        ("P7 V0", False),
-        ("P8 V0", False),
-        ("P10 V0 O", True),
-    ],
-)
+@pytest.mark.parametrize(("words", "offset"), [
+    ("P4 V0", False), ("P3 V0 O", True), ("P7 V0", False), ("P8 V0", False),
+    ("P10 V0 O", True),
+])  # fmt: skip
 def test_marlin_g33(words, offset, tmp_path):
     """Means over rings of places count as such; with O the probe is on the places."""
     x, y = (23.0, -5.0) if offset else (0.0, 0.0)

@@ -146,43 +146,29 @@ def test_one_firmware_takes_what_the_other_measured(tmp_path):
     check_bed(RrfRotary(export), real_printer(KlipperRotary(text)))
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ("rotary_delta", "polar", r"line 2, \[printer\] kinematics.*no delta"),
-        (
-            "shoulder_radius: 33.9",
-            "delta_radius: 9",
-            r"line 3, \[printer\] delta_radius",
-        ),
-        (
-            "microsteps: 16",
-            "microsteps: 16\nrotation_distance: 40",
-            r"rotation_distance.*no such option",
-        ),
-        ("position_endstop: 252", "position_endstop: 2000", "line 8.*do not reach"),
-        ("gear_ratio: 107:16, 60:16", "", r"\[stepper_a\] gear_ratio.*missing"),
-        ("gear_ratio: 107:16", "gear_ratio: 214:16", "its steps are .* times those"),
-    ],
-)
+@pytest.mark.parametrize(("before", "after", "problem"), [
+    ("rotary_delta", "polar", r"line 2, \[printer\] kinematics.*no delta"),
+    ("shoulder_radius: 33.9", "delta_radius: 9", r"line 3, \[printer\] delta_radius"),
+    ("microsteps: 16", "microsteps: 16\nrotation_distance: 40", r"rotation_distance.*no such option"),
+    ("position_endstop: 252", "position_endstop: 2000", "line 8.*do not reach"),
+    ("gear_ratio: 107:16, 60:16", "", r"\[stepper_a\] gear_ratio.*missing"),
+    ("gear_ratio: 107:16", "gear_ratio: 214:16", "its steps are .* times those"),
+])  # fmt: skip
 def test_what_klipper_does_not_take_is_refused(before, after, problem, tmp_path):
     text = klipper_text().replace(before.replace(": ", " = "), after)
     with pytest.raises(InputError, match=problem):
         take("klipper", {"printer.cfg": text}, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ("K10", "K4", "line 1, M669 K.*none of linear delta"),
-        ("H412.9", "H412.9:413.2:412.9", "line 1, M669 H.*one height"),
-        ("U170", "U170:170", "line 1, M669 U.*2 numbers, where 1 or 3 belong"),
-        ("U170 ", "", "M669 U.*has no U"),
-        ("B90", "W90", "line 1, M669 W.*does not know this word"),
-        ("M558", "M665 R100\nM558", "line 3, M665.*of linear deltas"),
-        ("M666 X0.5", "M666 A1", "line 2, M666 A.*does not know"),
-    ],
-)
+@pytest.mark.parametrize(("before", "after", "problem"), [
+    ("K10", "K4", "line 1, M669 K.*none of linear delta"),
+    ("H412.9", "H412.9:413.2:412.9", "line 1, M669 H.*one height"),
+    ("U170", "U170:170", "line 1, M669 U.*2 numbers, where 1 or 3 belong"),
+    ("U170 ", "", "M669 U.*has no U"),
+    ("B90", "W90", "line 1, M669 W.*does not know this word"),
+    ("M558", "M665 R100\nM558", "line 3, M665.*of linear deltas"),
+    ("M666 X0.5", "M666 A1", "line 2, M666 A.*does not know"),
+])  # fmt: skip
 def test_what_the_model_has_not_is_refused(before, after, problem, tmp_path):
     files = {"bed.g": rrf.bed_file(PLACES), "log.txt": "G32 bed probe heights: 0\n"}
     files["config.g"] = RRF_CONFIG.replace(before, after, 1)

@@ -157,15 +157,12 @@ def test_three_radii_are_refused_with_what_is_lost(tmp_path, capsys):
     assert float(lost[1]) == pytest.approx(lost_by_the_mean(), rel=0.25)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said_so"),
-    [
-        ("M665 Z300.000\n", "", "M665 has no Z"),
-        ("PROBE: ", "probed ", "no probed points in it; log the answer of G29.1"),
-        ("M665 L", "M665 W9 L", r"line 1, M665 W"),
-        (SETTINGS, "EPR:3 881 215.0 Diagonal rod length [mm]\n", "line 1.*Repetier"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "said_so"), [
+    ("M665 Z300.000\n", "", "M665 has no Z"),
+    ("PROBE: ", "probed ", "no probed points in it; log the answer of G29.1"),
+    ("M665 L", "M665 W9 L", r"line 1, M665 W"),
+    (SETTINGS, "EPR:3 881 215.0 Diagonal rod length [mm]\n", "line 1.*Repetier"),
+])  # fmt: skip
 def test_what_is_not_read_is_refused_with_its_reason(old, new, said_so, tmp_path):
     log = log_of(Smoothie(SETTINGS), printer(), "spiral")
     assert old in log

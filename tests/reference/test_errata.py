@@ -199,13 +199,10 @@ def test_table_3_has_a_part_that_no_bar_reading_backs():
 # -- A3: the linear compensator --------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("theta_deg", "left"),
-    [
-        ([5, 15, 25, 35], [0.234e-3, 0.98e-3, 0.61e-3]),
-        ([2], [0.040e-3, 2.37e-3, 0.094e-3]),
-    ],
-)
+@pytest.mark.parametrize(("theta_deg", "left"), [
+    ([5, 15, 25, 35], [0.234e-3, 0.98e-3, 0.61e-3]),
+    ([2], [0.040e-3, 2.37e-3, 0.094e-3]),
+])  # fmt: skip
 def test_one_step_of_eq_24_leaves_tenths_of_a_millimetre(theta_deg, left):
     """Largest errors in z (m), psi, theta (rad) with Table 3's errors; two more steps
     leave nothing.

@@ -28,15 +28,8 @@ TABLE_3_DEG = {"beta1": -0.4485, "beta2": -0.7084, "beta3": -0.5500}
 #: points each, all columns as lengths (D dbeta). Taught cup: Eqs. (11)-(12); free cup:
 #: three unknown coordinates instead
 KAPPA_TAUGHT = {
-    12: 3908,
-    13: 5210,
-    14: 4587,
-    15: 3748,
-    16: 4530,
-    18: 4184,
-    20: 4439,
-    24: 4420,
-}
+    12: 3908, 13: 5210, 14: 4587, 15: 3748, 16: 4530, 18: 4184, 20: 4439, 24: 4420,
+}  # fmt: skip
 KAPPA_FREE = {12: 19446, 15: 17705, 16: 17033, 24: 16855}
 
 #: sum of the logs of the 18 non-zero eigenvalues of H^T H in the same scaling

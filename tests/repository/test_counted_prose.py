@@ -34,21 +34,14 @@ def test_the_readme_counts_the_effects():
     assert stated(r"(\d+) physical effects", "README.md") == len(listing("effects"))
 
 
-@pytest.mark.parametrize(
-    ("kind", "path", "pattern"),
-    [
-        ("machines", "README.md", r"machine is one file of about (\d+) lines"),
-        ("machines", "CONTRIBUTING.md", r"file of about (\d+) lines in"),
-        (
-            "machines",
-            "docs/reference/architecture.md",
-            r"machine is one file of about (\d+) lines",
-        ),
-        ("effects", "README.md", r"new effect one of about (\d+)"),
-        ("effects", "CONTRIBUTING.md", r"effects/` of about (\d+) lines"),
-        ("effects", "docs/howto/diagnose.md", r"a file of about (\d+) lines"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "path", "pattern"), [
+    ("machines", "README.md", r"machine is one file of about (\d+) lines"),
+    ("machines", "CONTRIBUTING.md", r"file of about (\d+) lines in"),
+    ("machines", "docs/reference/architecture.md", r"machine is one file of about (\d+) lines"),
+    ("effects", "README.md", r"new effect one of about (\d+)"),
+    ("effects", "CONTRIBUTING.md", r"effects/` of about (\d+) lines"),
+    ("effects", "docs/howto/diagnose.md", r"a file of about (\d+) lines"),
+])  # fmt: skip
 def test_lengths_of_files_are_stated_as_they_are(kind, path, pattern):
     assert stated(pattern, path) == pytest.approx(median_length(kind), rel=ROUNDED)
 

@@ -26,15 +26,10 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"
 #: pages that run from top to bottom, and how many commands they have at least
 EXECUTED = {
-    "tutorial_own_machine": 9,
-    "tutorial_tripod": 4,
-    "howto/test": 2,
-    "howto/arrays": 1,
-    "howto/adjust": 3,
-    "howto/forecast": 3,
-    "howto/rounds": 9,
+    "tutorial_own_machine": 9, "tutorial_tripod": 4, "howto/test": 2, "howto/arrays": 1,
+    "howto/adjust": 3, "howto/forecast": 3, "howto/rounds": 9,
     "howto/self_calibration": 10,
-}
+}  # fmt: skip
 #: command of a page from which on it runs at night only, as it takes seconds
 LONG_COMMANDS = {
     "howto/forecast": "oed forecast a3_forecast",
@@ -180,15 +175,10 @@ def execute_by_bash(line: str, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    ("shown", "line", "same"),
-    [
-        ("a ... d", "a b c d", True),
-        ("a", "a b", False),
-        ("1.5...", "1.53 um", True),
-        ("[x]", "[x]", True),
-    ],
-)
+@pytest.mark.parametrize(("shown", "line", "same"), [
+    ("a ... d", "a b c d", True), ("a", "a b", False), ("1.5...", "1.53 um", True),
+    ("[x]", "[x]", True),
+])  # fmt: skip
 def test_dots_stand_for_anything(shown, line, same):
     assert matches(shown, line) == same
 

@@ -13,11 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 MAX_NAMES = 15
 #: rooms that hand out more, and how many: the figure falls, and never grows
 LARGER = {
-    "oed.dataset": 30,
-    "oed.gap": 24,
-    "pkm_studies.resolve": 24,
+    "oed.dataset": 30, "oed.gap": 24, "pkm_studies.resolve": 24,
     "pkm_studies.stages": 31,
-}
+}  # fmt: skip
 #: tables of a study file and records of a result are as many as the files have
 RECORDS = {"oed.result.*", "pkm_studies.tables.*"}
 

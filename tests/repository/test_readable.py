@@ -95,10 +95,9 @@ def test_no_name_is_vague():
     assert not vague
 
 
-@pytest.mark.parametrize(
-    "code",
-    ["told = 1", "def _made(): ...", "class C:\n    kept: int", "f = lambda own: 0"],
-)
+@pytest.mark.parametrize("code", [
+    "told = 1", "def _made(): ...", "class C:\n    kept: int", "f = lambda own: 0",
+])  # fmt: skip
 def test_vague_names_are_recognised(code):
     assert any(name.strip("_") in VAGUE for name in introduced(parsed(code)))
 

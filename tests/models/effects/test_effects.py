@@ -99,15 +99,12 @@ def test_it_fits_or_says_why_not(machine, name):
     assert (reason is None) == fits(machine, name)
 
 
-@pytest.mark.parametrize(
-    ("drive", "reason"),
-    [
-        ("", None),
-        ("screw", None),
-        ("belt", "a belt moves each joint: it has no screws"),
-        ("linear_motor", "a linear motor moves each joint: it has no screws"),
-    ],
-)
+@pytest.mark.parametrize(("drive", "reason"), [
+    ("", None),
+    ("screw", None),
+    ("belt", "a belt moves each joint: it has no screws"),
+    ("linear_motor", "a linear motor moves each joint: it has no screws"),
+])  # fmt: skip
 def test_a_screw_s_error_needs_a_screw(drive, reason):
     machine = dataclasses.replace(CASES["linear_delta"].machine, drive=drive)
     assert effect_of("screw_cyclic").unfit(machine) == reason
@@ -240,17 +237,9 @@ def test_a_temperature_stands_for_time():
     assert untestable(effect_of("frame_thermal"), warm.states) is not None
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "leg_thermal",
-        "gravity",
-        "friction",
-        "joint_runout",
-        "joint_clearance",
-        "guideway",
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "leg_thermal", "gravity", "friction", "joint_runout", "joint_clearance", "guideway",
+])  # fmt: skip
 def test_a_machine_without_struts_is_told(name):
     machine = dataclasses.replace(CASES["a3_head"].machine, struts=None)
     assert (
@@ -287,14 +276,11 @@ def test_an_effect_of_ones_own(tmp_path):
     ) is effect_of("backlash")
 
 
-@pytest.mark.parametrize(
-    ("column", "words"),
-    [
-        ("joints={9: state.time}", "joint index 9, but the machine has 0 to 2"),
-        ("reading={'*': 1.0}", r"reading\['\*'\] has shape \(\), and not a number"),
-        ("joints={0: 0.0 * state.time / 0.0}", r"joints\[0\] is not finite"),
-    ],
-)
+@pytest.mark.parametrize(("column", "words"), [
+    ("joints={9: state.time}", "joint index 9, but the machine has 0 to 2"),
+    ("reading={'*': 1.0}", r"reading\['\*'\] has shape \(\), and not a number"),
+    ("joints={0: 0.0 * state.time / 0.0}", r"joints\[0\] is not finite"),
+])  # fmt: skip
 def test_a_column_that_fits_no_pose_is_refused(column, words, tmp_path):
     own = OWN.replace('Column("wind", 1e-6)', f'Column("wind", 1e-6, {column})')
     (tmp_path / "wind.py").write_text(own, encoding="utf-8")
@@ -309,15 +295,12 @@ def test_a_need_that_no_reading_records_is_refused():
         dataclasses.replace(effect_of("backlash"), needs=("time or tiem",))
 
 
-@pytest.mark.parametrize(
-    ("reference", "words"),
-    [
-        ("backlesh", "no such effect; did you mean backlash?"),
-        ("wind.py:storm", "there is no storm in it"),
-        ("pkm_models.machines.a3_head:machine", "machine is no Effect"),
-        ("calm.py", "there is no such file"),
-    ],
-)
+@pytest.mark.parametrize(("reference", "words"), [
+    ("backlesh", "no such effect; did you mean backlash?"),
+    ("wind.py:storm", "there is no storm in it"),
+    ("pkm_models.machines.a3_head:machine", "machine is no Effect"),
+    ("calm.py", "there is no such file"),
+])  # fmt: skip
 def test_a_wrong_name_is_told(reference, words, tmp_path):
     (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
     with pytest.raises(InputError) as caught:

@@ -60,10 +60,9 @@ def of_class(name: str) -> tuple[Measurement, list[Series]]:
     return measurement, [measurement.series(n, p) for n, p in poses.items()]
 
 
-@pytest.mark.parametrize(
-    ("name", "rank", "count"),
-    [("external", 9, 15), ("sensors", 21, 27), ("plates", 15, 24), ("locks", 12, 18)],
-)
+@pytest.mark.parametrize(("name", "rank", "count"), [
+    ("external", 9, 15), ("sensors", 21, 27), ("plates", 15, 24), ("locks", 12, 18),
+])  # fmt: skip
 def test_slopes_and_ranks_of_each_class_of_calibration(name, rank, count):
     measurement, series = of_class(name)
     rows = measurement.jacobian(series, measurement.nominal)

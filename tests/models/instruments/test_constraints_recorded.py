@@ -112,20 +112,14 @@ def pulls(
 _CMM_KINEMATICS = Kinematics(CMM)
 MEASUREMENTS = {
     "sensors": Measurement(CMM, [sensors()], _CMM_KINEMATICS),
-    "plate": Measurement(
-        CMM, [mount(touch_plane.instrument, "plate", at=-0.2)], _CMM_KINEMATICS
-    ),
+    "plate": Measurement(CMM, [mount(touch_plane.instrument, "plate", at=-0.2)], _CMM_KINEMATICS),
     "lock": Measurement(CMM, [lock("lock")], _CMM_KINEMATICS),
-    "seat": Measurement(
-        hexapod.machine, [mount(seat.instrument.for_machine(hexapod.machine), "seat")]
-    ),
-}
+    "seat": Measurement(hexapod.machine, [mount(seat.instrument.for_machine(hexapod.machine), "seat")]),
+}  # fmt: skip
 CALIBRATIONS = {
-    "sensors": calibrate_sensors,
-    "plate": calibrate_plate,
-    "lock": calibrate_lock,
+    "sensors": calibrate_sensors, "plate": calibrate_plate, "lock": calibrate_lock,
     "seat": calibrate_seat,
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

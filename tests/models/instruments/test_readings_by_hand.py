@@ -151,13 +151,9 @@ NOISE = {
 #: numbers of a set-up that states none: ISO 230-4's bar; a laser ball bar's data sheet
 DEFAULTS = {
     "ball_bar": {"length": 0.3},
-    "laser_ball_bar": {
-        "baseline": 0.1,
-        "range_noise": 0.3e-6,
-        "angle_noise": math.radians(1.15 / 3600.0),
-    },
+    "laser_ball_bar": {"baseline": 0.1, "range_noise": 0.3e-6, "angle_noise": math.radians(1.15 / 3600.0)},
     "touch_plane": {"normal_x": 0.0, "normal_y": 0.0, "normal_z": 1.0},
-}
+}  # fmt: skip
 
 
 def test_noise_and_settings_are_those_of_data_sheets():

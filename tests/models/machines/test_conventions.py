@@ -142,18 +142,11 @@ def test_errors_have_the_sense_actual_less_wanted():
 
 #: (machine, sign): a joint that grows by its words does so to the distance of its strut
 LENGTHS = {
-    "a3_head": 1.0,
-    "hexapod": 1.0,
-    "hexapod_ups": 1.0,
-    "pentapod": 1.0,
-    "micro_cmm": 1.0,
-    "tripod_rps": 1.0,
-    "tripod_passive_leg": 1.0,
-    "tripod_upr_spr": 1.0,
-    "cables_planar": 1.0,
-    "cables_spatial": 1.0,
+    "a3_head": 1.0, "hexapod": 1.0, "hexapod_ups": 1.0, "pentapod": 1.0,
+    "micro_cmm": 1.0, "tripod_rps": 1.0, "tripod_passive_leg": 1.0,
+    "tripod_upr_spr": 1.0, "cables_planar": 1.0, "cables_spatial": 1.0,
     "cable_robot": 1.0,
-}
+}  # fmt: skip
 #: carriages: the strut's end at the base moves along this axis of the base frame; 0 for
 #: the guide's own direction
 CARRIAGES = {

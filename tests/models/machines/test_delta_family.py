@@ -93,28 +93,22 @@ def test_poses_of_the_workspace_out_of_reach_are_named():
     assert "x = -40 mm" in sentence
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("radius_mm = 800", "radius_mm = 2100", "an arm is shorter than its radius"),
-        ("radius_mm = 800", "radius_kg = 800", '"kg" is no unit for radius'),
-        ("radius_mm = 800", "radius_mm = [800, 800]", "2 numbers, where 3 belong"),
-        ("radius_mm = 800", "radius_mm = -800", "radius must be above 0"),
-        ('"delta"', '"a3_head"', "a3_head has one geometry"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("radius_mm = 800", "radius_mm = 2100", "an arm is shorter than its radius"),
+    ("radius_mm = 800", "radius_kg = 800", '"kg" is no unit for radius'),
+    ("radius_mm = 800", "radius_mm = [800, 800]", "2 numbers, where 3 belong"),
+    ("radius_mm = 800", "radius_mm = -800", "radius must be above 0"),
+    ('"delta"', '"a3_head"', "a3_head has one geometry"),
+])  # fmt: skip
 def test_a_geometry_that_makes_no_delta_is_refused(old, new, said):
     assert said in str(refused(STUDY, (old, new)))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("radius_mm = 60", "radius_mm = 160", "the home pose fails"),
-        ("z_mm = [0, 100]", "z_mm = [50, 100]", "outside the workspace"),
-        ("z_mm = [0, 100]", "z_mm = [50, 10]", "the range is empty"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("radius_mm = 60", "radius_mm = 160", "the home pose fails"),
+    ("z_mm = [0, 100]", "z_mm = [50, 100]", "outside the workspace"),
+    ("z_mm = [0, 100]", "z_mm = [50, 10]", "the range is empty"),
+])  # fmt: skip
 def test_numbers_of_another_machine_are_refused(old, new, said):
     assert said in str(refused(SMALL, (old, new)))
 

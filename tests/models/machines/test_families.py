@@ -104,15 +104,12 @@ def test_a_best_alignment_moves_no_place_that_compensation_has_put_right():
     assert np.abs(places).max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("[0, 500, 0], ", "", "2 x 3 numbers, where 3 x 3 belong"),
-        ("[0, 500, 0]", "[0, 500]", "the rows differ in length"),
-        ("home_mm = [0, 0, -1500]", "home_mm = [0, 0, -100]", "reaches the pivot"),
-        ("reach_mm", "reech_mm", "did you mean reach_mm?"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("[0, 500, 0], ", "", "2 x 3 numbers, where 3 x 3 belong"),
+    ("[0, 500, 0]", "[0, 500]", "the rows differ in length"),
+    ("home_mm = [0, 0, -1500]", "home_mm = [0, 0, -100]", "reaches the pivot"),
+    ("reach_mm", "reech_mm", "did you mean reach_mm?"),
+])  # fmt: skip
 def test_a_geometry_that_does_not_fit_is_refused(old, new, said):
     assert said in str(refused(STUDY, (old, new)))
 

@@ -245,13 +245,6 @@ class MarlinRC8(Marlin):
 
 
 VERSIONS = (
-    MarlinRC8,
-    Marlin110,
-    Marlin115,
-    Marlin118,
-    Marlin119,
-    Marlin1191,
-    Marlin205,
-    Marlin206,
-    Marlin,
-)
+    MarlinRC8, Marlin110, Marlin115, Marlin118, Marlin119, Marlin1191, Marlin205,
+    Marlin206, Marlin,
+)  # fmt: skip

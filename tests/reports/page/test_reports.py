@@ -32,20 +32,9 @@ LOADING_ATTRIBUTES = ("src", "href", "srcset", "poster")
 SAMPLES = [report_fixture.sample, report_fixture.bare, report_fixture.delta]
 #: keys that results of older versions lack
 NEWER_KEYS = [
-    "title",
-    "question",
-    "study_text",
-    "versions",
-    "headline",
-    "setups",
-    "held_out",
-    "claims",
-    "warnings",
-    "identifiability_of",
-    "kappa_maps",
-    "gap",
-    "gap_before",
-]
+    "title", "question", "study_text", "versions", "headline", "setups", "held_out",
+    "claims", "warnings", "identifiability_of", "kappa_maps", "gap", "gap_before",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -27,11 +27,8 @@ CHROMIUM = next((path for path in map(shutil.which, BROWSERS) if path), None)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.pictures,
-    pytest.mark.skipif(
-        CHROMIUM is None,
-        reason="no Chromium on this machine: install the package chromium",
-    ),
-]
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: install the package chromium"),
+]  # fmt: skip
 SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 WIDTHS = {390: 844, 768: 1024, 1440: 900}
 SERIOUS = {"serious", "critical"}

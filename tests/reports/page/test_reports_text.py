@@ -5,22 +5,19 @@ import pytest
 from pkm_reports import text
 
 
-@pytest.mark.parametrize(
-    ("value", "written"),
-    [
-        (0.0, "0"),
-        (None, "–"),
-        (float("nan"), "–"),
-        (float("inf"), "∞"),
-        (3748.2, "3748"),
-        (0.00124, "0.00124"),
-        (-58.684, "−58.7"),
-        (9.996, "10.0"),
-        (18, "18"),
-        (3.2e-7, "3.2×10⁻⁷"),
-        (1e-9, "10⁻⁹"),
-    ],
-)
+@pytest.mark.parametrize(("value", "written"), [
+    (0.0, "0"),
+    (None, "–"),
+    (float("nan"), "–"),
+    (float("inf"), "∞"),
+    (3748.2, "3748"),
+    (0.00124, "0.00124"),
+    (-58.684, "−58.7"),
+    (9.996, "10.0"),
+    (18, "18"),
+    (3.2e-7, "3.2×10⁻⁷"),
+    (1e-9, "10⁻⁹"),
+])  # fmt: skip
 def test_numbers_as_a_person_writes_them(value, written):
     assert text.number(value) == written
 
@@ -57,14 +54,11 @@ def test_lists_and_combinations():
     assert combination == "b − 0.5\N{NO-BREAK SPACE}a"
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ("runs differ by a third", "Runs differ by a third."),
-        ("noise is as stated", "Noise is as stated."),
-        ("x is lost", "x is lost."),
-    ],
-)
+@pytest.mark.parametrize(("words", "sentence"), [
+    ("runs differ by a third", "Runs differ by a third."),
+    ("noise is as stated", "Noise is as stated."),
+    ("x is lost", "x is lost."),
+])  # fmt: skip
 def test_a_sentence_starts_with_a_capital_but_not_with_that_of_a_symbol(
     words, sentence
 ):

@@ -26,14 +26,8 @@ OPTIONAL = sorted(set(PlanSection.__struct_fields__) - NEEDED)
 #: keys of a plan and of a stage that may be null
 NULLABLE = ["budget_min", "value", "bound", "loss", "lines"]
 NULLABLE_OF_STAGE = [
-    "chosen",
-    "end_min",
-    "lost",
-    "cut_off_um",
-    "rank",
-    "realised_lost",
-    "coverage",
-]
+    "chosen", "end_min", "lost", "cut_off_um", "rank", "realised_lost", "coverage",
+]  # fmt: skip
 NEEDED_OF_STAGE = {
     "measurement",
     "setups",
@@ -130,16 +124,13 @@ def test_a_reached_goal_is_reported():
     assert "out of reach" not in shown
 
 
-@pytest.mark.parametrize(
-    ("loss", "written"),
-    [
-        (0.0430, "4.3\N{NO-BREAK SPACE}%"),
-        (0.04301, "4.4\N{NO-BREAK SPACE}%"),
-        (0.0, "0.0\N{NO-BREAK SPACE}%"),
-        (0.0009, "0.1\N{NO-BREAK SPACE}%"),
-        (10.44, "a factor of 11.5"),
-    ],
-)
+@pytest.mark.parametrize(("loss", "written"), [
+    (0.0430, "4.3\N{NO-BREAK SPACE}%"),
+    (0.04301, "4.4\N{NO-BREAK SPACE}%"),
+    (0.0, "0.0\N{NO-BREAK SPACE}%"),
+    (0.0009, "0.1\N{NO-BREAK SPACE}%"),
+    (10.44, "a factor of 11.5"),
+])  # fmt: skip
 def test_a_loss_is_never_rounded_down(loss, written):
     plan = report_fixture_plan.plan(wanted=False) | {"loss": loss}
     blocks = stages.blocks(_small(plan))

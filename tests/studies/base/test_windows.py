@@ -73,13 +73,10 @@ def test_a_terminal_without_unicode_gets_the_text(encoding, tmp_path):
     assert b"?.study.toml: there is no such study file" in wrong.stderr
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        pytest.param(["schema", "result"], marks=pytest.mark.slow),
-        ["list", "effects", "--json"],
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    pytest.param(["schema", "result"], marks=pytest.mark.slow),
+    ["list", "effects", "--json"],
+])  # fmt: skip
 def test_json_is_whole_on_any_terminal(arguments):
     narrow = oed(*arguments, encoding="cp1252")
     wide = oed(*arguments, encoding="utf-8")

@@ -61,14 +61,11 @@ def test_broken_draws_are_named(tmp_path, content):
 DEEP = "x = " + "[" * 5000
 
 
-@pytest.mark.parametrize(
-    ("name", "command"),
-    [
-        ("c.campaign.toml", ["campaign", "c.campaign.toml"]),
-        ("m.toml", ["import", "columns", "r.csv", "--map", "m.toml", "--out", "o"]),
-        ("s.study.toml", ["check", "s.study.toml"]),
-    ],
-)
+@pytest.mark.parametrize(("name", "command"), [
+    ("c.campaign.toml", ["campaign", "c.campaign.toml"]),
+    ("m.toml", ["import", "columns", "r.csv", "--map", "m.toml", "--out", "o"]),
+    ("s.study.toml", ["check", "s.study.toml"]),
+])  # fmt: skip
 def test_nested_tables_are_named(tmp_path, monkeypatch, capsys, name, command):
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text(DEEP, encoding="utf-8")

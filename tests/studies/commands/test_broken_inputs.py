@@ -45,22 +45,10 @@ def one_paragraph(err: str) -> str:
 
 
 STUDIES = {
-    "unknown field": (
-        ("criterion =", "criterium ="),
-        "design.criterium",
-        "did you mean criterion",
-    ),
-    "pose out of reach": (
-        ("z_mm = 1286.0", "z_mm = 3000.0"),
-        "setup[1].teach",
-        "keep to poses within",
-    ),
-    "half a file": (
-        ('[expect]\nrank = { of = "identifiability.rank", equals = 18 }', "[expe"),
-        "",
-        "line",
-    ),
-}
+    "unknown field": (("criterion =", "criterium ="), "design.criterium", "did you mean criterion"),
+    "pose out of reach": (("z_mm = 1286.0", "z_mm = 3000.0"), "setup[1].teach", "keep to poses within"),
+    "half a file": (('[expect]\nrank = { of = "identifiability.rank", equals = 18 }', "[expe"), "", "line"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("command", ["run", "check"])
@@ -86,17 +74,9 @@ def test_study_without_any_set_up(capsys, tmp_path):
 
 
 READINGS = {
-    "nan": (
-        ("300.001", "NaN"),
-        "row 2, column length_mm = NaN",
-        "leave the cell empty",
-    ),
-    "pose out of reach": (
-        ("1146,90", "2146,90"),
-        "row 3, column z_mm = 2146",
-        "1066 to 1266",
-    ),
-}
+    "nan": (("300.001", "NaN"), "row 2, column length_mm = NaN", "leave the cell empty"),
+    "pose out of reach": (("1146,90", "2146,90"), "row 3, column z_mm = 2146", "1066 to 1266"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", READINGS)
@@ -146,11 +126,10 @@ def test_no_file_a_folder_and_nesting(capsys, tmp_path):
 # -- the real command ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "content",
-    [noise("binary"), sample.STUDY.replace("300.0", "nan").encode()],
-    ids=["noise", "nan"],
-)
+@pytest.mark.parametrize("content", [
+    noise("binary"),
+    sample.STUDY.replace("300.0", "nan").encode(),
+], ids=["noise", "nan"])  # fmt: skip
 def test_in_a_process_of_its_own(content, tmp_path):
     path = tmp_path / "x.study.toml"
     path.write_bytes(content)

@@ -87,10 +87,9 @@ def test_checks_load_no_statistics_and_no_searches():
     assert printed_by(code)[-1] == "set()"
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["run", "check", "simulate", "identify", "report", "list", "schema", "new"],
-)
+@pytest.mark.parametrize("command", [
+    "run", "check", "simulate", "identify", "report", "list", "schema", "new",
+])  # fmt: skip
 def test_every_command_has_help(command, oed):
     code, out, _ = oed(command, "--help")
     assert code == 0
@@ -256,18 +255,15 @@ def test_one_seed_gives_the_same_bytes(oed, tmp_path):
 # -- how it ends -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["run"],
-        ["frobnicate"],
-        ["run", "a", "--seed", "x"],
-        ["run", "a", "--seed", "-1"],
-        ["run", "a", "--fast"],
-        ["list", "x"],
-        ["list"],
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    ["run"],
+    ["frobnicate"],
+    ["run", "a", "--seed", "x"],
+    ["run", "a", "--seed", "-1"],
+    ["run", "a", "--fast"],
+    ["list", "x"],
+    ["list"],
+])  # fmt: skip
 def test_a_wrong_call_gets_one_line(arguments, oed):
     code, out, err = oed(*arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)

@@ -8,14 +8,11 @@ from pkm_studies.commands import main
 TOLERANCE = "[[prior.tolerance]]\nparameters = ['dq*']\nsigma_mm = 1e30\n[report]"
 
 
-@pytest.mark.parametrize(
-    ("change", "field", "remedy"),
-    [
-        (("length_um = 0.5", "length_um = 1e300"), "noise.length_um", "check its unit"),
-        (("length_um = 0.5", "length_um = 1e-9"), "noise.length_um", "1e-12 to 1000 m"),
-        (("[report]", TOLERANCE), "prior.tolerance[1].sigma_mm", "up to 1000 m"),
-    ],
-)
+@pytest.mark.parametrize(("change", "field", "remedy"), [
+    (("length_um = 0.5", "length_um = 1e300"), "noise.length_um", "check its unit"),
+    (("length_um = 0.5", "length_um = 1e-9"), "noise.length_um", "1e-12 to 1000 m"),
+    (("[report]", TOLERANCE), "prior.tolerance[1].sigma_mm", "up to 1000 m"),
+])  # fmt: skip
 def test_noise_and_tolerances(change, field, remedy):
     error = sample.refused(sample.STUDY, change)
     assert error.field == field

@@ -18,17 +18,9 @@ from pkm_studies.quantities import column
 from pkm_studies.study import Study
 
 PATHS = (
-    "../evil",
-    "/elsewhere/evil",
-    "a/b",
-    "..",
-    "",
-    ".hidden",
-    "a\nb",
-    "evil\n",
-    "C:evil",
-    "a\\b",
-)
+    "../evil", "/elsewhere/evil", "a/b", "..", "", ".hidden", "a\nb", "evil\n",
+    "C:evil", "a\\b",
+)  # fmt: skip
 COMMAND = "M112 (stop)"
 TEXT = f"1.0 ) */ ]]> ---> --> \n{COMMAND}\r{COMMAND}\u2028{COMMAND}\x0b{COMMAND}"
 
@@ -48,16 +40,13 @@ def test_the_name_of_a_study_is_no_path(tmp_path, name):
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["report"],
-        ["compensate", "--to", "csv"],
-        ["verify"],
-        ["adjust"],
-        ["certificate"],
-    ],
-)
+@pytest.mark.parametrize("command", [
+    ["report"],
+    ["compensate", "--to", "csv"],
+    ["verify"],
+    ["adjust"],
+    ["certificate"],
+])  # fmt: skip
 def test_no_command_writes_outside_the_folder(tmp_path, capsys, command):
     folder = stored(tmp_path / "theirs", study="../evil")
     assert main([command[0], str(folder), *command[1:]]) == 2

@@ -87,14 +87,11 @@ def test_studies(change, words, study, capsys):
     assert words in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("low,1", "low,-1"), "column order = -1"),
-        (("30,6,1", "30,-6,1"), "column time_s = -6"),
-        (("direction", "repeat"), "column repeat = -1"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (("low,1", "low,-1"), "column order = -1"),
+    (("30,6,1", "30,-6,1"), "column time_s = -6"),
+    (("direction", "repeat"), "column repeat = -1"),
+])  # fmt: skip
 def test_readings(change, words, tmp_path, capsys):
     path = tmp_path / "r.csv"
     path.write_text(sample.changed(sample.READINGS, change), encoding="utf-8")

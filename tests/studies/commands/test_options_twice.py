@@ -11,13 +11,10 @@ import sample
 from pkm_studies.commands import main
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        "verify out --readings a.csv --readings=b.csv",
-        "diagnose a3_ball_bar --out c --after a --after b",
-    ],
-)
+@pytest.mark.parametrize("call", [
+    "verify out --readings a.csv --readings=b.csv",
+    "diagnose a3_ball_bar --out c --after a --after b",
+])  # fmt: skip
 def test_a_second_file_of_an_option_that_takes_one_is_refused(call, capsys):
     """Else the first would be left out without a word."""
     assert main(call.split()) == 2

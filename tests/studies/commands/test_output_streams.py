@@ -20,15 +20,12 @@ def shell(line: str, folder: Path) -> tuple[int, str, str]:
 CLOSED, NO_ROOM = (">&-", "it is closed"), (">/dev/full", "no space left on device")
 
 
-@pytest.mark.parametrize(
-    ("command", "output", "words"),
-    [
-        ("list machines", *CLOSED),
-        ("schema study", *NO_ROOM),
-        ("--help", *CLOSED),
-        ("--help", *NO_ROOM),
-    ],
-)
+@pytest.mark.parametrize(("command", "output", "words"), [
+    ("list machines", *CLOSED),
+    ("schema study", *NO_ROOM),
+    ("--help", *CLOSED),
+    ("--help", *NO_ROOM),
+])  # fmt: skip
 def test_an_output_that_cannot_be_written(command, output, words, tmp_path):
     if "full" in output and not FULL.exists():
         pytest.skip("this system has no /dev/full")

@@ -189,15 +189,12 @@ def test_twenty_distances_of_a_delta(tmp_path):
     assert abs(fit.x[0] - true[0]) < 0.2
 
 
-@pytest.mark.parametrize(
-    ("header", "rows", "reason"),
-    [
-        ("x;y;wobble", 3, r"header = wobble: no quantity of this machine"),
-        ("x (deg);y;x measured", 3, r"header = x \(deg\): no quantity"),
-        ("x;y", 2, "nothing was measured"),
-        ("x;y;distance", 3, "header = distance: a distance between which two places"),
-    ],
-)
+@pytest.mark.parametrize(("header", "rows", "reason"), [
+    ("x;y;wobble", 3, r"header = wobble: no quantity of this machine"),
+    ("x (deg);y;x measured", 3, r"header = x \(deg\): no quantity"),
+    ("x;y", 2, "nothing was measured"),
+    ("x;y;distance", 3, "header = distance: a distance between which two places"),
+])  # fmt: skip
 def test_words_that_are_not_read(header, rows, reason, tmp_path):
     file = write(tmp_path / "own.csv", header, np.ones((5, rows)))
     with pytest.raises(InputError, match=reason):

@@ -67,14 +67,11 @@ def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(oed, tmp_path, rng):
     np.testing.assert_allclose(joints, q, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "machine",
-    [
-        linear_delta.machine,
-        pytest.param(hexapod.machine, marks=pytest.mark.slow),
-        a3_head.machine,
-    ],
-)
+@pytest.mark.parametrize("machine", [
+    linear_delta.machine,
+    pytest.param(hexapod.machine, marks=pytest.mark.slow),
+    a3_head.machine,
+])  # fmt: skip
 def test_ten_thousand_poses_are_those_of_python(machine, oed, tmp_path, rng):
     values = truth(machine, rng)
     c = library(written(oed, tmp_path / "d", machine, values) / "compensation.c")

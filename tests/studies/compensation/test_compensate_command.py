@@ -216,13 +216,10 @@ def test_a_machine_in_a_file_of_the_user_needs_its_study(oed, tmp_path):
     assert oed("compensate", folder, "--to", "csv", "--study", study)[0] == 0
 
 
-@pytest.mark.parametrize(
-    ("model", "nominal", "words"),
-    [
-        ("linear_delta", "[machine.nominal]\nradius_mm = 99.0\n", "radius = 99 for"),
-        ("planar_2dof", "", "planar_2dof for linear_delta"),
-    ],
-)
+@pytest.mark.parametrize(("model", "nominal", "words"), [
+    ("linear_delta", "[machine.nominal]\nradius_mm = 99.0\n", "radius = 99 for"),
+    ("planar_2dof", "", "planar_2dof for linear_delta"),
+])  # fmt: skip
 def test_the_study_that_is_given_is_that_of_the_result(
     oed, tmp_path, model, nominal, words
 ):

@@ -243,18 +243,14 @@ def test_verify_judges_without_and_with_the_axes(folder, tmp_path):
 # -- other machines --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("machine", "names"),
-    [
-        (linear_delta.machine, []),
-        (hexapod.machine, []),
-        (planar_2dof.machine, []),
-        (tripod_rps.machine, ["x", "y", "turn"]),
-        (tripod_prs.machine, ["x", "y", "turn"]),
-        (tripod_passive_leg.machine, ["ax", "ay", "az"]),
-    ],
-    ids=lambda value: value.name if hasattr(value, "name") else "",
-)
+@pytest.mark.parametrize(("machine", "names"), [
+    (linear_delta.machine, []),
+    (hexapod.machine, []),
+    (planar_2dof.machine, []),
+    (tripod_rps.machine, ["x", "y", "turn"]),
+    (tripod_prs.machine, ["x", "y", "turn"]),
+    (tripod_passive_leg.machine, ["ax", "ay", "az"]),
+], ids=lambda value: value.name if hasattr(value, "name") else "")  # fmt: skip
 def test_a_machine_has_the_axes_that_its_joints_lack(machine, names, rng):
     """Joints and axes together leave nothing."""
     kinematics = Kinematics(machine)

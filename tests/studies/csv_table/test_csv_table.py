@@ -7,17 +7,14 @@ from pkm_studies import csv_table
 from pkm_studies.base import InputError
 
 
-@pytest.mark.parametrize(
-    ("text", "header"),
-    [
-        ("a,b\n1,2\n3,4\n", ("a", "b")),
-        ("a\tb\n1\t2\n3\t4\n", ("a", "b")),
-        ("1 2.5\n3 4\n", ("1", "2")),
-        ("Test 5\n\na; b\n1,5;2\n3;4\n", ("a", "b")),
-        ("Machine,M\nFeed,1500\n\na,b\n1,2\n3,4\n", ("a", "b")),
-        ("a,b\n1,2\na,b\n3,4\n", ("a", "b")),
-    ],
-)
+@pytest.mark.parametrize(("text", "header"), [
+    ("a,b\n1,2\n3,4\n", ("a", "b")),
+    ("a\tb\n1\t2\n3\t4\n", ("a", "b")),
+    ("1 2.5\n3 4\n", ("1", "2")),
+    ("Test 5\n\na; b\n1,5;2\n3;4\n", ("a", "b")),
+    ("Machine,M\nFeed,1500\n\na,b\n1,2\n3,4\n", ("a", "b")),
+    ("a,b\n1,2\na,b\n3,4\n", ("a", "b")),
+])  # fmt: skip
 def test_tables_of_any_separator(text, header, tmp_path):
     (tmp_path / "t.csv").write_text(text)
     table = csv_table.read(tmp_path / "t.csv")

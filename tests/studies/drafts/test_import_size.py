@@ -46,14 +46,11 @@ def test_bodies_within_the_bound_are_read(tmp_path):
     assert tree.frame("body95")[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (chain(20_000), "more than 20000 elements"),
-        (chain(4_000), "hangs on more than 200 others"),
-        (chain(4_000, is_long=False), None),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    (chain(20_000), "more than 20000 elements"),
+    (chain(4_000), "hangs on more than 200 others"),
+    (chain(4_000, is_long=False), None),
+])  # fmt: skip
 def test_time_grows_with_the_number_of_links(text, words, tmp_path):
     (tmp_path / "r.urdf").write_text(text)
     (tmp_path / "l.csv").write_text(LOOPS)

@@ -139,22 +139,15 @@ def test_a_hand_written_delta_stands_where_mujoco_puts_it(oed, tmp_path, mujoco)
 
 
 @pytest.mark.usefixtures("own_folder")
-@pytest.mark.parametrize(
-    ("original", "form"),
-    [
-        pytest.param(hexapod.machine, "urdf", id="legs"),
-        pytest.param(hexapod_rus.machine, "mjcf", id="cranks", marks=pytest.mark.slow),
-        pytest.param(
-            hexapod_pus.machine, "mjcf", id="carriages", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            hexapod_rus.machine, "urdf", id="cranks_urdf", marks=pytest.mark.slow
-        ),
-        pytest.param(rotary_delta.machine, "urdf", id="rotary_delta"),
-        pytest.param(orthoglide.machine, "urdf", id="orthoglide"),
-        pytest.param(five_bar.machine, "mjcf", id="five_bar"),
-    ],
-)
+@pytest.mark.parametrize(("original", "form"), [
+    pytest.param(hexapod.machine, "urdf", id="legs"),
+    pytest.param(hexapod_rus.machine, "mjcf", id="cranks", marks=pytest.mark.slow),
+    pytest.param(hexapod_pus.machine, "mjcf", id="carriages", marks=pytest.mark.slow),
+    pytest.param(hexapod_rus.machine, "urdf", id="cranks_urdf", marks=pytest.mark.slow),
+    pytest.param(rotary_delta.machine, "urdf", id="rotary_delta"),
+    pytest.param(orthoglide.machine, "urdf", id="orthoglide"),
+    pytest.param(five_bar.machine, "mjcf", id="five_bar"),
+])  # fmt: skip
 def test_what_was_written_comes_back_as_the_same_machine(
     original, form, oed, tmp_path, rng
 ):
@@ -176,31 +169,24 @@ def test_what_was_written_comes_back_as_the_same_machine(
 
 
 @pytest.mark.usefixtures("own_folder")
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("<equality>", "<equality><weld body1='head' body2='frame'/>", "<weld>"),
-        ('<site name="tcp"', '<composite/><site name="tcp"', "<composite> is not read"),
-        ('site1="end0"', 'site1="nowhere"', "names site 'nowhere'"),
-        (
-            '<joint type="slide" axis="0 1 0"/>',
-            '<joint type="hinge"/>',
-            "body head has",
-        ),
-        ('<joint type="ball"/>', '<joint type="slide"/>', "does not move along"),
-        ("</mujoco>", "", "this is no XML file"),
-        ('pos="0 0 1"', 'pos="0 0 nan"', "'0 0 nan' is no place"),
-        ('pos="0 0 1"', 'pos="0 0 1e300"', "is no place"),
-        ('pos="0 0 1"', 'pos="0 0"', "'0 0' are not 3 numbers"),
-        ('axis="0 1 0" range', 'axis="0 0 0" range', "has no direction"),
-        ('quat="1 0 0 0"', 'quat="0 0 0 0"', "has no direction"),
-        ('quat="1 0 0 0"', 'axisangle="0 0 0 1"', "has no direction"),
-        ('quat="1 0 0 0"', 'xyaxes="1 0 0 2 0 0"', "are no two axes"),
-        ('ref="10"', 'ref="ten"', "'ten' are no numbers"),
-        ('eulerseq="XYZ"', 'eulerseq="XYW"', "no order of axes"),
-        ('name="hip1"', 'name="hip0"', "have the name 'hip0'"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("<equality>", "<equality><weld body1='head' body2='frame'/>", "<weld>"),
+    ('<site name="tcp"', '<composite/><site name="tcp"', "<composite> is not read"),
+    ('site1="end0"', 'site1="nowhere"', "names site 'nowhere'"),
+    ('<joint type="slide" axis="0 1 0"/>', '<joint type="hinge"/>', "body head has"),
+    ('<joint type="ball"/>', '<joint type="slide"/>', "does not move along"),
+    ("</mujoco>", "", "this is no XML file"),
+    ('pos="0 0 1"', 'pos="0 0 nan"', "'0 0 nan' is no place"),
+    ('pos="0 0 1"', 'pos="0 0 1e300"', "is no place"),
+    ('pos="0 0 1"', 'pos="0 0"', "'0 0' are not 3 numbers"),
+    ('axis="0 1 0" range', 'axis="0 0 0" range', "has no direction"),
+    ('quat="1 0 0 0"', 'quat="0 0 0 0"', "has no direction"),
+    ('quat="1 0 0 0"', 'axisangle="0 0 0 1"', "has no direction"),
+    ('quat="1 0 0 0"', 'xyaxes="1 0 0 2 0 0"', "are no two axes"),
+    ('ref="10"', 'ref="ten"', "'ten' are no numbers"),
+    ('eulerseq="XYZ"', 'eulerseq="XYW"', "no order of axes"),
+    ('name="hip1"', 'name="hip0"', "have the name 'hip0'"),
+])  # fmt: skip
 def test_what_is_no_machine_of_a_family_is_refused(old, new, words, oed, tmp_path):
     text = hand_written()
     assert old in text
@@ -223,20 +209,17 @@ LOOPS = "loop,link_a,a_x_m,a_y_m,a_z_m,link_b,b_x_m,b_y_m,b_z_m\n"
 
 
 @pytest.mark.usefixtures("own_folder")
-@pytest.mark.parametrize(
-    ("urdf", "loops", "words"),
-    [
-        ("", None, "there is no such table of loops"),
-        ("", "1,a,0,0,0,b,0,,0\n", "are no numbers"),
-        ("", "1,a,0,0,0,b,0,nan,0\n", "no place"),
-        ('<origin xyz="0 0"/>', "", "are not 3 numbers"),
-        ('<axis xyz="0 0 0"/>', "", "has no direction"),
-        ('</joint><joint><parent link="a"/>', "", "no child"),
-        ('</joint><joint type="fixed"><parent link="a"/><child link="b"/>', "", "two"),
-        ('</joint><joint type="fixed"><parent link="b"/><child link="a"/>', "", "own"),
-        ('</joint><joint type="fixed"><parent link="c"/><child link="a"/>', "", "c"),
-    ],
-)
+@pytest.mark.parametrize(("urdf", "loops", "words"), [
+    ("", None, "there is no such table of loops"),
+    ("", "1,a,0,0,0,b,0,,0\n", "are no numbers"),
+    ("", "1,a,0,0,0,b,0,nan,0\n", "no place"),
+    ('<origin xyz="0 0"/>', "", "are not 3 numbers"),
+    ('<axis xyz="0 0 0"/>', "", "has no direction"),
+    ('</joint><joint><parent link="a"/>', "", "no child"),
+    ('</joint><joint type="fixed"><parent link="a"/><child link="b"/>', "", "two"),
+    ('</joint><joint type="fixed"><parent link="b"/><child link="a"/>', "", "own"),
+    ('</joint><joint type="fixed"><parent link="c"/><child link="a"/>', "", "c"),
+])  # fmt: skip
 def test_a_broken_urdf_is_refused(urdf, loops, words, oed, tmp_path):
     links = '<link name="a"/><link name="b"/>'
     joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/>'

@@ -36,10 +36,9 @@ def test_a_machine_from_a_file(tmp_path):
     assert "there is: base, machine, head" in str(error)
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [("1/0", "ZeroDivisionError"), ("(", "SyntaxError"), ("exit()", "SystemExit")],
-)
+@pytest.mark.parametrize(("source", "words"), [
+    ("1/0", "ZeroDivisionError"), ("(", "SyntaxError"), ("exit()", "SystemExit"),
+])  # fmt: skip
 def test_a_file_that_fails_is_refused(source, words, tmp_path):
     (tmp_path / "bad.py").write_text(source)
     assert words in str(

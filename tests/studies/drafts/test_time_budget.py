@@ -9,21 +9,11 @@ from pkm_studies.study import Study
 from pkm_studies.user_code import Origin
 
 
-@pytest.mark.parametrize(
-    ("text", "hours"),
-    [
-        ("90", 1.5),
-        ("90 min", 1.5),
-        ("two days", 16.0),
-        ("1,5 h", 1.5),
-        ("2d", 16.0),
-        ("half a day", 4.0),
-        ("a half hour", 0.5),
-        ("a week", 40.0),
-        ("two and a half hours", 2.5),
-        ("One Hour", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("text", "hours"), [
+    ("90", 1.5), ("90 min", 1.5), ("two days", 16.0), ("1,5 h", 1.5), ("2d", 16.0),
+    ("half a day", 4.0), ("a half hour", 0.5), ("a week", 40.0),
+    ("two and a half hours", 2.5), ("One Hour", 1.0),
+])  # fmt: skip
 def test_a_time_as_one_says_it(text, hours):
     """By hand; a day has eight hours at the machine, a week five days."""
     assert read_time(text) == pytest.approx(3600.0 * hours)

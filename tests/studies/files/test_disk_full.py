@@ -119,16 +119,13 @@ def test_a_command_leaves_nothing_half(folder, command, room, monkeypatch, capsy
     assert new <= {"campaign.toml", "0001-000001.json", "0001-000002.json"}
 
 
-@pytest.mark.parametrize(
-    ("number", "words"),
-    [
-        (errno.ENOSPC, "make room on this disk"),
-        (errno.EDQUOT, "remove files of yours"),
-        (errno.EFBIG, "ulimit -f"),
-        (errno.EROFS, "that can be written to"),
-        (errno.EACCES, "its permissions"),
-    ],
-)
+@pytest.mark.parametrize(("number", "words"), [
+    (errno.ENOSPC, "make room on this disk"),
+    (errno.EDQUOT, "remove files of yours"),
+    (errno.EFBIG, "ulimit -f"),
+    (errno.EROFS, "that can be written to"),
+    (errno.EACCES, "its permissions"),
+])  # fmt: skip
 def test_what_the_disk_refuses_is_said_as_such(tmp_path, monkeypatch, number, words):
     Disk(tmp_path, 0, number).install(monkeypatch)
     with pytest.raises(OSError, match=re.escape(os.strerror(number))) as caught:

@@ -77,26 +77,15 @@ def test_the_written_map_reads_the_same(tmp_path):
     assert source == {"column": "turns b", "factor": 40.5, "offset": 300.0}
 
 
-@pytest.mark.parametrize(
-    ("line", "field", "problem"),
-    [
-        ('q1_mm = { column = "H", factor = 0 }', "q1_mm.factor", "leaves nothing"),
-        ('q1_mm = { column = "H", k = 2 }', "q1_mm.k", "coverage factor"),
-        ('"q{1,2}_mm" = "turns {a,b,c}"', "q{1,2}_mm", "2 columns of readings, 3"),
-        ('"q{1,2}_{mm,m}" = "H"', "q{1,2}_{mm,m}", "two pairs"),
-        (
-            '"q{1,2}_mm" = { column = "turns {a,b}", factor = [1.0] }',
-            "factor",
-            "1 numbers for 2",
-        ),
-        (
-            'sigma_height_um = { column = "H", offset = 1 }',
-            "sigma_height_um.offset",
-            "no offset",
-        ),
-        ('order = { column = "H", factor = 2 }', "order", "no unit"),
-    ],
-)
+@pytest.mark.parametrize(("line", "field", "problem"), [
+    ('q1_mm = { column = "H", factor = 0 }', "q1_mm.factor", "leaves nothing"),
+    ('q1_mm = { column = "H", k = 2 }', "q1_mm.k", "coverage factor"),
+    ('"q{1,2}_mm" = "turns {a,b,c}"', "q{1,2}_mm", "2 columns of readings, 3"),
+    ('"q{1,2}_{mm,m}" = "H"', "q{1,2}_{mm,m}", "two pairs"),
+    ('"q{1,2}_mm" = { column = "turns {a,b}", factor = [1.0] }', "factor", "1 numbers for 2"),
+    ('sigma_height_um = { column = "H", offset = 1 }', "sigma_height_um.offset", "no offset"),
+    ('order = { column = "H", factor = 2 }', "order", "no unit"),
+])  # fmt: skip
 def test_what_a_source_may_not_have(line, field, problem, tmp_path):
     head = 'machine = "linear_delta"\ninstrument = "height_probe"\n[columns]\n'
     with pytest.raises(InputError) as caught:

@@ -226,20 +226,17 @@ def test_means_have_the_noise_that_correlation_leaves(rng):
     )  # not that of white noise
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("angle;deviation\n1;2\n2;3;4\n", "line 3: 3 cells"),
-        ("angle;deviation\n1;2\n2;far\n3;4\n4;5\n", "line 3, column deviation = far"),
-        ("angle;deviation\n1;2\n2;99000\n3;4\n4;5\n", "more than 5 % of the radius"),
-        ("angle;angle\n1;2\n2;3\n", "two columns of this name"),
-        ("angle;error 1;error 2\n1;2;3\n2;3;4\n", "two columns of deviations"),
-        ("angle;deviation\n1;2\nlow;lower\n3;4\n4;5\n", "line 3, column angle"),
-        ("nothing here\n", "no line of numbers"),
-        ("angle;radius\n1;2\n2;3\n", "no column for deviation"),
-        ("angle;deviation\n1;2\n2;3\n", "the run from here has 2 points"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ("angle;deviation\n1;2\n2;3;4\n", "line 3: 3 cells"),
+    ("angle;deviation\n1;2\n2;far\n3;4\n4;5\n", "line 3, column deviation = far"),
+    ("angle;deviation\n1;2\n2;99000\n3;4\n4;5\n", "more than 5 % of the radius"),
+    ("angle;angle\n1;2\n2;3\n", "two columns of this name"),
+    ("angle;error 1;error 2\n1;2;3\n2;3;4\n", "two columns of deviations"),
+    ("angle;deviation\n1;2\nlow;lower\n3;4\n4;5\n", "line 3, column angle"),
+    ("nothing here\n", "no line of numbers"),
+    ("angle;radius\n1;2\n2;3\n", "no column for deviation"),
+    ("angle;deviation\n1;2\n2;3\n", "the run from here has 2 points"),
+])  # fmt: skip
 def test_bad_traces_name_line_and_remedy(text, words, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     (tmp_path / "my.toml").write_text(MAP)

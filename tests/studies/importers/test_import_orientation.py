@@ -36,10 +36,8 @@ FORMS = {
     'quaternion = ["w", "i", "j", "k"]\n': lambda r: r.as_quat(scalar_first=True),
     'rotation_vector_deg = ["w", "i", "j"]\n': lambda r: np.degrees(r.as_rotvec()),
     'rotation_vector_rad = ["w", "i", "j"]\n': lambda r: r.as_rotvec(),
-    'quaternion = ["w", "i", "j", "k"]\ninverse = true\n': (
-        lambda r: r.inv().as_quat(scalar_first=True)
-    ),
-}
+    'quaternion = ["w", "i", "j", "k"]\ninverse = true\n': lambda r: r.inv().as_quat(scalar_first=True),
+}  # fmt: skip
 
 
 def poses(rng: np.random.Generator, n: int = 12) -> np.ndarray:
@@ -255,23 +253,14 @@ def test_the_direction_of_a_laser_ball_bar(tmp_path):
     assert oed.load_study(study).name == "p"
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (('["w", "i", "j", "k"]', '["i", "j", "k", "X"]'), "the order w, x, y, z"),
-        (('["w", "i", "j", "k"]', '["w", "i", "j", "q"]'), "no such column"),
-        (('quaternion = ["w", "i", "j", "k"]', ""), "one form is needed"),
-        (
-            ("[orientation]\n", '[orientation]\ndirection = ["w", "i", "j"]\n'),
-            "two forms",
-        ),
-        (('"pose_tracker"', '"pose_tracker_position"'), "reads no orientation"),
-        (
-            ("[orientation]\n", 'read_alpha_deg = "w"\n[orientation]\n'),
-            "column of its own",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (('["w", "i", "j", "k"]', '["i", "j", "k", "X"]'), "the order w, x, y, z"),
+    (('["w", "i", "j", "k"]', '["w", "i", "j", "q"]'), "no such column"),
+    (('quaternion = ["w", "i", "j", "k"]', ""), "one form is needed"),
+    (("[orientation]\n", '[orientation]\ndirection = ["w", "i", "j"]\n'), "two forms"),
+    (('"pose_tracker"', '"pose_tracker_position"'), "reads no orientation"),
+    (("[orientation]\n", 'read_alpha_deg = "w"\n[orientation]\n'), "column of its own"),
+])  # fmt: skip
 def test_a_map_that_states_no_orientation_is_refused(change, words, tmp_path, rng):
     command = poses(rng)
     rotation, point = stand(command)

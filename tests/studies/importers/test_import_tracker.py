@@ -123,14 +123,11 @@ def test_points_of_a_machine_of_any_size(by_map, tmp_path, rng):
     assert again.rows == imported.rows
 
 
-@pytest.mark.parametrize(
-    ("registration", "words", "tolerance", "errors"),
-    [
-        ("free", "free within 10 mm and 20 mrad", 10.0, "best_fit"),
-        ("best_fit", "held there", 0.0, "best_fit"),
-        ("known", "taken to be in the machine's frame", 0.0, "home"),
-    ],
-)
+@pytest.mark.parametrize(("registration", "words", "tolerance", "errors"), [
+    ("free", "free within 10 mm and 20 mrad", 10.0, "best_fit"),
+    ("best_fit", "held there", 0.0, "best_fit"),
+    ("known", "taken to be in the machine's frame", 0.0, "home"),
+])  # fmt: skip
 def test_a_frame_is_free_held_or_known(
     registration, words, tolerance, errors, tmp_path
 ):
@@ -386,23 +383,12 @@ def test_points_of_spatial_analyzer_have_their_names_in_a_comment(tmp_path):
         import_files("tracker", files, tmp_path / "b", machine="linear_delta")
 
 
-@pytest.mark.parametrize(
-    ("header", "line", "words"),
-    [
-        (LEICA, LEICA_LINE + "TRUE", "the point was deleted"),
-        (LEICA.replace("Tilt", "x_meas"), LEICA_LINE, "may both be the measured x"),
-        (
-            "azimuth,zenith,distance",
-            "{x},{y},{z}",
-            r"add read_x_mm to \[columns\] of a --map file",
-        ),
-        (
-            "X [ft],Y [ft],Z [ft]",
-            "{x},{y},{z}",
-            r"add read_x_mm to \[columns\] of a --map file",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("header", "line", "words"), [
+    (LEICA, LEICA_LINE + "TRUE", "the point was deleted"),
+    (LEICA.replace("Tilt", "x_meas"), LEICA_LINE, "may both be the measured x"),
+    ("azimuth,zenith,distance", "{x},{y},{z}", r"add read_x_mm to \[columns\] of a --map file"),
+    ("X [ft],Y [ft],Z [ft]", "{x},{y},{z}", r"add read_x_mm to \[columns\] of a --map file"),
+])  # fmt: skip
 def test_what_a_header_does_not_say_needs_a_map(header, line, words, tmp_path):
     header = header.replace("x_meas  [deg]", "x_meas")
     files = exported(tmp_path, header, line, np.array(1.0))
@@ -410,14 +396,11 @@ def test_what_a_header_does_not_say_needs_a_map(header, line, words, tmp_path):
         import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("1e300,{y},{z},1,1,1", "line 2, column X = 1e300: no number of a session"),
-        ("{x},{y},{z},1,0,1", r"line 2, column U\(95\) Y \[um\] = 0: .* above 0"),
-        ("{x},{y},{z},1,1,-1", r"line 2, column U\(95\) Z \[um\] = -1: .* above 0"),
-    ],
-)
+@pytest.mark.parametrize(("line", "words"), [
+    ("1e300,{y},{z},1,1,1", "line 2, column X = 1e300: no number of a session"),
+    ("{x},{y},{z},1,0,1", r"line 2, column U\(95\) Y \[um\] = 0: .* above 0"),
+    ("{x},{y},{z},1,1,-1", r"line 2, column U\(95\) Z \[um\] = -1: .* above 0"),
+])  # fmt: skip
 def test_numbers_that_no_readings_file_could_have_are_refused_by_their_line(
     line, words, tmp_path
 ):

@@ -35,15 +35,12 @@ def test_a_unit_of_another_kind_is_refused_with_those_that_fit(name, unit, kind)
         assert f"{name}_{allowed}" in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("key", "words"),
-    [
-        ("length", "unit is missing in the name"),
-        ("length_kg", '"kg" is no unit for length'),
-        ("lenght_mm", "did you mean length_mm"),
-        ("length_deg", "length_um"),
-    ],
-)
+@pytest.mark.parametrize(("key", "words"), [
+    ("length", "unit is missing in the name"),
+    ("length_kg", '"kg" is no unit for length'),
+    ("lenght_mm", "did you mean length_mm"),
+    ("length_deg", "length_um"),
+])  # fmt: skip
 def test_a_key_that_fits_nothing(key, words):
     with pytest.raises(InputError, match=words):
         quantities.read_values({key: 1.0}, {"length": "m"}, HERE)

@@ -165,28 +165,25 @@ def test_planned_readings_are_those_of_the_compensated_machine(folder):
 # -- refusals --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("frist", "there is no folder"),
-        (".", "there is no result.json"),
-        ("first/compensation.cfg", "there is no folder"),
-        ("none.json", "there is no file"),
-        ("delta", "it is the result of another machine: a3_head for linear_delta"),
-        ("delta.json", "it is the table of another machine"),
-        ("empty", "nothing was identified there"),
-        ("other.csv", "a3_head has no parameter l1"),
-        ("slip.csv", "did you mean dq1?"),
-        ("twice.csv", "twice.csv has several rows of dq1"),
-        ("header.csv", "header.csv has no row"),
-        ("units.csv", "dq1 has no number in a unit such as mm"),
-        ("nominal.csv", "dq1 = 0 for 1 mm"),
-        ("broken.json", "this is no table of parameters"),
-        ("columns.csv", "has neither parameters nor a column correction_q1_mm"),
-        ("alone.csv", "the axes of the table are missing"),
-        ("first/result.txt", "this is no table of parameters"),
-    ],
-)
+@pytest.mark.parametrize(("name", "words"), [
+    ("frist", "there is no folder"),
+    (".", "there is no result.json"),
+    ("first/compensation.cfg", "there is no folder"),
+    ("none.json", "there is no file"),
+    ("delta", "it is the result of another machine: a3_head for linear_delta"),
+    ("delta.json", "it is the table of another machine"),
+    ("empty", "nothing was identified there"),
+    ("other.csv", "a3_head has no parameter l1"),
+    ("slip.csv", "did you mean dq1?"),
+    ("twice.csv", "twice.csv has several rows of dq1"),
+    ("header.csv", "header.csv has no row"),
+    ("units.csv", "dq1 has no number in a unit such as mm"),
+    ("nominal.csv", "dq1 = 0 for 1 mm"),
+    ("broken.json", "this is no table of parameters"),
+    ("columns.csv", "has neither parameters nor a column correction_q1_mm"),
+    ("alone.csv", "the axes of the table are missing"),
+    ("first/result.txt", "this is no table of parameters"),
+])  # fmt: skip
 def test_what_cannot_be_the_controller_is_named(folder, oed, name, words):
     delta = sample.result(linear_delta.machine, linear_delta.machine.nominal)
     sample.save(folder / "delta", delta)
@@ -258,18 +255,14 @@ def compensated(folder: Path, content: StudyResult, form: str, oed: Run) -> str:
     return out
 
 
-@pytest.mark.parametrize(
-    ("machine", "form", "suffix"),
-    [
-        (linear_delta.machine, "klipper", ".cfg"),
-        (linear_delta.machine, "rrf", ".g"),
-        (linear_delta.machine, "marlin", ".gcode"),
-        (linear_delta.machine, "json", ".json"),
-        (linear_delta.machine, "csv", "_columns.csv"),
-        (hexapod.machine, "linuxcnc", ".hal"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
+@pytest.mark.parametrize(("machine", "form", "suffix"), [
+    (linear_delta.machine, "klipper", ".cfg"),
+    (linear_delta.machine, "rrf", ".g"),
+    (linear_delta.machine, "marlin", ".gcode"),
+    (linear_delta.machine, "json", ".json"),
+    (linear_delta.machine, "csv", "_columns.csv"),
+    (hexapod.machine, "linuxcnc", ".hal"),
+], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
 def test_every_format_says_that_it_is_the_whole(tmp_path, oed, machine, form, suffix):
     first = sample.result(machine, machine.nominal)
     text = first.study_text.replace("[machine]", '[machine]\ncontroller = "../first"')
@@ -325,17 +318,11 @@ def test_the_posterior_of_an_earlier_session_is_the_prior(folder):
     assert np.abs(x[:, :3] - tip).max() < 1e-10
 
 
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ('[[prior.correlated]]\nparameters = ["dq*"]\ncorrelation = 0.5', "has correl"),
-        (
-            '[plan]\nbudget_min = 10\n[[plan.measurement]]\nname = "a"\ncounts = [6]',
-            "does not know it",
-        ),
-        ("[machine.nominal]\ndq1_mm = 1", "dq1 = 1 for 0 mm"),
-    ],
-)
+@pytest.mark.parametrize(("table", "words"), [
+    ('[[prior.correlated]]\nparameters = ["dq*"]\ncorrelation = 0.5', "has correl"),
+    ('[plan]\nbudget_min = 10\n[[plan.measurement]]\nname = "a"\ncounts = [6]', "does not know it"),
+    ("[machine.nominal]\ndq1_mm = 1", "dq1 = 1 for 0 mm"),
+])  # fmt: skip
 def test_what_the_posterior_of_a_session_does_not_go_with(folder, table, words):
     content = session(np.eye(18))
     rows = [{"name": "dq1", "nominal": 0.0, "tolerance": 1.0, "unit": "mm"}]

@@ -43,14 +43,11 @@ def study(
     return Study.load(path)
 
 
-@pytest.mark.parametrize(
-    ("drive", "ratios"),
-    [
-        ('drive = { kind = "gear", ratio = 63 }', (1.0, 63.0)),
-        ('drive = { kind = "gear", stages = [7, 9] }', (1.0, 7.0, 63.0)),
-        ('drive = { kind = "belt", ratio = 2.5 }', (1.0, 2.5)),
-    ],
-)
+@pytest.mark.parametrize(("drive", "ratios"), [
+    ('drive = { kind = "gear", ratio = 63 }', (1.0, 63.0)),
+    ('drive = { kind = "gear", stages = [7, 9] }', (1.0, 7.0, 63.0)),
+    ('drive = { kind = "belt", ratio = 2.5 }', (1.0, 2.5)),
+])  # fmt: skip
 def test_wheels_turn_as_the_drive_states(drive, ratios, tmp_path):
     """The wheel at the joint, then each further stage."""
     arm = study(tmp_path, drive)
@@ -74,22 +71,15 @@ def test_the_lead_of_a_screw(tmp_path):
     assert effects["screw_cyclic"].constants["pitch"] == pytest.approx((7e-3,))
 
 
-@pytest.mark.parametrize(
-    ("model", "drive", "reason"),
-    [
-        ("five_bar", '{ kind = "screw", ratio = 3 }', r"drive\.ratio: a screw on the"),
-        ("five_bar", '{ kind = "gear", lead_mm = 5 }', r"drive\.lead_mm: a gear"),
-        (
-            "linear_delta",
-            '{ kind = "gear", ratio = 5 }',
-            r"drive\.ratio: a gear on the",
-        ),
-        ("five_bar", '{ kind = "gear", ratio = 6, stages = [2, 3] }', r"given as well"),
-        ("five_bar", '{ kind = "gear", teeth = 3 }', r"teeth"),
-        ("five_bar", '{ kind = "gear", ratio = 0 }', r"drive\.ratio"),
-        ("five_bar", '{ kind = "worm" }', r"machine\.drive"),
-    ],
-)
+@pytest.mark.parametrize(("model", "drive", "reason"), [
+    ("five_bar", '{ kind = "screw", ratio = 3 }', r"drive\.ratio: a screw on the"),
+    ("five_bar", '{ kind = "gear", lead_mm = 5 }', r"drive\.lead_mm: a gear"),
+    ("linear_delta", '{ kind = "gear", ratio = 5 }', r"drive\.ratio: a gear on the"),
+    ("five_bar", '{ kind = "gear", ratio = 6, stages = [2, 3] }', r"given as well"),
+    ("five_bar", '{ kind = "gear", teeth = 3 }', r"teeth"),
+    ("five_bar", '{ kind = "gear", ratio = 0 }', r"drive\.ratio"),
+    ("five_bar", '{ kind = "worm" }', r"machine\.drive"),
+])  # fmt: skip
 def test_what_no_drive_has(model, drive, reason, tmp_path):
     with pytest.raises(InputError, match=reason):
         study_machine(study(tmp_path, f"drive = {drive}", model))

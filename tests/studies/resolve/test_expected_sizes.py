@@ -47,15 +47,12 @@ def test_a_warm_leg_has_a_size_in_kelvin_and_one_per_kelvin():
             assert scale == pytest.approx(23e-6)
 
 
-@pytest.mark.parametrize(
-    ("field", "words"),
-    [
-        ("gravty_um", "gravity_um"),
-        ("backlash_C", "backlash_um"),
-        ("backlash", "backlash_um"),
-        ("leg_thermal_K", "leg_thermal_ppm_per_C, leg_thermal_C"),
-    ],
-)
+@pytest.mark.parametrize(("field", "words"), [
+    ("gravty_um", "gravity_um"),
+    ("backlash_C", "backlash_um"),
+    ("backlash", "backlash_um"),
+    ("leg_thermal_K", "leg_thermal_ppm_per_C, leg_thermal_C"),
+])  # fmt: skip
 @pytest.mark.parametrize("gap", ["", "[gap]\n"])
 def test_a_field_that_is_no_size_is_refused(gap, field, words):
     with pytest.raises(InputError, match=r"effects\.") as caught:

@@ -97,26 +97,17 @@ def test_a_machine_commanded_in_angles_follows_a_circle():
     np.testing.assert_allclose(np.diff(angle), np.radians(30.0), atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        (
-            "sample = 5\nline = { from_mm = [0,0,9], to_mm = [1,0,9] }",
-            "line and sample",
-        ),
-        ("poses = { x_mm = [0, 1], y_mm = [0, 1], z_mm = [9] }", "x 2, y 2, z 1"),
-        ("poses = { x_mm = [0], y_mm = [0] }", "z_mm: missing"),
-        (
-            "circle = { centre_mm = [0,0,90], radius_mm = 900, count = 3 }",
-            "cannot be put on 3",
-        ),
-        ('circle = { centre_mm = [0,0,90], radius_mm = 9, plane = "xz" }', "zx"),
-        ('file = "none.csv"', "there is no such CSV file"),
-        ('file = "bad.csv"', "line 3, column y_mm = wide"),
-        ("sample = 9\nz_mm = [900, 950]", "none of 9 sampled poses"),
-        ('sample = 9\nz = "hold"', "sampled poses hold no reading"),
-    ],
-)
+@pytest.mark.parametrize(("table", "words"), [
+    ("sample = 5\nline = { from_mm = [0,0,9], to_mm = [1,0,9] }", "line and sample"),
+    ("poses = { x_mm = [0, 1], y_mm = [0, 1], z_mm = [9] }", "x 2, y 2, z 1"),
+    ("poses = { x_mm = [0], y_mm = [0] }", "z_mm: missing"),
+    ("circle = { centre_mm = [0,0,90], radius_mm = 900, count = 3 }", "cannot be put on 3"),
+    ('circle = { centre_mm = [0,0,90], radius_mm = 9, plane = "xz" }', "zx"),
+    ('file = "none.csv"', "there is no such CSV file"),
+    ('file = "bad.csv"', "line 3, column y_mm = wide"),
+    ("sample = 9\nz_mm = [900, 950]", "none of 9 sampled poses"),
+    ('sample = 9\nz = "hold"', "sampled poses hold no reading"),
+])  # fmt: skip
 def test_poses_that_do_not_fit_are_refused(table, words, tmp_path):
     (tmp_path / "bad.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n1,wide,3\n")
     assert words in refusal(table, tmp_path)

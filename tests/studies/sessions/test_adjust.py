@@ -306,18 +306,15 @@ def test_software_corrects_what_the_drives_reach(folder, oed):
 TABLE = '\n[[machine.adjust]]\nparameters = ["{}"]\nby = "shim {{i}}"\n{}\n'
 
 
-@pytest.mark.parametrize(
-    ("names", "amounts", "words"),
-    [
-        ("db4x", "", "no parameter has this name"),
-        ("d*", "step_deg = 1.0", '"deg" is no unit for step'),
-        ("*", "", "parameters of different kinds"),
-        ("db2x", "step_mm = -0.1", "no such amount"),
-        ("db2x", "most_mm = 0.0", "no such amount"),
-        ("db2x", "pitch_mm = 0.1", "unknown field"),
-        ("db2y", "", "only chooses the base frame"),
-    ],
-)
+@pytest.mark.parametrize(("names", "amounts", "words"), [
+    ("db4x", "", "no parameter has this name"),
+    ("d*", "step_deg = 1.0", '"deg" is no unit for step'),
+    ("*", "", "parameters of different kinds"),
+    ("db2x", "step_mm = -0.1", "no such amount"),
+    ("db2x", "most_mm = 0.0", "no such amount"),
+    ("db2x", "pitch_mm = 0.1", "unknown field"),
+    ("db2y", "", "only chooses the base frame"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(names, amounts, words, tmp_path, oed):
     text = sample.STUDY.replace(
         '[[setup]]\nname = "cup"',

@@ -85,15 +85,12 @@ def test_a_copy_overwrites_nothing(oed, tmp_path):
     assert path.read_text(encoding="utf-8") == "mine"
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--from", "a3_bal_bar"], "did you mean a3_ball_bar?"),
-        (["--from", "a3_ball_bar", "--machine", "a3_head"], "leave out --machine"),
-        ([], "give --machine, a name or a file of your own, or --from STUDY"),
-        (["--instrument", "ball_bar"], "give --machine, a name or a file of your own"),
-    ],
-)
+@pytest.mark.parametrize(("options", "words"), [
+    (["--from", "a3_bal_bar"], "did you mean a3_ball_bar?"),
+    (["--from", "a3_ball_bar", "--machine", "a3_head"], "leave out --machine"),
+    ([], "give --machine, a name or a file of your own, or --from STUDY"),
+    (["--instrument", "ball_bar"], "give --machine, a name or a file of your own"),
+])  # fmt: skip
 def test_what_to_start_from_is_stated_once(options, words, oed, tmp_path):
     code, _, err = oed("new", "mine", *options)
     assert (code, err.count("\n")) == (2, 1)

@@ -160,15 +160,12 @@ def test_errors_in_another_unit_are_doubted(planned, capsys):
     assert "check the unit of the file" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda t: t.replace("0,1200,", "0,9200,", 1), "out of the machine's range"),
-        (lambda t: t.replace("error_y_um", "error_y_cm"), "no such column"),
-        (lambda t: "\n".join(t.splitlines()[:4]), "3 nodes are too few"),
-        (lambda t: t.replace("0,1200,", "0,1200,x", 1), "not a finite number"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda t: t.replace("0,1200,", "0,9200,", 1), "out of the machine's range"),
+    (lambda t: t.replace("error_y_um", "error_y_cm"), "no such column"),
+    (lambda t: "\n".join(t.splitlines()[:4]), "3 nodes are too few"),
+    (lambda t: t.replace("0,1200,", "0,1200,x", 1), "not a finite number"),
+])  # fmt: skip
 def test_bad_nodes_are_refused(planned, capsys, change, words):
     nodes = filled(planned, "bad.csv", forecast_data.SIGMA)
     text = nodes.read_text()
@@ -181,16 +178,13 @@ def test_bad_nodes_are_refused(planned, capsys, change, words):
     assert (planned / "out" / "result.json").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("expected = { y_um = 40.0, z_um = 40.0 }", "expected = {}", "it is empty"),
-        ("nodes = 28", 'setup = "rm9"', "no such set-up"),
-        ("nodes = 28", "sigma = { x_um = 1.0 }", "unknown field"),
-        ("[prediction]", '[prediction]\nreference = "best_fit"', "cannot align"),
-        (PLAN[PLAN.index("[forecast]") :], "", "does not say what calibration leaves"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("expected = { y_um = 40.0, z_um = 40.0 }", "expected = {}", "it is empty"),
+    ("nodes = 28", 'setup = "rm9"', "no such set-up"),
+    ("nodes = 28", "sigma = { x_um = 1.0 }", "unknown field"),
+    ("[prediction]", '[prediction]\nreference = "best_fit"', "cannot align"),
+    (PLAN[PLAN.index("[forecast]") :], "", "does not say what calibration leaves"),
+])  # fmt: skip
 def test_studies_without_what_it_needs_are_refused(tmp_path, capsys, old, new, words):
     assert old in PLAN
     path = study(tmp_path, PLAN.replace(old, new))

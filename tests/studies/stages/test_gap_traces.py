@@ -36,16 +36,13 @@ def test_traces_are_circles_both_ways(tmp_path):
     np.testing.assert_allclose(explained, change, atol=3e-4)
 
 
-@pytest.mark.parametrize(
-    ("points", "kind"),
-    [
-        ([[0.1 * k, 0.05 * k, 1.0] for k in range(8)], "line"),
-        ([[math.cos(0.7 * k), math.sin(0.7 * k), 0.2] for k in range(9)], "circle"),
-        ([[(k * 37 % 11) * 0.1, (k * 23 % 7) * 0.1, 0.0] for k in range(20)], "points"),
-        ([[0.0, 0.0, 0.0]] * 6, "points"),
-        ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], "points"),
-    ],
-)
+@pytest.mark.parametrize(("points", "kind"), [
+    ([[0.1 * k, 0.05 * k, 1.0] for k in range(8)], "line"),
+    ([[math.cos(0.7 * k), math.sin(0.7 * k), 0.2] for k in range(9)], "circle"),
+    ([[(k * 37 % 11) * 0.1, (k * 23 % 7) * 0.1, 0.0] for k in range(20)], "points"),
+    ([[0.0, 0.0, 0.0]] * 6, "points"),
+    ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], "points"),
+])  # fmt: skip
 def test_the_shape_of_a_run(points, kind):
     shape, at, radius = run_curves.run_shape(np.array(points), np.zeros(len(points)))
     assert shape == kind

@@ -45,18 +45,15 @@ def test_states_are_read_with_their_units(tmp_path):
     np.testing.assert_allclose(values["temp_leg1"], [30.0])
 
 
-@pytest.mark.parametrize(
-    ("states", "words"),
-    [
-        ("{ payload_mm = 1 }", "no covariate"),
-        ("{ wind_N = 1 }", "no covariate"),
-        ("{ time_s = 1 }", "as in the session"),
-        ("{ payload_N = [] }", "no value"),
-        ("{ direction = [0.5, 1] }", r"\+1 or -1"),
-        ("{ payload_N = [0, 1e30] }", "so large"),
-        ("{ feed_mm_min = -1 }", "at least 0"),
-    ],
-)
+@pytest.mark.parametrize(("states", "words"), [
+    ("{ payload_mm = 1 }", "no covariate"),
+    ("{ wind_N = 1 }", "no covariate"),
+    ("{ time_s = 1 }", "as in the session"),
+    ("{ payload_N = [] }", "no value"),
+    ("{ direction = [0.5, 1] }", r"\+1 or -1"),
+    ("{ payload_N = [0, 1e30] }", "so large"),
+    ("{ feed_mm_min = -1 }", "at least 0"),
+])  # fmt: skip
 def test_what_is_no_state_is_refused(tmp_path, states, words):
     with pytest.raises(InputError, match=words):
         resolve(Study.load(written(tmp_path, states)), readings=[])

@@ -18,13 +18,10 @@ from pkm_studies.results import load_result
 # -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("D", "Ds", "A", "c", "I", "O1", "O5", "kappa", "O2"),
-        pytest.param("G", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("name", [
+    *("D", "Ds", "A", "c", "I", "O1", "O5", "kappa", "O2"),
+    pytest.param("G", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_no_subset_is_better_nor_above_the_bound(name):
     resolved, design = chosen(text(f'criterion = "{name}"\n' + KNOWN + EXTRA))
     h = rows(resolved)
@@ -231,19 +228,12 @@ def test_refused_with_field_and_remedy(name):
     assert words in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("fields", "field", "words"),
-    [
-        ("readings = 4", "design.criterion", "cannot determine"),
-        ("readings = 9", "design.criterion", "cannot choose 9"),
-        (KNOWN + "budget_min = 5", "design.criterion", "raise the budget"),
-        (
-            KNOWN + "order = { reference_every_min = 0.1 }",
-            "design.order.reference_every_min",
-            "raise it",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("fields", "field", "words"), [
+    ("readings = 4", "design.criterion", "cannot determine"),
+    ("readings = 9", "design.criterion", "cannot choose 9"),
+    (KNOWN + "budget_min = 5", "design.criterion", "raise the budget"),
+    (KNOWN + "order = { reference_every_min = 0.1 }", "design.order.reference_every_min", "raise it"),
+])  # fmt: skip
 def test_a_plan_that_does_not_exist_is_refused(fields, field, words):
     with pytest.raises(InputError) as error:
         chosen(text(fields + "\n"))

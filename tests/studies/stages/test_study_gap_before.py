@@ -159,38 +159,15 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path):
     assert begin[1] - begin[0] >= 72.0  # a circle of 12 readings takes 6 s each
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            'find = ["gravity", "encoder_scale"]',
-            'find = ["gravity"]',
-            "nothing to tell apart",
-        ),
-        (
-            'find = ["gravity", "encoder_scale"]',
-            'find = ["gravity", "rust"]',
-            'gap.design.find[2] = "rust"',
-        ),
-        (
-            'find = ["gravity", "encoder_scale"]',
-            'find = ["gravity", "guideway"]',
-            "cannot occur on a3_head",
-        ),
-        (
-            'candidates = ["circles"]',
-            'candidates = ["circle"]',
-            "did you mean circles?",
-        ),
-        ("runs = 4", "runs = 40", "there are only 8 candidate runs"),
-        ("runs = 4", "share = 0.2", "how many runs"),
-        (
-            "payload_N = 200, direction = -1",
-            "payload_N = 200, start_min = 3",
-            "some runs have a time",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('find = ["gravity", "encoder_scale"]', 'find = ["gravity"]', "nothing to tell apart"),
+    ('find = ["gravity", "encoder_scale"]', 'find = ["gravity", "rust"]', 'gap.design.find[2] = "rust"'),
+    ('find = ["gravity", "encoder_scale"]', 'find = ["gravity", "guideway"]', "cannot occur on a3_head"),
+    ('candidates = ["circles"]', 'candidates = ["circle"]', "did you mean circles?"),
+    ("runs = 4", "runs = 40", "there are only 8 candidate runs"),
+    ("runs = 4", "share = 0.2", "how many runs"),
+    ("payload_N = 200, direction = -1", "payload_N = 200, start_min = 3", "some runs have a time"),
+])  # fmt: skip
 def test_what_cannot_be_done_is_refused_before_anything_runs(old, new, words):
     with pytest.raises(InputError, match=re.escape(words)):
         resolve(study.Study.parse(changed(STUDY, (old, new)), HERE))

@@ -289,29 +289,17 @@ def test_how_much_better_is_a_share_or_a_factor():
     assert more_accurate(11.44, 1.0) == "11.4 times as accurate"
 
 
-@pytest.mark.parametrize(
-    ("change", "field"),
-    [
-        (("budget_min = 110.0\n", ""), "plan.budget_min"),
-        (("budget_min = 110.0\n", "budget_min = 1.0\n"), "plan.budget_min"),
-        (("[prediction]\n", "[gap]\n"), ""),
-        (
-            ('setup = "rm5"\ncounts', 'setup = "rm4"\ncounts'),
-            "plan.measurement[2].setup",
-        ),
-        (
-            ('setup = "rm5"\ncounts', 'setup = "rm6"\ncounts'),
-            "plan.measurement[2].setup",
-        ),
-        (
-            ('setup = "rm5"\ncounts = [1, 2, 3]', 'setup = "rm5"\ncounts = [9]'),
-            "plan.measurement[2]",
-        ),
-        (('["RM 5"]]', '["RM 6"]]'), "plan.compare[2][1]"),
-        (("stages = 2\n", "stages = 2\nwanted = { w_um = 1.0 }\n"), "plan.wanted.w_um"),
-        (('name = "RM 5"', 'name = "RM 4"'), "plan.measurement[2].name"),
-    ],
-)
+@pytest.mark.parametrize(("change", "field"), [
+    (("budget_min = 110.0\n", ""), "plan.budget_min"),
+    (("budget_min = 110.0\n", "budget_min = 1.0\n"), "plan.budget_min"),
+    (("[prediction]\n", "[gap]\n"), ""),
+    (('setup = "rm5"\ncounts', 'setup = "rm4"\ncounts'), "plan.measurement[2].setup"),
+    (('setup = "rm5"\ncounts', 'setup = "rm6"\ncounts'), "plan.measurement[2].setup"),
+    (('setup = "rm5"\ncounts = [1, 2, 3]', 'setup = "rm5"\ncounts = [9]'), "plan.measurement[2]"),
+    (('["RM 5"]]', '["RM 6"]]'), "plan.compare[2][1]"),
+    (("stages = 2\n", "stages = 2\nwanted = { w_um = 1.0 }\n"), "plan.wanted.w_um"),
+    (('name = "RM 5"', 'name = "RM 4"'), "plan.measurement[2].name"),
+])  # fmt: skip
 def test_what_cannot_be_planned_is_refused_by_field(change, field, tmp_path):
     with pytest.raises(InputError) as caught:
         planned(changed(STUDY, change), tmp_path)

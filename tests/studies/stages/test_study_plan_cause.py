@@ -88,16 +88,10 @@ def test_the_cause_has_the_time_that_the_plan_does_not_take(tmp_path):
     assert len(chosen.runs) > chosen.retained
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("budget_min = 30.0", "budget_min = 150.0"), "gap.design.budget_min = 150"),
-        (
-            ("budget_min = 150.0", "budget_min = 100.0"),
-            "30 min of it are for [gap.design]",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (("budget_min = 30.0", "budget_min = 150.0"), "gap.design.budget_min = 150"),
+    (("budget_min = 150.0", "budget_min = 100.0"), "30 min of it are for [gap.design]"),
+])  # fmt: skip
 def test_too_little_time_is_refused(tmp_path, change, message):
     with pytest.raises(InputError) as error:
         planned(changed(STUDY, change), tmp_path)

@@ -206,15 +206,12 @@ def test_branching_proves_the_best_plan(name):
     assert made.words.startswith("Proven optimal")
 
 
-@pytest.mark.parametrize(
-    ("design", "tables", "message"),
-    [
-        ('criterion = "E"\n', "", "branch_nodes = 5: branch and bound needs a smooth"),
-        ("apart = { z_mm = 10 }\n", "", "does not know the rule apart"),
-        ("", HIGH + "max = 1\n", "leave branch_nodes or quota out"),
-        ("robust = {}\n", "", "does not know the rule robust"),
-    ],
-)
+@pytest.mark.parametrize(("design", "tables", "message"), [
+    ('criterion = "E"\n', "", "branch_nodes = 5: branch and bound needs a smooth"),
+    ("apart = { z_mm = 10 }\n", "", "does not know the rule apart"),
+    ("", HIGH + "max = 1\n", "leave branch_nodes or quota out"),
+    ("robust = {}\n", "", "does not know the rule robust"),
+])  # fmt: skip
 def test_branching_is_refused_where_it_does_not_apply(design, tables, message):
     plan = design + "branch_nodes = 5\n" + KNOWN
     with pytest.raises(InputError, match=message):

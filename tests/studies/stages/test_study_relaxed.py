@@ -22,16 +22,13 @@ def test_a_study_with_weights_runs(solver, tmp_path):
     assert "largest of the relaxation's weights" in design.words
 
 
-@pytest.mark.parametrize(
-    ("design", "field", "words"),
-    [
-        ('method = "relaxed"\ncriterion = "kappa"\n', "method", "not kappa"),
-        ('method = "relaxed"\nbranch_nodes = 5\n', "method", "branch_nodes"),
-        ('method = "relaxed"\nequal = "setup"\n', "method", "equal"),
-        ('method = "relaxed"\ncompare = ["A"]\n', "method", "compare"),
-        ('solver = "scs"\n', "solver", 'method = "relaxed"'),
-    ],
-)
+@pytest.mark.parametrize(("design", "field", "words"), [
+    ('method = "relaxed"\ncriterion = "kappa"\n', "method", "not kappa"),
+    ('method = "relaxed"\nbranch_nodes = 5\n', "method", "branch_nodes"),
+    ('method = "relaxed"\nequal = "setup"\n', "method", "equal"),
+    ('method = "relaxed"\ncompare = ["A"]\n', "method", "compare"),
+    ('solver = "scs"\n', "solver", 'method = "relaxed"'),
+])  # fmt: skip
 def test_what_weights_do_not_go_with_is_refused(design, field, words):
     with pytest.raises(InputError) as error:
         chosen(text(design + KNOWN))

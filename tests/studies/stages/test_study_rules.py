@@ -224,14 +224,11 @@ def test_a_sphere_in_the_way_and_an_unlikely_travel():
 # -- polish and order ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "criterion",
-    [
-        "D",
-        pytest.param("I", marks=pytest.mark.slow),
-        pytest.param("c", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("criterion", [
+    "D",
+    pytest.param("I", marks=pytest.mark.slow),
+    pytest.param("c", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_polished_poses_are_better_and_on_hold(criterion, tmp_path):
     polish = (
         "\n[design.polish]\nfree = { low = { at_x_mm = [-20, 20] } }\niterations = 60\n"

@@ -91,19 +91,13 @@ def test_the_fewest_readings_for_a_wanted_accuracy():
     assert "no plan of that size can" in unreachable.how_many.words
 
 
-@pytest.mark.parametrize(
-    ("design", "words"),
-    [
-        ("robust = {}\n", "not all drawn machines see"),
-        ("how_many = {}\n", "accuracy depends on the tolerances"),
-        (
-            'criterion = "E"\n' + small.KNOWN + "robust = { scenarios = 2 }\n",
-            "a smooth criterion",
-        ),
-        (small.KNOWN + "how_many = { wanted = { w_um = 3 } }\n", "w_um"),
-        (small.KNOWN + 'robust = { risk = "hope" }\n', "risk"),
-    ],
-)
+@pytest.mark.parametrize(("design", "words"), [
+    ("robust = {}\n", "not all drawn machines see"),
+    ("how_many = {}\n", "accuracy depends on the tolerances"),
+    ('criterion = "E"\n' + small.KNOWN + "robust = { scenarios = 2 }\n", "a smooth criterion"),
+    (small.KNOWN + "how_many = { wanted = { w_um = 3 } }\n", "w_um"),
+    (small.KNOWN + 'robust = { risk = "hope" }\n', "risk"),
+])  # fmt: skip
 def test_what_cannot_be_computed_is_refused(design, words):
     with pytest.raises(InputError, match=words):
         small.chosen(small.text(design))

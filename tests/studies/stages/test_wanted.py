@@ -109,15 +109,12 @@ def test_the_prediction_s_limit_wins_over_that_of_a_design():
     assert answer.wanted_accuracy(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
 
 
-@pytest.mark.parametrize(
-    ("wanted", "words"),
-    [
-        ("q_um = 3", "unknown field"),
-        ("z_arcsec = 3", "no unit for z"),
-        ("z_um = -3", "> 0"),
-        ("z_um = 3, z_mm = 1", "given twice"),
-    ],
-)
+@pytest.mark.parametrize(("wanted", "words"), [
+    ("q_um = 3", "unknown field"),
+    ("z_arcsec = 3", "no unit for z"),
+    ("z_um = -3", "> 0"),
+    ("z_um = 3, z_mm = 1", "given twice"),
+])  # fmt: skip
 def test_a_limit_that_makes_no_sense_is_refused(tmp_path, capsys, wanted, words):
     assert main(["check", str(_study(tmp_path, wanted))]) == 2
     error = capsys.readouterr().err

@@ -141,18 +141,15 @@ def test_a_trusted_folder_needs_no_consent(folder, call, monkeypatch):
         assert str(settings) in error
 
 
-@pytest.mark.parametrize(
-    ("reference", "words"),
-    [
-        ("../mine.py", "does not lie in the folder"),
-        ("{parent}/mine.py", "does not lie in the folder"),
-        ("C:/mine.py", "does not lie in the folder"),
-        ("link.py", "does not lie in the folder"),
-        ("mine:machine", "belongs to no installed machine"),
-        ("os:machine", "belongs to no installed machine"),
-        ("pkm_studies.commands.cli:machine", "belongs to no installed machine"),
-    ],
-)
+@pytest.mark.parametrize(("reference", "words"), [
+    ("../mine.py", "does not lie in the folder"),
+    ("{parent}/mine.py", "does not lie in the folder"),
+    ("C:/mine.py", "does not lie in the folder"),
+    ("link.py", "does not lie in the folder"),
+    ("mine:machine", "belongs to no installed machine"),
+    ("os:machine", "belongs to no installed machine"),
+    ("pkm_studies.commands.cli:machine", "belongs to no installed machine"),
+])  # fmt: skip
 def test_a_study_names_files_of_its_folder_alone(
     reference, words, folder, call, monkeypatch
 ):

@@ -21,34 +21,14 @@ pytestmark = pytest.mark.pictures
 
 #: keys that results of the first version lack
 NEWER = [
-    "words",
-    "directions",
-    "columns",
-    "gap",
-    "proven",
-    "compound",
-    "setups",
-    "kept",
-    "cost_min",
-    "refused",
-    "compared",
-    "polished",
-    "order",
-    "robust",
-    "how_many",
-]
+    "words", "directions", "columns", "gap", "proven", "compound", "setups", "kept",
+    "cost_min", "refused", "compared", "polished", "order", "robust", "how_many",
+]  # fmt: skip
 OPTIONAL = [*NEWER, "bound", "efficiency", "plans", "poses"]
 #: keys that may be null
 NULLABLE = [
-    "bound",
-    "efficiency",
-    "gap",
-    "cost_min",
-    "polished",
-    "order",
-    "robust",
-    "how_many",
-]
+    "bound", "efficiency", "gap", "cost_min", "polished", "order", "robust", "how_many",
+]  # fmt: skip
 
 
 def _with_design(design: dict[str, Any]) -> StudyResult:
