@@ -133,16 +133,6 @@ def test_play_remembers_its_side_of_the_gap():
                     )
 
 
-def test_every_form_does_something():
-    for machine in ("a3", "planar", "delta"):
-        bench = stage_of(machine, "full")
-        for name in effects.known_on(machine):
-            effect = effects.KNOWN[name](np.random.default_rng(11), bench.stage)
-            assert bench.metric.size(bench.scene.response(effect.push(1e-6))) > 0
-    assert set(effects.UNKNOWN).isdisjoint(effects.KNOWN)
-    assert len(effects.UNKNOWN) >= 8
-
-
 def test_one_tool_cannot_tell_a_common_scale_from_the_bar_and_two_can():
     distances = {}
     for plan in ("single", "full"):

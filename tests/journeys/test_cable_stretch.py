@@ -164,22 +164,6 @@ def test_an_unknown_compliance_is_estimated(tmp_path, rng):
     assert any("tension of each cable is known" in c for c in corrected.conditions)
 
 
-@pytest.mark.slow
-@pytest.mark.mistakes
-def test_the_diagnosis_names_the_stretch(tmp_path, rng):
-    """Constraints that read 0 by definition are no deviations from the nominal machine."""
-    path, data = tmp_path / "cables.study.toml", tmp_path / "drums.csv"
-    path.write_text(_study("", effects='"catalogue"'), encoding="utf-8")
-    text, _ = _robot_file(rng, planar_cables.drawn(rng), DRUM)
-    data.write_text(text, encoding="utf-8")
-    out = tmp_path / "out"
-    arguments = ["diagnose", path, "--readings", data, "--out", out, "--quiet"]
-    assert main([str(a) for a in arguments]) == 0
-    result = msgspec.json.decode((out / "result.json").read_bytes(), type=StudyResult)
-    assert result.gap.answers[0].effects == ("cable_stretch",)
-    assert not any("mistaken" in sentence for sentence in result.headline)
-
-
 def test_without_tensions_a_warning_says_what_is_missing(tmp_path, rng):
     robot = planar_cables.drawn(rng)
     q = robot.lengths(rng.uniform(-0.5, 0.5, (READINGS, 2)))

@@ -1,10 +1,8 @@
 """A run driven the other way than its rows say is the first line on the terminal."""
 
-import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 from bad_fit_sample import STUDY
 
 from kernel import a3_plans, warm_head
@@ -30,23 +28,6 @@ def write(folder: Path, runs: list[str]) -> tuple[Path, Path]:
     study.write_text(TEXT, encoding="utf-8")
     table.to_csv(readings, index=False)
     return study, readings
-
-
-@pytest.mark.slow
-@pytest.mark.mistakes
-def test_a_turned_run_is_the_first_line(tmp_path, capsys):
-    study, readings = write(tmp_path, ["80-1"])
-    options = ["--with", "backlash,leg_thermal", "--out", str(tmp_path / "out")]
-    command = ["identify", str(study), "--readings", str(readings), *options]
-    assert main(command) == 1
-    printed = capsys.readouterr()
-    lines = printed.out.splitlines()
-    first = lines[lines.index("report") + 1]
-    assert first.startswith("The readings look mistaken: run 80-1 was driven the other")
-    assert "the fit is bad" in printed.err
-    result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
-    assert result["goodness"]["mistakes"][0]["what"] == "direction reversed: 80-1"
-    assert any("80-1" in w for w in result["corrected"]["warnings"])
 
 
 def test_check_names_runs_whose_order_and_direction_contradict(tmp_path, capsys):

@@ -285,18 +285,6 @@ def test_no_command_gets_the_help(oed):
     assert err.startswith("Usage: oed [OPTIONS] COMMAND")
 
 
-def test_interrupted(oed, tmp_path, monkeypatch):
-    from pkm_studies import stages
-
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(stages, "run_study", interrupt)
-    code, out, err = oed("run", write(tmp_path / "p.study.toml", PLAN), "--quiet")
-    assert (code, out) == (130, "")
-    assert err.strip() == "oed: interrupted: files written so far are whole"
-
-
 @pytest.mark.skipif(os.name == "nt", reason="one process cannot be sent Ctrl-C")
 def test_interrupted_in_earnest(tmp_path):
     """SIGINT in the middle of work: one line, and whole files only."""

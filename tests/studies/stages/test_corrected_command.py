@@ -13,7 +13,6 @@ import sample
 from oed.result import StudyResult
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
-from pkm_studies.stages import headline
 
 
 def run(*arguments: str | Path) -> int:
@@ -143,19 +142,6 @@ def test_a_file_without_the_effects_has_them_in_its_budget(folder, result):
         for name in budget["predicted"]:
             total = sum(line["share"][name] for line in budget["lines"])
             assert total == pytest.approx(1.0, abs=0.01)
-
-
-def test_the_terminal_says_what_the_accuracy_rests_on(folder, result, capsys):
-    budget = result.corrected.prediction.budget
-    assert budget.advice
-    headline.report_outcome(result, folder / "out", quiet=False)
-    printed = capsys.readouterr().out
-    assert "with the effects that are corrected" in printed
-    assert "rests on these conditions: the controller corrects" in printed
-    for name, rms in budget.predicted.items():
-        total = sum(line.share[name] for line in budget.lines)
-        assert total == pytest.approx(1.0, abs=0.01)
-        assert rms > 0.0
 
 
 def test_an_effect_that_the_readings_cannot_show_is_refused(folder, capsys):

@@ -14,7 +14,7 @@ from oed.result import (
     SizeRecord,
 )
 from oed.text import format_probability
-from pkm_studies.stages.gap.sentences import add_sentences
+from pkm_studies.stages.gap.sentences import add_sentences, second_explanation
 
 
 def _gap(
@@ -63,6 +63,11 @@ def _gap(
     return add_sentences(GapSection(**fields | more))
 
 
+def of_gravity(**more: Any) -> GapSection:
+    """A diagnosis that names gravity."""
+    return _gap("effect", ["gravity"], [["gravity"]], **more)
+
+
 def test_no_gap_in_words():
     words = _gap("none", [], []).words
     assert (
@@ -73,7 +78,7 @@ def test_no_gap_in_words():
 
 
 def test_an_effect_in_words():
-    section = _gap("effect", ["gravity"], [["gravity"]])
+    section = of_gravity()
     assert section.words == [
         "The residual error comes from gravity (probability 90 %).",
         (
@@ -249,47 +254,27 @@ def test_what_an_unknown_effect_resembles():
     assert not any("resembles" in w for w in _gap("unknown", ["unknown"], []).words)
 
 
-@pytest.mark.parametrize(("low", "high", "interval"), [
-    (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "over 100 % more to 40 % less"),
-    (-0.2, 1.2, "20 % more to 100 % less"),
+@pytest.mark.parametrize(("places", "said"), [
+    (
+        [("leg 1", 0.01, 0.8), ("run 2", 0.01, 0.7), ("time 0-60", 0.01, 0.2)],
+        "It shows most in leg 1 (80 % of it) and run 2 (70 % of it).",
+    ),
+    ([("leg 1", 0.2, 0.5)], "No leg, set-up, run, time"),
+    (
+        [("set-up ruler", 0.01, 0.98, "time 0-1800")],
+        "It shows most in set-up ruler or the time from 0 min to 30 min, which are the same readings (98 % of it).",
+    ),
 ])  # fmt: skip
-def test_an_interval_ends_at_the_whole_and_says_what_is_growth(low, high, interval):
-    section = _gap(
-        "effect",
-        ["gravity"],
-        [["gravity"]],
-        closure=[ClosureRecord("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
-    )
-    assert f"({interval}) on whole held-out runs" in section.words[3]
-
-
-def test_places_that_hold_much_of_the_gap_are_named():
-    places = [
-        PlaceRecord("leg 1", 0.01, 0.8),
-        PlaceRecord("run 2", 0.01, 0.7),
-        PlaceRecord("time 0-60", 0.01, 0.2),
-    ]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[2]
-    assert sentence == "It shows most in leg 1 (80 % of it) and run 2 (70 % of it)."
-    nowhere = _gap(
-        "effect", ["gravity"], [["gravity"]], where=[PlaceRecord("leg 1", 0.2, 0.5)]
-    ).words[2]
-    assert nowhere.startswith("No leg, set-up, run, time")
-
-
-def test_a_set_up_that_was_read_in_one_stretch_of_time_is_that_too():
-    places = [PlaceRecord("set-up ruler", 0.01, 0.98, "time 0-1800")]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[2]
-    assert (
-        sentence == "It shows most in set-up ruler or the time from 0 min to 30 min,"
-        " which are the same readings (98 % of it)."
-    )
+def test_places_that_hold_much_of_the_gap_are_named(places, said):
+    """A set-up that was read in one stretch of time is that too."""
+    words = of_gravity(where=[PlaceRecord(*place) for place in places]).words
+    assert words[2].startswith(said)
 
 
 def test_of_several_channels_each_has_its_amounts():
     sizes = [SizeRecord("gravity", {"y": 3.0, "a": 0.5}, 9.0, {"y": 3.4, "a": 0.1})]
     units = {"y": "um", "a": "arcsec"}
-    words = _gap("effect", ["gravity"], [["gravity"]], sizes=sizes, units=units).words
+    words = of_gravity(sizes=sizes, units=units).words
     assert (
         words[1] == "Gravity changes y by 3 um rms and a by 0.5 arcsec rms; after"
         " calibration there remain 3.4 um of y and 0.1 arcsec of a."
@@ -325,26 +310,32 @@ def test_a_coefficient_far_beyond_its_expected_size_is_marked():
     assert marked(_coefficient(-0.0599, shape=True)) == []
 
 
-def test_a_gap_is_never_reported_as_closed_whole():
-    near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[3]
-    rounded = [ClosureRecord("within", 0.766, None, None, 0.0, 3.0, 1.1, 1.0, 200)]
-    words = _gap("effect", ["gravity"], [["gravity"]], closure=rounded).words[3]
-    assert "shrinks by 77 % on held-out" in words
-    assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
-
-
-def test_more_than_the_whole_is_all_that_exceeds_the_noise():
-    more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[3]
-    assert "shrinks by all that exceeds the noise (80 to 100 %) on held-out" in sentence
-
-
-def test_a_gap_that_grows_does_not_shrink():
-    grown = [ClosureRecord("whole", -0.21, -0.5, 0.1, 0.8, 3.0, 3.3, 1.2, 200)]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[3]
-    assert "grows by 21 % (50 % more to 10 % less) on whole held-out runs" in sentence
-    assert "shrinks" not in sentence
+@pytest.mark.parametrize(("closures", "said"), [
+    ([(0.3, 0.35, 49.55)], ["(35 to 100 %) on whole held-out runs"]),
+    ([(0.3, -7.0, 0.4)], ["(over 100 % more to 40 % less) on whole held-out runs"]),
+    ([(0.3, -0.2, 1.2)], ["(20 % more to 100 % less) on whole held-out runs"]),
+    ([(0.766, None, None)], ["shrinks by 77 % on whole"]),
+    ([(0.9996, 0.9984, 1.0002)], ["shrinks by 99.9 % (99.8 to 100.0 %) on"]),
+    ([(1.19, 0.8, 2.4)], ["shrinks by all that exceeds the noise (80 to 100 %) on"]),
+    (
+        [(0.8, 0.6, 0.9), (-0.21, -0.5, 0.1)],
+        [
+            "shrinks by 80 % (60 to 90 %) on held-out stretches of runs.",
+            "grows by 21 % (50 % more to 10 % less) on whole",
+        ],
+    ),
+])  # fmt: skip
+def test_what_is_held_out_shrinks_or_grows(closures, said):
+    """Never as a whole; an interval ends at the whole, and says what is growth."""
+    splits = ("within", "whole")[-len(closures) :]
+    records = [
+        ClosureRecord(split, *closure, 0.1, 2.0, 1.2, 1.0, 9)
+        for split, closure in zip(splits, closures, strict=True)
+    ]
+    words = of_gravity(closure=records).words[3:]
+    for sentence, part in zip(words, said, strict=False):
+        assert part in sentence
+        assert ("grows" in part) != ("shrinks" in sentence)
 
 
 @pytest.mark.parametrize(("lows", "proven"), [
@@ -354,24 +345,14 @@ def test_what_no_held_out_reading_confirms_is_measured_first(lows, proven):
     closures = [
         ClosureRecord("whole", 0.3, low, 0.5, 0.1, 3.0, 2.4, 1.2, 200) for low in lows
     ]
-    section = _gap("effect", ["gravity"], [["gravity"]], closure=closures)
+    section = of_gravity(closure=closures)
     assert section.next[0].startswith("Measure before you exchange") != proven
     assert section.next[0].endswith("may do harm (probability 10 %).") != proven
 
 
-def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow():
-    both = [
-        ClosureRecord("within", 0.8, 0.6, 0.9, 0.0, 3.0, 1.4, 1.2, 200),
-        ClosureRecord("whole", -0.21, -0.5, -0.1, 1.0, 3.0, 3.3, 1.2, 200),
-    ]
-    words = _gap("effect", ["gravity"], [["gravity"]], closure=both).words
-    assert "shrinks by 80 % (60 to 90 %) on held-out stretches of runs." in words[3]
-    assert "grows by 21 % (50 % more to 10 % more) on whole held-out runs" in words[4]
-
-
 def test_probabilities_under_one_noise_law_are_rough():
     for laws, rough in ((1.2, True), (1.6, False), (None, False)):
-        words = _gap("effect", ["gravity"], [["gravity"]], effective_laws=laws).words
+        words = of_gravity(effective_laws=laws).words
         assert any("probabilities are rough" in w for w in words) == rough
 
 
@@ -407,3 +388,35 @@ def test_scatter_beyond_the_instrument_in_words():
     first, second, *_ = section.words
     assert first.startswith("The readings scatter 2.3 times as much as stated")
     assert second == "What scatters: single readings scatter."
+
+
+# -- explanations beside the best one --------------------------------------------------
+
+NOISE = "No effect is found: noise alone may explain what calibration leaves (probability 36 %)."
+UNSEEN = (
+    "More likely than noise alone is gravity (probability 38 %), but not than noise and"
+    " what is too small to be seen together."
+)
+GRAVITY = (
+    "The residual error may come from gravity (probability 30 %; noise alone 45 %)."
+)
+LIKELIER = "Noise alone is more likely, but not enough to exclude an effect."
+
+
+@pytest.mark.parametrize(("verdict", "answers", "first", "second"), [
+    ("none", [((), 0.36), ("gravity", 0.44, 0.06), ("unknown", 0.2, 0.14)], NOISE, UNSEEN),
+    ("none", [((), 0.6), ("gravity", 0.4)], "", "The next most likely explanation is gravity (probability 40 %)."),
+    ("effect", [("gravity", 0.3), ((), 0.45), ("unknown", 0.25, 0.25)], GRAVITY, LIKELIER),
+])  # fmt: skip
+def test_no_sentence_contradicts_the_probability_of_another(
+    verdict, answers, first, second
+):
+    """No gap stands by noise and what is too small to be seen, 56 % together."""
+    records = [
+        AnswerRecord((name,) if name else (), share, ((name,),), unseen=sum(unseen))
+        for name, share, *unseen in answers
+    ]
+    section = _gap(verdict, ["gravity"], [], answers=records, selected=[])
+    assert section.words[0].startswith(first)
+    assert second_explanation(section) == [second]
+    assert not section.effect_likely

@@ -129,23 +129,6 @@ def test_what_no_drive_corrects_is_said_on_the_first_page():
     assert re.split(", | and ", sentence) == others
 
 
-def test_the_headline_is_not_printed_twice(tmp_path, capsys):
-    of = result(CHANGES)
-    sentences = [*headline.sentences(of)[:1], "The readings determine 3 of 3."]
-    raw = report_fixture.bare() | {"headline": sentences}
-    plain = report_fixture.result_of(raw)
-    shown = StudyResult(
-        **{
-            name: getattr(plain if name == "headline" else of, name)
-            for name in StudyResult.__struct_fields__
-        }
-    )
-    assert headline.report_outcome(shown, tmp_path, quiet=False) == 0
-    out = capsys.readouterr().out
-    assert "Compensation is predicted to" not in out
-    assert out.count("97.2") == 0
-
-
 def test_the_first_page_says_what_the_model_lacks():
     parts = {p.anchor: p for p in answer.answer_parts(result(CHANGES))}
     words = " ".join(getattr(block, "text", "") for block in parts["short"].blocks)

@@ -1,5 +1,7 @@
 """Parameters over all hypotheses of a diagnosis: who takes them, and what is printed."""
 
+from types import SimpleNamespace
+
 import msgspec
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from pkm_reports.sections import gap as chapter
 from pkm_studies.acceptance import promise
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.earlier_result import known_parameters
+from pkm_studies.stages.correct import mixture as mixture_stage
 from pkm_studies.stages.correct.mixture import mixture_sentences
 
 machine = a3_head.machine
@@ -124,6 +127,16 @@ def test_what_to_do_first_is_no_second_diagnosis(result):
     assert trust.remedy(result) == "do first what its diagnosis advises"
     plain = msgspec.structs.replace(result, gap=None)
     assert trust.remedy(plain) == "run `oed diagnose`"
+
+
+@pytest.mark.parametrize("cost", [0.1, 0.7, 22.0])
+def test_tables_that_cost_more_than_what_stays_are_too_coarse(cost):
+    """A period of 10 mm in a table of 120 mm steps: 22 um where .74 um stay."""
+    section = SimpleNamespace(tables=[SimpleNamespace(interpolation={"z": cost})])
+    after = SimpleNamespace(after=SimpleNamespace(rms=0.74))
+    predicted = SimpleNamespace(components={"z": after})
+    assert mixture_stage._is_too_coarse(section, predicted) == (cost > 0.74)
+    assert not mixture_stage._is_too_coarse(section, None)
 
 
 def test_a_promise_says_what_geometry_alone_reaches(result):
