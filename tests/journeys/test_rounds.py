@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rounds
 from numpy.typing import NDArray
+from oracles import a3_geometry as a3
 
 from pkm_studies import stages
 from pkm_studies.commands import main
@@ -203,3 +204,116 @@ def check_convergence(machines: Sequence[Outcome]) -> None:
 
 def test_two_rounds_converge(tmp_path):
     check_convergence([two_rounds(1, tmp_path)])
+
+
+# -- Tian et al. (2016), sections 5.2 and 5.3: home errors in three rounds, then all -----
+
+PAPER_STUDY = """
+schema = 1
+name = "tian"
+seed = 1
+[machine]
+model = "a3_head"
+{machine}
+[[setup]]
+name = "cup"
+instrument = "ball_bar"
+length_mm = 300
+teach = {{ z_mm = 1286, psi_deg = 0, theta_deg = 0 }}
+[noise]
+length_um = 0.5
+estimate = false
+[[prior.tolerance]]
+parameters = ["dq*"]
+sigma_mm = 8
+[identify]
+effects = "none"
+[posterior]
+enabled = false
+[prediction]
+z_mm = 1166
+psi_deg = {{ from = 0, to = 360, count = 12, endpoint = false }}
+theta_deg = 35
+[report]
+html = false
+pdf = false
+"""
+ROUGH = 'fixed = ["db*", "da*", "beta*"]'
+#: home errors to which the paper's three rounds converged, m
+ROUGH_HOME = 1e-3 * np.array([7.812, 9.237, 6.690])
+
+
+def bar_readings(path: Path, truth: Array, joints: rounds.Joints, seed: int) -> Array:
+    """Lengths (n,), m, on the circles of the paper's Table 2; the head taught the cup."""
+    rng = np.random.default_rng(seed)
+    z = np.repeat([a3.D + a3.C + s for s in a3.TABLE2], 15)
+    psi = np.tile(2 * np.pi * np.arange(15) / 15, 2)
+    centre = np.array([0.0, 0.0, a3.Z_TEACH])
+    command = np.stack([z, psi, a3.circle_theta(z, psi, centre)], -1)
+    teach = np.array([[a3.Z_TEACH, 0.0, 0.0]])
+    cup = a3.forward(truth, joints(teach, 0.0)).tip[0] + a3.TABLE3["ds"]
+    exact = a3.ball_bar_reading(truth, joints(command, 0.0), cup)
+    length = exact + 0.5e-6 * rng.standard_normal(len(exact))
+    shown = np.column_stack([1e3 * z, np.rad2deg(command[:, 1:]), 1e3 * length])
+    rows = ["setup,run,order,z_mm,psi_deg,theta_deg,length_mm"]
+    for k, values in enumerate(shown):
+        row = ",".join(f"{v:.9f}" for v in values)
+        rows.append(f"cup,{k // 15 + 1},{k % 15 + 1},{row}")
+    path.write_text("\n".join(rows) + "\n")
+    return length
+
+
+class PaperHead:
+    """The head of the paper under a controller, round after round."""
+
+    def __init__(self, truth: Array, folder: Path) -> None:
+        self.truth, self.folder, self.rounds = truth, folder, 0
+        self.joints = rounds.of_parameters(np.zeros(24))
+
+    def round(self, machine: str) -> tuple[dict[str, Any], Array]:
+        """Measure, identify, compensate: the result, and the bar's lengths, m."""
+        held = f'controller = "out{self.rounds}"' if self.rounds else ""
+        self.rounds += 1
+        readings = self.folder / f"{self.rounds}.readings.csv"
+        length = bar_readings(readings, self.truth, self.joints, self.rounds)
+        study = self.folder / f"{self.rounds}.study.toml"
+        study.write_text(PAPER_STUDY.format(machine=f"{machine}\n{held}"))
+        out = self.folder / f"out{self.rounds}"
+        stages.run_study(Study.load(study), out, readings=[readings])
+        options = ["--to", "json", "--commands", "64", "--force"]
+        assert main(["compensate", str(out), *options]) == 0
+        self.joints = rounds.of_json(out / "compensation.json")
+        return dict(json.loads((out / "result.json").read_text())), length
+
+    def home(self, result: dict[str, Any]) -> Array:
+        """Identified home errors (3,), m."""
+        table = result["estimate"]["parameters"]
+        return 1e-3 * np.array([table[f"dq{i}"]["value"] for i in (1, 2, 3)])
+
+
+@pytest.mark.slow
+def test_the_two_steps_of_the_paper(tmp_path):
+    """Home errors in three rounds, then all errors of its Table 3 in a fourth."""
+    fine = {k: v for k, v in a3.TABLE3.items() if k != "ds"}
+    truth = a3.errors(**fine | {"dq": ROUGH_HOME + fine["dq"]})
+    head = PaperHead(truth, tmp_path)
+    homes, left = [], []
+    for machine in (ROUGH, ROUGH, ROUGH, ""):
+        result, _ = head.round(machine)
+        homes.append(head.home(result))
+        z, psi = a3.D + a3.C + 0.1, 2 * np.pi * np.arange(12) / 12
+        tilted = np.stack([np.full(12, z), psi, np.full(12, np.deg2rad(35))], -1)
+        errors = rounds.errors(truth, head.joints, tilted, home=True)
+        left.append(np.sqrt(np.mean(errors**2, axis=0)) / FINE)
+    changes = np.abs(np.diff(homes[:3], axis=0)).max(axis=1)
+    print(
+        homes,
+        changes,
+        left,
+        reported(result, "after"),
+        result["goodness"]["chi2"],
+        result["goodness"]["dof"],
+    )
+    assert changes[1] < 0.3 * changes[0]
+    assert (left[3] < 3.0 * reported(result, "after")).all()
+    assert (left[3] < 0.3 * left[2]).all()

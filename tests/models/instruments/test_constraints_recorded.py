@@ -6,26 +6,15 @@ import itertools
 
 import numpy as np
 import pytest
-from constraint_machines import (
-    CMM,
-    GRID,
-    SEAT,
-    angles,
-    hexapod_lengths,
-    lengths,
-    locked_poses,
-    probes,
-    turned,
-)
+from constraint_machines import CMM, GRID, angles, lengths, locked_poses, probes
 from scipy.optimize import brentq
-from shipped_models import hexapod
 
 from oed.dataset import ReadingsError, from_series, load, to_csv
 from oed.estimation import identify
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
-from pkm_models.instruments import passive_joint, seat, touch_plane
+from pkm_models.instruments import passive_joint, touch_plane
 from pkm_reports.page.sheet import _table
 from pkm_studies.commands import main
 from pkm_studies.stages.design.section import planned_readings
@@ -91,14 +80,6 @@ def calibrate_lock(rng: np.random.Generator) -> np.ndarray:
     return pulls(measurement, q, np.zeros(len(q)), truth)
 
 
-def calibrate_seat(rng: np.random.Generator) -> np.ndarray:
-    measurement = MEASUREMENTS["seat"]
-    truth = drawn(measurement, rng)
-    point = SEAT + truth[42:] + 1e-6 * rng.standard_normal((30, 3))
-    q = hexapod_lengths(point, turned(rng, 30), truth[:42])
-    return pulls(measurement, q, np.zeros(3 * len(q)), truth)
-
-
 def pulls(
     measurement: Measurement, q: np.ndarray, y: np.ndarray, truth: np.ndarray
 ) -> np.ndarray:
@@ -114,17 +95,13 @@ MEASUREMENTS = {
     "sensors": Measurement(CMM, [sensors()], _CMM_KINEMATICS),
     "plate": Measurement(CMM, [mount(touch_plane.instrument, "plate", at=-0.2)], _CMM_KINEMATICS),
     "lock": Measurement(CMM, [lock("lock")], _CMM_KINEMATICS),
-    "seat": Measurement(hexapod.machine, [mount(seat.instrument.for_machine(hexapod.machine), "seat")]),
 }  # fmt: skip
 CALIBRATIONS = {
     "sensors": calibrate_sensors, "plate": calibrate_plate, "lock": calibrate_lock,
-    "seat": calibrate_seat,
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", ["sensors", "plate", "lock", pytest.param("seat", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", CALIBRATIONS)
 def test_intervals_hold_over_40_machines(name):
     rng = np.random.default_rng(11)
     errors = np.array([CALIBRATIONS[name](rng) for _ in range(40)])

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from sample import refused, resolved
-from shipped_models import a3_head, cables_planar, delta
+from shipped_models import a3_head, delta
 
 from oed.instrument import mount
 from oed.measurement import Measurement
-from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
+from pkm_models.instruments import height_probe, laser_ball_bar
 
 ARM = """\
 schema = 1
@@ -70,15 +70,6 @@ def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(rng):
     assert covariances[1] == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_planar_position_by_hand():
-    setup = mount(planar_position.instrument, "plate")
-    m = Measurement(cables_planar.machine, [setup])
-    series = m.series("plate", np.array([[0.3, 0.4]]))
-    theta = m.nominal
-    theta[m.nuisance_slice("plate")] = 0.001, -0.002, np.pi / 2.0
-    assert m.readings([series], theta) == pytest.approx([-0.399, 0.298], abs=1e-12)
-
-
 def test_a_contact_with_a_bed_of_known_slopes_by_hand():
     """The reading of a contact is implied: 0 over a plane that rises along x and y."""
     setup = mount(height_probe.contact, "probe", bed_slope_x=6e-3, bed_slope_y=-2e-3)
@@ -89,13 +80,3 @@ def test_a_contact_with_a_bed_of_known_slopes_by_hand():
     expected = 0.03 + 1e-4 - 6e-3 * 0.05 - 2e-3 * 0.02
     assert m.readings([series], theta) == pytest.approx([expected], abs=1e-12)
     assert height_probe.contact.implied == 0.0
-
-
-def test_a_tilted_bed_by_hand():
-    setup = mount(height_probe.tilted_bed, "probe")
-    m = Measurement(delta.machine, [setup])
-    series = m.series("probe", np.array([[0.05, -0.02, 0.03]]))
-    theta = m.nominal
-    theta[m.nuisance_slice("probe")] = 1e-4, 2e-3, 3e-3
-    expected = 0.03 + 1e-4 + 0.02 * 2e-3 + 0.05 * 3e-3
-    assert m.readings([series], theta) == pytest.approx([expected], abs=1e-12)

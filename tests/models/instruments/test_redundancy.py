@@ -137,19 +137,3 @@ def test_noise_per_leg_is_projected_onto_the_misfits(rng):
     covariance = m.of(series).reading_covariances(series)[0]
     values = np.linalg.eigvalsh(expected)[-2:]
     assert np.linalg.eigvalsh(covariance) == pytest.approx(values, rel=1e-9)
-
-
-def _covariances(m: Measurement, name: str, command: np.ndarray) -> np.ndarray:
-    series = m.series(name, command)
-    return m.of(series).reading_covariances(series)
-
-
-def test_equal_legs_have_independent_misfits(rng):
-    machine = _machine()
-    legs = redundancy.per_leg.for_machine(machine)
-    plain = redundancy.instrument.for_machine(machine)
-    command = rng.uniform(-0.4, 0.4, (4, 2))
-    both = Measurement(machine, [mount(legs, "legs"), mount(plain, "plain")])
-    found = _covariances(both, "legs", command)
-    stated = _covariances(both, "plain", command)
-    assert found == pytest.approx(stated, abs=1e-20)

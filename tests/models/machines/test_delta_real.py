@@ -21,7 +21,6 @@ from reference import delta_v400 as published
 from oed.estimation import identify
 from oed.identifiability import Identifiability, analyse
 from oed.measurement import Measurement, Series
-from oed.posterior import sample
 from pkm_studies import study
 from pkm_studies.resolve import resolved as resolve
 
@@ -159,19 +158,6 @@ def test_the_arms_stay_wide_and_are_said_to(measurement, sessions):
     assert (
         np.abs(apart[arms]) < 2 * np.hypot(found["S03"].sd, found["S04"].sd)[arms]
     ).all()
-
-
-@pytest.mark.slow
-def test_the_sampled_arms_are_as_wide(measurement, sessions):
-    session = sessions["S04"]
-    series = [heights_of(measurement, session), distances_of(measurement, session)]
-    y = np.concatenate([session.heights, session.distances])
-    estimate = fitted(measurement, session)
-    drawn = sample(measurement, series, y, estimate, np.random.default_rng(1))
-    arms = [measurement.names.index(arm) for arm in ARMS]
-    assert drawn.ess[arms].min() >= 1000
-    assert drawn.pooled.std(axis=0)[arms] == pytest.approx(estimate.sd[arms], rel=0.15)
-    assert (drawn.pooled.std(axis=0)[arms] > 0.4 * MM).all()
 
 
 @pytest.mark.parametrize("name", ["delta_v400", "delta_v400_reverse"])

@@ -4,12 +4,8 @@ tracker loses.
 
 import numpy as np
 from oracles import hexapod_geometry as oracle
-from shipped_models import pose_tracker
 
 from oed.base import Array
-from oed.identifiability import Assessment, lost_motions
-from oed.instrument import Setup, mount
-from oed.measurement import Measurement
 from oed.mechanism import Kinematics
 from pkm_models.machines import hexaglide
 
@@ -72,21 +68,3 @@ def test_no_pose_of_the_workspace_is_near_a_singular_one(rng):
         for c, v in zip(MACHINE.joints, q.T, strict=True)
     )
     assert (q[:, 1::2] - q[:, ::2]).min() > 0.9
-
-
-def look(setup: Setup, plan: Array) -> Assessment:
-    m = Measurement(MACHINE, [setup])
-    return Assessment.of(m, [m.series(setup.name, plan)])
-
-
-def test_a_free_frame_hides_what_leaves_the_guides_along_x(rng):
-    """Of the six motions of the base the guides' parameters hold four: three shifts,
-    and the turn about the travel.
-    """
-    seen = look(mount(pose_tracker.instrument, "pose"), commands(rng, 60))
-    assert (len(seen.names), seen.identifiability.rank) == (48, 44)
-    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
-    told = ["translation of the carriages along " + n for n in "xyz"]
-    told.append("rotation of the carriages about the base's origin, x axis")
-    assert [m.split(" together")[0] for m in motions] == told
-    assert len(rest) == 0

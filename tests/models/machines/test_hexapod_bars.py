@@ -123,18 +123,6 @@ def test_seven_poses_are_enough_and_six_are_not(rng):
     assert look(tracker, [at[:6]]).identifiability.rank == 36
 
 
-def test_positions_alone_lose_the_platforms_three_rotations(rng):
-    seen = look(
-        [mount(pose_tracker.position, "point", tolerances=KNOWN)], [commands(rng, 60)]
-    )
-    assert seen.identifiability.rank == 39
-    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
-    assert motions == [
-        f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
-    ]
-    assert len(rest) == 0
-
-
 def test_a_free_frame_hides_the_base(rng):
     """42 + 6 of the registration; lost are the six motions of the base with the
     tracker's frame.

@@ -194,20 +194,6 @@ def test_distances_see_as_much_of_the_machine_as_the_plate(rng):
     assert (len(seen.names), seen.identifiability.rank) == (16, 7)
 
 
-def test_a_ball_plate_by_hand():
-    """A plate shifted by 10 mm and turned by 90 degrees about z: (x, y) reads (-y, x),
-    then the shift.
-    """
-    m = measurement(mount(ball_plate.instrument, "plate", at_z=-0.2))
-    series = m.series("plate", np.array([[0.02, 0.03, -0.21]]))
-    theta = m.nominal
-    theta[m.names.index("plate.shift_x")], theta[m.names.index("plate.turn_z")] = (
-        0.01,
-        np.pi / 2.0,
-    )
-    assert m.readings([series], theta) == pytest.approx([-0.02, 0.02, -0.01], abs=1e-15)
-
-
 def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit():
     """It never turns its platform, so that its points alone are aligned: frame and
     platform turned together.

@@ -24,7 +24,7 @@ from shipped_models import laser_ball_bar, pose_tracker
 
 from oed.estimation import identify
 from oed.identifiability import Assessment, explain
-from oed.instrument import Instrument, mount
+from oed.instrument import Instrument
 from oed.measurement import Measurement, Series
 from oed.mechanism import Kinematics
 from oed.model import Machine
@@ -149,41 +149,6 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng):
     assert (
         np.count_nonzero(covariance) <= 22 * 25
     )  # readings are independent of each other
-
-
-def test_one_laser_ball_bar_reading_by_hand():
-    """A ball 0.7 m in front of the gimbal at its height: R is y, phi -x, theta z.
-
-    Noise is 0.3 um along y, and 0.7 m x 1.15 arcsec across.
-    """
-    setup = mount(laser_ball_bar.position, "read", at_x=0.0, at_y=-0.7, at_z=0.2)
-    m = Measurement(FULL, [setup])
-    series = m.series("read", np.array([[0.2, 0.0, 0.0]]))
-    assert m.readings([series], m.nominal) == pytest.approx([0.0, 0.0, 0.2], abs=1e-15)
-    assert 1e6 * m.sigma([series]) == pytest.approx([3.9027, 0.3, 3.9027], rel=1e-4)
-
-
-def test_registration_moves_what_is_read(rng):
-    """A frame shifted by t and turned by w about the gimbal, by small-angle formulas.
-
-    A known frame is at zero.
-    """
-    m, series = measured(FULL, laser_ball_bar.instrument, {})
-    tip, rot, _ = oracle.nominal(*poses().T)
-    t, w = 1e-6 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
-    theta = m.nominal
-    theta[18:] = np.r_[t, w]
-    plain = oracle.laser_ball_bar(tip, rot, GIMBAL, BASELINE)
-    moved = (m.readings([series], theta).reshape(22, 5) - plain)[:, :3]
-    assert np.abs(moved - t - np.cross(w, tip - GIMBAL)).max() < 1e-11
-
-
-def test_pose_tracker_reads_position_and_angles():
-    m, series = measured(FULL, pose_tracker.instrument)
-    exact = oracle.forward(series.q, PAPER)
-    expected = np.hstack([exact.tip, oracle.angles(exact.rotation)])
-    theta = np.r_[PAPER.ravel(), np.zeros(6)]
-    assert np.abs(m.readings([series], theta).reshape(22, 6) - expected).max() < 1e-13
 
 
 # -- what is seen ----------------------------------------------------------------------

@@ -12,31 +12,15 @@ import compensation_sample as sample
 import numpy as np
 import pytest
 from oracles import mujoco_poses
-from shipped_models import (
-    a3_head,
-    five_bar,
-    hexapod,
-    hexapod_pus,
-    hexapod_rus,
-    rotary_delta,
-)
+from shipped_models import a3_head, five_bar, hexapod, rotary_delta
 
 from oed.mechanism import Kinematics
 from oed.model import Machine
 
 Run = Callable[..., tuple[int, str, str]]
-#: legs, carriages and cranks; in the plane, and with a platform that only translates
-SLOW = pytest.mark.slow
-MJCF = [
-    hexapod.machine,
-    rotary_delta.machine,
-    pytest.param(hexapod_pus.machine, marks=SLOW),
-]
-URDF = [
-    hexapod.machine,
-    five_bar.machine,
-    pytest.param(hexapod_rus.machine, marks=SLOW),
-]
+#: legs, cranks of a platform that only translates, and a machine in the plane
+MJCF = [hexapod.machine, rotary_delta.machine]
+URDF = [hexapod.machine, five_bar.machine]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from c_compiler import library, pointer
 from oracles import delta_trilateration
-from shipped_models import a3_head, cables_planar, hexapod, hexapod_rus, linear_delta
+from shipped_models import a3_head, cables_planar, hexapod, linear_delta
 
 from oed.mechanism import Kinematics
 from oed.model import Machine
@@ -49,22 +49,6 @@ def written(oed: Run, folder: Path, machine: Machine, values: np.ndarray) -> Pat
     code, _, err = oed("compensate", folder, "--to", "c")
     assert code == 0, err
     return folder
-
-
-@pytest.mark.slow
-def test_a_tool_beside_the_platform_adds_no_turn_to_a_crank(oed, tmp_path, rng):
-    machine, tool = hexapod_rus.machine, np.array([0.15, 0.0, 0.03])
-    c = library(written(oed, tmp_path, machine, machine.nominal) / "compensation.c")
-    command = np.tile(machine.home_command, (100, 1))
-    command[:, :3] += tool + rng.uniform(-0.03, 0.03, (100, 3))
-    command[:, 3:] = rng.uniform(-0.14, 0.14, (100, 3))
-    pose, joints = np.empty((100, 6)), np.empty((100, 6))
-    for row in zip(command, pose, joints, strict=True):
-        at, to, out = (pointer(part) for part in row)
-        assert c.pkm_inverse(at, pointer(tool), to, out) == OK
-    assert np.abs(joints).max() < np.pi
-    _, q = Kinematics(machine).inverse(command, tool=tool)
-    np.testing.assert_allclose(joints, q, atol=1e-12)
 
 
 @pytest.mark.parametrize("machine", [
