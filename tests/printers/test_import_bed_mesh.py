@@ -139,7 +139,6 @@ def test_a_mesh_with_a_missing_row_is_refused(tmp_path):
 @pytest.mark.parametrize(("name", "verdict", "count"), [
     ("flsun_sr_danorder_mesh_2", "confirms", 29),
     ("flsun_sr_danorder_mesh", "agrees", 49),
-    pytest.param("flsun_sr_cupsster", "contradicts", 81, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_real_meshes(name, verdict, count, shared_data, tmp_path):
     config = (shared_data / "klipper_delta" / f"{name}.cfg").read_text()

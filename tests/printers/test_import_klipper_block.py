@@ -6,7 +6,7 @@ from oracles.firmware.geometry import Probe, delta, spiral
 from oracles.firmware.klipper import HEADER, Klipper, example
 
 from pkm_studies.base import InputError
-from printers.delta_printer import fitted, nominal, take, with_known_noise
+from printers.delta_printer import nominal, take
 
 REAL = delta(110.3, 250.0, [210.3, 329.8, 90.0], [260.2, 259.7, 260.3])
 
@@ -17,15 +17,6 @@ def printer() -> Klipper:
     firmware.calibrate(REAL, Probe(20, -5, 2.5), spiral(12, 90.0))
     firmware.analyze(REAL, 0.0, np.random.default_rng(0))
     return firmware
-
-
-def test_a_saved_block_comes_in(tmp_path):
-    """Klipper puts the nozzle on its places: offsets of the probe move none of them."""
-    study, _ = take("klipper", {"printer.cfg": printer().text()}, tmp_path)
-    with_known_noise(study, 1.0)
-    value = fitted(study)
-    assert value["radius"] == pytest.approx(110.3, abs=5e-3)
-    assert value["endstop2"] == pytest.approx(259.7, abs=5e-3)
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [

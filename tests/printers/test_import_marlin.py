@@ -338,6 +338,23 @@ def test_the_angles_of_g33_are_read_in_both_forms(angles, tmp_path):
     assert towers == pytest.approx([210.28, 329.75, 89.98])
 
 
+def test_a_report_of_g33_needs_the_radius_of_its_circle(tmp_path):
+    """Its geometry is that of the moment, whatever the log has below."""
+    firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X0 Y0 Z0")
+    report = marlin_g33.g33(firmware, REAL, Probe(), 80.0, "P3 V0")
+    log = firmware.m115() + firmware.m503() + report
+    bare = log.replace("at radius:80.00", "")
+    with pytest.raises(InputError, match=r"line \d+.*probe_radius_mm"):
+        take("marlin", {"log": bare}, tmp_path / "a")
+    below = log + "M665 L250 R126.5 H299\nM666 X0 Y0 Z0\n"
+    study, imported = take("marlin", {"log": below}, tmp_path / "b")
+    assert nominal(study)["radius_mm"] == 125.0
+    given = take("marlin", {"log": bare + "probe_radius_mm = 80\n"}, tmp_path / "c")
+    assert given[1].rows == imported.rows
+    with pytest.raises(InputError, match="answer of M503"):
+        take("marlin", {"log": BED}, tmp_path / "d")
+
+
 @pytest.mark.parametrize("points", range(2, 11))
 def test_means_of_g33_become_heights_of_their_places(points, tmp_path):
     firmware = marlin.Marlin("M665 L250 R125 H300\nM666 X0 Y0 Z0")

@@ -239,6 +239,10 @@ def test_what_a_loop_changes_is_refused(lines, tmp_path):
     ("config.g", "M558", "M669 K0\nM558", "none of linear delta"),
     ("config.g", "M558", "M669 K6\nM558", "line 4, M669 K.*`hangprinter`"),
     ("config.g", "L241.987", "L241.987:242:242:200", "4 numbers, where 1 or 3 belong"),
+    ("bed.g", FILES["bed.g"], "G28\n", r"give the bed\.g"),
+    ("bed.g", "G30 P1 ", "G30 P1e999 ", r"bed\.g: line \d+.*not a finite number"),
+    ("log.txt", LOG, "G28\n", "has the answer of a last G30"),
+    ("log.txt", LOG, "G32 bed probe heights: 0.1 0.2, mean 0\n", "line 1.*2 heights for 10 probe points"),
 ])  # fmt: skip
 def test_files_that_mislead_are_refused(name, old, new, words, tmp_path):
     assert old in FILES[name]

@@ -104,7 +104,7 @@ PROBE = listed("""
 """)
 SECTIONS = {
     "printer": PRINTER,
-    **{f"stepper_{tower}": STEPPER for tower in "abc"},
+    "stepper_b": STEPPER,
     "delta_calibrate": CALIBRATE,
     "probe": PROBE,
     "bltouch": ["sensor_pin", "control_pin", "pin_move_time", "x_offset", "z_offset"],
@@ -172,17 +172,8 @@ def with_option(section: str, key: str, value: str) -> str:
     return "\n".join(changed) + "\n"
 
 
-#: of three towers with the same options, one by day
-BY_NIGHT = ("stepper_a", "stepper_c")
-
-
 @pytest.mark.parametrize(
-    ("section", "key"),
-    [
-        pytest.param(s, key, marks=[pytest.mark.slow] if s in BY_NIGHT else [])
-        for s, keys in SECTIONS.items()
-        for key in keys
-    ],
+    ("section", "key"), [(s, key) for s, keys in SECTIONS.items() for key in keys]
 )
 def test_every_option_of_klipper(section, key, tmp_path):
     known = re.search(rf"\[{section}\][^\[]*?^{key}: (.*)$", KLIPPER, re.M)

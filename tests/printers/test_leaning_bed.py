@@ -90,9 +90,8 @@ def calibrated(seed: int, folder: Path) -> tuple[float, np.ndarray, np.ndarray]:
     return bed_error(real, text), realised(real, text, study), np.array(predicted)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(seed, tmp_path):
-    bed, errors, predicted = calibrated(seed, tmp_path)
+def test_one_import_and_one_paste_bring_the_bed_within_twice_the_noise(tmp_path):
+    bed, errors, predicted = calibrated(1, tmp_path)
     assert bed < 2.0 * NOISE
     assert (errors < 2.5 * predicted).all()
 

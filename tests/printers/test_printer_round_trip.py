@@ -64,12 +64,11 @@ def reach_error(firmware: Firmware, real: Delta) -> float:
 # -- Klipper ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_klipper(seed, tmp_path):
+def test_klipper(tmp_path):
     """Heights of independent noise: Klipper's fit of the file is no better."""
     firmware = Klipper(example(probe=(20, -5, 2.5)))
     real, probe = printer(), Probe(20, -5, 2.5, NOISE)
-    firmware.calibrate(real, probe, spiral(18, REACH), np.random.default_rng(seed))
+    firmware.calibrate(real, probe, spiral(18, REACH), np.random.default_rng(1))
     best = firmware.fitted()
     firmware.apply(calibrate("klipper", {"printer.cfg": firmware.text()}, tmp_path))
     check(firmware, real, best)
@@ -217,21 +216,6 @@ def best_of(firmware: marlin.Marlin, log: str) -> Delta:
 
 def bed_lines(log: str) -> list[str]:
     return [line for line in log.splitlines() if line.startswith("Bed X:")]
-
-
-def test_marlin_makes_no_move_for_a_small_value(tmp_path):
-    """M666 of up to six steps has no effect in 2.0.6 and later: neither in the log nor
-    in the export.
-    """
-    firmware = set_up(marlin.Marlin, SETTINGS.replace("X-0.5 Y-0.4 Z-0.3", "X-0.07 Y0"))
-    real = delta(110.3, 250.0, ANGLES, [260.20, 260.14, 260.16])
-    probe, rng = Probe(18, -8, 2.5, NOISE), np.random.default_rng(1)
-    log = log_of(firmware) + firmware.g30(real, probe, spiral(24, REACH), rng)
-    best = best_of(firmware, log)
-    export = calibrate("marlin", {"printer.log": log}, tmp_path)
-    firmware.apply(export)
-    assert (firmware.adjust <= -0.2).all()
-    check(firmware, real, best)
 
 
 @pytest.mark.parametrize(("words", "offset"), [
