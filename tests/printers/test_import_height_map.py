@@ -132,6 +132,15 @@ def test_a_broken_map_is_refused(before, after, problem, tmp_path):
     assert "give" not in caught.value.problem
 
 
+def test_a_map_has_at_most_4_megabytes(tmp_path):
+    """Blank lines at its end say nothing, and count."""
+    content = HEAD + GRID + ROWS
+    full = content + "\n" * (4_000_000 - len(content))
+    assert len(mesh_rows(full, tmp_path / "full")) == 11
+    with pytest.raises(InputError, match="a height map has at most 4 MB"):
+        mesh_rows(full + "\n", tmp_path / "more")
+
+
 def test_a_map_of_other_axes_is_refused(tmp_path):
     with pytest.raises(InputError, match="its axes are XZ"):
         mesh_rows(HEAD + NEWEST.replace("X,Y", "X,Z") + ROWS, tmp_path)

@@ -252,6 +252,28 @@ def test_the_shade_ends_at_the_bound_and_no_plan_lies_in_it(wanted):
     assert high > plans[:, 1].max()
 
 
+def _captions(**changes: Any) -> str:
+    """Captions of all figures of the sample's plan, with some fields changed."""
+    blocks = stages.blocks(_small(report_fixture_plan.plan() | changes))
+    captions = (b.caption for b in blocks if isinstance(b, Picture))
+    return " ".join(captions).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_a_front_of_one_plan_spans_no_time():
+    first, *_, last = front = report_fixture_plan.plan()["front"]
+    assert "the value falls" not in _captions(front=[first])
+    assert "From 19 min to 108 min" in _captions(front=[first, last])
+    assert "From 19 min to 108 min" in _captions(front=front)
+
+
+@pytest.mark.parametrize(("count", "said"), [(6, False), (7, True)])
+def test_sequences_beyond_the_figure_are_in_the_table(count, said):
+    compared = report_fixture_plan.plan()["compared"][:1] * count
+    captions = _captions(compared=compared)
+    assert ("1 more sequences are in the table only." in captions) == said
+    assert ("more sequences" in captions) == said
+
+
 FIGURES = [stages.draw_accuracies, stages.draw_timeline, stages.draw_front]
 
 

@@ -261,3 +261,24 @@ def test_the_figure_shows_the_share_of_scenarios():
     np.testing.assert_allclose(of_robust, [[50.0, 50.0], [100.0, 100.0]])
     np.testing.assert_allclose(steps["nominal plan, each scenario"], [[25.0, 100.0]])
     np.testing.assert_allclose(steps["robust plan, by the risk"][:, 0], 50.0)
+
+
+# -- number of readings ----------------------------------------------------------------
+
+
+def test_a_panel_has_plans_the_bound_and_what_is_wanted():
+    """A little wider than the numbers of readings, and a third than the accuracies."""
+    summary = result_of(report_fixture.sample()).design.how_many
+    number = list(summary.accuracy).index("z_um")
+    found, bound = summary.accuracy["z_um"], summary.bound["z_um"]
+    with style.applied():
+        axes = design.draw_how_many(summary).axes[number]
+    assert axes.get_xlim() == pytest.approx((10.0 / 1.08, 60.0 * 1.08))
+    limits = (min([*bound, 50.0]) / 1.3, 1.3 * max(found))
+    assert axes.get_ylim() == pytest.approx(limits)
+    lines = {line.get_label(): line for line in axes.lines}
+    expected = np.transpose([summary.sizes, found])
+    np.testing.assert_allclose(lines["plans found"].get_xydata(), expected)
+    assert set(lines["wanted"].get_ydata()) == {50.0}
+    fewest = lines["fewest that reach all wanted: 34"]
+    assert set(fewest.get_xdata()) == {34}

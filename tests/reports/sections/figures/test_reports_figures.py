@@ -97,12 +97,8 @@ def test_a_figure_without_data_says_so(draw):
         assert style.render(figure).kind == "svg"
 
 
-@pytest.mark.parametrize(
-    "build",
-    [report_fixture.sample, pytest.param(report_fixture.delta, marks=pytest.mark.slow)],
-)
-def test_figures_keep_all_words_inside(build):
-    full = result_of(build())
+def test_figures_keep_all_words_inside():
+    full = result_of(report_fixture.sample())
     design, prediction = full.design, full.prediction
     assert design is not None
     assert prediction is not None
