@@ -8,14 +8,7 @@ import compensation_sample as sample
 import numpy as np
 import pytest
 from oracles import mujoco_poses
-from shipped_models import (
-    five_bar,
-    hexapod,
-    hexapod_pus,
-    hexapod_rus,
-    orthoglide,
-    rotary_delta,
-)
+from shipped_models import five_bar, hexapod, orthoglide, rotary_delta
 
 from oed.mechanism import Kinematics
 from oed.model import Machine
@@ -141,9 +134,6 @@ def test_a_hand_written_delta_stands_where_mujoco_puts_it(oed, tmp_path, mujoco)
 @pytest.mark.usefixtures("own_folder")
 @pytest.mark.parametrize(("original", "form"), [
     pytest.param(hexapod.machine, "urdf", id="legs"),
-    pytest.param(hexapod_rus.machine, "mjcf", id="cranks", marks=pytest.mark.slow),
-    pytest.param(hexapod_pus.machine, "mjcf", id="carriages", marks=pytest.mark.slow),
-    pytest.param(hexapod_rus.machine, "urdf", id="cranks_urdf", marks=pytest.mark.slow),
     pytest.param(rotary_delta.machine, "urdf", id="rotary_delta"),
     pytest.param(orthoglide.machine, "urdf", id="orthoglide"),
     pytest.param(five_bar.machine, "mjcf", id="five_bar"),

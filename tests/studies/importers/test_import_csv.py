@@ -1,12 +1,22 @@
 """`oed import` of any CSV, against the oracles."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from oracles import planar_cables
 
 import oed
 from pkm_studies.base import InputError
-from pkm_studies.importers import import_files
+from pkm_studies.importers import ImportedSession, import_files
+
+
+def taken(
+    folder: Path, name: str, column_map: str = "m.toml"
+) -> tuple[Path, ImportedSession]:
+    return import_files(
+        "columns", [folder / name], folder, column_map=folder / column_map
+    )
 
 
 def test_columns_by_a_map_that_is_kept(tmp_path):
@@ -23,12 +33,8 @@ def test_columns_by_a_map_that_is_kept(tmp_path):
     with pytest.raises(
         InputError, match=r"columns\.xx_mm: no column of readings.*x_mm"
     ):
-        import_files(
-            "columns", [tmp_path / "a.csv"], tmp_path, column_map=tmp_path / "typo.toml"
-        )
-    study, imported = import_files(
-        "columns", [tmp_path / "a.csv"], tmp_path, column_map=tmp_path / "m.toml"
-    )
+        taken(tmp_path, "a.csv", "typo.toml")
+    study, imported = taken(tmp_path, "a.csv")
     assert "Not used: name, remark." in imported.statements
     assert [row["height_mm"] for row in imported.rows] == ["0.02", "", "-0.01"]
     readings = oed.read_readings(oed.load_study(study))
@@ -62,9 +68,8 @@ def test_cable_lengths_alone_come_in(tmp_path, rng):
     lines = [",".join(f"{v:.6f}" for v in row) for row in drums]
     (tmp_path / "l.csv").write_text("\n".join(["A,B,C,D", *lines]))
     (tmp_path / "m.toml").write_text(CABLES_MAP)
-    study, imported = import_files(
-        "columns", [tmp_path / "l.csv"], tmp_path, column_map=tmp_path / "m.toml"
-    )
+    (tmp_path / "n.csv").write_text((tmp_path / "l.csv").read_text())
+    study, imported = taken(tmp_path, "l.csv")
     assert "The readings are 0: the machine's closure." in imported.statements
     loaded = oed.load_study(study)
     assert loaded.prediction.reference == "best_fit"
@@ -74,12 +79,7 @@ def test_cable_lengths_alone_come_in(tmp_path, rng):
     wrong = CABLES_MAP.replace("gap1_um", "gap_um")
     (tmp_path / "m.toml").write_text(wrong)
     with pytest.raises(InputError, match=r"noise\.gap_um.*gap1_mm"):
-        import_files(
-            "columns",
-            [tmp_path / "l.csv"],
-            tmp_path / "b",
-            column_map=tmp_path / "m.toml",
-        )
+        taken(tmp_path, "n.csv")
 
 
 def test_channels_that_were_not_read_are_left_out(tmp_path):
@@ -88,9 +88,7 @@ def test_channels_that_were_not_read_are_left_out(tmp_path):
         "x_mm,y_mm,z_mm,read_x_mm,read_y_mm\n0,0,10,0.1,0.0\n50,0,10,50.1,0.1\n"
     )
     (tmp_path / "m.toml").write_text('machine = "linear_delta"\ninstrument = "camera"')
-    study, imported = import_files(
-        "columns", [tmp_path / "c.csv"], tmp_path, column_map=tmp_path / "m.toml"
-    )
+    study, imported = taken(tmp_path, "c.csv")
     assert "Not read: read_z; these channels count nothing." in imported.statements
     (setup,) = oed.load_study(study).setup
     assert setup.channels == ["read_x", "read_y"]
@@ -103,9 +101,7 @@ def test_contacts_alone_come_in(tmp_path):
     (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n0,0,0.02\n50,0,0.01\n0,50,0.04\n")
     text = 'machine = "linear_delta"\ninstrument = "contact_probe"\n'
     (tmp_path / "m.toml").write_text(text)
-    study, imported = import_files(
-        "columns", [tmp_path / "p.csv"], tmp_path, column_map=tmp_path / "m.toml"
-    )
+    study, imported = taken(tmp_path, "p.csv")
     assert "The readings are 0: the poses are the measurement." in imported.statements
     loaded = oed.load_study(study)
     assert loaded.prediction.reference == "home"

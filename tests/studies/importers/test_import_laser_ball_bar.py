@@ -56,12 +56,18 @@ def write(path: Path, values: np.ndarray) -> Path:
     return path
 
 
+def taken(file: Path) -> Path:
+    """The study of a file with the map beside it."""
+    folder = file.parent
+    return import_files("columns", [file], folder, column_map=folder / "m.toml")[0]
+
+
 def test_position_and_axis_from_two_balls(tmp_path):
     """As the paper's readings in Cartesian coordinates would be (sections 5.1, 5.2)."""
     values = seen()
     file = write(tmp_path / "lbb.csv", values)
     (tmp_path / "m.toml").write_text(MAP)
-    study, _ = import_files("columns", [file], tmp_path, column_map=tmp_path / "m.toml")
+    study = taken(file)
     readings = oed.read_readings(oed.load_study(study))
     tip, rotation, _ = oracle.nominal(*poses().T)
     wanted = oracle.laser_ball_bar(tip, rotation, GIMBAL, BASELINE)
@@ -76,7 +82,7 @@ def test_ball_a_alone_is_a_position(tmp_path):
     file = write(tmp_path / "lbb.csv", seen())
     text = MAP.replace("{a,b}", "a").replace("{1,2}", "1")
     (tmp_path / "m.toml").write_text(text)
-    study, _ = import_files("columns", [file], tmp_path, column_map=tmp_path / "m.toml")
+    study = taken(file)
     assert '"read_x"' in study.read_text()
     assert "read_alpha" not in study.read_text()
     readings = oed.read_readings(oed.load_study(study))
@@ -95,13 +101,13 @@ def test_words_that_are_none(old, new, reason, tmp_path):
     file = write(tmp_path / "lbb.csv", seen())
     (tmp_path / "m.toml").write_text(MAP.replace(old, new))
     with pytest.raises(InputError, match=reason):
-        import_files("columns", [file], tmp_path, column_map=tmp_path / "m.toml")
+        taken(file)
 
 
 def test_a_place_beside_what_it_follows_from_is_refused(tmp_path):
     file = write(tmp_path / "lbb.csv", seen())
     (tmp_path / "m.toml").write_text(MAP)
-    study, _ = import_files("columns", [file], tmp_path, column_map=tmp_path / "m.toml")
+    study = taken(file)
     readings = tmp_path / "lbb.readings.csv"
     lines = readings.read_text().splitlines()
     header = next(k for k, line in enumerate(lines) if not line.startswith("#"))

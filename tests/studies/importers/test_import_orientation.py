@@ -11,7 +11,7 @@ from shipped_models import hexapod, prs_spindle
 import oed
 from oed.mechanism import Kinematics
 from pkm_studies.base import InputError
-from pkm_studies.importers import import_files
+from pkm_studies.importers import ImportedSession, import_files
 
 MAP = """\
 machine = "hexapod"
@@ -62,6 +62,13 @@ def write(path: Path, command: np.ndarray, point: np.ndarray, form: np.ndarray) 
     path.write_text("\n".join([",".join(names), *rows]))
 
 
+def taken(folder: Path, kind: str = "columns") -> tuple[Path, ImportedSession]:
+    """The study of p.csv and m.toml in a folder."""
+    return import_files(
+        kind, [folder / "p.csv"], folder / "out", column_map=folder / "m.toml"
+    )
+
+
 def imported_angles(study: Path) -> np.ndarray:
     """Angles (n, 3) of the imported readings, rad."""
     readings = oed.read_readings(oed.load_study(study)).state.readings
@@ -76,9 +83,7 @@ def test_other_forms_of_an_orientation_come_in(form, kind, tmp_path, rng):
     rotation, point = stand(command)
     write(tmp_path / "p.csv", command, point, FORMS[form](rotation))
     (tmp_path / "m.toml").write_text(MAP + form)
-    study, imported = import_files(
-        kind, [tmp_path / "p.csv"], tmp_path / "out", column_map=tmp_path / "m.toml"
-    )
+    study, imported = taken(tmp_path, kind)
     angles = imported_angles(study)
     assert angles == pytest.approx(rotation.as_euler("XYZ"), abs=1e-10)
     assert any("R = Rx(read_alpha) Ry(read_beta)" in s for s in imported.statements)
@@ -100,12 +105,7 @@ def test_a_tracker_s_frame_turns_the_orientations_too(tmp_path, rng):
     )
     text = MAP.replace('"known"', '"best_fit"') + 'quaternion = ["w", "i", "j", "k"]\n'
     (tmp_path / "m.toml").write_text(text)
-    study, _ = import_files(
-        "tracker",
-        [tmp_path / "p.csv"],
-        tmp_path / "out",
-        column_map=tmp_path / "m.toml",
-    )
+    study, _ = taken(tmp_path, "tracker")
     assert imported_angles(study) == pytest.approx(rotation.as_euler("XYZ"), abs=1e-8)
 
 
@@ -165,9 +165,7 @@ def test_orientations_of_another_order_or_sense_are_named(mistake, kind, tmp_pat
     write(tmp_path / "p.csv", command, turned.apply(point), written(turned * rotation))
     (tmp_path / "m.toml").write_text(text + form)
     with pytest.raises(InputError, match=words):
-        import_files(
-            kind, [tmp_path / "p.csv"], tmp_path / "out", column_map=tmp_path / "m.toml"
-        )
+        taken(tmp_path, kind)
     assert not (tmp_path / "out").exists()
 
 
@@ -185,12 +183,11 @@ def test_angles_of_the_inverse_rotation_are_refused(sense, tmp_path, rng):
     )
     text = MAP.replace("\n[orientation]\n", columns).replace('"known"', '"free"')
     (tmp_path / "m.toml").write_text(text)
-    files, given = [tmp_path / "p.csv"], tmp_path / "m.toml"
     if sense > 0:
-        import_files("tracker", files, tmp_path / "out", column_map=given)
+        taken(tmp_path, "tracker")
         return
     with pytest.raises(InputError, match="angles of the inverse rotations"):
-        import_files("tracker", files, tmp_path / "out", column_map=given)
+        taken(tmp_path, "tracker")
 
 
 LASER = """\
@@ -233,12 +230,7 @@ def test_the_direction_of_a_laser_ball_bar(tmp_path):
     lines[2] = ",".join([*lines[2].split(",")[:6], "", "", ""])
     (tmp_path / "p.csv").write_text("\n".join(["z,alpha,beta,X,Y,Z,u,v,w", *lines]))
     (tmp_path / "m.toml").write_text(LASER)
-    study, imported = import_files(
-        "columns",
-        [tmp_path / "p.csv"],
-        tmp_path / "out",
-        column_map=tmp_path / "m.toml",
-    )
+    study, imported = taken(tmp_path)
     assert any("as the direction of the tool axis" in s for s in imported.statements)
     assert imported.rows[2]["read_alpha_deg"] == ""
     found = [
@@ -269,9 +261,4 @@ def test_a_map_that_states_no_orientation_is_refused(change, words, tmp_path, rn
     assert change[0] in text
     (tmp_path / "m.toml").write_text(text.replace(*change))
     with pytest.raises(InputError, match=words):
-        import_files(
-            "columns",
-            [tmp_path / "p.csv"],
-            tmp_path / "out",
-            column_map=tmp_path / "m.toml",
-        )
+        taken(tmp_path)
