@@ -75,9 +75,8 @@ def test_files_load_with_their_study_and_mean_the_same_machine(tmp_path, machine
     assert 250 <= len(read) <= 750
     assert np.abs(read.y - drawn.y).max() < 1e-10  # as many digits as the file has
     theta = measurement.nominal.copy()
-    theta[measurement.free] += (
-        drawn.theta
-    )  # 0 nominal where the toolkit's nominal is added here
+    # 0 nominal where the toolkit's nominal is added here
+    theta[measurement.free] += drawn.theta
     assert np.abs(measurement.tolerance[measurement.free] - drawn.prior).max() == 0.0
     assert np.abs(measurement.readings(read.series, theta) - drawn.y).max() < 2e-11
     slopes = measurement.jacobian(read.series, theta)[:, measurement.free]
@@ -94,9 +93,8 @@ def test_files_load_with_their_study_and_mean_the_same_machine(tmp_path, machine
 
 def test_joint_forces_follow_from_virtual_work():
     plan = plans.draw(np.random.default_rng(3), "hexapod", "full")
-    drawn = scene.Scene(
-        plan, np.zeros(42), np.zeros((2, 6))
-    )  # the nominal machine, that forces are told for
+    # the nominal machine, that forces are told for
+    drawn = scene.Scene(plan, np.zeros(42), np.zeros((2, 6)))
     rise = []
     for leg in (0, 4):
         for sign in (1, -1):
@@ -125,9 +123,8 @@ def test_play_remembers_its_side_of_the_gap():
             after = np.flatnonzero(np.abs(travel) > 2 * width) + 1
             turns = np.flatnonzero(travel[1:] * travel[:-1] < 0) + 1
             for k in after:
-                if (
-                    k not in turns + 1 and k not in turns
-                ):  # the path turns in between there
+                # the path turns in between there
+                if k not in turns + 1 and k not in turns:
                     assert error[here[k], leg] == pytest.approx(
                         -np.sign(travel[k - 1]) * width / 2, abs=1e-12
                     )

@@ -27,14 +27,12 @@ A0_NOM = A * RADIAL - np.array([0, 0, C])  # P -> A_i in the platform frame
 UP = np.array([0.0, 0.0, 1.0])
 PAIRS = ((0, 1), (1, 2), (2, 0))
 SL_Q, SL_B, SL_A, SL_BETA = slice(0, 3), slice(3, 12), slice(12, 21), slice(21, 24)
-EQ17 = np.array(
-    [0, 1, 2, 4, 6, 9, *range(12, 24)]
-)  # the 18 parameters left by Eqs. (16)-(17)
+# the 18 parameters left by Eqs. (16)-(17)
+EQ17 = np.array([0, 1, 2, 4, 6, 9, *range(12, 24)])
 Z_TEACH = D + C + 0.220  # height of the fixed ball that reproduces Table 2
 BAR = 0.300
-SCALE = np.r_[
-    np.ones(21), np.full(3, 1 / D)
-]  # p = SCALE * (dq, db, da0, D beta): Eq. (6), all in m
+# p = SCALE * (dq, db, da0, D beta): Eq. (6), all in m
+SCALE = np.r_[np.ones(21), np.full(3, 1 / D)]
 Array = NDArray
 
 # Table 2: stroke s (m) -> (smallest, largest) theta over a circle (rad); z = D + C + s.
@@ -201,9 +199,7 @@ def nominal_pose(
 def inverse_nominal(
     z: ArrayLike, psi: ArrayLike, theta: ArrayLike, tool: ArrayLike = 0.0
 ) -> Array:
-    """Nominal joint lengths q (..., 3) m by Eqs. (1)-(3); z is the height of the tool
-    point.
-    """
+    """Nominal joint lengths q (..., 3) m by Eqs. (1)-(3); z is the height of the tool point."""
     tip, R = nominal_pose(z, psi, theta, tool)
     tcp = tip - np.asarray(tool)[..., None] * R[..., :, 2]
     return _norm(tcp[..., None, :] - B_NOM + A0_NOM @ np.swapaxes(R, -1, -2))
@@ -256,15 +252,12 @@ def circle_theta(
 def _wrench(
     z: ArrayLike, psi: ArrayLike, theta: ArrayLike, tool: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """W^T (..., 6, 6) and B (..., 6, 24) of Eq. (5) about the tool point; beta's column
-    is q_i.
-    """
+    """W^T (..., 6, 6) and B (..., 6, 24) of Eq. (5) about the tool point; beta's column is q_i."""
     tip, R = nominal_pose(z, psi, theta, tool)
     tool_vec = np.zeros((*tip.shape[:-1], 3))
     tool_vec[..., 2] = tool
-    arm = (A0_NOM - tool_vec[..., None, :]) @ np.swapaxes(
-        R, -1, -2
-    )  # a_i: tool point -> A_i, base frame
+    # a_i: tool point -> A_i, base frame
+    arm = (A0_NOM - tool_vec[..., None, :]) @ np.swapaxes(R, -1, -2)
     leg = tip[..., None, :] - B_NOM + arm
     q = _norm(leg)
     s2, s1 = leg / q[..., None], np.broadcast_to(S1, leg.shape)
@@ -351,9 +344,8 @@ def compensator(z: ArrayLike, psi: ArrayLike, theta: ArrayLike) -> Compensator:
     """
     wt, b = _wrench(z, psi, theta)
     psi, theta = np.broadcast_arrays(psi, theta)
-    g = np.zeros(
-        (*wt.shape[:-2], 6, 6)
-    )  # Eq. (19): (dr, dalpha) = g (dr, dpsi, dtheta, dphi)
+    # Eq. (19): (dr, dalpha) = g (dr, dpsi, dtheta, dphi)
+    g = np.zeros((*wt.shape[:-2], 6, 6))
     g[..., [0, 1, 2], [0, 1, 2]], g[..., 5, 3] = 1.0, 1.0
     g[..., 3, 4], g[..., 3, 5] = np.cos(psi), np.sin(psi) * np.sin(theta)
     g[..., 4, 4], g[..., 4, 5] = np.sin(psi), -np.cos(psi) * np.sin(theta)

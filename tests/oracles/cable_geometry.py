@@ -39,9 +39,7 @@ def residual(
     radius: ArrayLike,
     line: ArrayLike,
 ) -> NDArray:
-    """Line residuals (..., 4): distance to the anchors (4, 3) less the line that is
-    out.
-    """
+    """Line residuals (..., 4): distance to the anchors (4, 3) less the line that is out."""
     away = np.asarray(position)[..., None, :] - np.asarray(anchor)
     return (
         np.sqrt((away * away).sum(-1)) - np.asarray(line) - line_change(motor, radius)

@@ -14,9 +14,7 @@ PAIRS = ((0, 1), (1, 2), (2, 0))
 
 
 def _edges(carriers: NDArray) -> NDArray:
-    """Two edges and their cross product, in columns (3, 3), of three points (3, 3), one
-    a row.
-    """
+    """Two edges and their cross product, in columns (3, 3), of three points (3, 3), one a row."""
     u, v = carriers[1] - carriers[0], carriers[2] - carriers[0]
     cross = np.array(
         [

@@ -52,9 +52,7 @@ def legs(point: ArrayLike, centre: ArrayLike) -> NDArray:
 
 
 def printed(lengths: ArrayLike, rho: float) -> NDArray:
-    """Eqs. (6), (7), (8) as printed, (..., 3); cos theta_2^2 read as the square of the
-    cosine.
-    """
+    """Eqs. (6), (7), (8) as printed, (..., 3); cos theta_2^2 read as the square of the cosine."""
     l1, l2, l3 = np.moveaxis(np.asarray(lengths), -1, 0)
     cos, sin = np.cos(THETA), np.sin(THETA)
     x = (2 * l1**2 + l2**2 + l3**2) / (4 * rho * (cos[0] - cos[1]))

@@ -38,16 +38,13 @@ def forward(q: ArrayLike, p: ArrayLike) -> NDArray:
     d2 = (v * v).sum(-1)
     along = (l1**2 - l2**2 + d2) / (2 * d2)
     across = np.sqrt(l1**2 / d2 - along**2)
-    down = np.stack(
-        [v[..., 1], -v[..., 0]], -1
-    )  # v turned clockwise: it points down while slider 2 is on the right
+    # v turned clockwise: it points down while slider 2 is on the right
+    down = np.stack([v[..., 1], -v[..., 0]], -1)
     return s[..., 0, :] + along[..., None] * v + across[..., None] * down
 
 
 def inverse(pose: ArrayLike, p: ArrayLike = NOMINAL) -> NDArray:
-    """Scale readings q (..., 2) that put a machine with upright guides at pose (...,
-    2).
-    """
+    """Scale readings q (..., 2) that put a machine with upright guides at pose (..., 2)."""
     pose, p = np.asarray(pose), np.asarray(p)
     foot = np.stack([-p[..., 0] / 2, p[..., 0] / 2], -1)
     return (
@@ -64,17 +61,15 @@ def rows(pose: ArrayLike) -> NDArray:
     pose = np.asarray(pose)
     height = inverse(pose)
     foot = np.array([-D / 2, D / 2])
-    n = (
-        np.stack([pose[..., :1] - foot, pose[..., 1:] - height], -1) / L
-    )  # (..., limb, yz), slider to platform
+    # (..., limb, yz), slider to platform
+    n = np.stack([pose[..., :1] - foot, pose[..., 1:] - height], -1) / L
     right = np.zeros((*pose.shape[:-1], 2, 7))
     for i, half in enumerate((-0.5, 0.5)):
         right[..., i, 0] = half * n[..., i, 0]
         right[..., i, 1 + i] = n[..., i, 1]
         right[..., i, 3 + i] = 1.0
-        right[..., i, 5 + i] = (
-            -n[..., i, 0] * height[..., i]
-        )  # n^T W e z_i with W e = (-1, 0)
+        # n^T W e z_i with W e = (-1, 0)
+        right[..., i, 5 + i] = -n[..., i, 0] * height[..., i]
     return np.linalg.solve(n, right)
 
 
@@ -95,9 +90,7 @@ def lines(measurement: int) -> tuple[NDArray, NDArray]:
 
 
 def relative(values: ArrayLike, line: ArrayLike) -> NDArray:
-    """Values (n, ...) less that of the first pose of their line, which is left out: Eq.
-    (13).
-    """
+    """Values (n, ...) less that of the first pose of their line, which is left out: Eq. (13)."""
     values, line = np.asarray(values), np.asarray(line)
     first = np.array([int(np.flatnonzero(line == k)[0]) for k in line])
     return (values - values[first])[first != np.arange(len(line))]

@@ -21,9 +21,8 @@ R, r, H, L = 0.349, 0.200, 0.340722, 1.107  # Table 1, m
 PHI = 2 * np.pi * np.arange(3) / 3
 RADIAL = np.stack([np.cos(PHI), np.sin(PHI)], -1)  # (limb, xy)
 TANGENT = np.stack([-np.sin(PHI), np.cos(PHI)], -1)
-BALLS = np.column_stack(
-    [r * RADIAL, np.full(3, H)]
-)  # platform frame, tool tip at the origin
+# platform frame, tool tip at the origin
+BALLS = np.column_stack([r * RADIAL, np.full(3, H)])
 PAIRS = ((0, 1), (1, 2), (2, 0))
 
 #: Table 1: b_x, b_y, b_z, R_X, R_Y, l, mm
@@ -103,9 +102,7 @@ def angles(rot: ArrayLike) -> NDArray:
 def nominal(
     z: ArrayLike, alpha: ArrayLike, beta: ArrayLike
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """Tip (..., 3), rotation (..., 3, 3) and slider heights (..., 3) of the machine as
-    drawn.
-    """
+    """Tip (..., 3), rotation (..., 3, 3) and slider heights (..., 3) of the machine as drawn."""
     z, a, b = np.broadcast_arrays(z, alpha, beta)
     rot = rotation(a, b, gamma_of(a, b))
     x = r / 2 * (rot[..., 0, 0] - rot[..., 1, 1]) - H * rot[..., 0, 2]
@@ -143,9 +140,10 @@ def forward(q: ArrayLike, p: ArrayLike) -> Forward:
         s, c = np.sin(swing), np.cos(swing)
         flat = foot - (length * s)[..., None] * RADIAL
         balls = np.concatenate([flat, (q - length * c)[..., None]], -1)
+        # d ball / d swing
         move = np.concatenate(
             [-(length * c)[..., None] * RADIAL, (length * s)[..., None]], -1
-        )  # d ball / d swing
+        )
         gap, slope = [], np.zeros((*shape, 3), dtype=swing.dtype)
         for k, (i, j) in enumerate(PAIRS):
             d = balls[..., i, :] - balls[..., j, :]
@@ -200,9 +198,8 @@ def paper_fit(
     for _ in range(rounds):
         v = struts(tip, rot, q, p)
         flat = (v[..., :2] ** 2).sum(-1)
-        gap = v[..., 2] + np.sqrt(
-            (L + p[:, 5]) ** 2 - flat
-        )  # H^m less H^c is minus this
+        # H^m less H^c is minus this
+        gap = v[..., 2] + np.sqrt((L + p[:, 5]) ** 2 - flat)
         rows = strut_rows(v, rot)
         for i in range(3):
             p[i] += np.linalg.lstsq(rows[:, i], -gap[:, i], rcond=cut)[0]

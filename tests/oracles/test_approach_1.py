@@ -32,9 +32,8 @@ def test_approach_1_determines_all_27():
     assert rank(h[3:]) == 24  # without the home point: the base's translations
     assert rank(h[[0, 1, 2, *range(6, 36)]]) == 24  # without the orientation
     assert rank(h[6:]) == 21  # the bar alone
-    assert (
-        rank(h[3:][:, EQ17_AND_CUP]) == 21
-    )  # Eq. (17), with the three orientation rows
+    # Eq. (17), with the three orientation rows
+    assert rank(h[3:][:, EQ17_AND_CUP]) == 21
 
 
 def test_derivatives_of_the_home_readings_are_eq_13():

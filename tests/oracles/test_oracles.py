@@ -1,6 +1,4 @@
-"""The oracles agree with themselves, with the paper's tables and with the figures of
-physics.md.
-"""
+"""The oracles agree with themselves, with the paper's tables and with the figures of physics.md."""
 
 import ast
 import sys
@@ -31,9 +29,7 @@ def random_poses(n: int, tool: float = 0.0, seed: int = 1) -> tuple[np.ndarray, 
 def plan_rows(
     stroke: np.ndarray, psi: np.ndarray, taught: bool, tool: float = 0.0
 ) -> np.ndarray:
-    """Rows (n, 27) for a 300 mm bar, cup on the axis at stroke height 220 mm; betas as
-    D beta.
-    """
+    """Rows (n, 27) for a 300 mm bar, cup on the axis at stroke height 220 mm; betas as D beta."""
     cup = np.add(CUP, [0, 0, tool])
     z = HOME_Z + stroke + tool
     theta = a3.circle_theta(z, psi, cup, a3.BAR, tool)
@@ -107,9 +103,8 @@ def test_forward_closes_every_joint_of_wrong_machines():
         < 1e-14
     )
     assert np.abs(np.linalg.det(got.R) - 1).max() < 1e-13
-    nominal = a3.nominal_pose(
-        z, psi, theta
-    )  # the same assembly mode, not a mirrored one
+    # the same assembly mode, not a mirrored one
+    nominal = a3.nominal_pose(z, psi, theta)
     assert np.abs(got.tip - nominal[0]).max() < 0.1
     assert np.abs(got.R - nominal[1]).max() < 0.2
     one = a3.forward(p[7, 0], q[3])
@@ -187,9 +182,8 @@ def test_compensator_removes_z_psi_theta_of_the_exact_machine():
     assert np.abs(angles[1] - theta).max() < 1e-9
     left = np.c_[(got.tip - tip)[:, :2], wrap(angles[2] + psi)] / h
     assert np.abs(left - comp.dc @ PAPER).max() < 1e-5
-    assert (
-        np.abs(comp.dc[..., a3.SL_Q]).max() < 1e-12
-    )  # home errors are compensated completely
+    # home errors are compensated completely
+    assert np.abs(comp.dc[..., a3.SL_Q]).max() < 1e-12
 
 
 def test_ranks():
@@ -200,9 +194,8 @@ def test_ranks():
     circle = plan_rows(np.full(72, 0.08), np.arange(72) * np.pi / 36, taught=False)[
         :, PARAMS
     ]
-    s = np.linalg.svd(
-        circle, compute_uv=False
-    )  # one circle: 17 in practice, 18 in exact arithmetic
+    # one circle: 17 in practice, 18 in exact arithmetic
+    s = np.linalg.svd(circle, compute_uv=False)
     assert s[16] > 1e-5
     assert 1e-7 < s[17] < 3e-7
     assert s[18] < 1e-13
@@ -241,9 +234,7 @@ def test_condition_numbers_over_the_18_identifiable_directions(taught, table):
 def fedorov(
     f: np.ndarray, n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Exchange until no swap of one reading gains: indices (n,) without repeats, and
-    log det.
-    """
+    """Exchange until no swap of one reading gains: indices (n,) without repeats, and log det."""
     idx = rng.choice(len(f), n, replace=False)
     while True:
         g = f @ np.linalg.inv(f[idx].T @ f[idx])
@@ -272,9 +263,8 @@ def test_log_det_and_d_optimal_plan(taught):
     )
     f = candidates @ basis
     best = max(fedorov(f, 30, np.random.default_rng(seed))[1] for seed in range(4))
-    w = np.full(
-        len(f), 1 / len(f)
-    )  # relaxed optimum: multiplicative updates, and a bound from its gap
+    # relaxed optimum: multiplicative updates, and a bound from its gap
+    w = np.full(len(f), 1 / len(f))
     for _ in range(1500):
         m = (f * w[:, None]).T @ f
         d = ((f @ np.linalg.inv(m)) * f).sum(1)

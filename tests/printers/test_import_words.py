@@ -309,9 +309,8 @@ def test_the_radius_of_calibration_changes_no_length(tmp_path):
 def test_every_number_of_a_g33_report(word, tmp_path):
     """What G33 prints of its changes is the geometry of the heights below it."""
     before = read("marlin", {"log": REPORT}, tmp_path)
-    value = (
-        "200.77" if word == "Height" else "-0.77"
-    )  # no printer is lower than its bed
+    # no printer is lower than its bed
+    value = "200.77" if word == "Height" else "-0.77"
     text = re.sub(rf"(?<![A-Za-z]){word}:[+-]?([\d.]+)", rf"{word}:{value}", REPORT)
     assert text != REPORT
     after = read("marlin", {"log": text}, tmp_path)

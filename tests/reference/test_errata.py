@@ -16,9 +16,8 @@ CUP = np.array([0.0, 0.0, a3.Z_TEACH])
 TABLE_3 = a3.errors(**{k: v for k, v in a3.TABLE3.items() if k != "ds"})
 COLUMNS = np.r_[a3.EQ17, 24, 25, 26]  # Eq. (17) and the cup
 DA01X = 12
-ROTATIONS = np.vstack(
-    [np.cross(np.eye(3), place).T for place in a3.A0_NOM]
-)  # (9, 3): da0 by a turn about the TCP
+# (9, 3): da0 by a turn about the TCP
+ROTATIONS = np.vstack([np.cross(np.eye(3), place).T for place in a3.A0_NOM])
 
 
 def circle_rows(strokes: list[float], points: int, *, taught: bool) -> np.ndarray:
@@ -138,9 +137,8 @@ def test_kappa_over_the_18_directions_dips_at_15_points():
     assert np.round(taught[:5]) == pytest.approx([3908, 5210, 4587, 3748, 4530])
     assert n[taught.argmin()] == 15
     assert taught[n > 15].min() > 1.11 * taught.min()  # 15 is a dip
-    assert (
-        taught[0] < taught[n > 15].min()
-    )  # and 12 points are better than any number from 16 to 24
+    # and 12 points are better than any number from 16 to 24
+    assert taught[0] < taught[n > 15].min()
     free = kappa([0.08, 0.2], False)
     assert np.round(free[[0, 3, 4, -1]]) == pytest.approx([19446, 17705, 17033, 16855])
     assert free[n > 15].max() < free[3]  # no minimum at 15

@@ -70,20 +70,15 @@ def test_the_library_is_that_of_the_contract():
 @pytest.mark.parametrize("name", [*NAMES, *REFERENCES])
 def test_an_effect_says_what_it_is_and_what_to_do(name):
     effect = effect_of(name)
-    for text in (
-        effect.about,
-        effect.remedy,
-        effect.exposed_by,
-        effect.nature,
-    ):  # one short sentence each
+    # one short sentence each
+    for text in (effect.about, effect.remedy, effect.exposed_by, effect.nature):
         assert 10 < len(text) <= 120
         assert not text.endswith(".")
         assert ". " not in text
     assert effect.source
     assert 0.0 < effect.textbook_share <= 1.0
-    first = next(
-        iter(effect.constants.values()), ()
-    )  # a larger grid is looked through by turns, this one first
+    # a larger grid is looked through by turns, this one first
+    first = next(iter(effect.constants.values()), ())
     assert len(effect.constant_grid()) <= (
         1000 if len(first) <= 64 < len(effect.constant_grid()) else 64
     )
@@ -246,9 +241,8 @@ def test_a_machine_without_struts_is_told(name):
         effect_of(name).unfit(machine)
         == "it does not tell its struts: give Machine.struts"
     )
-    assert (
-        effect_of("frame_bending").unfit(machine) is None
-    )  # the tool is displaced, whatever carries it
+    # the tool is displaced, whatever carries it
+    assert effect_of("frame_bending").unfit(machine) is None
 
 
 # -- names in a study ------------------------------------------------------------------

@@ -16,9 +16,7 @@ from pkm_models.effects import terms
 
 
 def test_guideway_is_the_slider_joint_displaced():
-    """A carriage off its line, against the parameters of the slider joint of the 3-PRS
-    head.
-    """
+    """A carriage off its line, against the parameters of the slider joint of the 3-PRS head."""
     s = session("prs_spindle")
     state, response, index = s.states[1], s.responses[1], s.measurement.machine.index
     column = columns("guideway", state)["leg 2 radial curve 1"]
@@ -115,9 +113,8 @@ def test_backlash_turns_over_where_a_leg_does():
         behind = made[f"leg {i + 1}"].joints[i]
         wise = np.sign(np.diff(series.q[:240, i]))
         turned = np.flatnonzero(np.diff(wise)) + 1
-        before = np.ones(
-            239, dtype=bool
-        )  # next to where it turns back the path's slope is told, not the step
+        # next to where it turns back the path's slope is told, not the step
+        before = np.ones(239, dtype=bool)
         before[turned - 1] = False
         assert behind[1:240][before] == pytest.approx(-0.5 * wise[before])
         inside = slice(2, 238)
@@ -172,9 +169,7 @@ def test_friction_winds_up_anew_after_a_reversal():
 
 
 def test_servo_lag_is_where_the_joint_was_before():
-    """A circle at constant feed: after T the joints are where the path was feed x T
-    earlier.
-    """
+    """A circle at constant feed: after T the joints are where the path was feed x T earlier."""
     case, n, radius = CASES["micro_cmm"], 360, 0.03
     m = Measurement(case.machine, [case.setups["camera_known_frame"]])
 

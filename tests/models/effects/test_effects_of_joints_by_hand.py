@@ -241,9 +241,7 @@ def test_frame_bending_displaces_what_a_camera_sees(machine, middle, lever):
 
 
 def test_constant_and_linear_bending_is_what_the_payload_makes_of_it():
-    """From no payload to the heaviest: by 6 um, or 6 um times a coordinate, times the
-    sag more.
-    """
+    """From no payload to the heaviest: by 6 um, or 6 um times a coordinate, times the sag more."""
     state = session("hexapod").states[0]
     pose = np.repeat(state.pose[:1] + 0.1, 4, axis=0)
     loads = np.array([0.0, 200.0, 200.0, np.nan])

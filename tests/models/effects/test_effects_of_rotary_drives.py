@@ -69,9 +69,7 @@ def test_a_pulley_winds_what_its_tangent_does():
 
 
 def test_a_cable_sags_as_a_catenary():
-    """Its length by the hyperbolic cosine through both ends, at the tension of the
-    middle.
-    """
+    """Its length by the hyperbolic cosine through both ends, at the tension of the middle."""
     state = session("cable_robot").states[1]
     weight, leg = 0.16, 2
     taut = dataclasses.replace(state, tension=np.full(state.tension.shape, 20.0))

@@ -65,9 +65,7 @@ def test_leg_thermal_of_a_carriage_is_its_screw():
 
 
 def test_leg_thermal_of_a_turning_arm_is_its_rod():
-    """An angle does not grow: where joints turn arms, the struts that they move are
-    what warms.
-    """
+    """An angle does not grow: where joints turn arms, the struts that they move are what warms."""
     state = session("linear_delta").states[0]
     turning = [dataclasses.replace(c, unit="rad") for c in state.machine.joints]
     machine = dataclasses.replace(state.machine, joints=tuple(turning))
@@ -189,9 +187,10 @@ def test_mount_drift_is_a_cup_elsewhere_at_the_end():
     away[m.names.index("ball_bar.cup_x")] = 5e-6
     start, moved = m.readings(s.series, theta), m.readings(s.series, away)
     share = s.states[0].time[: 2 * ROUND] / HOURS
+    # a circle is not a line
     assert (drifted - start)[: 2 * ROUND] == pytest.approx(
         share * (moved - start)[: 2 * ROUND], abs=2e-11
-    )  # a circle is not a line
+    )
     assert drifted[2 * ROUND :] == pytest.approx(start[2 * ROUND :], abs=1e-15)
 
 
@@ -262,9 +261,8 @@ def test_step_of_a_mount_is_a_cup_or_a_camera_elsewhere_meanwhile():
             for state, series in zip(s.states, s.series, strict=True)
         ]
     )
-    time = np.repeat(
-        time, [1] * 2 * ROUND + [3] * 2 * ROUND
-    )  # one length, three coordinates
+    # one length, three coordinates
+    time = np.repeat(time, [1] * 2 * ROUND + [3] * 2 * ROUND)
     meanwhile = (time >= 0.25 * HOURS) & (time < 0.75 * HOURS)
     bar = np.arange(len(time)) < 2 * ROUND
     for name, unknown, size, mine in (

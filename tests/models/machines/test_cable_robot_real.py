@@ -100,9 +100,8 @@ def test_the_misfit_is_the_root_mean_square_of_the_line_residuals(rng):
         oracle.settle(np.rad2deg(q), *in_mm(p), x / MM), np.rad2deg(q), *in_mm(p)
     )
     assert np.abs(np.abs(gap) / MM - np.sqrt(np.mean(missed**2, axis=1))).max() < 1e-7
-    assert (
-        np.ptp(np.sign(gap * np.sign(missed[:, 3]))) == 0.0
-    )  # the sign is that of line D, always or never
+    # the sign is that of line D, always or never
+    assert np.ptp(np.sign(gap * np.sign(missed[:, 3]))) == 0.0
     assert m.readings(
         [m.series_from_joints("lines", q)], MACHINE.nominal
     ) == pytest.approx(0.0, abs=1e-13)
@@ -193,9 +192,8 @@ def test_the_lines_close_in_the_other_35_poses(data):
     before = oracle.residual(
         oracle.settle(data[1][KNOWN:], *nominal, start), data[1][KNOWN:], *nominal
     )
-    assert (
-        rms(before) > 10.0
-    )  # the check has teeth: on the nominal machine they do not close
+    # the check has teeth: on the nominal machine they do not close
+    assert rms(before) > 10.0
 
 
 @pytest.mark.parametrize("anchors", [0.030, 0.100])

@@ -162,9 +162,7 @@ def test_the_arms_stay_wide_and_are_said_to(measurement, sessions):
 
 @pytest.mark.parametrize("name", ["delta_v400", "delta_v400_reverse"])
 def test_the_study_reads_the_same_readings(sessions, name):
-    """Its data against the tables as read here: joints, pairs and values, reading by
-    reading.
-    """
+    """Its data against the tables as read here: joints, pairs and values, reading by reading."""
     resolved = resolve.resolve(
         study.Study.load(ROOT / "studies" / f"{name}.study.toml")
     )

@@ -21,9 +21,7 @@ def commands(rng: np.random.Generator, n: int) -> Array:
 
 
 def test_newton_agrees_with_the_oracle(rng):
-    """Carriages that stand still and struts of known length are a hexapod's feet and
-    legs.
-    """
+    """Carriages that stand still and struts of known length are a hexapod's feet and legs."""
     base, local = (
         np.array([points[i] for i in hexaglide.LEGS])
         for points in (hexaglide.B, hexaglide.A)
@@ -60,9 +58,8 @@ def test_no_pose_of_the_workspace_is_near_a_singular_one(rng):
     values = np.linalg.svd(np.concatenate([along, moment], -1), compute_uv=False)
     assert values[:, -1].min() > 0.3
     assert values[:, 0].max() < 2.2
-    assert (
-        np.abs(along[..., 0]).min() > 0.45
-    )  # no strut is across its guide, where its carriage would move nothing
+    # no strut is across its guide, where its carriage would move nothing
+    assert np.abs(along[..., 0]).min() > 0.45
     assert all(
         c.lower < v.min() and v.max() < c.upper
         for c, v in zip(MACHINE.joints, q.T, strict=True)

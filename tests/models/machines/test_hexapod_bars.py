@@ -19,9 +19,8 @@ from pkm_models.machines import hexapod
 
 MACHINE = hexapod.machine
 KINEMATICS = Kinematics(MACHINE)
-KNOWN = {
-    f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"
-}  # the tracker's frame is the base frame
+# the tracker's frame is the base frame
+KNOWN = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}
 NO_TOOL = np.zeros(3)
 
 
@@ -32,9 +31,7 @@ def commands(rng: np.random.Generator, n: int) -> Array:
 
 
 def geometry(p: Array) -> tuple[Array, Array, Array]:
-    """Base joints (6, 3), platform joints (6, 3) and leg zeros (6,) of a parameter
-    vector (42,).
-    """
+    """Base joints (6, 3), platform joints (6, 3) and leg zeros (6,) of a parameter vector (42,)."""
     base, local = (
         np.array([points[i] for i in hexapod.LEGS]) for points in (hexapod.B, hexapod.A)
     )
@@ -124,9 +121,7 @@ def test_seven_poses_are_enough_and_six_are_not(rng):
 
 
 def test_a_free_frame_hides_the_base(rng):
-    """42 + 6 of the registration; lost are the six motions of the base with the
-    tracker's frame.
-    """
+    """42 + 6 of the registration; lost are the six motions of the base with the tracker's frame."""
     seen = look([mount(pose_tracker.instrument, "pose")], [commands(rng, 60)])
     assert (len(seen.names), seen.identifiability.rank) == (48, 42)
     motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
@@ -188,9 +183,7 @@ def test_its_remedies_are_computed_and_hold(rng):
 
 
 def test_the_lost_turns_change_no_distance_at_any_size(rng):
-    """Not only to first order: turn the six platform joints by 5 degrees about the
-    ball.
-    """
+    """Not only to first order: turn the six platform joints by 5 degrees about the ball."""
     m = Measurement(MACHINE, [free_cup()])
     series = m.series("cup, tool 0.0", held(rng, 30))
     angle = np.deg2rad(5.0)

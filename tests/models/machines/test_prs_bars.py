@@ -143,12 +143,10 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng):
     assert np.cov(read.T) / np.outer(sd, sd) == pytest.approx(
         block / np.outer(sd, sd), abs=0.03
     )
-    assert (
-        np.abs(block / np.outer(sd, sd) - np.eye(5)).max() > 0.3
-    )  # independent channels would be another thing
-    assert (
-        np.count_nonzero(covariance) <= 22 * 25
-    )  # readings are independent of each other
+    # independent channels would be another thing
+    assert np.abs(block / np.outer(sd, sd) - np.eye(5)).max() > 0.3
+    # readings are independent of each other
+    assert np.count_nonzero(covariance) <= 22 * 25
 
 
 # -- what is seen ----------------------------------------------------------------------
@@ -327,9 +325,8 @@ def test_a_millimetre_of_tangential_offset_changes_a_strut_by_half_a_micrometre(
         assert length == pytest.approx(
             np.full((22, 3), e**2 / (2 * oracle.L)), rel=2e-3
         )
-        assert (
-            np.ptp(length, axis=0).max() < 1e-11
-        )  # and what there is, is constant: it passes for dl
+        # and what there is, is constant: it passes for dl
+        assert np.ptp(length, axis=0).max() < 1e-11
 
 
 def test_gamma_depends_on_the_machine_s_errors_as_well():

@@ -188,9 +188,8 @@ def test_run_prints_headline_claims_and_files(oed, tmp_path):
         ]
         == 18
     )
-    assert (
-        "identifiability" in out.splitlines()
-    )  # one line a stage where stderr is no terminal
+    # one line a stage where stderr is no terminal
+    assert "identifiability" in out.splitlines()
     code, out, err = oed("run", study, "--quiet", "--out", "there", "--seed", "3")
     assert (code, out, err) == (0, "", "")
     assert json.loads((tmp_path / "there/result.json").read_text())["seed"] == 3

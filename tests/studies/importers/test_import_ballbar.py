@@ -221,9 +221,8 @@ def test_means_have_the_noise_that_correlation_leaves(rng):
     wanted = 1e-6 * np.sqrt(mean + 1.0 / block)
     # slow noise is partly taken for harmonics, so a little less is left
     assert 0.8 * wanted < np.mean(spread) < 1.02 * wanted
-    assert np.mean(spread) > 1.5 * 1e-6 * np.sqrt(
-        2.0 / block
-    )  # not that of white noise
+    # not that of white noise
+    assert np.mean(spread) > 1.5 * 1e-6 * np.sqrt(2.0 / block)
 
 
 @pytest.mark.parametrize(("text", "words"), [

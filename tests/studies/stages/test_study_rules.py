@@ -244,9 +244,8 @@ def test_polished_poses_are_better_and_on_hold(criterion, tmp_path):
     design = result.design
     assert design.polished.after > design.polished.before
     assert design.value == pytest.approx(design.polished.after, rel=1e-9)
-    assert design.plans[0].value == pytest.approx(
-        design.value, rel=1e-8
-    )  # in working order: rounded otherwise
+    # in working order: rounded otherwise
+    assert design.plans[0].value == pytest.approx(design.value, rel=1e-8)
     assert (design.bound, design.efficiency) == (None, None)
     assert "polishing gained" in design.words
     assert all(
