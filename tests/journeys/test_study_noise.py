@@ -67,12 +67,9 @@ def test_a_stated_law_is_narrower_and_reported(tmp_path):
     """Intervals of a bar whose cup stays, and the numbers of the law that are left."""
     readings, results = bar_readings.a3_readings(0), {}
     stated = (
-        "seating_um = 0",
-        "length_run_um = 0",
-        "carried = 0",
-        "course = false",
+        "seating_um = 0", "length_run_um = 0", "carried = 0", "course = false",
         "outlier_share = 0",
-    )
+    )  # fmt: skip
     for name, lines in (("wide", ()), ("stated", stated)):
         study = sample.changed(
             bad_fit_sample.WITHOUT_REPORT,

@@ -109,13 +109,8 @@ def test_rows_of_a_plan_and_of_a_user_stay(machine):
     take(client, operator.display())
     (row,) = rows(opened.session.log.path)
     cells = [
-        row["setup"],
-        row["run"],
-        "7",
-        row["z_mm"],
-        row["psi_deg"],
-        row["theta_deg"],
-    ]
+        row["setup"], row["run"], "7", row["z_mm"], row["psi_deg"], row["theta_deg"],
+    ]  # fmt: skip
     text = "# mine\nsetup;run;order;z_mm;psi_deg;theta_deg;length_um;note\n"
     text += ";".join(cells).replace(".", ",") + ";;planned; by hand\n".replace(
         "; by", " by"

@@ -47,24 +47,18 @@ def noise(rng: random.Random, _: int) -> Request:
 
 def of_other_origin(rng: random.Random, port: int) -> Request:
     origins = (
-        "http://evil.example",
-        "null",
-        f"https://127.0.0.1:{port}",
-        "http://127.0.0.1",
+        "http://evil.example", "null", f"https://127.0.0.1:{port}", "http://127.0.0.1",
         None,
-    )
+    )  # fmt: skip
     return post(rng, json.dumps(GOOD).encode(), Origin=rng.choice(origins))
 
 
 def of_other_host(rng: random.Random, port: int) -> Request:
     """A name of a stranger's name server that points here."""
     hosts = (
-        "evil.example",
-        f"evil.example:{port}",
-        "127.0.0.1",
-        f"127.0.0.1.evil:{port}",
+        "evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1.evil:{port}",
         f"0.0.0.0:{port}",
-    )
+    )  # fmt: skip
     return {
         "method": "GET",
         "path": rng.choice(["/", "/state", "/readings.csv"]),
@@ -78,11 +72,8 @@ def too_large(rng: random.Random, _: int) -> Request:
 
 def of_a_form(rng: random.Random, _: int) -> Request:
     kinds = (
-        "text/plain",
-        "multipart/form-data",
-        "application/x-www-form-urlencoded",
-        None,
-    )
+        "text/plain", "multipart/form-data", "application/x-www-form-urlencoded", None,
+    )  # fmt: skip
     return post(rng, json.dumps(GOOD).encode(), Content_Type=rng.choice(kinds))
 
 

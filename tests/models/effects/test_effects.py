@@ -183,17 +183,11 @@ def test_the_signature_is_the_slope_of_the_exact_machine(machine, name, rng):
 def test_without_covariates_it_is_not_testable_or_does_without(name):
     wanted = {
         "leg_thermal": "time or temp_leg or temp_leg1",
-        "frame_thermal": "time or temp_frame",
-        "bar_thermal": "time or temp_bar",
-        "mount_drift": "time",
-        "step": "time",
-        "backlash": "direction: both",
-        "friction": "direction: both",
-        "servo_lag": "feed",
-        "cable_stretch": "tension",
-        "cable_sag": "tension",
-        "post_compliance": "tension",
-    }
+        "frame_thermal": "time or temp_frame", "bar_thermal": "time or temp_bar",
+        "mount_drift": "time", "step": "time", "backlash": "direction: both",
+        "friction": "direction: both", "servo_lag": "feed", "cable_stretch": "tension",
+        "cable_sag": "tension", "post_compliance": "tension",
+    }  # fmt: skip
     machine = "cable_robot" if name in OF_CABLES else "planar_2dof"
     bare, full = session(machine, ()), session(machine)
     assert untestable(effect_of(name), full.states) is None

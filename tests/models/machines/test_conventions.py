@@ -150,17 +150,10 @@ LENGTHS = {
 #: carriages: the strut's end at the base moves along this axis of the base frame; 0 for
 #: the guide's own direction
 CARRIAGES = {
-    "linear_delta": (2, -1.0),
-    "delta": (2, -1.0),
-    "delta_printer": (2, -1.0),
-    "planar_2dof": (2, 1.0),
-    "prs_spindle": (2, 1.0),
-    "prs_spindle_struts": (2, 1.0),
-    "hexaglide": (0, 1.0),
-    "hexapod_pus": None,
-    "tripod_prs": None,
-    "orthoglide": None,
-}
+    "linear_delta": (2, -1.0), "delta": (2, -1.0), "delta_printer": (2, -1.0),
+    "planar_2dof": (2, 1.0), "prs_spindle": (2, 1.0), "prs_spindle_struts": (2, 1.0),
+    "hexaglide": (0, 1.0), "hexapod_pus": None, "tripod_prs": None, "orthoglide": None,
+}  # fmt: skip
 #: new_families; of the printer, test_rotary_printers
 CRANKS = (
     *("five_bar", "hexapod_rus", "rotary_delta", "tripod_wrist"),

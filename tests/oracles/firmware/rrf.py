@@ -39,11 +39,8 @@ class RepRapFirmware:
 
     def __init__(self, *texts: str) -> None:
         self.rods, self.radius, self.height, self.bed = (
-            np.full(3, 215.0),
-            105.6,
-            240.0,
-            80.0,
-        )
+            np.full(3, 215.0), 105.6, 240.0, 80.0,
+        )  # fmt: skip
         self.lean, self.adjust, self.tilt = np.zeros(3), np.zeros(3), np.zeros(2)
         self.offset = np.array([0.0, 0.0, 0.7])
         for text in texts:

@@ -173,11 +173,8 @@ def test_causes_are_ranked_by_size_with_their_unit_and_probability():
     assert "length 6 µm before, 0.500 µm after" in words
     assert "Preload the screws." in words
     nothing = {
-        "verdict": "none",
-        "selected": [],
-        "sizes": [],
-        "rms_after": {"length": 6.0},
-    }
+        "verdict": "none", "selected": [], "sizes": [], "rms_after": {"length": 6.0},
+    }  # fmt: skip
     words = _words(result_of(report_fixture.bare() | {"gap": gap | nothing}))["causes"]
     assert "What calibration leaves, rms: length 6 µm." in words
     assert "before" not in words

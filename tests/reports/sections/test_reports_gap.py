@@ -111,14 +111,8 @@ def _without_effects(gap: GapSection) -> GapSection:
 def test_nothing_but_the_contract_s_own_keys_is_needed(gap):
     stored = msgspec.to_builtins(gap)
     contract = (
-        "verdict",
-        "answers",
-        "set95",
-        "where",
-        "closure",
-        "not_testable",
-        "confusable",
-    )
+        "verdict", "answers", "set95", "where", "closure", "not_testable", "confusable",
+    )  # fmt: skip
     old = {key: stored[key] for key in contract}
     assert Document.of_result(_result(old)).pdf().startswith(b"%PDF")
 

@@ -12,16 +12,9 @@ from pkm_studies.study import Study
 
 def pytest_on(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:xdist",
-        *map(str, arguments),
-    ]
+        sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p",
+        "no:xdist", *map(str, arguments),
+    ]  # fmt: skip
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

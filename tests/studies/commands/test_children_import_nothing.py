@@ -28,13 +28,8 @@ if __name__ == "__main__":
     sys.exit(main())
 """
 CAMPAIGN = [
-    "campaign",
-    "own.campaign.toml",
-    "--workers",
-    "2",
-    "--allow-code",
-    "--quiet",
-]
+    "campaign", "own.campaign.toml", "--workers", "2", "--allow-code", "--quiet",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

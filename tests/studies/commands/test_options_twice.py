@@ -26,15 +26,8 @@ def test_a_second_file_of_an_option_that_takes_one_is_refused(call, capsys):
 def test_of_other_values_the_last_counts(capsys):
     """As where a call changes a script's default."""
     call = [
-        "compensate",
-        "gone",
-        "--to",
-        "csv",
-        "--to",
-        "no_format",
-        "--force",
-        "--force",
-    ]
+        "compensate", "gone", "--to", "csv", "--to", "no_format", "--force", "--force",
+    ]  # fmt: skip
     assert main(call) == 2
     assert "no_format" in capsys.readouterr().err
 

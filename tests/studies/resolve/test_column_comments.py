@@ -18,14 +18,8 @@ def test_columns_of_a_file_are_stated_above_its_header():
     m = prs_spindle.machine
     tool = instrument("pose_tracker")
     header = [
-        "setup",
-        "run",
-        "order",
-        "alpha_deg",
-        "q1_mm",
-        "read_alpha_mrad",
-        "time_s",
-    ]
+        "setup", "run", "order", "alpha_deg", "q1_mm", "read_alpha_mrad", "time_s",
+    ]  # fmt: skip
     lines = conventions.readings_comments(m, {"t": tool}, header)
     assert lines[0].startswith("base frame: ")
     stated = {line.partition(": ")[0] for line in lines}

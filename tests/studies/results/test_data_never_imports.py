@@ -33,18 +33,11 @@ from pkm_studies.commands import main
 NAME = "pkm_canary"
 #: modules and files that lie where data might lead to: all exist
 REFERENCES = (
-    f"{NAME}.py",
-    f"{NAME}.py:machine",
-    f"./{NAME}.py:figures",
-    f"below/{NAME}.py:machine",
-    f"../{NAME}.py:machine",
-    f"{{folder}}/{NAME}.py:machine",
-    f"{NAME}:machine",
-    f"{NAME}:figures",
-    f"{NAME}",
-    f"{NAME}_package.inner:machine",
-    f"{NAME}_package.inner",
-)
+    f"{NAME}.py", f"{NAME}.py:machine", f"./{NAME}.py:figures",
+    f"below/{NAME}.py:machine", f"../{NAME}.py:machine",
+    f"{{folder}}/{NAME}.py:machine", f"{NAME}:machine", f"{NAME}:figures", f"{NAME}",
+    f"{NAME}_package.inner:machine", f"{NAME}_package.inner",
+)  # fmt: skip
 EXAMPLES = settings(
     max_examples=12,
     deadline=None,

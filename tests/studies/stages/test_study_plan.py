@@ -164,12 +164,8 @@ def test_an_old_plan_can_still_be_read():
     old = {"stages": [], "cost": 3.0, "alternatives": ["paper"]}
     assert msgspec.convert(old, PlanSection).alternatives == ["paper"]
     alternative = {
-        "names": ["a"],
-        "readings": [1],
-        "minutes": 1.0,
-        "value": 1.0,
-        "accuracy": {},
-    }
+        "names": ["a"], "readings": [1], "minutes": 1.0, "value": 1.0, "accuracy": {},
+    }  # fmt: skip
     newer = msgspec.convert(old | {"alternatives": [alternative]}, PlanSection)
     assert isinstance(newer.alternatives[0], AlternativePlan)
 

@@ -29,20 +29,11 @@ def sample(**changes: Any) -> StudyResult:
 
 def held_out(channel: str, verdict: str) -> dict[str, Any]:
     return {
-        "name": "blind",
-        "channel": channel,
-        "n": 9,
-        "rms": 5.0,
-        "rms_raw": 6.0,
-        "unit": "um",
-        "coverage": 0.89,
-        "residuals": [],
-        "half_widths": [],
-        "predicted": 4.0,
-        "rms_before": 70.0,
-        "verdict": verdict,
+        "name": "blind", "channel": channel, "n": 9, "rms": 5.0, "rms_raw": 6.0,
+        "unit": "um", "coverage": 0.89, "residuals": [], "half_widths": [],
+        "predicted": 4.0, "rms_before": 70.0, "verdict": verdict,
         "words": f"{channel}: {verdict}",
-    }
+    }  # fmt: skip
 
 
 def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path):
