@@ -67,20 +67,13 @@ def test_readings_of_a_set_up_that_the_design_does_not_use(study, tmp_path):
     assert any("no readings of rm5" in warning for warning in result["warnings"])
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("[0.0, 500.0, 1000.0]", "[0.0]"), "design.candidates[1]: every run is one"),
-        (
-            ("[design]", '[readings]\nsimulate = true\nfit = ["rm2"]\n[design]'),
-            'readings.fit[1] = "rm2": no such set-up',
-        ),
-        (
-            ("[design]", "[prediction]\nvirtual_machines = 1000000000\n[design]"),
-            "prediction.virtual_machines = 1000000000",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (("[0.0, 500.0, 1000.0]", "[0.0]"), "design.candidates[1]: every run is one"),
+    (("[design]", '[readings]\nsimulate = true\nfit = ["rm2"]\n[design]'),
+     'readings.fit[1] = "rm2": no such set-up'),
+    (("[design]", "[prediction]\nvirtual_machines = 1000000000\n[design]"),
+     "prediction.virtual_machines = 1000000000"),
+])  # fmt: skip
 def test_studies(change, words, study, capsys):
     study.write_text(sample.changed(LINES, change), encoding="utf-8")
     assert main(["check", str(study)]) == 2

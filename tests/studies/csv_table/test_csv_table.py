@@ -38,32 +38,14 @@ def test_a_file_of_another_program_has_an_encoding_of_its_own(encoding, tmp_path
 MARKERS = ("rig:a X [mm]", "rig:a Y [mm]", "rig:a Z [mm]", "rig:b X [mm]")
 
 
-@pytest.mark.parametrize(
-    ("lines", "header"),
-    [
-        (
-            (
-                "Trajectories,,,,,,,",
-                "100,,,,,,,",
-                ",,rig:a,,,rig:b,,",
-                "Frame,Sub Frame,X,Y,Z,X,Y,Z",
-                ",,mm,mm,mm,mm,mm,mm",
-            ),
-            ("Frame", "Sub Frame", *MARKERS),
-        ),
-        (
-            (
-                "PathFileType,4,(X/Y/Z),a.trc,,,,",
-                "DataRate,CameraRate,NumFrames,NumMarkers,Units,,,",
-                "100,100,2,2,mm,,,",
-                "Frame#,Time,a,,,b,,",
-                ",,X1,Y1,Z1,X2,Y2,Z2",
-                ",,,,,,,",
-            ),
-            ("1", "2", "X1", "Y1", "Z1", "X2"),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("lines", "header"), [
+    (("Trajectories,,,,,,,", "100,,,,,,,", ",,rig:a,,,rig:b,,", "Frame,Sub Frame,X,Y,Z,X,Y,Z",
+      ",,mm,mm,mm,mm,mm,mm"),
+     ("Frame", "Sub Frame", *MARKERS)),
+    (("PathFileType,4,(X/Y/Z),a.trc,,,,", "DataRate,CameraRate,NumFrames,NumMarkers,Units,,,",
+      "100,100,2,2,mm,,,", "Frame#,Time,a,,,b,,", ",,X1,Y1,Z1,X2,Y2,Z2", ",,,,,,,"),
+     ("1", "2", "X1", "Y1", "Z1", "X2")),
+])  # fmt: skip
 def test_markers_side_by_side_have_their_names(lines, header, tmp_path):
     """Facts of the file, such as a rate, are no readings; a name is over three columns."""
     path = tmp_path / "m.csv"

@@ -213,23 +213,14 @@ def test_a_stewart_platform_on_a_leg_or_welded(form, tmp_path):
     assert np.abs(q).max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "reason"),
-    [
-        ("<connect", "<weld", "<weld> joins 'l2' and 'r2', neither of which hangs"),
-        ("<connect", "<joint", "<joint> that is no active connection"),
-        (
-            '<joint name="e2" type="hinge" axis="0 0 1"/>',
-            '<joint name="e2" type="slide" axis="0 0 1"/>',
-            "do not share one body, the platform",
-        ),
-        (
-            'axis="0 0 1"/></body></body>\n<body name="r1"',
-            'axis="0 1 0"/></body></body>\n<body name="r1"',
-            "do not share one body",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "reason"), [
+    ("<connect", "<weld", "<weld> joins 'l2' and 'r2', neither of which hangs"),
+    ("<connect", "<joint", "<joint> that is no active connection"),
+    ('<joint name="e2" type="hinge" axis="0 0 1"/>', '<joint name="e2" type="slide" axis="0 0 1"/>',
+     "do not share one body, the platform"),
+    ('axis="0 0 1"/></body></body>\n<body name="r1"',
+     'axis="0 1 0"/></body></body>\n<body name="r1"', "do not share one body"),
+])  # fmt: skip
 def test_what_closes_no_machine(old, new, reason, tmp_path):
     assert old in FIVE_BAR
     with pytest.raises(InputError, match=reason):

@@ -273,22 +273,14 @@ Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ
 ,,deg,deg,deg,mm,mm,mm"""
 
 
-@pytest.mark.parametrize(
-    ("header", "line", "factor", "name"),
-    [
-        (MOTIVE, "{k},0.{k:02d},0,0,0,1,{x},{y},{z},0.0001", 1.0, "Position X"),
-        (MOTIVE_METRES, "{k},0,0,0,0,1,{x},{y},{z},0.0001", 1e-3, "Position X"),
-        (QUALISYS, "{x}\t{y}\t{z}", 1.0, "X"),
-        (
-            QUALISYS + "\nFrame\tTime\tnest X\tnest Y\tnest Z",
-            "{k}\t0\t{x}\t{y}\t{z}",
-            1.0,
-            "X",
-        ),
-        ("Name;Meas X;Meas Y;Meas Z;Dev", "p{k};{x};{y};{z};0.1", 1.0, "Meas X"),
-        (VICON, "{k},0,1,2,3,{x},{y},{z}", 1.0, "TX [mm]"),
-    ],
-)
+@pytest.mark.parametrize(("header", "line", "factor", "name"), [
+    (MOTIVE, "{k},0.{k:02d},0,0,0,1,{x},{y},{z},0.0001", 1.0, "Position X"),
+    (MOTIVE_METRES, "{k},0,0,0,0,1,{x},{y},{z},0.0001", 1e-3, "Position X"),
+    (QUALISYS, "{x}\t{y}\t{z}", 1.0, "X"),
+    (QUALISYS + "\nFrame\tTime\tnest X\tnest Y\tnest Z", "{k}\t0\t{x}\t{y}\t{z}", 1.0, "X"),
+    ("Name;Meas X;Meas Y;Meas Z;Dev", "p{k};{x};{y};{z};0.1", 1.0, "Meas X"),
+    (VICON, "{k},0,1,2,3,{x},{y},{z}", 1.0, "TX [mm]"),
+])  # fmt: skip
 def test_points_of_motion_capture_need_no_map(header, line, factor, name, tmp_path):
     files = exported(tmp_path, header, line, np.array(factor))
     _, imported = taken(files, tmp_path / "out")
@@ -297,21 +289,12 @@ def test_points_of_motion_capture_need_no_map(header, line, factor, name, tmp_pa
     assert_points(imported, unit, factor)
 
 
-@pytest.mark.parametrize(
-    ("header", "line", "words"),
-    [
-        (
-            MOTIVE.replace("Millimeters", "Centimeters"),
-            "{k},0,0,0,0,1,{x},{y},{z},0",
-            r"line 1, Length Units = Centimeters: no unit",
-        ),
-        (
-            QUALISYS.replace("nest", "a\tb"),
-            "{x}\t{y}\t{z}\t{x}\t{y}\t{z}",
-            r"the file has a X, a Y, a Z, b X",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("header", "line", "words"), [
+    (MOTIVE.replace("Millimeters", "Centimeters"), "{k},0,0,0,0,1,{x},{y},{z},0",
+     r"line 1, Length Units = Centimeters: no unit"),
+    (QUALISYS.replace("nest", "a\tb"), "{x}\t{y}\t{z}\t{x}\t{y}\t{z}",
+     r"the file has a X, a Y, a Z, b X"),
+])  # fmt: skip
 def test_words_of_motion_capture_that_are_not_read(header, line, words, tmp_path):
     files = exported(tmp_path, header, line, np.array(1.0))
     with pytest.raises(InputError, match=words):

@@ -26,64 +26,27 @@ def refusal(folder: Path, old: str, new: str) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            'ca.cos(x["phi"])',
-            'math.cos(x["phi"])',
-            "not a number at the guess for home; use ca.cos",
-        ),
-        (
-            'x["phi"]), ca.sin',
-            'x["turn"]), ca.sin',
-            "closure asks for 'turn', which the machine has not",
-        ),
-        (
-            'p[f"rod{i}"] for i in LIMBS]',
-            'p[f"rod{i}"] for i in LIMBS[:2]]',
-            (
-                "2 equations, not 3; there must be one for each: 3 pose + 3 joint - 3"
-                " command coordinates"
-            ),
-        ),
-        (GUESS, "return target(c)", "guess"),
-        (
-            GUESS,
-            "return target(c), [1.0]",
-            "guess (values for pose and joints) gives (3, 1), not (3, 3)",
-        ),
-        (
-            GUESS,
-            "return target(c), [INWARD[i] for i in LIMBS]",
-            # rods of 220 mm between ends that stand 50 mm apart
-            "at its guess, the closure's equations 1 to 3 are -0.17, -0.17, -0.17",
-        ),
-        (
-            'p[f"rod{i}"] for i in LIMBS]',
-            'p[f"rod{i}"] * (3 if i == 2 else 1) for i in LIMBS]',
-            "a large one names the strut whose ends or length are wrong",
-        ),
-        ('[tip[0], tip[1], x["phi"]]', "[tip[0], tip[1]]", "commanded gives 2, not 3"),
-        (
-            "    read_error=lambda c, twist: [twist[0], twist[1], twist[5]],\n",
-            "",
-            "phi would be read as a translation",
-        ),
-        (
-            "[twist[0], twist[1], twist[5]]",
-            "[twist[0], twist[1]]",
-            "read_error gives 2, not 3",
-        ),
-        (
-            "[tip[0], tip[1], x",
-            "[tip.x, tip[1], x",
-            "commanded fails with AttributeError",
-        ),
-        ("LIMBS = (1, 2, 3)", "LIMBS = (1, 2", "importing it failed with SyntaxError"),
-        ("lever=BASE", "levre=BASE", "importing it failed with TypeError"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('ca.cos(x["phi"])', 'math.cos(x["phi"])', "not a number at the guess for home; use ca.cos"),
+    ('x["phi"]), ca.sin', 'x["turn"]), ca.sin',
+     "closure asks for 'turn', which the machine has not"),
+    ('p[f"rod{i}"] for i in LIMBS]', 'p[f"rod{i}"] for i in LIMBS[:2]]',
+     ("2 equations, not 3; there must be one for each: 3 pose + 3 joint - 3 command coordinates")),
+    (GUESS, "return target(c)", "guess"),
+    (GUESS, "return target(c), [1.0]",
+     "guess (values for pose and joints) gives (3, 1), not (3, 3)"),
+    (GUESS, "return target(c), [INWARD[i] for i in LIMBS]",
+     "at its guess, the closure's equations 1 to 3 are -0.17, -0.17, -0.17"),
+    ('p[f"rod{i}"] for i in LIMBS]', 'p[f"rod{i}"] * (3 if i == 2 else 1) for i in LIMBS]',
+     "a large one names the strut whose ends or length are wrong"),
+    ('[tip[0], tip[1], x["phi"]]', "[tip[0], tip[1]]", "commanded gives 2, not 3"),
+    ("    read_error=lambda c, twist: [twist[0], twist[1], twist[5]],\n", "",
+     "phi would be read as a translation"),
+    ("[twist[0], twist[1], twist[5]]", "[twist[0], twist[1]]", "read_error gives 2, not 3"),
+    ("[tip[0], tip[1], x", "[tip.x, tip[1], x", "commanded fails with AttributeError"),
+    ("LIMBS = (1, 2, 3)", "LIMBS = (1, 2", "importing it failed with SyntaxError"),
+    ("lever=BASE", "levre=BASE", "importing it failed with TypeError"),
+])  # fmt: skip
 def test_a_mistake_is_named(old, new, words, tmp_path):
     message = refusal(tmp_path, old, new)
     assert words in message

@@ -74,26 +74,15 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
     return report_fixture.result_of(raw)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        (
-            {"z": (1208.0, 97.2), "psi": (223.0, 223.1)},
-            "reduce the rms error over the workspace, zeroed at home: z from 1208 to"
-            " 97.2 um, and to leave as it is: psi 223 arcsec.",
-        ),
-        (
-            {"z": (223.0, 223.0), "psi": (5.0, 5.0)},
-            "leave the rms error over the workspace, zeroed at home as it is: z 223 um;"
-            " psi 5 arcsec.",
-        ),
-        (
-            {"z": (10.0, 5.0), "psi": (5.0, 7.0)},
-            "zeroed at home: z from 10 to 5 um, and to increase it: psi from 5 to 7"
-            " arcsec.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"z": (1208.0, 97.2), "psi": (223.0, 223.1)},
+     "reduce the rms error over the workspace, zeroed at home: z from 1208 to"
+     " 97.2 um, and to leave as it is: psi 223 arcsec."),
+    ({"z": (223.0, 223.0), "psi": (5.0, 5.0)},
+     "leave the rms error over the workspace, zeroed at home as it is: z 223 um; psi 5 arcsec."),
+    ({"z": (10.0, 5.0), "psi": (5.0, 7.0)},
+     "zeroed at home: z from 10 to 5 um, and to increase it: psi from 5 to 7 arcsec."),
+])  # fmt: skip
 def test_what_does_not_change_is_not_reduced(changes, words):
     (sentence,) = [
         sentence

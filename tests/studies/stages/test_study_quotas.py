@@ -128,49 +128,29 @@ CONTRADICTION = (
 )
 
 
-@pytest.mark.parametrize(
-    ("design", "quotas", "message"),
-    [
-        (
-            KNOWN,
-            CONTRADICTION,
-            r'design.quota\[1\]: at least 2 of "high" \(4 candidates\) and at most 1 of'
-            r' "few" \(4 candidates\) of 3 readings contradict each other; relax one',
-        ),
-        (
-            KNOWN.replace("3", "7"),
-            HIGH + "max = 2\n",
-            r"design.quota\[1\]: with 7 readings to choose, the candidates do not allow"
-            r' at most 2 of "high" \(4 candidates\); change its numbers',
-        ),
-        (
-            KNOWN.replace("3", "9"),
-            HIGH + "max = 4\n",
-            "design.readings = 9: there are only 8",
-        ),
-        (KNOWN, HIGH, r"design.quota\[1\]: how many readings\?; give min, max"),
-        (KNOWN, HIGH + "max = 1\nmax_share = 0.5\n", "max_share = 0.5: max is given"),
-        (
-            KNOWN,
-            HIGH + "min = 2\nmax = 1\n",
-            "min = 2: more than the largest number, 1",
-        ),
-        (KNOWN, HIGH.replace("1200", "1300") + "max = 1\n", "no candidate is selected"),
-        (KNOWN, HIGH.replace("from = 1200", "") + "max = 1\n", "the range has no end"),
-        (KNOWN, HIGH.replace("z_mm", "w_mm") + "max = 1\n", "w_mm: unknown field"),
-        (KNOWN, HIGH + 'max = 1\nruns = ["two"]\n', "no run has this name"),
-        (KNOWN, HIGH + 'max = 1\nsetups = ["cap"]\n', "no such set-up"),
-        (
-            KNOWN.replace("readings = 3", "budget_min = 60"),
-            HIGH + "max = 1\n",
-            "budget_min = 60: quota needs the number of readings",
-        ),
-        (KNOWN + "setups_max = 1\n", HIGH + "max = 1\n", "remove setups_max"),
-        (KNOWN + "polish = {}\n", HIGH + "max = 1\n", "out of the ranges of a quota"),
-        (KNOWN + "how_many = {}\n", HIGH + "max = 1\n", "remove quota or how_many"),
-        (KNOWN + 'equal = "run"\n', HIGH + "max = 1\n", ""),
-    ],
-)
+@pytest.mark.parametrize(("design", "quotas", "message"), [
+    (KNOWN, CONTRADICTION,
+     r'design.quota\[1\]: at least 2 of "high" \(4 candidates\) and at most 1 of "few" '
+     r"\(4 candidates\) of 3 readings contradict each other; relax one"),
+    (KNOWN.replace("3", "7"), HIGH + "max = 2\n",
+     r"design.quota\[1\]: with 7 readings to choose, the candidates do not allow "
+     r'at most 2 of "high" \(4 candidates\); change its numbers'),
+    (KNOWN.replace("3", "9"), HIGH + "max = 4\n", "design.readings = 9: there are only 8"),
+    (KNOWN, HIGH, r"design.quota\[1\]: how many readings\?; give min, max"),
+    (KNOWN, HIGH + "max = 1\nmax_share = 0.5\n", "max_share = 0.5: max is given"),
+    (KNOWN, HIGH + "min = 2\nmax = 1\n", "min = 2: more than the largest number, 1"),
+    (KNOWN, HIGH.replace("1200", "1300") + "max = 1\n", "no candidate is selected"),
+    (KNOWN, HIGH.replace("from = 1200", "") + "max = 1\n", "the range has no end"),
+    (KNOWN, HIGH.replace("z_mm", "w_mm") + "max = 1\n", "w_mm: unknown field"),
+    (KNOWN, HIGH + 'max = 1\nruns = ["two"]\n', "no run has this name"),
+    (KNOWN, HIGH + 'max = 1\nsetups = ["cap"]\n', "no such set-up"),
+    (KNOWN.replace("readings = 3", "budget_min = 60"), HIGH + "max = 1\n",
+     "budget_min = 60: quota needs the number of readings"),
+    (KNOWN + "setups_max = 1\n", HIGH + "max = 1\n", "remove setups_max"),
+    (KNOWN + "polish = {}\n", HIGH + "max = 1\n", "out of the ranges of a quota"),
+    (KNOWN + "how_many = {}\n", HIGH + "max = 1\n", "remove quota or how_many"),
+    (KNOWN + 'equal = "run"\n', HIGH + "max = 1\n", ""),
+])  # fmt: skip
 def test_impossible_quotas_are_refused(design, quotas, message):
     tables = GRID.format(name="cup") + quotas
     if not message:  # one run: equal numbers are no rule

@@ -109,26 +109,14 @@ def test_a_pose_that_does_not_close_is_refused():
     )
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            "z_mm = { from = 1066.0, to = 1266.0, count = 4 }",
-            "z_um = [1066000.0, 2000000.0]",
-            "2000000 um is outside the workspace of a3_head; z goes from",
-        ),
-        (
-            '"a3_head"',
-            '"a3_head"\nhome = { z_um = 2000000.0 }',
-            "home has z = 2000000 um, outside the workspace; state a home pose inside",
-        ),
-        (
-            "[noise]",
-            '[[prior.bounds]]\nparameters = ["dq1"]\nlower_um = 5.0\n[noise]',
-            "the nominal value of dq1, 0 um, is not within",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("z_mm = { from = 1066.0, to = 1266.0, count = 4 }", "z_um = [1066000.0, 2000000.0]",
+     "2000000 um is outside the workspace of a3_head; z goes from"),
+    ('"a3_head"', '"a3_head"\nhome = { z_um = 2000000.0 }',
+     "home has z = 2000000 um, outside the workspace; state a home pose inside"),
+    ("[noise]", '[[prior.bounds]]\nparameters = ["dq1"]\nlower_um = 5.0\n[noise]',
+     "the nominal value of dq1, 0 um, is not within"),
+])  # fmt: skip
 def test_limits_are_stated_in_the_unit_of_their_field(old, new, words):
     error = sample.refused(sample.STUDY, (old, new))
     assert words in str(error)
