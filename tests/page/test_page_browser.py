@@ -9,7 +9,6 @@ import itertools
 import os
 import random
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -28,26 +27,11 @@ from pkm_studies import shipped
 from pkm_studies.sessions import Adviser
 from pkm_studies.study import Study
 
-playwright = pytest.importorskip("playwright.sync_api")
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = next((path for path in map(shutil.which, BROWSERS) if path), None)
-SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 SIZES = {390: 844, 820: 1180, 1440: 900}
 #: processor time from an entry to the new state, s
 MAX_SECONDS = 0.8
 #: sudden ends of the server
 KILLS = 50
-needs_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium on this machine: install the package chromium"
-)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
-        yield started
-        started.close()
 
 
 @pytest.fixture
@@ -99,7 +83,6 @@ def decides_alike(machine: Any, adviser: Adviser) -> bool:
     )
 
 
-@needs_browser
 @pytest.mark.slow
 def test_a_session_with_everything_that_goes_wrong(opened, tmp_path):
     """Hexapod, 40 readings: a typing error, a wrong reading, an undo, a reload."""
@@ -138,7 +121,6 @@ def test_a_session_with_everything_that_goes_wrong(opened, tmp_path):
     assert np.quantile(seconds, 0.95) < MAX_SECONDS
 
 
-@needs_browser
 @pytest.mark.slow
 def test_everyone_can_read_the_page(opened, page_study, tmp_path):
     """No fault of accessibility, nothing wider than the window, at any size and theme."""
@@ -160,7 +142,6 @@ def test_everyone_can_read_the_page(opened, page_study, tmp_path):
                 assert axe_faults(page) == []
 
 
-@needs_browser
 @pytest.mark.slow
 def test_two_browsers_show_one_state(opened, page_study, tmp_path):
     with served(page_study, server.PageOptions(tmp_path / "poses.csv")) as (
@@ -176,7 +157,6 @@ def test_two_browsers_show_one_state(opened, page_study, tmp_path):
         assert len(rows(tmp_path / "poses.csv")) == 6
 
 
-@needs_browser
 @pytest.mark.slow
 def test_from_readings_to_the_controller(opened, page_study, tmp_path):
     """With the page alone: fit, result, compensation file."""
@@ -199,7 +179,6 @@ def test_from_readings_to_the_controller(opened, page_study, tmp_path):
         assert "length" in report.value.text_content("main")
 
 
-@needs_browser
 @pytest.mark.slow
 def test_from_sizes_to_the_first_reading(opened, tmp_path):
     """With the page alone: a family's sizes, an error at its field, the machine's page."""

@@ -6,7 +6,6 @@ The tests need a Chromium of the system, and are skipped where there is none.
 import csv
 import io
 import math
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,15 +20,7 @@ from oed.base import Array
 from oed.result import StudyResult
 from pkm_reports import write_report
 
-playwright = pytest.importorskip("playwright.sync_api")
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = next((path for path in map(shutil.which, BROWSERS) if path), None)
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.pictures,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: install the package chromium"),
-]  # fmt: skip
-SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+pytestmark = [pytest.mark.slow, pytest.mark.pictures]
 WIDTHS = {390: 844, 768: 1024, 1440: 900}
 SERIOUS = {"serious", "critical"}
 
@@ -45,14 +36,6 @@ def address(result: StudyResult, tmp_path_factory: pytest.TempPathFactory) -> st
     folder = tmp_path_factory.mktemp("page")
     page: Path = write_report(result, folder, pdf=False)[0]
     return page.as_uri()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
-        yield started
-        started.close()
 
 
 @pytest.fixture

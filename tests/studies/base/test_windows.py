@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import sample
+from few_poses import PLAN
 
 from pkm_studies import catalogue, console, files
 from pkm_studies.base import InputError, Location
@@ -32,12 +33,6 @@ NAMES = {
 }  # fmt: skip
 #: any of them, in code or not
 NAMED = re.compile(rf"\b({'|'.join(sorted(MODULES | set().union(*NAMES.values())))})\b")
-PLAN = sample.changed(
-    sample.STUDY,
-    ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
-    ("count = 4 }", "count = 2 }"),
-    ("count = 12", "count = 15"),
-)
 
 
 def oed(*arguments: object, encoding: str) -> subprocess.CompletedProcess[bytes]:

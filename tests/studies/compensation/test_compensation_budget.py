@@ -1,6 +1,5 @@
 """`oed compensate` on a budget: what a file costs, on the oracle's A3 heads."""
 
-import csv
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -49,8 +48,6 @@ psi_deg = { from = 0.0, to = 360.0, count = 12, endpoint = false }
 theta_deg = [5.0, 15.0, 25.0, 35.0]
 """
 NAMES, UNITS = ("z", "psi", "theta"), ("um", "arcsec", "arcsec")
-#: SI values of mm and degrees
-FACTORS = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
 ARCSEC = np.pi / 648000.0
 FINE = np.array([1e-6, ARCSEC, ARCSEC])
 #: a controller that reads joints in steps of 50 um
@@ -205,16 +202,9 @@ def test_usual_effects_count_as_on_the_first_page(tmp_path, capsys):
 
 def read_table(folder: Path) -> tuple[list[np.ndarray], np.ndarray]:
     """Places along each axis, and corrections (..., 3) of the joints; SI."""
-    with (folder / "compensation_grid.csv").open(newline="") as file:
-        axes = list(csv.DictReader(file))
-    knots = [
-        np.linspace(float(a["first"]), float(a["last"]), int(a["count"])) * factor
-        for a, factor in zip(axes, FACTORS, strict=True)
-    ]
-    with (folder / "compensation.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    keys = [a["coordinate"] for a in axes]
-    places = np.array([[float(r[key]) for key in keys] for r in rows]) * FACTORS
+    knots, rows = sample.table(folder)
+    keys = ("z_mm", "psi_deg", "theta_deg")
+    places = np.array([[float(r[key]) for key in keys] for r in rows]) * sample.FACTORS
     mesh = np.stack(np.meshgrid(*knots, indexing="ij"), axis=-1)
     assert places == pytest.approx(mesh.reshape(-1, 3), abs=1e-8)
     added = [[1e-3 * float(r[f"correction_q{k}_mm"]) for k in (1, 2, 3)] for r in rows]

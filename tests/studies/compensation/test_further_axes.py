@@ -49,8 +49,6 @@ theta_deg = [5.0, 15.0, 25.0, 35.0]
 pdf = false
 """
 )
-#: SI values of mm and degrees
-FACTORS = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
 
 
 def readings(rng: np.random.Generator) -> str:
@@ -85,15 +83,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def table(folder: Path, columns: list[str]) -> RegularGridInterpolator:
-    """Columns of the table over z, psi and theta, SI; by the csv module alone."""
-    with (folder / "compensation_grid.csv").open(newline="") as file:
-        axes = list(csv.DictReader(file))
-    knots = [
-        np.linspace(float(a["first"]), float(a["last"]), int(a["count"])) * factor
-        for a, factor in zip(axes, FACTORS, strict=True)
-    ]
-    with (folder / "compensation.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    """Columns of the table over z, psi and theta, SI."""
+    knots, rows = sample.table(folder)
     units = {"mm": 1e-3, "um": 1e-6, "arcsec": ARCSEC}
     values = np.array(
         [[float(r[c]) * units[c.rpartition("_")[2]] for c in columns] for r in rows]
@@ -198,7 +189,7 @@ def fill_in(folder: Path, to: Path, axes: bool | None, scale: float = 1.0) -> Pa
     text = (folder / "acceptance.csv").read_text()
     rows = list(csv.DictReader(table_lines(text)))
     names = [c for c in rows[0] if c.endswith(("_mm", "_deg"))]
-    command = np.array([[float(r[c]) for c in names] for r in rows]) * FACTORS
+    command = np.array([[float(r[c]) for c in names] for r in rows]) * sample.FACTORS
     errors = driven(folder, command, bool(axes)) - driven(folder, HOME, bool(axes))
     for row, (x, y, phi) in zip(rows, scale * errors, strict=True):
         row |= {"error_z_um": "0", "error_psi_arcsec": "0", "error_theta_arcsec": "0"}

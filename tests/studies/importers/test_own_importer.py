@@ -42,12 +42,7 @@ importer = StageLog()
 '''
 
 
-@pytest.fixture(autouse=True)
-def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A user who allowed nothing yet, and trusts no folder."""
-    monkeypatch.delenv("OED_TRUSTED_FOLDERS")
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+pytestmark = pytest.mark.usefixtures("stranger")
 
 
 def test_a_file_of_the_user_reads_once_it_is_allowed(tmp_path, capsys):

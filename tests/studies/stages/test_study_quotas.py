@@ -39,25 +39,17 @@ def heights(resolved: ResolvedStudy) -> np.ndarray:
 # -- quotas ----------------------------------------------------------------------------
 
 
-#: each kind of number with a criterion of its own: D on log det, a mean, an eigenvalue.
-#: All criteria are in tests/oed/design/test_quotas.py
-CASES = [
-    ("D", "min_share = 1.0"),
-    ("I", "max = 1"),
-    pytest.param("E", "min = 2", marks=pytest.mark.slow),
-    pytest.param("kappa", "min_share = 1.0", marks=pytest.mark.slow),
-]
-
-
-@pytest.mark.parametrize(("name", "numbers"), CASES)
+@pytest.mark.parametrize(
+    ("name", "numbers"), [("D", "min_share = 1.0"), ("I", "max = 1")]
+)
 def test_the_best_plan_under_a_quota(name, numbers):
-    """At most one, at least two, or all three readings above z = 1.2 m."""
+    """At most one or all three readings above z = 1.2 m; tests/oed/design has all criteria."""
     tables = GRID.format(name="cup") + HIGH + numbers + "\n"
     resolved, design = chosen(
         text(f'criterion = "{name}"\n' + KNOWN + EXTRA, tables=tables)
     )
     high = heights(resolved) > 1.2
-    allowed = {"max = 1": (0, 1), "min = 2": (2, 3), "min_share = 1.0": (3,)}[numbers]
+    allowed = {"max = 1": (0, 1), "min_share = 1.0": (3,)}[numbers]
     h = rows(resolved)
     values = [
         value(name, h[list(plan)], resolved)
@@ -69,8 +61,7 @@ def test_the_best_plan_under_a_quota(name, numbers):
     best, size = max(values), abs(max(values))
     assert value(name, h[indices], resolved) == pytest.approx(best, abs=2e-5 * size)
     made = section(resolved, design)
-    sign = -1.0 if name == "kappa" else 1.0
-    assert sign * made.bound >= best - 1e-5 * size
+    assert made.bound >= best - 1e-5 * size
     assert made.efficiency is not None
 
 
