@@ -4,6 +4,7 @@ The lists of words are written from the firmwares' documentation: Klipper's conf
 reference, the G-code dictionary of RepRapFirmware, Marlin's pages of G-codes.
 """
 
+import functools
 import re
 from pathlib import Path
 
@@ -125,10 +126,23 @@ ONLY_CHECKED = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """For tests of single words, which read unchanged files once."""
+    return tmp_path_factory.mktemp("words")
+
+
 def read(kind: str, files: dict[str, str], folder: Path) -> ImportedSession:
+    return read_once(kind, tuple(files.items()), folder / kind)
+
+
+@functools.cache
+def read_once(
+    kind: str, files: tuple[tuple[str, str], ...], folder: Path
+) -> ImportedSession:
     folder.mkdir(exist_ok=True)
     paths = []
-    for name, text in files.items():
+    for name, text in files:
         (folder / name).write_text(text)
         paths.append(folder / name)
     number = len(list(folder.glob("out*")))
@@ -162,24 +176,23 @@ def outcome(
 
 def with_option(section: str, key: str, value: str) -> str:
     """The configuration with one option set in its section."""
-    lines = KLIPPER.splitlines()
-    start = lines.index(f"[{section}]")
-    end = next(
-        (k for k in range(start + 1, len(lines)) if lines[k][0] == "["), len(lines)
-    )
-    others = [line for line in lines[start + 1 : end] if not line.startswith(f"{key}:")]
-    changed = [*lines[: start + 1], f"{key}: {value}", *others, *lines[end:]]
-    return "\n".join(changed) + "\n"
+    before, head, after = KLIPPER.partition(f"[{section}]\n")
+    options, following, others = after.partition("[")
+    line = f"{key}: {value}"
+    options, known = re.subn(rf"^{key}: .*$", lambda _: line, options, flags=re.M)
+    if not known:
+        options = f"{line}\n{options}"
+    return before + head + options + following + others
 
 
 @pytest.mark.parametrize(
     ("section", "key"), [(s, key) for s, keys in SECTIONS.items() for key in keys]
 )
-def test_every_option_of_klipper(section, key, tmp_path):
+def test_every_option_of_klipper(section, key, folder):
     known = re.search(rf"\[{section}\][^\[]*?^{key}: (.*)$", KLIPPER, re.M)
     value = known[1] if known else "1.5"
     files = {"printer.cfg": with_option(section, key, value)}
-    before = outcome("klipper", files, tmp_path, f"[{section}]", key)
+    before = outcome("klipper", files, folder, f"[{section}]", key)
     assert (before is not None) == (known is not None)
     if before is None or key in ONLY_CHECKED:
         return
@@ -187,7 +200,7 @@ def test_every_option_of_klipper(section, key, tmp_path):
     number = re.search(r"\d+", value)
     other = f"{int(number[0]) + 1}{value[number.end() :]}"
     files = {"printer.cfg": with_option(section, key, other)}
-    after = read("klipper", files, tmp_path)
+    after = read("klipper", files, folder)
     assert (before.study, before.rows) != (after.study, after.rows)
 
 
@@ -279,21 +292,21 @@ def check_word(
 @pytest.mark.parametrize(
     ("command", "letter"), [(c, k) for c, keys in RRF_WORDS.items() for k in keys]
 )
-def test_every_word_of_reprapfirmware(command, letter, tmp_path):
+def test_every_word_of_reprapfirmware(command, letter, folder):
     where = "bed.g" if command == "G30" else "config.g"
-    check_word("rrf", RRF, where, command, letter, tmp_path)
+    check_word("rrf", RRF, where, command, letter, folder)
 
 
 @pytest.mark.parametrize(
     ("command", "letter"), [(c, k) for c, keys in MARLIN_WORDS.items() for k in keys]
 )
-def test_every_word_of_marlin(command, letter, tmp_path):
-    check_word("marlin", {"log": NEW_MARLIN}, "log", command, letter, tmp_path)
+def test_every_word_of_marlin(command, letter, folder):
+    check_word("marlin", {"log": NEW_MARLIN}, "log", command, letter, folder)
 
 
 @pytest.mark.parametrize("letter", "HLRSXYZB")
-def test_every_word_of_an_older_marlin(letter, tmp_path):
-    check_word("marlin", {"log": OLD_MARLIN}, "log", "M665", letter, tmp_path)
+def test_every_word_of_an_older_marlin(letter, folder):
+    check_word("marlin", {"log": OLD_MARLIN}, "log", "M665", letter, folder)
 
 
 def test_the_radius_of_calibration_changes_no_length(tmp_path):
@@ -306,14 +319,14 @@ def test_the_radius_of_calibration_changes_no_length(tmp_path):
     "c", "x", "y", "z", "yz", "zx", "xy", "Height", "Ex", "Ey", "Ez", "Radius", "Tx",
     "Ty", "Tz",
 ])  # fmt: skip
-def test_every_number_of_a_g33_report(word, tmp_path):
+def test_every_number_of_a_g33_report(word, folder):
     """What G33 prints of its changes is the geometry of the heights below it."""
-    before = read("marlin", {"log": REPORT}, tmp_path)
+    before = read("marlin", {"log": REPORT}, folder)
     # no printer is lower than its bed
     value = "200.77" if word == "Height" else "-0.77"
     text = re.sub(rf"(?<![A-Za-z]){word}:[+-]?([\d.]+)", rf"{word}:{value}", REPORT)
     assert text != REPORT
-    after = read("marlin", {"log": text}, tmp_path)
+    after = read("marlin", {"log": text}, folder)
     assert (before.study, before.rows) != (after.study, after.rows)
 
 
