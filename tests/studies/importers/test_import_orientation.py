@@ -111,44 +111,22 @@ def test_a_tracker_s_frame_turns_the_orientations_too(tmp_path, rng):
 
 #: what a file may have, what the map says of it, and what is to be named
 MISTAKEN = {
-    "scalar last": (
-        lambda r: r.as_quat(),
-        'quaternion = ["w", "i", "j", "k"]\n',
-        r'quaternion = \["k", "w", "i", "j"\]',
-    ),
-    "scalar second": (
-        lambda r: np.roll(r.as_quat(scalar_first=True), 1, axis=1),
-        'quaternion = ["w", "i", "j", "k"]\n',
-        r'quaternion = \["i", "j", "k", "w"\]',
-    ),
-    "inverse": (
-        lambda r: r.inv().as_quat(scalar_first=True),
-        'quaternion = ["w", "i", "j", "k"]\n',
-        "inverse = true",
-    ),
-    "scalar last and not inverse": (
-        lambda r: r.as_quat(),
-        'quaternion = ["w", "i", "j", "k"]\ninverse = true\n',
-        r'quaternion = \["k", "w", "i", "j"\], and write inverse = false',
-    ),
-    "inverse vector": (
-        lambda r: r.inv().as_rotvec(),
-        'rotation_vector_rad = ["w", "i", "j"]\n',
-        "inverse = true",
-    ),
-    "target turned by 90 deg": (
-        lambda r: (r * Rotation.from_rotvec([0, 0, np.pi / 2])).as_quat(
-            scalar_first=True
-        ),
-        'quaternion = ["w", "i", "j", "k"]\n',
-        "90 deg rms off .* by the same turn at all poses",
-    ),
-    "rows of another order": (
-        lambda r: Rotation.from_quat(r.as_quat()[::-1]).as_quat(scalar_first=True),
-        'quaternion = ["w", "i", "j", "k"]\n',
-        "check rows and machine",
-    ),
-}
+    "scalar last": (lambda r: r.as_quat(), 'quaternion = ["w", "i", "j", "k"]\n',
+     r'quaternion = \["k", "w", "i", "j"\]'),
+    "scalar second": (lambda r: np.roll(r.as_quat(scalar_first=True), 1, axis=1),
+     'quaternion = ["w", "i", "j", "k"]\n', r'quaternion = \["i", "j", "k", "w"\]'),
+    "inverse": (lambda r: r.inv().as_quat(scalar_first=True), 'quaternion = ["w", "i", "j", "k"]\n',
+     "inverse = true"),
+    "scalar last and not inverse": (lambda r: r.as_quat(),
+     'quaternion = ["w", "i", "j", "k"]\ninverse = true\n',
+     r'quaternion = \["k", "w", "i", "j"\], and write inverse = false'),
+    "inverse vector": (lambda r: r.inv().as_rotvec(), 'rotation_vector_rad = ["w", "i", "j"]\n',
+     "inverse = true"),
+    "target turned by 90 deg": (lambda r: (r * Rotation.from_rotvec([0, 0, np.pi / 2])).as_quat(scalar_first=True),
+     'quaternion = ["w", "i", "j", "k"]\n', "90 deg rms off .* by the same turn at all poses"),
+    "rows of another order": (lambda r: Rotation.from_quat(r.as_quat()[::-1]).as_quat(scalar_first=True),
+     'quaternion = ["w", "i", "j", "k"]\n', "check rows and machine"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", ["columns", "tracker"])

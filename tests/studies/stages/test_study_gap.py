@@ -107,44 +107,20 @@ def test_a_user_s_effect_replaces_one_of_the_library(tmp_path):
 
 MISTAKES = {
     "effect": ('[gap]\neffects = ["gravty"]', "gap.effects[1]", "gravity"),
-    "without": (
-        '[gap]\nwithout = ["gravty"]',
-        "gap.without[1]",
-        "did you mean gravity",
-    ),
-    "none left": (
-        '[gap]\neffects = ["gravity"]\nwithout = ["gravity"]',
-        "gap.effects",
-        "no effect is left",
-    ),
+    "without": ('[gap]\nwithout = ["gravty"]', "gap.without[1]", "did you mean gravity"),
+    "none left": ('[gap]\neffects = ["gravity"]\nwithout = ["gravity"]', "gap.effects",
+     "no effect is left"),
     "gravity": ("[gap]\ngravity = [0, 0, 0]", "gap.gravity", "[0, 0, -1]"),
-    "payload": (
-        "[gap.conditions]\npayload_N = [-1]",
-        "gap.conditions.payload_N[1]",
-        ">= 0",
-    ),
-    "no feed": (
-        "[gap.conditions]\nfeed_mm_min = []",
-        "gap.conditions.feed_mm_min",
-        "list",
-    ),
-    "warming": (
-        "[gap.conditions.temperature]\nleg = { rise_C = 1 }",
-        "gap.conditions.temperature.leg",
-        "after_min",
-    ),
+    "payload": ("[gap.conditions]\npayload_N = [-1]", "gap.conditions.payload_N[1]", ">= 0"),
+    "no feed": ("[gap.conditions]\nfeed_mm_min = []", "gap.conditions.feed_mm_min", "list"),
+    "warming": ("[gap.conditions.temperature]\nleg = { rise_C = 1 }",
+     "gap.conditions.temperature.leg", "after_min"),
     "acting": ('[[gap.acting]]\neffect = "gravty"', "gap.acting[1].effect", "gravity"),
-    "constant": (
-        '[[gap.acting]]\neffect = "gravity"\nconstants = { raito = 1 }',
-        "gap.acting[1].constants.raito",
-        "did you mean ratio",
-    ),
-    "field": (
-        '[[gap.acting]]\neffect = "gravity"\nsizes = 2',
-        "gap.acting[1].sizes",
-        "did you mean size",
-    ),
-}
+    "constant": ('[[gap.acting]]\neffect = "gravity"\nconstants = { raito = 1 }',
+     "gap.acting[1].constants.raito", "did you mean ratio"),
+    "field": ('[[gap.acting]]\neffect = "gravity"\nsizes = 2', "gap.acting[1].sizes",
+     "did you mean size"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", MISTAKES)
