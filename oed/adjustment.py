@@ -18,8 +18,6 @@ lines that are worth less than that are removed. All is linear about the adjuste
 and repeated until the list stays the same.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Sequence

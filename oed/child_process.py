@@ -4,8 +4,6 @@ That folder is the first on the path of `python -m` and of the `python -c` by wh
 are spawned: a file `numpy.py` that lies beside a study would run, unasked.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import subprocess

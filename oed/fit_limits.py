@@ -8,8 +8,6 @@ chi2_is_large      whether the stated noise does not explain chi2
 noise_ratio        residuals over the stated noise
 """
 
-from __future__ import annotations
-
 #: probability of a tail below which residuals are too large or too small
 ALARM_PROBABILITY = 1e-5
 #: residuals over the stated noise up to which a noise that is to be estimated, and was

@@ -6,8 +6,6 @@ processor. What is drawn along them would differ with them. So every basis here 
 one that fixed directions choose, and roots of covariances are those that are unique.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from typing import Final

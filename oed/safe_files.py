@@ -7,8 +7,6 @@ stays, and the new one gets a number, as in `report-2.html`; so does a file that
 listed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

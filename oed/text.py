@@ -1,7 +1,5 @@
 """Words of messages: numbers, shares in percent, texts shortened, names suggested."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Iterable, Sequence

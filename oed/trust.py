@@ -5,8 +5,6 @@ judge nothing on their own. Fits and checks of readings have the same limits
 (`oed.fit_limits`).
 """
 
-from __future__ import annotations
-
 from oed.fit_limits import (
     ALARM_PROBABILITY,
     FAR_TOLERANCES,

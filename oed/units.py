@@ -4,8 +4,6 @@ Inside, every number is SI (metre, radian, second, newton, kelvin). Files and ta
 carry the unit in the name of a field or column (`sigma_um`, `theta_deg`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -10,8 +10,6 @@ never in pass. Commands, pages, reports, certificates and campaigns ask
 here, and judge nothing on their own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from typing import Final

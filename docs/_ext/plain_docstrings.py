@@ -22,6 +22,11 @@ FIELD = re.compile(r"^(\S(?:.*?\S)?) {2,}(\S.*)$")
 BULLET = re.compile(r"^[*-] +(\S.*)$")
 CODE = re.compile(r"``[^`]+``|`[^`]+`")
 ALIAS = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")
+#: an array type that is spelled out, and its alias by the kind of its values
+ARRAY = re.compile(
+    r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?numpy\.(\w+)\]\]"
+)
+ARRAY_ALIASES = {"float64": "Array", "int64": "Index", "bool": "Mask"}
 SPECIAL = re.compile(r"([\\*|_`])")
 #: what would open a list, a comment or a field at a paragraph's start
 OPENING = re.compile(r"^([-+>.:]|\(?\w+[.)])(?=\s|\S)")
@@ -155,7 +160,16 @@ def name_aliases(
     returns: str | None,
 ) -> tuple[str | None, str | None]:
     """Aliases of types in a signature by their names alone."""
-    return tuple(text and ALIAS.sub(r"\1", text) for text in (signature, returns))
+    return tuple(text and with_aliases(text) for text in (signature, returns))
+
+
+def with_aliases(signature: str) -> str:
+    """A signature with the aliases of array types in place of what they stand for."""
+
+    def alias(match: re.Match[str]) -> str:
+        return ARRAY_ALIASES.get(match[1], match[0])
+
+    return ARRAY.sub(alias, ALIAS.sub(r"\1", signature))
 
 
 def unlink_foreign_types(app: Sphinx, document: nodes.document) -> None:

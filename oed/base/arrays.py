@@ -1,7 +1,5 @@
 """Array types of the toolkit: real numbers, indices and masks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -10,8 +10,6 @@ for Machine Learning, eq. 4.17). The modes are orthogonal curves whose sum with
 independent N(0, 1) coefficients is such a curve; the first few hold nearly all of it.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -5,8 +5,6 @@ the result fits as well, readings with the mistake would as well. Of mistakes of
 it is the largest one that leaves no trace.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

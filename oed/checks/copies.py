@@ -1,7 +1,5 @@
 """Readings that no instrument took: doubled, frozen, computed, or coarsely rounded."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -7,8 +7,6 @@ probability against the others and against none: noise of another law, or parame
 outside their tolerances (`oed.checks.screening`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections import Counter

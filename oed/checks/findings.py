@@ -1,7 +1,5 @@
 """What a check finds, by how much harm it does, and its numbers and words."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

@@ -5,8 +5,6 @@ are noise and no misfit: they are estimated, with the prior that an identificati
 Whether single readings scatter as stated is judged after them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

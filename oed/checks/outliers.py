@@ -13,8 +13,6 @@ in units of the stated noise. Where too many exceed the limit, a robust estimate
 scatter is the unit: noise that is larger everywhere is no outlier.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

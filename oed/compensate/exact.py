@@ -1,7 +1,5 @@
 """Joints through the closure, for an unchanged controller."""
 
-from __future__ import annotations
-
 from oed.base import Array
 from oed.mechanism import NO_TOOL, Kinematics
 

@@ -5,8 +5,6 @@ interpolation between the commands of a table. All are against a stated referenc
 the predicted accuracy that they join.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.accuracy import Reference, components_against

@@ -1,7 +1,5 @@
 """Tables over a rectilinear grid with multilinear interpolation."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -9,8 +9,6 @@ long (Pott 2018, Cable-Driven Parallel Robots, section 4.2), so that its joint i
 effect further out by the joint change that is worth L - L0.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path

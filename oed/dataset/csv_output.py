@@ -1,7 +1,5 @@
 """Readings to a CSV file that `load` reads back; lengths in mm, angles in deg."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ One row a reading, a header with the unit in each column's name. Rows are counte
 spreadsheet shows them. Remarks, and lines with # above the header, are not read.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import difflib

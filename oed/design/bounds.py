@@ -6,8 +6,6 @@ and for rules about distances, the rule is left out, which only raises the bound
 the condition number have relaxations of their own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 

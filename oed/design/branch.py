@@ -6,8 +6,6 @@ whose weight is nearest to a half. Candidates that no better plan can hold are e
 on the way (`oed.design.relaxation.eliminate`), which makes dozens of candidates few.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import heapq
 import itertools

@@ -27,8 +27,6 @@ filled to their caps, which bounds what gradient g can carry. A linear solver gi
 prices; the bound holds for any.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from typing import Any, Literal

@@ -4,8 +4,6 @@ Candidates are compared by a hash of their bits, which takes one pass and one so
 two different candidates have the same hash, nothing is merged.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

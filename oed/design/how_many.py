@@ -10,8 +10,6 @@ The fewest readings: a plan of N readings reaches the goal. N is proven the fewe
 even the relaxation of N - 1 readings misses it; otherwise a range is reported.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 

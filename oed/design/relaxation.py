@@ -20,8 +20,6 @@ Where no such step raises the value, it goes straight to the first bound, or shi
 weight from the least wanted candidate to the most wanted one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

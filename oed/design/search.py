@@ -8,8 +8,6 @@ and weights of a relaxation. One more improvement over all candidates ends it. T
 result is never worse than the greedy plans at its start.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -8,8 +8,6 @@ decade. A normal coefficient whose standard deviation is drawn so has a density 
 not pulled back.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -29,8 +29,6 @@ probability 0.8. Tolerances that are too large are left: they cost little, and s
 ones would make what no reading determines too sure.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Sequence

@@ -14,8 +14,6 @@ each other: b ~ N(0, t^2), in expected sizes, of a common t that the evidence de
 Effects that stand out are hypotheses of a diagnosis (`oed.gap`), and no part of these.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Stages of a fit with known noise: least squares in identifiable coordinates."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

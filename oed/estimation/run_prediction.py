@@ -12,8 +12,6 @@ beside the slopes J T; the rest is independent between runs. The model is linear
 estimate.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

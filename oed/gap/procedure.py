@@ -1,7 +1,5 @@
 """Diagnosis of residuals: noise law, effects, places, closure and advice."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Collection, Sequence
 

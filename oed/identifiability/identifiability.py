@@ -6,8 +6,6 @@ by Gauss-Jordan elimination, with the pivots taken from the right: each is one p
 plus those that the readings cannot separate from it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

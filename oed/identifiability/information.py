@@ -10,8 +10,6 @@ There are three scalings of the parameter columns; a report must never mix them:
              direction as well as the drawing does
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal, get_args
 

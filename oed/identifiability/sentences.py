@@ -4,8 +4,6 @@ Each sentence is an `IdentifiabilityFinding`. Directions that no reading determi
 with remedies, whose effect `oed.identifiability.assessment` computes.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -3,8 +3,6 @@
 theta = [machine parameters, unknowns of set-up 1, of set-up 2, ...].
 """
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 from collections.abc import Sequence

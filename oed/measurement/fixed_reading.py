@@ -1,7 +1,5 @@
 """One coordinate of commands solved for a reading that an instrument keeps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

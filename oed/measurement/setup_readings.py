@@ -6,8 +6,6 @@ pose obeys the closure at the joints that the controller sent. Its identificatio
     dy/d(p, s) = [ sum_j g_xj dx_j/dp,  g_s ],        dx/dp = -phi_x^-1 phi_p   (joints fixed).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ identification does not know; its controller uses the nominal ones. Tests of the
 itself use machines that are written independently of this code.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

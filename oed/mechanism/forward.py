@@ -4,8 +4,6 @@ Many poses are solved together (`oed.mechanism.systems`). Where the steps do not
 pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
 """
 
-from __future__ import annotations
-
 import functools
 
 import casadi as ca

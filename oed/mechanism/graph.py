@@ -1,7 +1,5 @@
 """An SX function as a graph of values, with the operation of each in NumPy and in C."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple

@@ -13,8 +13,6 @@ it fails or ends in another mode, the solution is followed from the home pose, a
 home pose from that of the machine as drawn, in steps that keep the mode.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Newton's method on many small systems of equations at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -7,8 +7,6 @@ round differently (sines and other functions of the C library) runs in the inter
 both: so a point's digits are the same.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any

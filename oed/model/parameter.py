@@ -1,7 +1,5 @@
 """A calibration parameter, what moves it, and what tolerances of several share."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

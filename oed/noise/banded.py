@@ -23,8 +23,6 @@ costs a running sum. Inner products alone need no root: the Woodbury identity ta
 columns out, segment by segment.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Iterator
 

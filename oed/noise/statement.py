@@ -1,7 +1,5 @@
 """What a data sheet or a test states of the noise beyond the scatter of readings."""
 
-from __future__ import annotations
-
 import dataclasses
 
 #: reach of correlated noise, in readings, where none is stated

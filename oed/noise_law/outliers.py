@@ -13,8 +13,6 @@ the widest residual that the tolerances allow, so that no error of the machine i
 for an outlier.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -6,8 +6,6 @@ square error sqrt(tr F_k S F_k^T), in units of its target accuracy. Without targ
 unit is the accuracy before any reading.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from functools import cached_property

@@ -43,8 +43,6 @@ unknown N(0, 1), which is profiled out. A fit by the exact model is at least as 
 Taken as independent noise of each reading, r would count many times over.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 

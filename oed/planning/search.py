@@ -13,8 +13,6 @@ several numbers of readings. The most accurate plans go on, and the most accurat
 their time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property

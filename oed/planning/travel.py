@@ -9,8 +9,6 @@ of a machine with error d, in a set-up with unknowns s ~ N(0, 1), is captured wh
 together.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import erf
 

@@ -17,8 +17,6 @@ teach pose with it, so the variable of a command is c less the tool's shift. Cas
 first derivatives.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -15,8 +15,6 @@ at nominal parameters. Whitening follows `oed.measurement`: by sigma of each cha
 by the instrument's own error sources.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

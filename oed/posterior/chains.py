@@ -13,8 +13,6 @@ only ensembles with starts and random numbers of their own show whether sampling
 with itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

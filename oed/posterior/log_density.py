@@ -22,8 +22,6 @@ are drawn from their prior and followed exactly, by Gauss-Newton steps: the read
 they were, however far a lost direction leads.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence

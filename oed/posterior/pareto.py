@@ -5,8 +5,6 @@ The distribution is fitted as by Zhang and Stephens 2009, Technometrics 51(3), 3
 ArviZ has both, but takes as long to import as a whole posterior takes to sample.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

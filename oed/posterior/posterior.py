@@ -7,8 +7,6 @@ come from their prior. Draws out of the bounds of parameters are left out: what 
 are draws of the truncated posterior.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence

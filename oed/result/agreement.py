@@ -4,8 +4,6 @@ Types and ranges are those of the records. A file that was edited, cut or merged
 contradict itself; then a report of it would be wrong, or fail half-way.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence

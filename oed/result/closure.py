@@ -1,7 +1,5 @@
 """A machine that does not assemble, as it is drawn: where its equations are met best."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from oed.base import Array

@@ -1,7 +1,5 @@
 """Parameters and effects estimated together: the `corrected` section of result.json."""
 
-from __future__ import annotations
-
 from oed.result.fit import Marginal, ParameterEstimate
 from oed.result.prediction import PredictionSection, SpreadRecord
 from oed.result.record import Record

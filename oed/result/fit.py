@@ -1,7 +1,5 @@
 """Estimate, posterior and goodness: sections of result.json of what readings tell."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, ClassVar
 

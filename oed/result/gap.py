@@ -4,8 +4,6 @@ Names of the first block of fields of `Gap` are fixed by the contract. Sizes and
 residuals are in the fine unit of their channel. A number that is not known is null.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final
 

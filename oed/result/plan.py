@@ -1,7 +1,5 @@
 """What is planned, in result.json: what readings can see, the design, and its stages."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 

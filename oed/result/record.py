@@ -1,7 +1,5 @@
 """The base of every record of result.json, and its numbers that may be missing."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

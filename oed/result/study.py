@@ -5,8 +5,6 @@ Field names are fixed by the contract; values are SI unless a `unit` stands besi
 Arrays are lists.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 import msgspec

@@ -6,8 +6,6 @@ a scale; where the air's temperature is recorded, a compensation that does not f
 it is a second one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -5,8 +5,6 @@ Ball screws without preload have 5 to 50 um of axial play, preloaded ones none t
 (catalogues; ISO 230-2, reversal).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What effects on a bar need to know of it."""
 
-from __future__ import annotations
-
 from oed.effect_model import State
 
 NOMINAL_LENGTH = 0.3  # m, where a set-up does not tell

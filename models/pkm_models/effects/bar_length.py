@@ -2,8 +2,6 @@
 um, an unzeroed bar 10 um.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -5,8 +5,6 @@ Its reading is the distance of the balls: a body longer by g than it is taken fo
 g less than there is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

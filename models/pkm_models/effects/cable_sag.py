@@ -4,8 +4,6 @@ It is the parabola that a catenary is at a small sag: w its weight a metre, T th
 a its angle from the horizontal. A steel rope of 2 mm weighs 0.16 N/m, one of 6 mm 1.4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -2,8 +2,6 @@
 per newton. A steel rope of 2 mm has 5 ppm/N, a braided fibre of 1 mm 20 to 50 ppm/N.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

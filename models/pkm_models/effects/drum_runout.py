@@ -4,8 +4,6 @@ A drum that is off its centre by e winds e sin of its angle more or less cable: 
 0.2 mm of turned drums. Circumferences are of usual diameters, 16 to 120 mm.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

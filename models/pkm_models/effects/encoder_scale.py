@@ -2,8 +2,6 @@
 of a glass scale, 50 ppm of a screw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

@@ -5,8 +5,6 @@ magnetic scale of 1 mm. What the encoder shows is known exactly, so poses far ap
 the period as well as dense ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

@@ -6,8 +6,6 @@ parts too, which are geometry where no payload changes. What is left of a 2-DOF 
 with struts of 3.35 m after its calibration is 50 to 70 um (Chang, Li and Li 2011).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Mapping
 

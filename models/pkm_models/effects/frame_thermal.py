@@ -2,8 +2,6 @@
 shop varies by 1 to 3 K a day.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

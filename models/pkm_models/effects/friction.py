@@ -6,8 +6,6 @@ less at its far end: 1 to 5 um (Altintas et al. 2011, CIRP Annals 60, 779-796, m
 tool feed drives).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

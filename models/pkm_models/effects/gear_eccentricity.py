@@ -5,8 +5,6 @@ DIN 3961 allows a runout F_r of 20 (class 6) to 40 um (class 8) at a reference d
 pinion as many times faster as the stage reduces.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

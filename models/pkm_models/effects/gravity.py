@@ -2,8 +2,6 @@
 of 50 N/um give 20 um a kN.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -5,8 +5,6 @@ Only what displaces the carriage along its strut is seen: d l = along . shift. A
 constant and a slope are geometry.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -5,8 +5,6 @@ Fitted ball joints have 5 to 20 um. While no leg's load changes its sign this is
 leg's zero, and is not seen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -6,8 +6,6 @@ faster. Ball joints are round to 1 to 5 um, and the amplitude of a lobe falls wi
 number of lobes; rings of bearings, with 8 to 16 rolling bodies, are wavy by some tenths.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 

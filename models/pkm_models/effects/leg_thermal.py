@@ -2,8 +2,6 @@
 10 K within hours (ISO 230-3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

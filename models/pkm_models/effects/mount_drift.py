@@ -2,8 +2,6 @@
 creep by 1 to 5 um.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

@@ -5,8 +5,6 @@ of it at long wavelengths: a slope of the mean travel, and a curve about it. A s
 alone is a scale.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

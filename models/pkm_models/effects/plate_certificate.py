@@ -4,8 +4,6 @@ Balls are certified farther apart than they are, or the plate has another temper
 than its certificate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

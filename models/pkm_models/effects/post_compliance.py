@@ -3,8 +3,6 @@
 A steel tube of 60 mm and 2 m gives some 5 um/N at its top; a stiff frame a tenth of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

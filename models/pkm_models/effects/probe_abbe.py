@@ -4,8 +4,6 @@ An offset d of the probe's tip, in the platform's frame, moves what it reads by 
 height of R d: d times the angles of pitch and yaw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

@@ -7,8 +7,6 @@ There one end is touched from each side, so that the second harmonic is read twi
 the third cancels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

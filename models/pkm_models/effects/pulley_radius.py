@@ -6,8 +6,6 @@ g the angle between the vertical and the cable it is, to first order in r, longe
 r (g - sin g): the arc, less what the pulley's middle is nearer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What effects on the references of set-ups need: blocks, and places along a line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.base import Array

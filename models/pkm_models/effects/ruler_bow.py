@@ -4,8 +4,6 @@ A bow over the whole length reads h (1 - u^2) with u from -1 to 1 along it; a ru
 first pose, against which it is read, takes its own value away.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

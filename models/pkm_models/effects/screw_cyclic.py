@@ -8,8 +8,6 @@ catalogues; 2 and 2.5 mm are the second harmonics of 4 and 5), unless a study st
 own, `drive = { kind = "screw", lead_mm = 7 }`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

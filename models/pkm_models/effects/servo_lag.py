@@ -2,8 +2,6 @@
 or legs differ by, is 1 ms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -4,8 +4,6 @@ What is read across the blade changes by the angle times the way along it. A set
 whose direction of the square is unknown anyhow has this error in its `tilt`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

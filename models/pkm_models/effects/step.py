@@ -2,8 +2,6 @@
 perhaps put right later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

@@ -4,8 +4,6 @@ Drawings give a nest's offset to 0.1 mm; one that is mistaken is off by millimet
 platform that does not turn it is the place of the instrument's frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from oed.effect_model import Column, Effect, State

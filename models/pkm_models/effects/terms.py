@@ -2,8 +2,6 @@
 metre is worth in a joint.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

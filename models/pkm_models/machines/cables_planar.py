@@ -5,8 +5,6 @@ on the mover where it is a body that turns; home, reach and turn of the workspac
 default four cables hold a point: two more than its coordinates.
 """
 
-from __future__ import annotations
-
 from oed.model import Family, Machine
 from pkm_models.machines.parts import cables
 from pkm_models.machines.parts.families import Geometry

@@ -5,8 +5,6 @@ on the mover where it is a body that turns; home, reach and turn of the workspac
 default eight cables hold a body: two more than its coordinates.
 """
 
-from __future__ import annotations
-
 import itertools
 
 from oed.model import Family, Machine

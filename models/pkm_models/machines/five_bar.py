@@ -8,8 +8,6 @@ J.-P. Merlet, Parallel Robots, Springer 2006. Angles count from x to y. Geometry
 workspace.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.model import Dimension, Family, Machine

@@ -10,8 +10,6 @@ platform, one for each limb; home, reach and tilt of the workspace. A guide's po
 along its direction is the zero of its scale.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

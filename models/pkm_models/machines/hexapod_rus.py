@@ -10,8 +10,6 @@ makes no difference to the pose. Geometry (`[machine.geometry]`): centre, axis, 
 crank, strut, side and platform, one for each limb; home, reach and tilt of the workspace.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

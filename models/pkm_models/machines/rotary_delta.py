@@ -16,8 +16,6 @@ limbs or one for each; home and reach of the workspace. Klipper's shoulder_radiu
 platformradius less footradius, and `height` is 0.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ set-up, for each run, and for the first or last rows. All are judged alike
 (`oed.checks.explain`), against each other and against no mistake.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from oed.checks.mistakes import (

@@ -6,8 +6,6 @@ A dead length that was not entered displaces every point of a laser ball bar alo
 of sight: other channels change at other poses, and no offset of a channel says so.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from functools import partial

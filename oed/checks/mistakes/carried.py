@@ -5,8 +5,6 @@ Readings y of a run are linear in those without the mistake, y = Q m: the densit
 |det Q| times that of y.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

@@ -2,8 +2,6 @@
 or fit alone.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

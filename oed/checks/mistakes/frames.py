@@ -12,8 +12,6 @@ With y = (p, R), p the tool point and R the rotation of the platform's frame, a 
 with G one of the 48 matrices that exchange axes and turn them round.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence

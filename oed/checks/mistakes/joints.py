@@ -1,7 +1,5 @@
 """Legs numbered otherwise than in the study, and joints with the other sign."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from functools import partial

@@ -2,8 +2,6 @@
 more without being counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

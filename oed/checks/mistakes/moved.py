@@ -1,7 +1,5 @@
 """Sessions whose readings were taken at other poses, in other set-ups, or otherwise."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial

@@ -5,8 +5,6 @@ Of rounding, each reading has an error more, its slope over the coordinate times
 that is uniform over the step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

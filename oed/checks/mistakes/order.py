@@ -1,7 +1,5 @@
 """Readings in another order than their poses: reversed, late, of another run."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial

@@ -6,8 +6,6 @@ height was driven with tilts of its own, and the file has the commands of the pl
 one coordinate is displaced, and another one follows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator

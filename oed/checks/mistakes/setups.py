@@ -2,8 +2,6 @@
 pose of their run than its first.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping

@@ -5,8 +5,6 @@ The density of sorted values is that of n! orders. Where nothing predicts them, 
 values say nothing but their distribution.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

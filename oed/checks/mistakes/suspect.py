@@ -1,7 +1,5 @@
 """Readings as given, with what the nominal machine predicts of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -5,8 +5,6 @@ ball, a controller that turns about another pivot, and a study with another tool
 machine had.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

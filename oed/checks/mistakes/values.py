@@ -1,7 +1,5 @@
 """Values written otherwise: in another unit, as deviations, with a sign or a factor."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 

@@ -1,7 +1,5 @@
 """A: the sum of the variances."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.design.catalogue import NamedCriterion

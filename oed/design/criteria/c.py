@@ -1,7 +1,5 @@
 """c: the variance of one combination of the parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

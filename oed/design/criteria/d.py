@@ -1,7 +1,5 @@
 """D: the volume of the confidence ellipsoid."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.determinant import Determinant
 

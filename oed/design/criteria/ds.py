@@ -1,7 +1,5 @@
 """Ds: the volume of the confidence ellipsoid of the parameters of interest."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.determinant import Determinant
 

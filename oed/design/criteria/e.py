@@ -1,7 +1,5 @@
 """E: the worst-determined direction."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 

@@ -1,7 +1,5 @@
 """G: the largest variance of the pose over a workspace."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.design.catalogue import NamedCriterion

@@ -1,7 +1,5 @@
 """I: the mean variance of the pose over a workspace."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.base import Array

@@ -1,7 +1,5 @@
 """kappa: the condition number of H."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

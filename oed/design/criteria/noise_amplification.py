@@ -1,7 +1,5 @@
 """The noise amplification index: O1, with m counting measurement poses instead of readings."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.criteria import o1
 

@@ -1,7 +1,5 @@
 """O1: the geometric mean of the singular values."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

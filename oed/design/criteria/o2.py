@@ -1,7 +1,5 @@
 """O2: the reciprocal condition number."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 

@@ -1,7 +1,5 @@
 """O3: the least singular value."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 

@@ -1,7 +1,5 @@
 """O4: the least singular value squared over the largest."""
 
-from __future__ import annotations
-
 from oed.design.catalogue import NamedCriterion
 from oed.design.forms.eigenvalues import ExtremeEigenvalues
 

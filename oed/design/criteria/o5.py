@@ -1,7 +1,5 @@
 """O5: the harmonic sum of the singular values."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -6,8 +6,6 @@ eigenvalues  phi_p, O5; E, kappa, O2, O3, O4
 compound     weighted geometric means of the others
 """
 
-from __future__ import annotations
-
 from oed.design.forms.compound import Compound, compound
 from oed.design.forms.determinant import Determinant
 from oed.design.forms.eigenvalues import ExtremeEigenvalues, PowerMean

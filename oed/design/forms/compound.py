@@ -7,8 +7,6 @@ By Jensen's inequality
 so the supports of the parts join into one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

@@ -9,8 +9,6 @@ S = M^-1 K P^-1 K^T M^-1 / s,
     -d2 log phi / dw_i dw_j = 2 tr(A_i M^-1 A_j S) - s tr(A_i S A_j S).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

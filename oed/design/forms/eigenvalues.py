@@ -31,8 +31,6 @@ for a shortlist of candidates. A candidate's rank is its reduction of tr M^-1; w
 largest eigenvalue counts, a second rank takes off the rise of that eigenvalue.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

@@ -18,8 +18,6 @@ sharpness q smooths the maximum as (sum_j t_j^q)^(1/q). With pi_j = t_j^q / sum_
 over the gradients g_j and curvatures C_j of the single variances.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

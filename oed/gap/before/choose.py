@@ -9,8 +9,6 @@ at a cost. The plan comes from greedy starts and exchanges (`oed.design.search`)
 relaxation to weights between 0 and 1 bounds every plan (`oed.design.relaxation`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

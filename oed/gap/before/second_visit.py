@@ -8,8 +8,6 @@ the readings taken, their noise law and the parameters' priors in the model
 `oed.gap.before.second_visit` says what the visit gains.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence

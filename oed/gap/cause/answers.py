@@ -7,8 +7,6 @@ set is what should hold the truth: it has such names with all members of their c
 and counts a set of named effects once, with or without a remainder.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

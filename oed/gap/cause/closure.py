@@ -23,8 +23,6 @@ closures on the same readings, as of the oracle's, is the ratio of the gains (S0
 without that uncertainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Literal
 

@@ -21,8 +21,6 @@ where the effect acts (`oed.gap.data.linearisation`) and searched again. Every h
 then counts with its evidence about the point that suits it best.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence

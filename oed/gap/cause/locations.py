@@ -17,8 +17,6 @@ readings had been driven one way, and the other, so that even shares are halves.
 is a place of what belongs to set-ups: errors of their readings, bars, mounts.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence

@@ -7,8 +7,6 @@ the search goes on under the laws of its best gaps. Where the evidence of a like
 rests on few of the laws, more are drawn with that gap in the model.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Sequence

@@ -19,8 +19,6 @@ other runs give predicts a withheld one, and is averaged over:
     p(h | others, t) ~ p(h) p(others | h)^t.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

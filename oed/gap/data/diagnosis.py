@@ -1,7 +1,5 @@
 """Types of a diagnosis: verdict, answers with probabilities, places, closure, advice."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Literal

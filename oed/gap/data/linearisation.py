@@ -8,8 +8,6 @@ so that the residuals of `oed.gap.data.problem` about theta_1 lose what G beta_1
 the exact change. Effects of micrometres are linear; a leg that goes 6 % too far is not.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """State of the machine at every pose of a series: what effects are functions of."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any

@@ -5,8 +5,6 @@ textbook form or an adapted one, and with other constants. Each such form is an 
 a choice of columns. All atoms of an effect share its prior probability.
 """
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 import functools

@@ -3,8 +3,6 @@
 Every machine states its columns with these, so that one name means one thing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.base import Orientation
