@@ -124,8 +124,7 @@ def split(name: str) -> tuple[str, str]:
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in UNITS:
         raise UnitError(
-            f"the name {name!r} carries no known unit; end it in one of"
-            f" {', '.join(sorted(UNITS))}"
+            f"the name {name!r} carries no known unit; end it in one of {', '.join(sorted(UNITS))}"
         )
     return stem, unit
 

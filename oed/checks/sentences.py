@@ -111,10 +111,7 @@ def _other_unit(ratio: float) -> str:
     """That the noise may be stated in another unit, where the residuals look like it."""
     for factor in (1e3, 3600.0, 1e6):
         if factor / UNIT_FACTOR_TOLERANCE < ratio < factor * UNIT_FACTOR_TOLERANCE:
-            return (
-                f"the noise may be stated in another unit ({factor:g} times it would fit);"
-                " or "
-            )
+            return f"the noise may be stated in another unit ({factor:g} times it would fit); or "
     return ""
 
 

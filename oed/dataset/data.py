@@ -194,8 +194,7 @@ class Dataset:
         absent = names - set(self.setups)
         if absent:
             raise KeyError(
-                f"there are no readings of {sorted(absent)}; there are"
-                f" {list(self.setups)}"
+                f"there are no readings of {sorted(absent)}; there are {list(self.setups)}"
             )
         series, values = [], [np.empty(0)]
         for s, span in zip(self.series, self.spans, strict=True):

@@ -41,8 +41,7 @@ def block_array(rows: Array) -> Array:
     blocks = rows[:, None, :] if rows.ndim == 2 else rows
     if blocks.ndim != 3 or not blocks.size:
         raise ValueError(
-            "candidates must be rows (C, n) or blocks (C, k, n), not of shape"
-            f" {rows.shape}"
+            f"candidates must be rows (C, n) or blocks (C, k, n), not of shape {rows.shape}"
         )
     finite = np.isfinite(blocks).all(axis=(1, 2))
     if not finite.all():

@@ -175,8 +175,7 @@ def follow(
         centre = float(np.clip(now.total_gap, 0.02, 0.3))
     if best is None:
         raise ValueError(
-            "the scales of the columns differ too much for their condition number:"
-            " scale them"
+            "the scales of the columns differ too much for their condition number: scale them"
         )
     return best
 

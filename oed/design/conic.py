@@ -217,8 +217,7 @@ class Polytope:
         room = self.caps - weights
         if missing > room.sum() * (1 + 1e-12):
             raise ValueError(
-                f"caps of {self.caps.sum():g} in all cannot carry a weight of"
-                f" {self.size:g}"
+                f"caps of {self.caps.sum():g} in all cannot carry a weight of {self.size:g}"
             )
         return np.asarray(weights + room * min(missing / room.sum(), 1.0))
 

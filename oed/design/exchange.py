@@ -202,8 +202,7 @@ def choose(
     value = evaluator.value(best)
     if not rules.satisfied(best):
         raise ValueError(
-            "no plan was found that keeps the quotas with the other rules: relax one of"
-            " them"
+            "no plan was found that keeps the quotas with the other rules: relax one of them"
         )
     if not np.isfinite(value):
         raise ValueError(
@@ -322,8 +321,7 @@ def _greedy_plans(
 def _check(blocks: Array, rules: Rules) -> None:
     if rules.size is not None and not 0 < rules.size <= len(blocks):
         raise ValueError(
-            f"cannot choose {rules.size} different readings out of {len(blocks)}"
-            " candidates"
+            f"cannot choose {rules.size} different readings out of {len(blocks)} candidates"
         )
     nothing = np.zeros(0, dtype=np.intp)
     if not rules.additions(nothing, len(blocks)).any():
@@ -332,8 +330,7 @@ def _check(blocks: Array, rules: Rules) -> None:
     if rules.quotas is not None and conflict is not None:
         names = ", ".join(rules.quotas.quotas[k].name for k in conflict)
         raise ValueError(
-            f"no {rules.size} readings keep the quotas {names} together: relax one of"
-            " them"
+            f"no {rules.size} readings keep the quotas {names} together: relax one of them"
         )
 
 

@@ -244,8 +244,7 @@ def large_residuals(
         ]
     if ratio > GUESS_RATIO:
         return [
-            f"{opening}: an effect of this size is not in the model, or the readings have"
-            " a mistake"
+            f"{opening}: an effect of this size is not in the model, or the readings have a mistake"
         ]
     remedy = (
         "repeat readings on the spot: what scatters there is noise, and [noise] estimate ="

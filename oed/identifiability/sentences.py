@@ -130,8 +130,7 @@ def _weak_common_errors(assessment: Assessment) -> IdentifiabilityFinding | None
         if share > WEAK_SHRINKAGE:
             names = ", ".join(assessment.names[k] for k in members)
             phrases.append(
-                f"the common {kind} ({names}) keeps {text.percent(share)} of its"
-                " tolerance"
+                f"the common {kind} ({names}) keeps {text.percent(share)} of its tolerance"
             )
     if not phrases:
         return None

@@ -337,8 +337,7 @@ class Setup:
         expected = {s.name for s in self.instrument.settings}
         if set(self.settings) != expected:
             raise ValueError(
-                f"set-up {self.name}: settings {sorted(self.settings)} are not"
-                f" {sorted(expected)}"
+                f"set-up {self.name}: settings {sorted(self.settings)} are not {sorted(expected)}"
             )
         if (self.teach is None) == (self.instrument.reference == "teach"):
             raise ValueError(
@@ -354,8 +353,7 @@ class Setup:
         reason = self.instrument.unfit(machine)
         if reason is not None:
             raise ValueError(
-                f"set-up {self.name}: {self.instrument.name} cannot read"
-                f" {machine.name}: {reason}"
+                f"set-up {self.name}: {self.instrument.name} cannot read {machine.name}: {reason}"
             )
 
 

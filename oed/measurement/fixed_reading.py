@@ -55,8 +55,7 @@ def commands_at_fixed_reading(
     mounted = measurement.setups[setup]
     if mounted.instrument.fixed_reading is None:
         raise ValueError(
-            f"{mounted.instrument.name} holds no reading by design: give"
-            f" {coordinate} itself"
+            f"{mounted.instrument.name} holds no reading by design: give {coordinate} itself"
         )
     wanted = mounted.instrument.fixed_reading(mounted.settings)
     column = [c.name for c in measurement.machine.command].index(coordinate)

@@ -363,8 +363,7 @@ class Kinematics:
         """
         if self._struts is None:
             raise ValueError(
-                f"machine {self.machine.name} does not state its struts: give"
-                " Machine.struts"
+                f"machine {self.machine.name} does not state its struts: give Machine.struts"
             )
         base, platform, by_joint = self._struts(x, q, p)
         return base.swapaxes(1, 2), platform.swapaxes(1, 2), -1.0 / by_joint

@@ -60,14 +60,12 @@ class Parameter:
     def __post_init__(self) -> None:
         if self.unit not in units.DISPLAY:
             raise ValueError(
-                f"parameter {self.name}: unit {self.unit!r} is not SI (m, rad, s, N, K"
-                " or 1)"
+                f"parameter {self.name}: unit {self.unit!r} is not SI (m, rad, s, N, K or 1)"
             )
         finite = np.isfinite(self.nominal) and np.isfinite(self.tolerance)
         if not finite or self.tolerance < 0.0:
             raise ValueError(
-                f"parameter {self.name}: nominal and tolerance must be finite,"
-                " tolerance >= 0"
+                f"parameter {self.name}: nominal and tolerance must be finite, tolerance >= 0"
             )
         if not self.bounds[0] <= self.nominal <= self.bounds[1]:
             raise ValueError(f"parameter {self.name}: nominal is out of its bounds")

@@ -354,8 +354,7 @@ def _combinations(mounting: Array, budget: float, stages: int) -> Index:
     total = sum(math.comb(count, size) for size in range(1, stages + 1))
     if total > MAX_COMBINATIONS:
         raise ValueError(
-            f"{total} combinations of {stages} of {count} measurements are too many to"
-            " bound"
+            f"{total} combinations of {stages} of {count} measurements are too many to bound"
         )
     tables = []
     for size in range(1, stages + 1):

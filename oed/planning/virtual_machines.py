@@ -262,8 +262,7 @@ def _refit_alone(
         return fit
     if not prior_is_stated:
         raise IdentificationError(
-            "the fit of a virtual machine does not converge; start from a smaller"
-            " covariance"
+            "the fit of a virtual machine does not converge; start from a smaller covariance"
         )
     start = alone.theta(np.arange(1), z[None])[0]
     estimate = identify(measurement, series, y, start=start)
@@ -561,8 +560,7 @@ def propagate(
     """
     if not stages or machines < 1:
         raise ValueError(
-            f"{len(stages)} stages and {machines} machines: at least one of each is"
-            " needed"
+            f"{len(stages)} stages and {machines} machines: at least one of each is needed"
         )
     measurement = stages[0].option.measurement
     workspace = WorkspaceErrors.of(measurement, command, reference)

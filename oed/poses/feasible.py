@@ -118,8 +118,7 @@ class Surroundings:
             raise ValueError("surroundings need at least one obstacle")
         if self.links is None and self.bar is None:
             raise ValueError(
-                "nothing that moves is checked: give a radius to the links, to the"
-                " bar, or to both"
+                "nothing that moves is checked: give a radius to the links, to the bar, or to both"
             )
 
 

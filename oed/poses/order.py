@@ -358,8 +358,7 @@ def _check(distance: Array, start: Array | None, members: list[list[int]]) -> No
         raise ValueError(f"distances must be square, not of shape {np.shape(distance)}")
     if start is not None and np.shape(start) != (n,):
         raise ValueError(
-            f"start must give one length for each of {n} poses, not be of shape"
-            f" {np.shape(start)}"
+            f"start must give one length for each of {n} poses, not be of shape {np.shape(start)}"
         )
     off_diagonal = distance[~np.eye(n, dtype=bool)]
     first = np.zeros(0) if start is None else start

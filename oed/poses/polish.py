@@ -377,8 +377,7 @@ def polish_readings(
     before = evaluator.value(start)
     if not np.isfinite(before):
         raise ValueError(
-            "the start is singular: give readings that determine every direction, or a"
-            " prior"
+            "the start is singular: give readings that determine every direction, or a prior"
         )
     program = PolishProgram(start, variables, travel, clearance)
     program.set_objective(

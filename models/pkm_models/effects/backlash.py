@@ -39,10 +39,7 @@ def columns(state: State, distance: float) -> Iterable[Column]:
 
 effect = Effect(
     name="backlash",
-    source=(
-        "ISO 230-2 (reversal value); catalogues of ball screws: 5 to 50 um without"
-        " preload"
-    ),
+    source="ISO 230-2 (reversal value); catalogues of ball screws: 5 to 50 um without preload",
     about="play in each drive, taken up at each reversal of the joint",
     columns=columns,
     needs=("direction: both",),

@@ -31,7 +31,6 @@ effect = Effect(
     check="the certified length, and whether it is this bar's",
     nature=natures.SCALE,
     exposed_by=(
-        "a second known tool length, a second bar calibrated apart, or a laser"
-        " interferometer"
+        "a second known tool length, a second bar calibrated apart, or a laser interferometer"
     ),
 )

@@ -29,8 +29,7 @@ effect = Effect(
     columns=columns,
     units={"*": "1"},
     remedy=(
-        "measure each joint's scale with a laser interferometer and correct it in the"
-        " controller"
+        "measure each joint's scale with a laser interferometer and correct it in the controller"
     ),
     check="the joint's conversion factor: lead, gear ratio, counts a turn",
     nature=natures.SCALE,

@@ -21,17 +21,11 @@ def columns(state: State, period: float) -> Iterable[Column]:
 
 effect = Effect(
     name="encoder_subdivision",
-    source=(
-        "catalogues of linear encoders: position error within a signal period up to 1 %"
-        " of it"
-    ),
+    source="catalogues of linear encoders: position error within a signal period up to 1 % of it",
     about="error of each encoder within a signal period",
     columns=columns,
     constants={"period": PERIODS},
-    remedy=(
-        "clean and align the reading head, adjust offset, amplitude and phase of its"
-        " signals"
-    ),
+    remedy="clean and align the reading head, adjust offset, amplitude and phase of its signals",
     nature=natures.TRAVEL,
     exposed_by="slow, dense readings over a few signal periods",
     unfit=terms.has_rotary_drives,

@@ -69,10 +69,7 @@ def _offset(state: State) -> dict[str, Array]:
 
 effect = Effect(
     name="frame_bending",
-    source=(
-        "Chang, Li and Li 2011, Chin. J. Mech. Eng.: what calibration left, by"
-        " over-constraint"
-    ),
+    source="Chang, Li and Li 2011, Chin. J. Mech. Eng.: what calibration left, by over-constraint",
     about="a frame or over-constrained linkage that bends with the pose",
     columns=columns,
     constants={"sag": SAGS},

@@ -53,8 +53,7 @@ effect = Effect(
     columns=columns,
     constants={"ratio": terms.MASS_RATIOS},
     remedy=(
-        "stiffen or counterbalance, or compensate with a stiffness model and the"
-        " payload of the job"
+        "stiffen or counterbalance, or compensate with a stiffness model and the payload of the job"
     ),
     nature=natures.LOAD,
     exposed_by="the same circle with and without a payload",

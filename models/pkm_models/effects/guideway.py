@@ -50,10 +50,7 @@ effect = Effect(
     ),
     about="carriages whose guideways are not straight",
     columns=columns,
-    remedy=(
-        "align the rails, or measure their straightness and correct it in the"
-        " controller"
-    ),
+    remedy="align the rails, or measure their straightness and correct it in the controller",
     nature=natures.TRAVEL,
     exposed_by="readings over the full stroke of each carriage",
     textbook_share=0.1,

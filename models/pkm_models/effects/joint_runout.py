@@ -78,8 +78,7 @@ def _platform(state: State) -> tuple[Array, Array] | None:
 effect = Effect(
     name="joint_runout",
     source=(
-        "ISO 230-7 (axes of rotation); catalogues of precision ball joints: sphericity"
-        " 1 to 5 um"
+        "ISO 230-7 (axes of rotation); catalogues of precision ball joints: sphericity 1 to 5 um"
     ),
     about="joint centres that wander as their joints turn",
     columns=columns,

@@ -51,10 +51,7 @@ effect = Effect(
     columns=columns,
     units={"*turn_*": "rad", "*tilt*": "rad"},
     needs=("time",),
-    remedy=(
-        "clamp the mount to the table, let it settle, and teach the cup again between"
-        " runs"
-    ),
+    remedy="clamp the mount to the table, let it settle, and teach the cup again between runs",
     nature=natures.SESSION,
     exposed_by="a set-up repeated at the session's end",
     common_to_limbs=True,

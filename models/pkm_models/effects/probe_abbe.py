@@ -25,10 +25,7 @@ def columns(state: State) -> Iterable[Column]:
 
 effect = Effect(
     name="probe_abbe",
-    source=(
-        "ISO 230-1 (Abbe error) and ISO 230-10 (probe offset): 10 to 100 um after"
-        " centring"
-    ),
+    source="ISO 230-1 (Abbe error) and ISO 230-10 (probe offset): 10 to 100 um after centring",
     about="a probe or gauge beside the tool point: its offset times pitch and yaw",
     columns=columns,
     instruments=references.HEIGHT_PROBES,

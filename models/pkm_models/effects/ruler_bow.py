@@ -39,10 +39,7 @@ def _column(state: State, channel: str, name: str, scale: float, form: Array) ->
 
 effect = Effect(
     name="ruler_bow",
-    source=(
-        "ISO 230-1 (straightness by a straightedge); certificates: some micrometres on a"
-        " metre"
-    ),
+    source="ISO 230-1 (straightness by a straightedge); certificates: some micrometres on a metre",
     about="a straightedge or square whose edge is bent along its length",
     columns=columns,
     instruments=tuple(references.LINES),

@@ -31,10 +31,7 @@ def columns(state: State) -> Iterable[Column]:
 
 effect = Effect(
     name="servo_lag",
-    source=(
-        "ISO 230-4 (circular tests); Altintas et al. 2011, CIRP Annals 60: Kv 16 to"
-        " 50 / s"
-    ),
+    source="ISO 230-4 (circular tests); Altintas et al. 2011, CIRP Annals 60: Kv 16 to 50 / s",
     about="legs that follow their commands with different delays",
     columns=columns,
     units={"*acceleration": "s2", "*": "s"},

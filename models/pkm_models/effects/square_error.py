@@ -30,10 +30,7 @@ effect = Effect(
     columns=columns,
     units={"*": "rad"},
     instruments=INSTRUMENTS,
-    remedy=(
-        "read with the square reversed and take the mean, or subtract its certified"
-        " angle"
-    ),
+    remedy="read with the square reversed and take the mean, or subtract its certified angle",
     check="the square's certificate, and how it lies on its base",
     nature=natures.REFERENCE,
     exposed_by="the same line with the square reversed",

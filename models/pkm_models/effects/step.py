@@ -83,10 +83,7 @@ def columns(state: State, when: float, lasts: float) -> Iterable[Column]:
 
 effect = Effect(
     name="step",
-    source=(
-        "ISO 230-2 (repeatability); practice: a lost reference mark, a collision, a"
-        " knocked cup"
-    ),
+    source="ISO 230-2 (repeatability); practice: a lost reference mark, a collision, a knocked cup",
     about="a joint's zero or a set-up that changes at once",
     columns=columns,
     units={"*turn_*": "rad", "*tilt*": "rad"},

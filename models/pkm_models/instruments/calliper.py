@@ -22,10 +22,7 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 instrument = Instrument(
     name="calliper",
-    source=(
-        "distances on a test object; Klipper's enhanced delta calibration uses the same"
-        " kind"
-    ),
+    source="distances on a test object; Klipper's enhanced delta calibration uses the same kind",
     about="calliper: distance between two tool positions",
     channels=(Channel("length", "m", 0.03e-3, about=BETWEEN),),
     settings=(),

@@ -44,10 +44,7 @@ def _base_rotation(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 instrument = Instrument(
     name="camera",
     source=SOURCE,
-    about=(
-        "camera: three coordinates of the tool point, frame registered with the"
-        " machine's"
-    ),
+    about="camera: three coordinates of the tool point, frame registered with the machine's",
     channels=registration.point_channels(1.0e-3),
     settings=(),
     nuisances=registration.frame_parameters(5e-3, 10e-3),

@@ -170,10 +170,7 @@ def _sources_position(frames: Sequence[Frame], s: Values, k: Values) -> Expr:
 instrument = Instrument(
     name="laser_ball_bar",
     source=SOURCE,
-    about=(
-        "laser ball bar on a gimbal: position of the tool and direction of the spindle"
-        " axis"
-    ),
+    about="laser ball bar on a gimbal: position of the tool and direction of the spindle axis",
     channels=(*POINT, *AXIS),
     settings=(*SETTINGS, BASELINE),
     nuisances=registration.frame_parameters(0.1e-3, 0.1e-3),

@@ -47,10 +47,7 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 instrument = Instrument(
     name="length_gauge",
-    source=(
-        "incremental length gauge of 100 mm and +-1 um in the spindle, against a flat"
-        " table"
-    ),
+    source="incremental length gauge of 100 mm and +-1 um in the spindle, against a flat table",
     about=(
         "length gauge of 1 um: height of the tool over the table, whose height and"
         " tilts are unknown"

@@ -99,8 +99,7 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 machine = six_dof.machine(
     name="hexaglide",
     source=(
-        "Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a"
-        " generic geometry"
+        "Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a generic geometry"
     ),
     about="hexaglide (6-PUS on parallel guides): x, y, z, tilt and spin driven",
     joints=tuple(

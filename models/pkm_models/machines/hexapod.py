@@ -89,8 +89,7 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 machine = six_dof.machine(
     name="hexapod",
     source=(
-        "Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters; a generic 6-6"
-        " geometry"
+        "Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters; a generic 6-6 geometry"
     ),
     about="hexapod (6-UPS): x, y, z, tilt and spin driven",
     joints=tuple(

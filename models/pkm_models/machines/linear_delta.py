@@ -77,8 +77,7 @@ machine = translation.machine(
     (point("x", -0.140, 0.140), point("y", -0.140, 0.140), point("z", 0.0, 0.400)),
     name="linear_delta",
     source=(
-        "delta printer kinematics; nominal numbers of the FLSun V400 (Klipper"
-        " configuration, CC0)"
+        "delta printer kinematics; nominal numbers of the FLSun V400 (Klipper configuration, CC0)"
     ),
     about="linear delta (3-PUU with parallelograms): x, y, z driven",
     joints=tuple(joint(f"q{i}", "m", -0.05, 0.6, DOWN) for i in TOWERS),

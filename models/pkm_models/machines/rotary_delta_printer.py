@@ -79,10 +79,7 @@ machine = translation.machine(
     (0.0, 0.0, 0.020),
     (point("x", -0.080, 0.080), point("y", -0.080, 0.080), point("z", 0.0, 0.200)),
     name="rotary_delta_printer",
-    source=(
-        "Klipper, klippy/kinematics/rotary_delta.py; RepRapFirmware,"
-        " RotaryDeltaKinematics.cpp"
-    ),
+    source="Klipper, klippy/kinematics/rotary_delta.py; RepRapFirmware, RotaryDeltaKinematics.cpp",
     about="rotary delta printer in its firmware's numbers: x, y, z driven",
     joints=tuple(joint(f"q{i}", "rad", -math.pi, math.pi, DOWN) for i in LIMBS),
     base_frame=(

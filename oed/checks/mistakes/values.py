@@ -195,10 +195,7 @@ def _added_twice(
     base = _base(data, values, origin)
     if base is None or not data.is_all(scope, values):
         return None
-    sentence = (
-        f"the readings{scope.of} have {origin} added twice: they are no deviations any"
-        " more"
-    )
+    sentence = f"the readings{scope.of} have {origin} added twice: they are no deviations any more"
     return _changed(data, "deviation", scope, sentence, values, -base, 1.0)
 
 

@@ -26,8 +26,7 @@ class CombinationVariance(Variance):
         whole_size = np.linalg.norm(self.factor)
         if np.linalg.norm(restricted.factor) < (1 - OUTSIDE_TOLERANCE) * whole_size:
             raise ValueError(
-                "no reading determines the combination c: choose another, or give more"
-                " candidates"
+                "no reading determines the combination c: choose another, or give more candidates"
             )
         return restricted
 

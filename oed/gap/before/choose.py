@@ -76,8 +76,7 @@ class Run:
             )
         if self.condition.get("direction", 1.0) not in (-1.0, 1.0):
             raise ValueError(
-                f"run {self.name}: direction is +1 or -1, not"
-                f" {self.condition['direction']:g}"
+                f"run {self.name}: direction is +1 or -1, not {self.condition['direction']:g}"
             )
         if len(self.command) < 2:
             raise ValueError(
