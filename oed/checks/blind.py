@@ -84,10 +84,7 @@ def _is_of_noise(trial: MistakeTrial) -> bool:
 
 
 def _fits(exact: SessionReadings, trial: MistakeTrial, limit: float) -> bool:
-    """Whether readings with the mistake fit as well, and differ from those without.
-
-    A mistake that is its own inverse, or one of its kind, is undone in their stead.
-    """
+    """Whether readings with the mistake, or its inverse, differ and fit as well."""
     if trial.mistaken is not None:
         varied = exact.with_y(trial.mistaken)
     else:

@@ -189,10 +189,7 @@ class CoarseReadings:
 
 
 def coarse_columns(session: SessionReadings) -> list[CoarseReadings]:
-    """Channels whose rounding step exceeds the stated noise by far; runs of the others.
-
-    A step that a set-up states is part of its noise.
-    """
+    """Channels, or runs, rounded far above the stated noise and not as stated."""
     coarse = []
     for channel, rows in session.values.groupby("channel", sort=False).indices.items():
         whole = _coarse(session, str(channel), rows)

@@ -76,11 +76,7 @@ class Candidate:
 def candidates(
     data: Suspect, screening: Screening, *, thorough: bool, of_noise: bool = False
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """Mistakes of the readings to fit; see `explain` for `thorough` and `of_noise`.
-
-    First the likeliest in the linear model, then the likeliest of each kind: they may act
-    along curves.
-    """
+    """Mistakes to fit: the likeliest in the linear model, then those of each kind."""
     every = _scored(screening, trials(data, of_noise=of_noise))
     if cuts_are_coarse(data.session):
         every += _scored(screening, _neighbouring_parts(data, every))
@@ -386,10 +382,7 @@ def _explanations(
     before: float,
     count: int,
 ) -> list[Explanation]:
-    """Mistakes that are as likely as must be and explain, of those from the likeliest on.
-
-    before, count  misfit of the readings as given, and number of their values
-    """
+    """Those of the ranked mistakes that explain `count` values of a misfit `before`."""
     if not ranked:
         return []
     alone = (
@@ -412,10 +405,7 @@ def _explanations(
 
 
 def _improves(one: Explanation, count: int) -> bool:
-    """Whether undoing a mistake brings the misfit of `count` values nearer to the noise.
-
-    The logarithm of a misfit has the standard deviation 1 / sqrt(2 count).
-    """
+    """Whether undoing a mistake lowers log misfit, of sd 1 / sqrt(2 count), surely."""
     if not np.isfinite([one.before, one.after]).all():
         return True
     before, after = np.abs(np.log(np.maximum([one.before, one.after], MIN_MISFIT)))
@@ -488,10 +478,7 @@ def undone(data: Suspect, candidate: Candidate) -> Explanation | None:
 
 
 def _fits(trial: MistakeTrial, scale: float) -> list[Fit] | None:
-    """Fits of the machines apart without a mistake.
-
-    None where one cannot be fitted, or where the amounts may be nothing.
-    """
+    """Fits of the machines apart; None without one, or where amounts may be nothing."""
     if not len(trial.amounts):
         sessions = trial.undo(trial.amounts)
         fits = [fit_of_any_misfit(session, scale) for session in sessions]

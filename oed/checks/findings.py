@@ -70,10 +70,7 @@ MAX_LISTED_ROWS = 6
 
 
 def rounded(value: float, sd: float) -> str:
-    """A number to the first digit of its standard deviation, without trailing zeros.
-
-    It has DIGITS digits at most.
-    """
+    """A number to the first digit of its sd, of SIGNIFICANT_DIGITS at most."""
     if not math.isfinite(sd) or sd <= 0.0 or value == 0.0:
         return f"{value:.{SIGNIFICANT_DIGITS}g}"
     by_sd = -math.floor(math.log10(sd))

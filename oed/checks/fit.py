@@ -118,10 +118,7 @@ class Fit:
         return half_covariance(self.slopes)
 
     def weights(self) -> Array:
-        """Weights (N,) of independent chi-squared terms whose sum chi2 is distributed as.
-
-        They are the eigenvalues of 1 - A (1 + A^T A)^-1 A^T.
-        """
+        """Weights (N,), eigenvalues of 1 - A (1 + A^T A)^-1 A^T, of chi2's terms."""
         return residual_weights(self.slopes)
 
 
@@ -136,10 +133,7 @@ def fit(
 
 
 def fit_of_any_misfit(session: SessionReadings, scale: float) -> Fit | None:
-    """Fit a session whose misfit may be large; None where it cannot be read.
-
-    scale  guess of what remains, over the stated noise
-    """
+    """Fit a session whose misfit is about `scale`; None where it cannot be read."""
 
     def at_scale(factor: float, before: Fit | None) -> Fit | None:
         return fit(session, None if before is None else before.theta, factor)
@@ -148,10 +142,7 @@ def fit_of_any_misfit(session: SessionReadings, scale: float) -> Fit | None:
 
 
 def fit_amounts(trial: MistakeTrial, scale: float) -> Fit | None:
-    """Fit the amounts of a mistake with the parameters; None where they have no fit.
-
-    scale  guess of what remains, over the stated noise
-    """
+    """Fit amounts of a mistake where about `scale` of misfit remains; None without."""
     undo, steps = trial.undo, trial.steps
 
     def at_scale(factor: float, before: Fit | None) -> Fit | None:
@@ -397,10 +388,7 @@ def goodness_of_estimate(
     estimate: Estimate,
     doubtful: Mask | None = None,
 ) -> Goodness:
-    """Goodness of an estimate's parameters against the noise that the set-ups state.
-
-    doubtful  (N,) values that are fitted, and that the figures leave out
-    """
+    """Goodness of an estimate by the stated noise, without `doubtful` (N,) values."""
     noise = measurement.noise(series)
     jacobian = measurement.jacobian(series, estimate.theta)
     slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)

@@ -88,11 +88,7 @@ def judge(
 def _judge_by_law(
     session: SessionReadings, suspects: Index, solution: Fit, *, robust: bool
 ) -> Judgement | None:
-    """The same by the law that is estimated at a fit.
-
-    None where the law would have more noise than a stated one is good for, or does not
-    explain the readings either.
-    """
+    """The same by a law estimated at a fit; None where that explains no more."""
     law, _ = estimated_law(solution)
     ruled = dataclasses.replace(session, law=law.with_scale(1.0, np.inf))
     search = find_outliers(ruled, suspects, robust=robust)

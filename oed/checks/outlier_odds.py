@@ -239,10 +239,7 @@ FAR = 40.0
 
 
 def other_number(session: SessionReadings, solution: Fit, one: FarReading) -> str:
-    """Which slip of the hand explains a far reading, as a sentence; empty for none.
-
-    solution  fit of the other readings
-    """
+    """Which slip of the hand explains a far reading, by a fit of the others; or ""."""
     if abs(one.pull) < FAR:
         return ""
     return _other_reading(session, one) or _other_command(session, solution, one)
@@ -366,10 +363,7 @@ class SetSolutions:
 
 
 def solve_sets(prediction: LeaveOneOut, members: Sequence[int]) -> list[SetSolutions]:
-    """Solutions for all sets of 1 to MOST readings with equally many values each.
-
-    They are of the readings that others predict worst, and of some members, by number.
-    """
+    """All sets of 1 to MOST of the worst predicted readings and some members."""
     pulls = np.abs(prediction.gradient) / np.sqrt(prediction.diagonal)
     largest = np.zeros(prediction.count)
     np.maximum.at(largest, prediction.reading, pulls)
@@ -518,10 +512,7 @@ class OutlierOdds:
     def of_gross_error(
         self, members: Sequence[int], *, rest_fits: bool
     ) -> dict[int, float]:
-        """Log odds of each suspected reading being a gross error, and not noise.
-
-        rest_fits  whether the readings without the suspects fit the stated noise
-        """
+        """Log odds of a gross error, and not noise, for each suspected reading."""
         errors = self._prediction_errors(members)
         if rest_fits and self.student is None:
             odds = _odds_beside_normal_noise(errors, self.share)

@@ -83,10 +83,7 @@ def far_readings(
 
 
 def _extend_to_all(session: SessionReadings, solution: Fit) -> Fit | None:
-    """The model of a fit at its solution, for all readings of the session.
-
-    None where the fitted machine cannot take the poses that were left out of the fit.
-    """
+    """A fit's model for all readings; None where it cannot take poses left out."""
     measurement, series = session.measurement, session.series
     noise = session.noise()
     try:
@@ -107,10 +104,7 @@ def _extend_to_all(session: SessionReadings, solution: Fit) -> Fit | None:
 def _search(
     prediction: LeaveOneOut, most: int, first: list[int], *, robust: bool
 ) -> tuple[list[int], bool]:
-    """Readings to leave out, and whether too many deviate.
-
-    With `robust`, pulls are in units of their own scatter where it exceeds the noise.
-    """
+    """Readings to leave out, and whether too many deviate; see `far_readings`."""
     reading = prediction.reading
     limit = _limit(prediction)
     removed = list(first)
@@ -263,10 +257,7 @@ def _judged(
 def _kinds(
     odds: OutlierOdds, suspects: list[int], *, rest_fits: bool
 ) -> tuple[list[int], list[int], list[int]]:
-    """Suspects that are gross errors, perhaps noise, and perhaps another reading.
-
-    Readings that are no gross errors return to the others, whose odds they change.
-    """
+    """Suspects that are gross errors, perhaps noise, and perhaps another reading."""
     gross = suspects
     doubtful = []
     lost = []

@@ -179,10 +179,7 @@ class Screening:
 
 
 def scales_of_noise(residual: Array) -> Array:
-    """Scales of the noise that residuals (N,), over the stated noise, may have.
-
-    Sums of squares are known to rounding alone: smaller scales cannot be resolved.
-    """
+    """Scales that noise may have, of residuals (N,) over the stated one."""
     largest = 2.0 * float(np.sqrt(np.mean(residual**2))) + 2.0
     least = max(MIN_SCALE, RESOLVED_SHARE * largest)
     count = int(np.ceil(np.log(largest / least) / np.log(SCALE_STEP)))

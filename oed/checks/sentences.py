@@ -416,10 +416,7 @@ def _relative_sense(one: Array, other: Array) -> float:
 
 
 def _pairs_within(one: Array, other: Array, size: float) -> Index:
-    """Pairs (p, 2) of places (n, k) and (m, k) less than a size apart, in order.
-
-    The largest difference of a coordinate counts.
-    """
+    """Pairs (p, 2) of places (n, k) and (m, k) less than a size apart, in order."""
     tree = spatial.cKDTree(other)
     near = tree.query_ball_point(one, size, p=np.inf, return_sorted=True)
     first = np.repeat(np.arange(len(one)), [len(places) for places in near])

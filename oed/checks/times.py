@@ -525,10 +525,7 @@ def _with(
 
 
 def wrong_times(session: SessionReadings) -> list[CheckFinding]:
-    """What is wrong with the times of a session; nothing where no reading has one.
-
-    Runs are compared where each is in order by itself.
-    """
+    """What is wrong with the times of a session; nothing where no reading has one."""
     runs = timed_runs(session)
     column = time_column(session)
     return first_run_fault(runs, column) or first_fault_of_runs(runs, column)

@@ -59,10 +59,7 @@ def _equal(data: Suspect, one: Index, other: Index) -> bool:
 
 
 def _copied(data: Suspect, one: Scope, other: Scope) -> MistakeTrial:
-    """The session without readings that are given already as those of another scope.
-
-    They are certain then: their density is that of a value known to its last digit.
-    """
+    """The session without readings of a scope that are given already by another."""
     missing = one.values(data.session)
     log_missing = log_density_of_known(data, missing, missing)
     sentence = f"the readings{one.of} are those{other.of}, copied"

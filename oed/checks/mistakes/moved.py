@@ -125,10 +125,7 @@ def readings_by_run(series: Series) -> list[Index]:
 
 
 def moved_rows(series: Series, moved: Moved) -> tuple[Index, Series] | None:
-    """The readings of a series that can be moved, by number, as moved; None for none.
-
-    Runs with a pose that cannot be reached are left out.
-    """
+    """The reachable runs of a series, readings by number, as moved; None without."""
     every = np.arange(len(series), dtype=np.intp)
     try:
         whole = moved(series)
@@ -159,11 +156,7 @@ def _try(series: Series, of: Callable[[Series], Result | None]) -> Result | None
 def pose_table(
     data: Suspect, moved: Moved, near: Moved | None = None, spread: float = 1.0
 ) -> PoseTable | None:
-    """What the nominal machine reads of moved series; None where no pose is reached.
-
-    near    series moved by a step of an amount more
-    spread  of the amount, over the step
-    """
+    """What the nominal machine reads of moved series; None where none is reached."""
     session, measurement = data.session, data.session.measurement
     theta = measurement.nominal if data.at is None else data.at.theta
     predicted = np.full(len(session), np.nan)
@@ -205,10 +198,7 @@ def mounted_again(
 def with_moved(
     session: SessionReadings, readings: Index, moved: Moved
 ) -> SessionReadings:
-    """The session with the series of some readings moved.
-
-    Raises AssemblyError where they cannot be.
-    """
+    """The session with some readings' series moved. Raises AssemblyError."""
     parts: list[tuple[Series, Index]] = []
     first = 0
     for series in session.series:

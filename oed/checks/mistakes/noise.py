@@ -121,10 +121,7 @@ def _other_noise(
 
 
 def _depends_on_pose(data: Suspect, values: Mask, factor: float) -> bool:
-    """Whether what a fit with more noise leaves is a smooth function of the commands.
-
-    An F test of second-order polynomials, channel by channel: noise has no such part.
-    """
+    """F test: is what a fit leaves a second-order polynomial of the commands?"""
     base = data.bases(values).get("the nominal machine")
     if base is None:
         return False
@@ -142,10 +139,7 @@ def _depends_on_pose(data: Suspect, values: Mask, factor: float) -> bool:
 
 
 def _trend_p_value(commands: Array, residual: Array) -> float:
-    """Probability of a polynomial as large as that in residuals (n,), were they noise.
-
-    commands  (n, n_dof) of the values
-    """
+    """p-value of a polynomial in commands (n, n_dof) as large as in residuals (n,)."""
     varied = commands[:, np.ptp(commands, axis=0) > 0.0]
     scaled = (varied - varied.mean(axis=0)) / np.maximum(varied.std(axis=0), 1e-300)
     i, j = np.triu_indices(scaled.shape[1])

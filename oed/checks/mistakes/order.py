@@ -45,10 +45,7 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 def _groups(data: Suspect, scope: Scope, *, each: bool) -> list[Index]:
-    """Readings of a scope in groups that are reordered: its runs, or all together.
-
-    None of a file of one run, whose readings are reordered as those of each run.
-    """
+    """Readings of a scope that are reordered together: its runs, or all of several."""
     if len(data.runs) == 1 and scope.level == "file" and not each:
         return []
     if each or scope.level == "runs":
@@ -226,10 +223,7 @@ def _reordered(data: Suspect, groups: Sequence[Index], turn: Turn) -> Index:
 def _reordering(
     data: Suspect, scope: Scope, sentence: str, order: Index, lost: Index | None = None
 ) -> MistakeTrial | None:
-    """The session with its readings in another order, poses in place.
-
-    Nothing where readings of other channels would meet, or nothing changes.
-    """
+    """The session with readings in another order; None where channels would meet."""
     session = data.session
     taken = members(session, order)
     same = np.array_equal(data.channel[taken], data.channel)

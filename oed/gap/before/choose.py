@@ -111,10 +111,7 @@ def lay_out(
 
 
 def _covariates(run: Run, skipped: int) -> pd.DataFrame:
-    """One row a reading.
-
-    `skipped` poses at the start are a reference and not a reading.
-    """
+    """One row a reading; the first `skipped` poses are references."""
     order = np.arange(skipped, len(run.command))
     stated = {c: v for c, v in run.condition.items() if c != "time"}
     table = pd.DataFrame(
@@ -187,11 +184,7 @@ def separation(
     targets: Sequence[Target],
     taken: Index | None = None,
 ) -> Separation:
-    """The separation of targets among columns (N, K) by candidate runs.
-
-    rows   (C,) readings of each run
-    taken  readings that any plan has
-    """
+    """The separation of targets in columns (N, K) by runs of readings `rows` (C,)."""
     n = problem.slopes.shape[1]
     values = np.hstack([problem.slopes, columns])
     prior = np.eye(n, values.shape[1])

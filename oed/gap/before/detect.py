@@ -89,10 +89,7 @@ class EffectForms:
 def effect_forms(
     problem: GapProblem, effects: Sequence[Effect], most: int | None = None
 ) -> EffectForms:
-    """Forms over the grids of the effects' constants that change a reading.
-
-    `most` is the number of constants, evenly spaced in the grid, that stand for it.
-    """
+    """Forms over the constants' grids, or `most` of them, that change a reading."""
     by_effect: dict[str, list[Form]] = {}
     reasons: dict[str, str] = {}
     blocks = [np.zeros((len(problem), 0))]
@@ -254,10 +251,7 @@ class RemainingForms:
 
 
 def _largest_cosine(blocks: Array, least: float) -> float:
-    """Largest singular value of matrices (b, m, m'), where it is above the least.
-
-    None is larger than the root of its sum of squares.
-    """
+    """Largest singular value of matrices (b, m, m'), where it is above the least."""
     bounds = np.sqrt(np.einsum("bij,bij->b", blocks, blocks))
     order = np.argsort(-bounds)
     for first in range(0, len(order), ANGLES_AT_ONCE):
@@ -294,10 +288,7 @@ def effect_rival(effect: RemainingForms, rival: RemainingForms) -> RivalRecord:
 
 
 def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
-    """Principal angles (r,), deg ascending, of the textbook columns.
-
-    The second result are the combinations (k, r) of unit length.
-    """
+    """Principal angles (r,), deg ascending, and their unit combinations (k, r)."""
     columns, others = form.at[form.textbook], rival.at[rival.textbook]
     root = _visible_root(gram[np.ix_(columns, columns)])
     rival_root = _visible_root(gram[np.ix_(others, others)])
@@ -325,10 +316,7 @@ def _least_seen(largest: float) -> float:
 
 
 def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
-    """Combinations of the textbook coefficients that the rival imitates.
-
-    They are visible and not distinguished from it, or the same as its.
-    """
+    """Visible combinations of textbook coefficients that the rival imitates."""
     angles, vectors = _principal_angles(gram, form, rival)
     columns = form.at[form.textbook]
     block = np.ix_(form.textbook, form.textbook)
@@ -382,11 +370,7 @@ def indistinguishable(
 
 
 def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
-    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k).
-
-    Directions of less energy than `least`, a function of the largest energy, are left
-    out.
-    """
+    """R (k, m), R R^T the pseudo-inverse of a Gram matrix above a `least` energy."""
     values, vectors = eigenvectors(gram)
     visible = values > least(float(values.max(initial=0.0)))
     return vectors[:, visible] / np.sqrt(values[visible])
@@ -510,11 +494,7 @@ def _record(
     effect: Effect,
     rng: np.random.Generator,
 ) -> DetectabilityRecord:
-    """Detectability of one effect.
-
-    left    {effect: its forms}
-    energy  (K,) of the columns of all forms before calibration absorbs
-    """
+    """Detectability of one effect; `energy` (K,) before calibration absorbs."""
     forms, grams = left[effect.name].forms, left[effect.name].grams
     traces = np.array([max(float(np.trace(g)), 0.0) for g in grams])
     raw = np.array([energy[form.at].sum() for form in forms])

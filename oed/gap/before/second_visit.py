@@ -199,10 +199,7 @@ class AnswerForm:
 
 
 def coefficients(white: Array, residual: Array) -> tuple[Array, Array]:
-    """Mean (m,) of coefficients of prior N(0, 1), and the Cholesky factor of their precision.
-
-    white, residual  (N, m), (N,) columns and readings, whitened
-    """
+    """Mean (m,) of coefficients N(0, 1), and a Cholesky factor of their precision."""
     precision = np.eye(white.shape[1]) + white.T @ white
     factor = linalg.cholesky(precision, lower=True, check_finite=False)
     mean = linalg.cho_solve((factor, True), white.T @ residual, check_finite=False)
@@ -252,10 +249,7 @@ def expected_probability(
 def _right(
     explanations: Sequence[AnswerForm], probability: Array, log_density: Array
 ) -> Array:
-    """Probability (d,) of the likeliest answer for each draw; answers alike join.
-
-    What no explanation holds of the probability stays wrong.
-    """
+    """Probability (d,) of the likeliest answer for each draw; answers alike join."""
     shares = special.softmax(np.log(probability)[:, None] + log_density, axis=0)
     answers: dict[tuple[str, ...], Index] = {}
     for k, explanation in enumerate(explanations):
@@ -391,10 +385,7 @@ def both_visits(
 
 
 def law_of_both(law: NoiseLaw, taken: GapProblem, both: GapProblem) -> NoiseLaw:
-    """A noise law of the readings taken, for those to come as well.
-
-    Channels that were not read are as the first one.
-    """
+    """A law of the readings taken for those to come; new channels are as the first."""
     more = len(both.structure.names) - len(taken.structure.names)
     scale = np.pad(law.law.scale, ((0, 0), (0, more)), constant_values=1.0)
     return dataclasses.replace(law, law=dataclasses.replace(law.law, scale=scale))
@@ -407,10 +398,7 @@ def answer_forms(
     law: NoiseLaw,
     effects: Sequence[Effect],
 ) -> list[AnswerForm]:
-    """The likely sets of effects, each in its likely forms, the likeliest first.
-
-    Forms and sizes are those of the readings taken, columns those of both visits.
-    """
+    """The likely sets of effects in their likely forms, with columns of both visits."""
     likely = sorted(diagnosis.shares.items(), key=lambda item: -item[1])[:8]
     likely = [(key, share) for key, share in likely if share >= 0.01]
     names = {name for (named, _), _ in likely for name in named}

@@ -187,10 +187,7 @@ class Separation(Objective):
         return dataclasses.replace(self, grams=grams, sharp=sharp)
 
     def tangent(self, active: Index, weights: Array) -> Tangent:
-        """The tangent of the weighted mean of the log lambdas.
-
-        It lies above their minimum everywhere.
-        """
+        """The tangent of the weighted mean of log lambdas, above their minimum."""
         m = self.at(active, weights)
         logs, table, _ = self._log_lambdas(m, self.grams)
         shares = special.softmax(-self.sharp * logs)

@@ -91,10 +91,7 @@ def _add_rivals(
 
 
 def is_sure(answers: Sequence[AnswerRecord]) -> bool:
-    """Whether the leading answer is sure, or no other has a size that shows.
-
-    No gap is no less sure for what is too small to be seen.
-    """
+    """Whether the leading answer is sure, or no other has a size that shows."""
     first, *others = answers
     unseen = 0.0 if first.effects else sum(answer.unseen for answer in answers)
     is_alone = not any(answer.visible > 0.0 for answer in others)
@@ -271,10 +268,7 @@ class AnswerGroup:
 def group(
     searches: Sequence[Search], hypotheses: Sequence[Hypothesis], shares: Array
 ) -> list[AnswerGroup]:
-    """Hypotheses, best first, each with those that it stands for.
-
-    `shares` are their probabilities.
-    """
+    """Hypotheses of probability `shares`, best first, each with those it stands for."""
     remaining = dict(zip([h.key for h in hypotheses], shares, strict=True))
     scores = {h.key: h.score for h in hypotheses}
     groups: list[AnswerGroup] = []

@@ -234,11 +234,7 @@ def _score(
     predict: Callable[[Index], tuple[Array, Array]],
     rng: np.random.Generator,
 ) -> ClosureRecord:
-    """Closure over all folds.
-
-    `predict` gives held-out readings' standardised residuals without and with the
-    effects.
-    """
+    """Closure over all folds, of residuals without and with effects by `predict`."""
     paths = Paths(problem)
     fold, unit = paths.within() if split == "within" else paths.whole()
     before, after = np.zeros(len(problem)), np.zeros(len(problem))

@@ -90,11 +90,7 @@ def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:
 def equivalent_effects(
     search: Search, h: Hypothesis, scores: Mapping[Key, float], alive: float
 ) -> list[tuple[str, ...]]:
-    """For each effect of a hypothesis the names indistinguishable from it, itself first.
-
-    scores    log posterior of hypotheses by their key
-    alive     how far behind in log posterior a rival may be that absorbs not nearly all
-    """
+    """Names indistinguishable from each effect of a hypothesis, itself first."""
     return [_class_of(search, h, i, scores, alive) for i in range(len(h.effects))]
 
 
@@ -293,10 +289,7 @@ def compare_expanded(
 def _next_point(
     comparison: Comparison, effects: Sequence[Effect], tried: set[Key]
 ) -> tuple[frozenset[str], GapProblem] | None:
-    """The next hypothesis of large effects, with the readings linearised about it.
-
-    In question are the best single effect, and the best that names effects.
-    """
+    """The next hypothesis of large effects, the readings linearised about it."""
     named = [h for h in comparison.hypotheses if h.effects]
     single = [h for h in named if len(h.effects) == 1 and not h.unknown]
     for h in [*single[:1], *named[:1]]:
@@ -332,10 +325,7 @@ def acting_forms(
 def _joined(
     comparison: Comparison, further: Sequence[Search], acting: frozenset[str]
 ) -> Comparison:
-    """The hypotheses with those about a further point, where some effects act.
-
-    What has these effects counts as it is there; all others as suits them best.
-    """
+    """The hypotheses, those of some acting effects about a further point."""
     offset = len(comparison.searches)
     by_key = {
         h.key: h for h in comparison.hypotheses if not acting <= frozenset(h.effects)

@@ -271,10 +271,7 @@ class _Place:
 
 
 def _rank(location: _Place) -> tuple[bool, float, float, str]:
-    """Places that stand out come first, by how well they confine; others by p-value.
-
-    p-values are counts of draws, and often equal: the name decides then.
-    """
+    """Places that stand out, by how well they confine; others by p-value, then name."""
     name, p_value = location.block.block, location.block.p_value
     if p_value < STANDING_OUT:
         return False, -location.confines, p_value, name
@@ -290,10 +287,7 @@ def _place(name: str, energy: Array, total: Array, even: float) -> _Place:
 
 
 def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
-    """Legs and set-ups by their columns, of what has columns of legs or set-ups.
-
-    Even are as much in each leg, and as much in each reading.
-    """
+    """Legs and set-ups by their columns, of what has columns of legs or set-ups."""
     legs = [f"leg {i + 1}" for i in problem.states[0].limbs]
     by_leg = {leg: (leg, 1.0 / len(legs)) for leg in legs}
     by_setup = {}
@@ -340,10 +334,7 @@ def _times(problem: GapProblem) -> Array:
 
 
 def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
-    """The stretch of the session that is densest in what acts.
-
-    It ends halfway between its readings and those beside it.
-    """
+    """The stretch of the session that is densest in what acts."""
     times = _times(problem)
     timed = np.flatnonzero(np.isfinite(times))
     cells = np.array_split(np.unique(times[timed]), N_CELLS)

@@ -147,10 +147,7 @@ def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
 
 
 def unstated_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
-    """Scatter of a reading with all that no data sheet states, over the stated one.
-
-    None where it is within what a data sheet is good for, or nothing is stated.
-    """
+    """Scatter with all that no data sheet states over it; None where it is usual."""
     between_runs = law.level * float(np.hypot(law.law.level[0], law.law.seat[0]))
     factor = float(np.hypot(_run_scatter(problem, law), between_runs))
     is_usual = problem.statement.is_assumed or factor <= KNOWN_TO
@@ -254,10 +251,7 @@ def _numbers(values: Array) -> Index:
 
 
 def shape(problem: GapProblem, law: NoiseLaw) -> str:
-    """How the scatter is spread: one run or leg has much of it, or none does.
-
-    Then what is carried along the runs, or what is not, has most.
-    """
+    """How the scatter is spread: in one run or leg, along runs, or in no way."""
     factor = law.factor(problem.structure)
     white = factor.whiten(problem.residual[:, None])[:, 0]
     slopes = factor.whiten(problem.slopes)

@@ -235,10 +235,7 @@ class FormProducts:
         return self._cross[key]
 
     def _taken(self, selected: Selected) -> tuple[Array, Array]:
-        """Directions that the selected effects could explain, one effect after the other.
-
-        Their products (k, P) with all processes' columns and (k,) with the residual.
-        """
+        """Products (k, P), (k,) of what effects explain with processes and residual."""
         columns = np.concatenate([_NO_COLUMNS, *(c for c, _ in selected)])
         grams = self.grams_of(columns)
         parts = [self._with_processes(c) for c, _ in selected]
@@ -620,10 +617,7 @@ class Search:
     # -- the search --------------------------------------------------------------------
 
     def run(self) -> list[Hypothesis]:
-        """The hypotheses worth comparing, best first.
-
-        No gap, single effects, pairs and triples, and these with an unknown.
-        """
+        """No gap, one to three effects, and these with an unknown, best first."""
         if not self._hypotheses:
             chosen = self._candidates
             unsorted = [self._evaluate(h) for h in chosen] if chosen else self._run()

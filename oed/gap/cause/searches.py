@@ -132,10 +132,7 @@ def _outliers(
 
 
 def _candidates(first: Sequence[Search]) -> list[Hypothesis]:
-    """The best hypotheses of each search, in the form of the one that it suits best.
-
-    No gap and an unknown alone are always among them.
-    """
+    """No gap, an unknown, and each search's best hypotheses in their best forms."""
     best: dict[Key, Hypothesis] = {}
     for search in first:
         ranked = search.run()
@@ -195,10 +192,7 @@ def _add_scarce(
 
 
 def wide_model(problem: GapProblem, library: Library, processes: Library) -> Array:
-    """Columns (N, k) of the middle form of every effect and of the broad processes.
-
-    Compressed, the parameters' slopes among them.
-    """
+    """Columns (N, k), compressed, of slopes, middle forms and broad processes."""
     forms = [_middle_form(library, effect) for effect in library.effects]
     broad = [effect for effect in processes.effects if effect != IN_A_RUN]
     forms += [_middle_form(processes, effect) for effect in broad]
@@ -221,10 +215,7 @@ def _middle_form(library: Library, effect: str) -> list[Block]:
 def detect_outliers(
     problem: GapProblem, law: NoiseLaw, columns: Array
 ) -> Outliers | None:
-    """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model.
-
-    The parameters' slopes are among them.
-    """
+    """Outliers under a law, with columns (N, k) of prior N(0, 1), slopes too."""
     factor = law.factor(problem.structure).widened(columns)
     return noise_law.detect_outliers(
         problem.residual, factor, statement=problem.statement

@@ -99,10 +99,7 @@ def models(search: Search, h: Hypothesis) -> list[Array]:
 
 
 def log_powers(log_prior: Array, log_evidence: Array, by_fold: Array) -> Array:
-    """Log posterior (T,) of the powers of the evidence, by what withheld runs show.
-
-    by_fold  (H, F) log predictive density of each fold under each hypothesis (H,)
-    """
+    """Log posterior (T,) of powers of the evidence, by folds (H, F) of hypotheses."""
     log_others = log_evidence[:, None] - by_fold
     weights = log_prior[:, None] + POWERS[:, None, None] * log_others
     weights = special.log_softmax(weights, axis=1)
@@ -117,10 +114,7 @@ def log_posterior(log_prior: Array, log_evidence: Array, powers: Array) -> Array
 
 
 def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> list[float]:
-    """Log predictive density of each fold under a hypothesis, in its best forms.
-
-    others  readings that each fold is predicted from
-    """
+    """Log predictive density of each fold, from `others`, in a hypothesis' forms."""
     problem, law = search.problem, search.law
     effects = h.columns(search.library, search.processes)
     columns = np.hstack([problem.slopes, effects])
@@ -131,10 +125,7 @@ def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> list
 
 
 def _others_of_folds(problem: GapProblem) -> tuple[list[Index], bool]:
-    """Readings outside each fold, and whether folds are whole runs.
-
-    Of an only run they are stretches.
-    """
+    """Readings outside each fold, and whether folds are runs or stretches of one."""
     paths = Paths(problem)
     fold = paths.whole()[0]
     are_runs = bool(fold.max() > 0)

@@ -114,10 +114,7 @@ class Grams:
         return np.vstack(taken), np.concatenate(projected)
 
     def project_out(self, columns: Index, size: float = USUAL_SIZE) -> Grams:
-        """Grams without what `columns` can explain, their coefficients unbounded.
-
-        Directions that coefficients of a size, or of a usual one, do not show stay.
-        """
+        """Grams without what `columns` of unbounded coefficients can explain."""
         if not len(columns):
             return self
         return self._without(columns, self.visible_root(columns, size))
@@ -199,10 +196,7 @@ def _clear_directions(gram: Array, least: float) -> tuple[Array, Array]:
 
 
 def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
-    """Choices of columns grouped by their number of columns.
-
-    Each group has the numbers (a,) of its choices and their columns (a, d).
-    """
+    """Numbers (a,) and columns (a, d) of the choices of each number of columns."""
     counts = np.array([len(choice) for choice in choices], dtype=int)
     groups = []
     for count in np.unique(counts):
@@ -490,10 +484,7 @@ class LawPosterior:
 
 
 def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
-    """The law's posterior with columns (N, k) of prior N(0, 1) in the model.
-
-    The parameters' slopes are among them, as from `compress`.
-    """
+    """The law's posterior with columns (N, k), the slopes among them, in the model."""
     prior, model = _prior(problem), linear_model(problem, columns)
 
     def cost(u: Array) -> Array:

@@ -263,10 +263,7 @@ def covariate(need: str) -> str:
 
 
 def _recorded(need: str, states: Sequence[State]) -> bool:
-    """Whether a covariate is recorded with as many values as needed.
-
-    A need states a number of distinct values, "both" for two, or none for one.
-    """
+    """Whether a covariate has as many values as needed: a number, "both" or any."""
     name, _, count = need.partition(":")
     if name.startswith("temp_"):
         body, unknown = name.removeprefix("temp_"), np.array([np.nan])
@@ -530,10 +527,7 @@ class Metric:
     def __init__(
         self, problem: GapProblem, law: NoiseLaw, rows: Index | None = None
     ) -> None:
-        """Factor M for the readings `rows`, all by default.
-
-        Vectors passed to the methods still have all N readings.
-        """
+        """Factor M for the readings `rows`; vectors still have all N readings."""
         factor = law.factor(problem.structure, rows)
         self._slopes = problem.slopes
         self.size = len(factor.order)

@@ -120,10 +120,7 @@ def _distance(move: Array) -> Array:
 
 
 def _run_motion(q: Array, point: Array) -> Motion:
-    """Motion of a run's k >= 2 poses, in their order, over the length of path.
-
-    Rate and acceleration are the first and second derivative over it.
-    """
+    """Motion of a run's k >= 2 poses over the length of path, by its derivatives."""
     tip = point[:, :3]
     along = _straight(q, point)
     if not _is_path(tip):
@@ -220,10 +217,7 @@ def _since_corner(
 
 
 def _path_length(point: Array) -> tuple[Array, bool]:
-    """Length of path at k poses, and whether the run is closed.
-
-    A closed run has k + 1 values: the last is the length back at the first pose.
-    """
+    """Length of path at k poses, one more of a closed run, and whether it is closed."""
     steps = _distance(np.diff(point, axis=0))
     still = STILL_SHARE * float(steps.max())
     steps = np.maximum(steps, still)
@@ -277,10 +271,7 @@ def _since_reversal(
 
 
 def _since_reversal_by_steps(q: Array, sense: Array) -> Array:
-    """Distance (k, nq) since the last change of sense, summed over steps.
-
-    Before a run's first change of sense it is infinite.
-    """
+    """Distance (k, nq) since the last change of sense, by steps; inf before any."""
     step = np.abs(np.diff(q, axis=0, prepend=q[:1]))
     distance = np.full(q.shape, np.inf)
     for k in range(1, len(q)):
@@ -352,10 +343,7 @@ def _session(
 
 
 def _progress(times: Array) -> Array:
-    """How far the session has gone at each reading, 0 to 1.
-
-    By the clock, or by order where not all readings have a time.
-    """
+    """How far the session has gone at each reading, 0 to 1, by the clock or order."""
     clock = times
     if not np.isfinite(times).all():
         clock = np.arange(len(times), dtype=float)
@@ -386,11 +374,7 @@ def _state(
     geometry: Mapping[str, Any],
     session: Mapping[str, Any],
 ) -> State:
-    """State of one series.
-
-    geometry   fields that follow from the poses
-    session    fields that hold for the whole session
-    """
+    """State of one series, with fields that follow from its poses and the session."""
     kinematics, machine = measurement.kinematics, measurement.machine
     setup = measurement.setups[series.setup]
     owner = _owner(series)  # for each pose the reading whose covariates hold there
@@ -435,10 +419,7 @@ def _state(
 def _geometry(
     measurement: Measurement, series: Series, theta: Array, down: Array, tool: Array
 ) -> dict[str, Any]:
-    """Fields of a State that follow from the poses: tool, forces, struts.
-
-    down  (3,) unit vector of gravity;  tool  (3,) tool point in the platform's frame, m
-    """
+    """Fields that follow from the poses, `down` (3,) and the tool point (3,), m."""
     kinematics, machine = measurement.kinematics, measurement.machine
     p, q = theta[: len(machine.parameters)], series.q
     x = measurement.poses(series, theta)
@@ -468,10 +449,7 @@ def _geometry(
 
 
 def _order(series: Series, rows: pd.DataFrame, owner: Index, referred: Index) -> Array:
-    """Number (m,) of each pose in its run.
-
-    A pose that readings only refer to comes right before the first reading that does.
-    """
+    """Number (m,) of each pose in its run; a reference comes before its reading."""
     number = rows["order"].to_numpy(dtype=float)
     order = number[owner]
     order[series.index[:, 0]] = number
@@ -538,10 +516,7 @@ def _oriented(axis: Array) -> Array:
 
 
 def _angle(offset: Array, axes: Array) -> Array:
-    """Angle (k,) in [0, 2 pi) about the normal of a loop's plane.
-
-    It starts at the base's x axis, or at y where the normal is near x.
-    """
+    """Angle (k,) in [0, 2 pi) about a loop's normal, from the base's x or y axis."""
     normal = _oriented(axes[2])
     start = np.eye(3)[1 if abs(normal[0]) >= 0.9 else 0]
     first = start - normal * (start @ normal)

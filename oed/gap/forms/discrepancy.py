@@ -165,10 +165,7 @@ def apply_carrier(carrier: Array, forms: Array) -> Array:
 
 
 def _moving_poses(series: Series) -> list[int]:
-    """Columns of its index with the poses that differ among a series' readings.
-
-    A taught pose, which all readings share, is none of them.
-    """
+    """Columns of its index that are no taught pose, which all readings share."""
     places = enumerate(series.index.T)
     return [j for j, coordinate in places if j == 0 or len(np.unique(coordinate)) > 1]
 
@@ -424,10 +421,7 @@ class _Places:
 
 
 def _with_both_ways(terms: Sequence[Term], steady: Sequence[Term]) -> list[Term]:
-    """Terms that turn their sign with the direction, and errors that differ each way.
-
-    What is worn in one place acts both ways, and more in one of them.
-    """
+    """Terms that turn with the direction, and errors that differ each way."""
     results = []
     for term, alike in zip(terms, steady, strict=True):
         if not term.is_visible:  # no direction is known
@@ -531,10 +525,7 @@ def _single_run_terms(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
 
 
 def modes(places: Array, reach: float, most: int) -> Array:
-    """Columns (N, J, k) whose products are Matern's kernel at places (N, J, d).
-
-    As many as hold `VARIANCE_SHARE` of the variance, `most` at most.
-    """
+    """Columns (N, J, k), `most` at most, of Matern's kernel at places (N, J, d)."""
     flat = places.reshape(-1, places.shape[-1])
     factor = field_modes(
         flat, correlation_length=reach, energy_share=VARIANCE_SHARE, count=most

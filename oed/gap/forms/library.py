@@ -153,11 +153,7 @@ class Library:
 def build(
     problem: GapProblem, effects: Sequence[Effect], metric: Metric | None = None
 ) -> Library:
-    """Library of all atoms of the effects that these readings can test.
-
-    With a metric, an effect of many constants keeps the few that explain most, each
-    with its prior weight among all.
-    """
+    """All atoms that the readings can test; by a metric, the few of most evidence."""
     per_noise = 1.0 / problem.sigma[:, None]
     blocks: list[Block] = []
     atoms: list[Atom] = []
@@ -326,10 +322,7 @@ def _scores(
 def _add_alike(
     forms: Sequence[Weighted], alike: bool
 ) -> Iterator[tuple[Signature, float, bool]]:
-    """Forms with their log weights, each followed by its form for limbs built alike.
-
-    The flag says whether limbs built alike have half of the share of all limbs.
-    """
+    """Forms with log weights, then limbs alike, and whether these halve their share."""
     log_share = math.log(0.5 * (1.0 - ALONE_SHARE))
     for form, log_weight in forms:
         joined = _alike(form) if alike else None
@@ -385,11 +378,7 @@ def _atoms(
     halved: bool = False,
     about: str = "",
 ) -> list[Atom]:
-    """Atoms of one signature, whose columns begin at `start` in the library.
-
-    All limbs together (with half of their share if `halved`), or one limb; with or
-    without the columns that adapt.
-    """
+    """Atoms of a signature: all limbs or one; with or without adapting columns."""
     limbs = list(dict.fromkeys(n for n in form.labels if n))
     atoms = []
     for rows, share in _choices(form, limbs, halved):

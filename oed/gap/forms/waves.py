@@ -82,10 +82,7 @@ class Wave:
 
 
 def add(discrepancy: Library, problem: GapProblem, law: NoiseLaw) -> Library:
-    """The discrepancy together with the strongest steady waves of each kind.
-
-    Each kind has the prior weight of a kind of discrepancy.
-    """
+    """The discrepancy with the strongest steady waves of each kind, weighted as one."""
     precision = WavePrecision(problem, Metric(problem, law))
     by_kind: dict[str, list[Band]] = {}
     _, *others = discrepancies.carriers_of(problem)
@@ -144,10 +141,7 @@ def peaks(precision: WavePrecision, band: Band) -> list[Wave]:
 
 
 def _time_bands(problem: GapProblem, others: Sequence[Carrier]) -> Iterator[Band]:
-    """Waves in time, or over the readings where not all times are known.
-
-    They act on a channel, or on a part of the other carriers.
-    """
+    """Waves in time, or over the readings, of channels or parts of other carriers."""
     times = discrepancies.values_of_poses(problem, [s.time for s in problem.states])
     unit = "s"
     if not np.isfinite(times).all():
@@ -179,11 +173,7 @@ def _travel_bands(problem: GapProblem, legs: Sequence[Carrier]) -> Iterator[Band
 
 
 def _frequencies(clock: Array, fewest: float) -> Array:
-    """Frequencies (k,), so close that no wave over a clock (N,) falls between them.
-
-    From `fewest` waves over all of it to what its steps can tell; none for a clock of
-    few steps.
-    """
+    """Frequencies (k,) from `fewest` waves to what a clock (N,) of many steps tells."""
     ticks = np.unique(np.round(clock, 9))
     if len(ticks) < MIN_TICKS:
         return np.zeros(0)
@@ -361,10 +351,7 @@ def _columns(weights: Array, turns: Array) -> Array:
 
 
 def log_tail(energy: Array, rank: Array | float) -> Array:
-    """Log of the chi-square's upper tail; 0 for rank 0.
-
-    Its asymptote stands in where the tail underflows.
-    """
+    """Log of the chi-square's upper tail, by its asymptote where that underflows."""
     a = np.maximum(rank, 1e-9) / 2.0
     x = np.maximum(energy, 0.0) / 2.0
     tail = special.gammaincc(a, x)
