@@ -34,10 +34,7 @@ RANK_TOLERANCE = float(np.finfo(float).eps)
 
 
 def block_array(rows: Array) -> Array:
-    """Candidates (C, n) or (C, k, n) as blocks (C, k, n).
-
-    Raises ValueError for other shapes, and for numbers that are not finite.
-    """
+    """Candidates (C, n) as finite blocks (C, k, n). Raises ValueError for others."""
     blocks = rows[:, None, :] if rows.ndim == 2 else rows
     if blocks.ndim != 3 or not blocks.size:
         raise ValueError(

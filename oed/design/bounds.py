@@ -56,10 +56,7 @@ def bound(
 def _bound_under_quotas(
     blocks: Array, criterion: Criterion, rules: Rules, quotas: QuotaSet, prior: Array
 ) -> Relaxation:
-    """The conic solver's bound, or the one without quotas where that is lower.
-
-    The latter can only be lower where the solver's answer is inexact.
-    """
+    """The conic solver's bound; one without quotas where, inexact, it is higher."""
     from oed.design import conic  # cvxpy takes a second to import
 
     size, limits = float(quotas.size), quotas.linear_limits()

@@ -414,12 +414,7 @@ def _shared_columns(measurement: Measurement, series: Series) -> Array:
 
 
 def _runs_as_candidates(series: Series, rows: Array, parameters: int) -> _SeriesBlocks:
-    """Whole runs as candidates, padded with empty rows to the longest.
-
-    The first columns of `rows` are those of the parameters, then those of nuisances.
-
-    The readings of a run follow each other.
-    """
+    """Whole runs as candidates, padded with empty rows; `parameters` columns first."""
     runs = list(dict.fromkeys(series.run))
     counts = np.array([int(np.sum(series.run == run)) for run in runs], dtype=np.intp)
     if not (np.repeat(np.array(runs), counts) == series.run).all():
@@ -440,10 +435,7 @@ def _runs_as_candidates(series: Series, rows: Array, parameters: int) -> _Series
 
 
 def _with_rows(blocks: Array, count: int) -> Array:
-    """Blocks of `count` rows with the same information.
-
-    Longer blocks become the triangle of their QR; shorter ones get empty rows.
-    """
+    """Blocks of `count` rows with the same information: by QR, or with empty rows."""
     if blocks.shape[1] > count:
         return np.asarray(np.linalg.qr(blocks, mode="r"), dtype=float)[:, :count]
     return np.pad(blocks, ((0, 0), (0, count - blocks.shape[1]), (0, 0)))

@@ -175,10 +175,7 @@ class Catalogue:
     # -- indices of readings -----------------------------------------------------------
 
     def index(self, name: str, singular_values: Array, count: int = 0) -> float:
-        """An index of singular values (L,) and the number of readings or poses.
-
-        Raises LookupError for what is no index.
-        """
+        """An index of singular values (L,). Raises LookupError for what is none."""
         function = self[name].index
         if function is None:
             raise LookupError(f"{name} is no index of readings")

@@ -139,10 +139,7 @@ class EigenvaluePoint:
 def follow(
     problem: InteriorProblem, slope: float | None, tolerance: float
 ) -> EigenvaluePoint:
-    """F(slope), or the least kappa without a slope.
-
-    `tolerance` is the duality gap as a share of l_min, or of kappa^2.
-    """
+    """F(slope), or the least kappa, to a gap `tolerance` of l_min, or of kappa^2."""
     if problem.caps.sum() <= problem.size * (1 + 1e-9):
         return _only_plan(problem, slope)
     active = _first_active_set(problem)
@@ -181,10 +178,7 @@ def follow(
 
 
 def _slope_below(best: EigenvaluePoint, tolerance: float) -> float:
-    """A slope a little below the best plan's l_min / l_max.
-
-    At the plan's own slope, plans of any size would be equally good.
-    """
+    """A slope below the best plan's l_min / l_max: at it all sizes are as good."""
     return best.plan.least / best.plan.largest * (1.0 - 0.2 * tolerance)
 
 
@@ -234,10 +228,7 @@ def _dual_point(problem: InteriorProblem, path: InteriorPath) -> DualPoint:
 
 
 def _least_ratio(problem: InteriorProblem, dual: DualPoint, ratio: float) -> float:
-    """The least <Z, M> / <Y, M> over all weights.
-
-    Dinkelbach's steps lead down from any `ratio` above it.
-    """
+    """The least <Z, M> / <Y, M> over all weights, by Dinkelbach's steps from above."""
     for _ in range(100):
         order = np.argsort(dual.high - ratio * dual.low, kind="stable")
         w = _fill_to_caps(problem.caps[order], problem.size)
@@ -289,10 +280,7 @@ def _first_active_set(problem: InteriorProblem) -> Index:
 
 
 def _joining(problem: InteriorProblem, profit: Array, active: Index) -> Index:
-    """Candidates outside that a knapsack prefers to the last one it carries inside.
-
-    The best come first.
-    """
+    """Candidates outside that a knapsack prefers to the last one inside, best first."""
     order = active[np.argsort(-profit[active], kind="stable")]
     last = int(np.searchsorted(np.cumsum(problem.caps[order]), problem.size))
     least_profit = profit[order[min(last, len(order) - 1)]]
@@ -309,10 +297,7 @@ def _update_active_set(
     active: Index,
     joining: Index,
 ) -> tuple[Index, Array]:
-    """The active set without negligible weights, with the joining candidates.
-
-    The weights keep their sum.
-    """
+    """The active set with joining candidates, without weights that are negligible."""
     order = np.argsort(-profit, kind="stable")
     filled = np.cumsum(problem.caps[order])
     top = order[: int(np.searchsorted(filled, 1.5 * problem.size)) + 2]
@@ -405,10 +390,7 @@ def o4(
     cap: Array | float = 1.0,
     tolerance: float = 1e-3,
 ) -> EigenvalueRelaxation:
-    """Largest O4 = l_min / sqrt(l_max), to a log duality gap `tolerance`.
-
-    Raises as `relax`.
-    """
+    """Largest O4 = l_min / sqrt(l_max), to a log duality gap. Raises as `relax`."""
     problem = build_problem(rows, size, prior, cap)
     line_tolerance = LINE_TOLERANCE * tolerance
     level = follow(problem, 0.0, line_tolerance)

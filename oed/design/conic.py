@@ -193,10 +193,7 @@ class Polytope:
         return weights
 
     def nearest(self, weights: Array) -> Array:
-        """The feasible weights with the least sum of differences from `weights`.
-
-        Raises ValueError where no weights are feasible.
-        """
+        """Feasible weights nearest to `weights` in their sum. Raises ValueError."""
         weights = np.clip(weights, 0.0, self.caps)
         if not len(self.upper):
             return self._rescale(weights)
@@ -393,10 +390,7 @@ def _join(supports: list[tuple[float, Support]], m: Array) -> tuple[float, Array
 def _relax_condition(
     problem: _ConicProblem, criterion: ExtremeEigenvalues, solver: Solver
 ) -> Relaxation:
-    """Least condition number, as a ratio made linear by w = u / tau.
-
-    Minimises s subject to 1 <= tau M0 + sum u_i A_i <= s 1, up to scales.
-    """
+    """Least s with 1 <= tau M0 + sum u_i A_i <= s 1, w = u / tau, up to scales."""
     if criterion.least != criterion.largest:
         raise NoConicAnswerError(
             f"{criterion.name} has no conic form: see oed.design.condition"

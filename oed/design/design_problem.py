@@ -135,11 +135,7 @@ def _relax(
     problem: RelaxedRules,
     thinning: float,
 ) -> float:
-    """Value of one relaxation.
-
-    A candidate of a thinned set stands for its neighbours as well: its weight may be as
-    large as there are of them.
-    """
+    """Value of a relaxation; weights of thinned candidates stand for neighbours too."""
     pool, total, cost = problem
     if cost is None:
         scaled = blocks[pool]
@@ -163,10 +159,7 @@ def thin(setups: SetupLimit, combination: Combination) -> Index:
 def drop_untouched_columns(
     blocks: Array, base: Array, criterion: Criterion
 ) -> tuple[Array, Array, Criterion]:
-    """The same problem without columns that no block touches.
-
-    A column that the prior information couples to another one stays.
-    """
+    """The problem without columns that neither a block nor the prior touches."""
     uncoupled = np.count_nonzero(base, axis=0) <= 1
     untouched = ~blocks.any(axis=(0, 1)) & uncoupled
     if not untouched.any():

@@ -49,11 +49,7 @@ EQUAL_TOLERANCE = 1e-10
 def best_of_all(
     blocks: Array, criterion: Criterion, base: Array, rules: Rules
 ) -> Index | None:
-    """The best plan for blocks (C, k, n) and prior information (n, n).
-
-    None where the criterion is another one, rules beyond a number of candidates hold, or
-    there are too many plans.
-    """
+    """The best plan of all; None where these are too many, or other rules hold."""
     size = rules.sole_size
     if size is None or not isinstance(criterion, ExtremeEigenvalues):
         return None
@@ -302,10 +298,7 @@ def greedy_d(blocks: Array, size: int, base: Array) -> Index:
 def _greedy_plans(
     evaluator: CriterionEvaluator, rules: Rules, weights: Array
 ) -> list[Index]:
-    """Greedy plans by D and by the criterion itself.
-
-    The criterion may be -inf for every candidate while directions are undetermined.
-    """
+    """Greedy plans by D, and by the criterion, which may be -inf for all at first."""
     determinant = Determinant(evaluator.base.shape[0])
     guides = [dataclasses.replace(evaluator, criterion=determinant)]
     criterion = evaluator.criterion
@@ -346,10 +339,7 @@ def _check_size(blocks: Array, rules: Rules) -> None:
 def _guiding_criterion(
     criterion: Criterion, directions: int, rules: Rules
 ) -> Criterion:
-    """The criterion whose relaxation guides the search.
-
-    It is smooth, or, under quotas, has a conic form.
-    """
+    """The criterion that guides the search: smooth or, under quotas, conic."""
     if criterion.smooth or (rules.quotas is not None and criterion.concave):
         return criterion
     approach = [c for c in criterion.continuation() if c.smooth and c.concave]
@@ -361,11 +351,7 @@ def _guiding_criterion(
 def _bound_of(
     blocks: Array, criterion: Criterion, rules: Rules, base: Array
 ) -> Relaxation | None:
-    """The bound of a criterion that is not smooth.
-
-    None where none is known, or where it only says what holds for all candidates:
-    weights of many candidates reach a condition number of 1.
-    """
+    """The bound of a criterion that is not smooth; None where none says anything."""
     if criterion.concave:
         return bound(blocks, criterion, rules, base)
     upper = condition_bound(blocks, criterion, rules, base)

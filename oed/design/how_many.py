@@ -172,10 +172,7 @@ class SizeCurve:
 
 
 def _first_true(holds: Callable[[int], bool], low: int, high: int) -> int:
-    """The first number from low to high for which a monotone property holds.
-
-    `high` where it never does.
-    """
+    """The first number from low to high with a monotone property, or `high`."""
     while low < high:
         middle = (low + high) // 2
         if holds(middle):

@@ -51,10 +51,7 @@ class Pairs(NamedTuple):
         return np.asarray(self.m - leaving.T @ leaving + coming.T @ coming)
 
     def factors(self, inverse: Array) -> Array:
-        """det M' / det M (N, C), for the inverse (n, n) of M.
-
-        Of a part of M, where `inverse` is that part's.
-        """
+        """det M' / det M (N, C), for the inverse (n, n) of M, or of a part of M."""
         if self.blocks.shape[1] == 1:
             rows, others = self.chosen[:, 0], self.blocks[:, 0]
             return _Crossed.of(rows, others, inverse).determinant()

@@ -333,10 +333,7 @@ def _relax_determinant(
     tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
-    """Optimal weights for D, in coordinates where the candidates are well conditioned.
-
-    The determinant changes by that of the coordinates.
-    """
+    """Optimal weights for D, in coordinates where candidates are well conditioned."""
     n = blocks.shape[2]
     shift = 0.0
     if is_ill_conditioned(base + information(blocks)):
@@ -466,11 +463,7 @@ def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index
 def _begin(
     objective: Objective, size: float, caps: Array
 ) -> tuple[Index, Array, float]:
-    """A first active set with feasible weights, and a bound.
-
-    A few multiplicative steps are taken on the candidates, or on a sample of them. The
-    bound is finite only where the steps run over all candidates.
-    """
+    """A first active set, feasible weights, and a bound where steps run over all."""
     count = objective.count
     sample = np.arange(0, count, max(1, count // SAMPLE_SIZE))
     weights = np.full(len(sample), size / len(sample))

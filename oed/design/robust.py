@@ -189,10 +189,7 @@ def aggregate(values: Array, risk: Risk, tail_share: float) -> Array:
 
 
 def _tail_shares(count: int, tail_share: float) -> Array:
-    """Shares of the worst scenarios, ascending by value.
-
-    1 / (tail_share S) each, until they sum to one.
-    """
+    """Shares 1 / (tail_share S) of the worst scenarios, until they sum to one."""
     most = 1.0 / (tail_share * count)
     remaining = np.maximum(1.0 - most * np.arange(count), 0.0)
     shares = np.minimum(most, remaining)

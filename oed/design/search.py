@@ -59,10 +59,7 @@ def search(
     rng: np.random.Generator,
     rounds: int,
 ) -> Index:
-    """The best plan of `rounds` rounds of local search.
-
-    weights, gradient (C,) are those of a relaxation; `starts` are plans to begin with.
-    """
+    """The best plan of local search from `starts`, by a relaxation's weights (C,)."""
     least_size = POOL_SIZE if rules.sole_size is None else evaluator.pair_pool
     promising = _promising(weights, gradient, rules, max(POOL_SIZE, least_size))
     pool = np.union1d(promising, np.concatenate(starts))
@@ -235,10 +232,7 @@ class _Restarts:
         return self.exchange.evaluator.count
 
     def run(self, weights: Array, rounds: int, starts: Sequence[Index]) -> Index:
-        """The best of the improved plans.
-
-        Given and drawn plans come first, then changes of the best plan so far.
-        """
+        """The best of given and drawn plans, then of changes of the best, improved."""
         weights = weights + 1e-4 * weights.sum() / len(weights)
         if rounds and self.exchange.by_pairs:
             return self._search_pairs(weights, rounds, starts)
@@ -301,10 +295,7 @@ class _Restarts:
         return bool(self.rng.random() < SETUP_PROBABILITY)
 
     def _fill_in_order(self, chosen: Index, order: Index, weights: Array) -> Index:
-        """A plan filled with candidates in the given order while the rules allow.
-
-        Weights (C,), varied at random, divide it among the classes of quotas.
-        """
+        """A plan filled in the given order while the rules allow, by weights (C,)."""
         size = self.rules.sole_size
         if size is not None:
             missing = size - len(chosen)

@@ -73,10 +73,7 @@ def exchange_pairs(
 def _best_pair(
     blocks: Array, chosen: Index, m: Array, criterion: Criterion
 ) -> tuple[int, int]:
-    """Place and block whose exchange raises the criterion most, by the formulas.
-
-    Part by part, so that the products of all pairs are not in memory at once.
-    """
+    """Place and block whose exchange raises the criterion most, part by part."""
     best = 0, int(chosen[0]), -np.inf
     step = max(1, NUMBERS_AT_ONCE // (len(chosen) * blocks.shape[1] ** 2))
     for begin in range(0, len(blocks), step):

@@ -144,10 +144,7 @@ def reading_counts(option: Option, chosen: Index) -> Index:
 
 
 def whitened_rows(option: Option, chosen: Index) -> Array:
-    """Whitened jacobian (readings, w) of the chosen candidates, in tolerance units.
-
-    They are those of the candidates' blocks, one row for each number that is read.
-    """
+    """Whitened rows (readings, w) of the chosen blocks, in tolerance units."""
     measurement, candidates = option.measurement, option.candidates
     chosen_jacobian = option.jacobian[option.numbers_of(chosen)]
     jacobian = (chosen_jacobian * measurement.tolerance)[:, measurement.free]
@@ -169,11 +166,7 @@ def whitened_rows(option: Option, chosen: Index) -> Array:
 
 
 def whiten(option: Option, chosen: Index, values: Array) -> Array:
-    """Values (m, readings) whitened as the candidates' blocks are.
-
-    Whole runs are whitened with the noise that their readings share, single readings
-    with their independent noise.
-    """
+    """Values (m, readings) whitened as the blocks: runs with their shared errors."""
     measurement = option.measurement
     series = option.series_of(chosen)
     weight = option.weight[option.numbers_of(chosen)]
@@ -253,10 +246,7 @@ class DrawnMachines:
         return self._groups[1]
 
     def joint_posterior(self, information: Array, groups: Index) -> Array:
-        """Covariances (K, w, w) of all unknowns in some groups (K,).
-
-        information  (G, w, w) of each pattern
-        """
+        """Covariances (K, w, w) in groups (K,), of information (G, w, w) a pattern."""
         covariance_of, pattern_of = self._groups[0]
         total = information[pattern_of[groups]] + np.eye(information.shape[1])
         n = self.knowledge.covariances.shape[1]
@@ -336,10 +326,7 @@ def draw_machines(
     draws: int,
     rng: np.random.Generator,
 ) -> DrawnMachines:
-    """The machines of `knowledge`; where readings can be lost, `draws` drawn from them.
-
-    probability  (N,) that each chosen candidate is captured
-    """
+    """Machines of `knowledge`; `draws` of them where a probability (N,) is below 1."""
     extra = option.unknowns - knowledge.columns
     if not option.limits_travel or probability.min() >= CERTAIN_PROBABILITY:
         return _all_captured(knowledge, extra, len(chosen), rng)
@@ -529,12 +516,7 @@ def _residual(
 def _information_with_residual(
     option: Option, chosen: Index, patterns: Array, rms: Array, columns: Array
 ) -> Array:
-    """Information (G, w + m, w + m) with the residual's columns (G, readings, m).
-
-    rms  (readings,) of the residual, SI
-
-    Readings which no machine reaches carry no information.
-    """
+    """Information (G, w + m, w + m) with residuals' columns; rms (readings,), SI."""
     rows = whitened_rows(option, chosen)
     counts = reading_counts(option, chosen)
     candidate_of = np.repeat(np.arange(len(chosen)), counts)

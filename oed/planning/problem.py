@@ -165,10 +165,7 @@ class StagePlan:
 
 
 def is_better(plan: StagePlan, other: StagePlan) -> bool:
-    """Whether a plan is more accurate, or as accurate with more linear readings.
-
-    The second condition puts rough measurements before fine ones.
-    """
+    """Whether a plan is more accurate, or as accurate with rough readings first."""
     as_accurate = abs(plan.value - other.value) < VALUE_RESOLUTION * other.value
     bends = plan.nonlinearity, other.nonlinearity
     if as_accurate and min(bends) < MORE_LINEAR_SHARE * max(bends):

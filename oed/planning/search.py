@@ -155,10 +155,7 @@ def verify_plan(problem: PlanProblem, plan: StagePlan) -> StagePlan:
 
 
 def trim_plan(problem: PlanProblem, plan: StagePlan) -> StagePlan:
-    """A plan without the readings that its targets do not need.
-
-    Stages with the longest readings give up theirs first.
-    """
+    """A plan without readings that its targets do not need, the longest ones first."""
     steps = steps_of(plan)
     first = evaluate_steps(problem, steps)
     best = min(first, evaluate_steps(problem, steps, first), key=lambda p: p.value)
@@ -182,10 +179,7 @@ def trim_plan(problem: PlanProblem, plan: StagePlan) -> StagePlan:
 def plan_from_counts(
     problem: PlanProblem, counts: dict[int, float]
 ) -> StagePlan | None:
-    """Refined plan from relaxed numbers of readings; None where time is too short.
-
-    counts  {position of the option: relaxed number of its readings}
-    """
+    """Refined plan from relaxed numbers by option; None where time is too short."""
     steps = []
     for position, count in counts.items():
         option = problem.options[position]
@@ -304,10 +298,7 @@ Evaluated = dict[tuple[tuple[str, int], ...], StagePlan]
 def beam_search(
     problem: PlanProblem, beam: int, progress: Callable[[float], None] | None
 ) -> list[StagePlan]:
-    """All partial plans that were evaluated, in the order of their evaluation.
-
-    progress  is called with the share of the work that is done
-    """
+    """All partial plans in the order of evaluation; `progress` hears the share done."""
     evaluated: Evaluated = {}
     parents = [problem.empty_plan()]
     for depth in range(problem.stages):
@@ -510,11 +501,7 @@ def _refine(
 def _plans_on_target(
     problem: PlanProblem, partial: Sequence[StagePlan], refined: Sequence[StagePlan]
 ) -> list[StagePlan]:
-    """Plans that reach the targets, among them trimmed ones.
-
-    Trimmed are the refined plans, and of every combination of options the shortest plan
-    that seems to reach the targets.
-    """
+    """Plans that reach the targets: refined ones, trimmed, and each shortest one."""
     by_time = sorted(partial, key=lambda plan: plan.seconds)
     near = [plan for plan in by_time if plan.value <= NEAR_TARGET_VALUE]
     shortest = _first_plans(near)

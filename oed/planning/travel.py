@@ -25,11 +25,7 @@ MIN_VARIANCE = 1e-300
 def capture_probability(
     option: Option, prior: Prior, rng: np.random.Generator
 ) -> Array:
-    """Probability (C,) that each candidate is captured, given the prior knowledge.
-
-    Single readings have a closed form. Whole runs are counted on machines drawn with
-    `rng`.
-    """
+    """Capture probability (C,): closed for single readings, drawn for whole runs."""
     if not option.limits_travel:
         return np.ones(len(option.candidates))
     first, count = option.candidates.members.T
@@ -45,10 +41,7 @@ def capture_probability(
 
 
 def capture_probability_bound(option: Option, prior: Prior) -> Array:
-    """Upper bound (C,) of the capture probability.
-
-    A run is no more likely to be captured than its least likely reading.
-    """
+    """Upper bound (C,) of capture: a run's is that of its least likely reading."""
     if not option.limits_travel:
         return np.ones(len(option.candidates))
     probability = _reading_probability(option, make_knowledge(prior))

@@ -396,10 +396,7 @@ class WorkspaceErrors:
         )
 
     def predicted(self, covariance: Array) -> Array:
-        """Predicted root mean square errors (K,), SI.
-
-        covariance  (n, n) of the free parameters, in units of their tolerances
-        """
+        """Predicted rms errors (K,), SI, of a covariance (n, n) in tolerances."""
         free = np.flatnonzero(self.tolerance > 0.0)
         scale = np.outer(self.tolerance[free], self.tolerance[free])
         full = np.zeros((len(self.tolerance), len(self.tolerance)))
@@ -661,10 +658,7 @@ class _Propagation:
         return theta, np.array([fit.covariance for fit in fits])
 
     def _prior_root(self, measurement: Measurement) -> Array | None:
-        """R (free, free), R R^T the prior covariance of machine and set-ups.
-
-        None stands for the identity: the tolerances alone.
-        """
+        """R (free, free), R R^T the prior covariance; None for the tolerances alone."""
         if self.start is None:
             return None
         root = np.eye(int(measurement.free.sum()))

@@ -57,10 +57,7 @@ def sphere(centre: Point3, radius: float) -> Capsule:
 
 
 def point_distance(point: Array, start: Array, end: Array) -> Array:
-    """Distance (...) of points (..., 3) to segments from `start` to `end` (..., 3).
-
-    The arguments broadcast.
-    """
+    """Distance (...) of points (..., 3) to segments (..., 3); arguments broadcast."""
     direction = end - start
     square = np.asarray((direction**2).sum(-1))
     projection = ((point - start) * direction).sum(-1)
@@ -70,10 +67,7 @@ def point_distance(point: Array, start: Array, end: Array) -> Array:
 
 
 def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Distance (...) between segments a0 a1 and b0 b1 (..., 3).
-
-    The arguments broadcast; a segment may be a point.
-    """
+    """Distance (...) of segments (..., 3) or points; the arguments broadcast."""
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
     uw, vw = (u * w).sum(-1), (v * w).sum(-1)

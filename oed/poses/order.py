@@ -194,10 +194,7 @@ def travel_times(before: Array, after: Array, speeds: ArrayLike) -> Array:
 def travel_between(
     measurement: Measurement, series: Series, speeds: ArrayLike
 ) -> Array:
-    """Seconds (n, n) between the poses of the n readings of a series, by their joints.
-
-    speeds (nq,), or one for all.
-    """
+    """Seconds (n, n) between n readings' poses, by joints of speeds (nq,), or one."""
     joints = series.q[series.index[:, 0]]
     return travel_times(joints, joints, speeds)
 
@@ -705,10 +702,7 @@ def _kicks(count: int) -> int:
 def _runs(
     series: Series, distance: Array, keeps_runs: bool, rng: np.random.Generator
 ) -> list[list[int]] | None:
-    """Readings that stay together, each run ordered unless it keeps its order.
-
-    None where each reading is visited by itself.
-    """
+    """Runs, ordered unless they keep their order; None for readings by themselves."""
     labels = list(dict.fromkeys(series.run))
     if len(labels) == 1 and not keeps_runs:
         return None

@@ -267,10 +267,7 @@ class PolishProgram:
         return status, np.asarray(solution["x"], dtype=float).ravel()
 
     def plan(self, z: Array) -> ReadingPlan:
-        """Set-ups and readings at a point.
-
-        They are computed anew from its commands and settings alone.
-        """
+        """Set-ups and readings at a point, computed anew from commands and settings."""
         z = np.clip(z, *self._variables.bounds())
         outputs: list[Any] = []
         for symbolic in self._setups.values():

@@ -89,10 +89,7 @@ def symbolic_pose(machine: Machine) -> SymbolicPose:
 def symbolic_reading(
     measurement: Measurement, setup: Setup, scaling: Scaling, basis: Any
 ) -> SymbolicReading:
-    """One reading with its rows times `basis` (n, r), for n entries of theta.
-
-    Raises ValueError for noise that a run shares.
-    """
+    """One reading, rows times `basis` (n, r). Raises ValueError for noise of a run."""
     machine, instrument = measurement.machine, setup.instrument
     shares = any(c.shared for c in instrument.channels) or setup.statement.seating
     if scaling == "tolerance" and shares:
@@ -222,10 +219,7 @@ def settings_and_tool(setup: Setup) -> dict[str, float]:
 
 
 def move_to_commands(plan: ReadingPlan, commands: Sequence[Array]) -> ReadingPlan:
-    """The readings at other commands (m, n_dof), teach poses unchanged.
-
-    Raises AssemblyError for commands out of reach.
-    """
+    """The readings at other commands (m, n_dof). Raises AssemblyError."""
     moved = []
     for series, command in zip(plan.series, commands, strict=True):
         command = command.copy()
@@ -256,10 +250,7 @@ def _first_channel(measurement: Measurement, series: Series) -> Array:
 def _hold_errors(
     plan: ReadingPlan, series: Series, travel: float | None
 ) -> Array | None:
-    """Distance (n,) of readings from the value held, beyond the travel.
-
-    None where the instrument holds nothing.
-    """
+    """Distance (n,) of readings beyond travel about a held value; None without one."""
     setup = plan.setup(series)
     if setup.instrument.fixed_reading is None:
         return None
@@ -276,10 +267,7 @@ def largest_hold_error(plan: ReadingPlan, travel: float | None) -> float:
 
 
 def restore_hold(plan: ReadingPlan, travel: float | None) -> ReadingPlan:
-    """The plan after Newton steps of the commands that remove rounding of held readings.
-
-    The commands stay within the workspace.
-    """
+    """The plan after Newton steps that remove rounding of holds, in the workspace."""
     for _ in range(MAX_RESTORE_STEPS):
         if largest_hold_error(plan, travel) <= HOLD_TOLERANCE / 10:
             break
@@ -334,10 +322,7 @@ def find_fault(
     clearance: float | None,
     hold: bool = True,
 ) -> str | None:
-    """The first fault of a plan, in words; None where it has none.
-
-    `clearance` is the least determinant as a share of that at home.
-    """
+    """The first fault in words, as of a determinant below `clearance`; None without."""
     for name, ranges in variables.items():
         current = settings_and_tool(plan.measurement.setups[name])
         for variable, (lower, upper) in ranges.items():

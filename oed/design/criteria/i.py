@@ -8,10 +8,7 @@ from oed.design.forms.variance import Variance
 
 
 def build(columns: int, ingredient: Array | None) -> Variance:
-    """-trace(W M^-1), W = F^T F the mean of J^T J over the poses.
-
-    Only F^T F counts: its triangle is as good.
-    """
+    """-trace(W M^-1), W = F^T F the mean of J^T J over the poses, by its triangle."""
     accuracy = np.asarray(ingredient)
     flat = accuracy.reshape(-1, accuracy.shape[2]) / np.sqrt(len(accuracy))
     if len(flat) > columns:

@@ -187,10 +187,7 @@ def _half(m: Array) -> Array:
 
 
 def estimable_part(interest: Array, basis: Array) -> Array:
-    """Directions K c that lie in the basis B (n, r), expressed in it.
-
-    Raises ValueError where no direction does.
-    """
+    """Directions K c in a basis (n, r), expressed in it. Raises ValueError for none."""
     outside = interest - basis @ (basis.T @ interest)
     _, distances, vt = np.linalg.svd(outside, full_matrices=False)
     inside_combinations = vt[

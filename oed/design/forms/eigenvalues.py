@@ -215,10 +215,7 @@ def trace_after_adding(
 
 
 def traces_after_exchange(pairs: Pairs, p: int) -> Array:
-    """l^p tr M'^-p (N, C) of all exchanges of single rows, with the least eigenvalue l of M.
-
-    `SINGULAR_TRACE` where an exchange leaves a direction undetermined.
-    """
+    """l^p tr M'^-p (N, C) of all exchanges of rows, or SINGULAR_TRACE; l the least."""
     eigenvalues, vectors = np.linalg.eigh(pairs.m)
     eigenvalues = np.maximum(eigenvalues, RANK_FLOOR * eigenvalues[-1])
     to_white = vectors / np.sqrt(eigenvalues)
