@@ -75,11 +75,7 @@ def _new_groups(values: Array) -> list[int]:
 
 
 def _chosen_basis(rows: Array, n: int) -> Array:
-    """The orthonormal basis (k, n) of a space that fixed directions choose.
-
-    These are projected onto the space one after the other, and made orthogonal: the
-    result depends on the space alone.
-    """
+    """The basis (k, n) of a space by fixed directions, projected and orthogonal."""
     turn, triangle = np.linalg.qr(rows @ _fixed_directions(n, len(rows)))
     signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
     return (turn * signs).T @ rows

@@ -120,10 +120,7 @@ def write_together(contents: Mapping[Path, bytes]) -> tuple[Path, ...]:
 
 
 def _named_error(path: Path, error: OSError) -> OSError:
-    """The error with the name of the file that was to be written.
-
-    A full disk is reported without a name, and HDF5 reports it without a number.
-    """
+    """The error with the file's name: a full disk has none, of HDF5 no number."""
     reason = error.strerror or str(error) or "cannot be written"
     if PART_NAME.search(reason):
         reason = "cannot be written"
@@ -191,10 +188,7 @@ def _unused(path: Path, new: str, replaceable: Collection[str]) -> Path:
 
 
 def _list(path: Path, new: str) -> None:
-    """Record a file before it appears, with the one that it replaces.
-
-    So that a process which is killed between leaves no file that counts as the user's.
-    """
+    """Record a file and what it replaces before it appears, for one killed between."""
     listed = _listed(path.parent)
     earlier = [digest(path)] if path.is_file() else []
     listed.pop(path.name, None)

@@ -109,10 +109,7 @@ class ReadingErrors:
 def errors_of_readings(
     structure: ReadingStructure, laws: Laws, instruments: Sequence[str]
 ) -> ReadingErrors:
-    """Errors of the readings of a structure under the first of the laws.
-
-    instruments  (N,) name of the instrument of each reading
-    """
+    """Errors under the first of the laws, by each reading's instrument (N,)."""
     names, whole = np.asarray(instruments), laws.errors(structure)
     scale = laws.scale[0, structure.group]
     single = (1.0 - laws.correlated[0]) * scale**2
@@ -459,10 +456,7 @@ def mean_variance(products: Array, covariance: Array) -> Array:
 
 
 def _add_remainder(lines: Sequence[Line], variance: Array) -> tuple[Line, ...]:
-    """The lines with `without` and `halved` of the whole.
-
-    They were computed for the linear model; what it leaves out stays as it is.
-    """
+    """The lines with what linearisation leaves out in `without` and `halved`."""
     linear = np.sum([li.variance for li in lines if li.without is not None], axis=0)
     beyond = variance - linear
 

@@ -159,10 +159,7 @@ def relative_to_reference(
 def _relative(
     twist: Array, rotation: Array, point: Array, reference: Reference, lever: float
 ) -> Array:
-    """Twists or their slopes (n, 6, m), relative to the reference, to first order.
-
-    twist, rotation, point  at n poses, and at home, the last
-    """
+    """Twists or slopes (n, 6, m), n poses and home, relative to the reference."""
     twist, home_twist = twist[:-1], twist[-1:]
     if reference == "absolute":
         return twist

@@ -286,10 +286,7 @@ def _ratio(exact: Array, linear: Array) -> Array:
 
 
 def _spread(errors: Array, rms: Array, worth: float | None) -> Spread:
-    """Spread of drawn errors (machines, n) of a component, of exact rms (n,).
-
-    Only the percentile and the largest error need the draws.
-    """
+    """Spread of a component's drawn errors (machines, n), of exact rms (n,)."""
     drawn = Spread.of_errors(errors, worth)
     exact = float(np.sqrt(np.mean(rms**2)))
     others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}

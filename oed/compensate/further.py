@@ -114,10 +114,7 @@ def _tool_axis_rows(kinematics: Kinematics, command: Array) -> Array:
 
 
 def _turns_about_tool_axis(kinematics: Kinematics) -> bool:
-    """Whether compensation leaves no rotation but that about the tool axis.
-
-    Seen at poses about home, from the slopes over all parameters.
-    """
+    """Whether compensation leaves no rotation but that, by slopes about home."""
     machine = kinematics.machine
     span = np.array([c.upper - c.lower for c in machine.command])
     rng = np.random.default_rng(0)

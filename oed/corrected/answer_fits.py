@@ -250,10 +250,7 @@ class AnswerFits:
     def _posteriors(
         self, candidate: _Candidate, without_effects: Estimate
     ) -> Iterator[AnswerPosterior]:
-        """The posterior of an answer without and with small effects; none without a fit.
-
-        Their evidence decides between the two.
-        """
+        """Posteriors of an answer without and with small effects, by their evidence."""
         fit = _fitted(lambda: self._known_form(candidate, without_effects))
         if fit is None:
             return

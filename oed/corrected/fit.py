@@ -199,10 +199,7 @@ class _JointFit:
     max_iterations: int
 
     def start(self, theta: Array, effects: Sequence[Effect]) -> _Start:
-        """Forms, chosen about parameters (n,), and where they explain the readings best.
-
-        Large effects bend the readings: about that point the forms are chosen again.
-        """
+        """Forms, chosen about (n,), then anew where they explain the readings best."""
         problem = self.readings.problem(theta)
         forms = choose_forms(problem, effects)
         if not forms:

@@ -159,10 +159,7 @@ def _other_meaning(table: ReadingsFile, coordinate: Coordinate, values: Array) -
 def filled_columns(
     table: ReadingsFile, stems: Sequence[str], rows: Index
 ) -> Array | None:
-    """Columns (n, k) of table rows (n,); None where all are empty.
-
-    Raises ReadingsError where only some are filled.
-    """
+    """Columns (n, k), or None where all are empty. Raises ReadingsError for some."""
     present = [stem for stem in stems if stem in table.columns]
     values: Array = table.frame.loc[rows, present].to_numpy(dtype=float)
     finite = np.isfinite(values)
@@ -288,10 +285,7 @@ def from_rows(
 
 
 def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
-    """Make a dataset of checked tables, for a machine and its set-ups.
-
-    Raises ReadingsError.
-    """
+    """A dataset of checked tables, for a machine. Raises ReadingsError."""
     for one in tables:
         check_columns(one, measurement)
     merged = _merge(tables)

@@ -115,10 +115,7 @@ def is_unread(name: str) -> bool:
 
 
 def with_decimal_points(cells: Sequence[str], separator: str) -> list[str]:
-    """Numbers with a decimal point, where commas do not separate cells.
-
-    A number with both signs stays as it is: which of them groups thousands is unknown.
-    """
+    """Numbers with a decimal point; those with both signs stay as they are."""
     if separator == SEPARATORS[0]:
         return list(cells)
     return [c.replace(",", ".") if DECIMAL_COMMA.fullmatch(c) else c for c in cells]

@@ -338,10 +338,7 @@ def _rows(split: SplitText, file: str) -> Iterator[Row]:
 def _cells_in_columns(
     cells: Sequence[str], names: Sequence[str], number: int, file: str
 ) -> Sequence[str]:
-    """One cell a column. Only remarks may be missing at the end, or empty cells follow.
-
-    Raises ReadingsError.
-    """
+    """One cell a column, or fewer where the last are remarks. Raises ReadingsError."""
     missing, surplus = names[len(cells) :], cells[len(names) :]
     if any(cell.strip() for cell in surplus) or not all(
         map(dialect.is_unread, missing)
@@ -424,10 +421,7 @@ def _unit_remedy(name: str, expected: Mapping[str, str]) -> str:
 
 
 def cell_remedy(stem: str, poses: Sequence[Sequence[str]]) -> str:
-    """What to do about a cell that is wrong, or empty where it may not be.
-
-    poses  groups of stems that only together give a pose; none where they are not known
-    """
+    """What to do about a wrong or empty cell, by stems that together give a pose."""
     if not poses:
         return "correct the number; only readings and covariates may be left empty"
     for group in poses:

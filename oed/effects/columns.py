@@ -328,11 +328,7 @@ def _unit(values: Array) -> Array:
 
 
 def _typical_size(known_groups: Sequence[_EffectGroup], unknown: _EffectGroup) -> float:
-    """Median root mean square change of readings by known groups, in units of the noise.
-
-    Over the readings that an unknown group changes: its instrument's, if it is an error
-    of one.
-    """
+    """Median rms change by known groups, of what an unknown one changes, over noise."""
     changed = (unknown.readings != 0.0).any(axis=1)
     sizes = []
     for group in known_groups:

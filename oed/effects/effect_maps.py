@@ -243,9 +243,7 @@ def effect_maps(
 def _twists(
     machine: Machine, model: ErrorModel, by_joint: Array, column: Column
 ) -> tuple[Array, Array]:
-    """Twist errors (n, 6) per prior standard deviation: raw, and with parameters
-    compensated.
-    """
+    """Twist errors (n, 6) per prior standard deviation: raw, and compensated."""
     twist = np.zeros(by_joint.shape[:2])
     fixed = np.zeros_like(twist)
     names = {p.name for p in machine.parameters}

@@ -287,10 +287,7 @@ def _expected(
 
 
 def _joint_information(model: BudgetModel, changes: Array) -> Array:
-    """Information (n + m, n + m) of the readings on z and beta.
-
-    changes  (N, m) of the readings per prior standard deviation of each coefficient, SI
-    """
+    """Information (n + m, n + m) on z and beta, that changes readings by (N, m), SI."""
     columns = np.hstack([model.slopes, model.structure.standardise(changes)])
     white = model.readings.whiten(columns, {})
     return np.asarray(white.T @ white)

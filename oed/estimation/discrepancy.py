@@ -124,11 +124,7 @@ class SampledEffects:
         return np.asarray(self.discrepancy.columns @ self.coefficients.mean(axis=0))
 
     def freedom(self, noise: Noise, jacobian: Array) -> float:
-        """Degrees of freedom that parameters and effects take from the readings.
-
-        By what the sum of squares of draws is above that of their mean, whitened by the
-        noise. jacobian (N, n) is that of the readings.
-        """
+        """Degrees of freedom that draws take, by squares above those of their mean."""
         of_theta = jacobian @ (self.theta - self.theta.mean(axis=0)).T
         offsets = self.coefficients - self.coefficients.mean(axis=0)
         white = noise.whiten(of_theta + self.discrepancy.columns @ offsets.T)

@@ -260,11 +260,7 @@ def large_residuals(
 def _wide_parameters(
     measurement: Measurement, estimate: Estimate, above: float, below: float
 ) -> list[str]:
-    """Parameters whose shrinkage lies between the two, with their posterior.
-
-    Those whose prior is the posterior of an earlier session are well known, whatever
-    the readings add.
-    """
+    """Parameters of a shrinkage between two, but those of an earlier posterior."""
     phrases = {}
     rows = zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True)
     for parameter, sd, shrinkage in rows:

@@ -74,9 +74,7 @@ class ReadingsFit:
         return structure.standardise(self.residuals(theta)), slopes
 
     def closing(self, start: Array, end: Array) -> Array:
-        """Parameters (n,) from the start towards the end: there, or after half the way
-        or less, the first at which all poses close.
-        """
+        """Parameters (n,) at the end, or halfway or less to where all poses close."""
         for halvings in range(MAX_TRIALS):
             theta = np.asarray(start + (end - start) / 2.0**halvings)
             if np.isfinite(self.measurement.try_readings(self.series, theta)).all():
@@ -86,10 +84,7 @@ class ReadingsFit:
     def solve(
         self, noise: Noise, coordinates: IdentifiableCoordinates, theta: Array
     ) -> tuple[Array, int]:
-        """Minimise over z, from theta (n,).
-
-        Returns z (r,) and the number of evaluations of the readings.
-        """
+        """z (r,) that minimises, from theta (n,), and the number of evaluations."""
         problem = ReadingsProblem(
             self.measurement,
             self.series,

@@ -130,10 +130,7 @@ def _stated_weights(
     first: Estimate,
     check: LawCheck,
 ) -> Estimate:
-    """The fit with stated weights, its intervals as wide as the readings' law makes them.
-
-    robust  the fit with readings far off replaced;  first  with the stated noise
-    """
+    """The fit, far readings replaced, by stated weights with the law's intervals."""
     (stage,) = first.stages
     before = first.residuals_before
     by_stated = last_stage(robust, stated, first.theta, before, stage.patterns)
@@ -236,10 +233,7 @@ def settle_law(
 def integrate_settled(
     fit: ReadingsFit, first: Estimate, settled: SettledLaw
 ) -> Estimate:
-    """The estimate with the law integrated over.
-
-    first  estimate with the stated noise
-    """
+    """The estimate with the law integrated over, from that with the stated noise."""
     coordinates = settled.coordinates
     posterior = settled.model.integrate(settled.prior, settled.mode)
     theta = coordinates.to_theta(settled.model.centre)
@@ -344,10 +338,7 @@ def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:
 
 
 def _satterthwaite(total: float, expected: Array) -> tuple[float, float]:
-    """Ratio to its mean, and probability of more, of a weighted sum of squares.
-
-    Its first two moments are those of a scaled chi-square (Satterthwaite 1946).
-    """
+    """Ratio to the mean, and p-value, of weighted squares (Satterthwaite 1946)."""
     mean = float(np.trace(expected))
     spread = 2.0 * float(np.trace(expected @ expected))
     if mean <= VARIANCE_TOLERANCE * len(expected) or spread <= 0.0:

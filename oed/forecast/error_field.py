@@ -229,10 +229,7 @@ class Kernel:
 
 
 def expected_kernel(size: float, axes: int) -> Kernel:
-    """The kernel before any reading: the discrepancy's, Matern's of order 3/2.
-
-    size  standard deviation that calibration is expected to leave, SI
-    """
+    """The kernel before any reading, of order 3/2, of an expected size, sd, SI."""
     return Kernel("3/2", size, np.full(axes, LENGTH_MEDIAN))
 
 
@@ -334,10 +331,7 @@ class ErrorField:
         return np.asarray(self.prior.variance(self.kernel, rows, rows) - reduction)
 
     def left_out(self) -> tuple[Array, Array]:
-        """Readings less their prediction by the other nodes, and its sd, (n, k), SI.
-
-        NaN where none was read.
-        """
+        """Readings less their prediction by other nodes, its sd (n, k), SI, or NaN."""
         inverse = linalg.cho_solve(self._factor, np.eye(len(self.errors)))
         residual, sd = np.full((2, *self.rows.local.shape[:2]), np.nan)
         for number in np.unique(self.node):

@@ -261,10 +261,7 @@ def estimate_change(
 def likelihood(
     session: Session, nominal: Array, tolerance: Array
 ) -> tuple[Array, Array]:
-    """Root R (k, n) of the information of the readings, and t (k,), in tolerances.
-
-    R p = t + N(0, 1) of the parameters p about nominal.
-    """
+    """Root R (k, n) of the readings' information, and t: R p = t + N(0, 1)."""
     scaled = session.covariance / np.outer(tolerance, tolerance)
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
     informed = values < MAX_INFORMED
@@ -331,10 +328,7 @@ def _causes(
     white: Array,
     widening: float = 1.0,
 ) -> tuple[Cause, ...]:
-    """Single parameters as all that changed, the best explanation first.
-
-    Where none explains the change, pairs of those that the sessions determine apart.
-    """
+    """Parameters, or pairs where none does, as all that changed, the best first."""
     determined = [
         k for k, column in enumerate(root.T) if column @ column > MIN_INFORMATION
     ]

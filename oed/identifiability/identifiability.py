@@ -106,10 +106,7 @@ def analyse(
 
 
 def echelon(space: Array) -> Array:
-    """Basis (k, n) of the same row space with an identity at its pivot columns.
-
-    Pivots are taken from the right. Raises LinAlgError for rows that are dependent.
-    """
+    """A basis (k, n), an identity at pivots from the right. Raises LinAlgError."""
     if space.shape[0] == 0:
         return space
     pivots = _pivots(space)
@@ -123,10 +120,7 @@ def echelon(space: Array) -> Array:
 
 
 def _pivots(space: Array) -> Index:
-    """Columns (k,) that are independent, as far right as possible.
-
-    The threshold is lowered until there are enough.
-    """
+    """Independent columns (k,), the farthest right, by a threshold that allows k."""
     for threshold in PIVOT_THRESHOLDS:
         pivots = _independent_columns(space, threshold)
         if len(pivots) == space.shape[0]:
@@ -170,10 +164,7 @@ def _combinations(rows: Array, scale: Array) -> Array:
 
 
 def _directions(rows: Array, scale: Array) -> Array:
-    """Changes (k, n) of SI parameters, from an echelon in scaled ones.
-
-    A direction changes p by scale; its largest entry is 1.
-    """
+    """Changes (k, n) of SI parameters, largest 1, from an echelon in scaled ones."""
     directions = np.empty_like(rows)
     for k, row in enumerate(rows):
         change = row * scale
@@ -190,10 +181,7 @@ class RigidMotion:
 
 
 def rigid_motions(machine: Machine, names: Sequence[str]) -> list[RigidMotion]:
-    """Rigid motions of the machine's point groups that move free parameters only.
-
-    `names` are the n free parameters.
-    """
+    """Rigid motions of the machine's point groups that move free `names` only."""
     kinds = ("translation", "rotation")
     motions = []
     for group in machine.groups:

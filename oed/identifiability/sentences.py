@@ -191,10 +191,7 @@ def _lost(
 
 
 def _direction(assessment: Assessment, row: Array) -> str:
-    """A null direction (n,) as a joint change of its largest parameters.
-
-    The changes are in display units, relative to the largest one.
-    """
+    """A null direction (n,) as relative changes of its largest parameters."""
     parameters = {p.name: p for p in assessment.measurement.parameters}
     shown = [units.display(parameters[name].unit) for name in assessment.names]
     moves = [

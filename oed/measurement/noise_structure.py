@@ -132,10 +132,7 @@ class _Parts:
 def common_statement(
     measurement: Measurement, series: Sequence[Series]
 ) -> NoiseStatement:
-    """What is stated of the noise of all set-ups together.
-
-    Raises ValueError where set-ups state different shares, reaches or tails.
-    """
+    """What all set-ups state of the noise. Raises ValueError where it differs."""
     used = [measurement.setups[s.setup].statement for s in series]
     common = {
         dataclasses.replace(s, levels=frozenset(), seating=None) for s in used
@@ -160,11 +157,7 @@ def _places(run: Index) -> Index:
 def renewed_jacobian(
     measurement: Measurement, series: Sequence[Series], theta: Array
 ) -> Array:
-    """Jacobian (N, s) over the unknowns that each run seats anew, by their names.
-
-    Set-ups that state their seating are left out. One column serves the unknown of a
-    name in every set-up: no reading sees two.
-    """
+    """Jacobian (N, s) over what runs seat anew, by name, without stated seating."""
     sizes = {
         name: 1.0
         for name, setup in measurement.setups.items()

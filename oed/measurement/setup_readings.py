@@ -81,10 +81,7 @@ class ObservationModel:
     def jacobians(
         self, inputs: Sequence[Array]
     ) -> tuple[list[Array], Array, Array | None]:
-        """Jacobian (n, channels, size) over each pose, over s, and over p at fixed poses.
-
-        The last is None unless g uses the closure.
-        """
+        """Jacobian (n, channels, size) over poses, s, and p or None; poses fixed."""
         n = inputs[0].shape[0]
         jacobians = [
             jacobian.reshape(n, self._channels, size)
@@ -96,10 +93,7 @@ class ObservationModel:
         return by_pose, by_setup, jacobians[-1] if self.uses_closure else None
 
     def joint_jacobians(self, inputs: Sequence[Array]) -> list[Array] | None:
-        """Jacobian (n, channels, nq) over the joints of each pose, at fixed poses.
-
-        None unless g uses the closure.
-        """
+        """Jacobian (n, channels, nq) over the joints, or None without the closure."""
         if self._joint_jacobians is None:
             return None
         n = inputs[0].shape[0]
@@ -211,10 +205,7 @@ class SetupReadings:
         return rows.reshape(len(x), -1, theta.shape[1])
 
     def response(self, series: Series, theta: Array) -> Response:
-        """Jacobian of the readings over joints, parameters and nuisances, by pose.
-
-        At theta (n,). Raises AssemblyError.
-        """
+        """Jacobian over joints, parameters and nuisances, by pose. AssemblyError."""
         vectors = theta[None]
         x = self.poses(series, vectors, strict=True)
         p = theta[: self._count]
@@ -264,10 +255,7 @@ class SetupReadings:
         return self._jacobians(series, series.start[None], theta[None])[1]
 
     def _inputs(self, series: Series, x: Array, theta: Array) -> list[Array]:
-        """Inputs of the observation model, m times the readings n.
-
-        Poses x (m, poses, nx), theta (m, n).
-        """
+        """Inputs at poses x (m, poses, nx), theta (m, n): m times the readings n."""
         indices, m, n = series.pose_indices(), len(x), len(series)
         inputs = [x[:, k].reshape(m * n, -1) for k in indices]
         inputs.append(np.repeat(theta[:, self._unknowns], n, axis=0))
@@ -288,20 +276,13 @@ class SetupReadings:
         return self.model.jacobians(self._inputs(series, x, theta))
 
     def source_gradients(self, series: Series) -> Array:
-        """Jacobian (n, channels, sources), SI, over the errors inside an instrument.
-
-        Each error is in its standard deviation. Only for instruments that state them.
-        """
+        """Jacobian (n, channels, sources), SI, over stated inner errors in sd."""
         poses = [series.start[k] for k in series.pose_indices()]
         nuisances = np.array([n.nominal for n in self.setup.nuisances])
         return self.model.sources(poses, nuisances)
 
     def run_errors(self, series: Series) -> Array:
-        """Jacobian (n, channels, k), SI, over the k stated errors that a run shares.
-
-        Each error is standard normal: levels of channels, then unknowns that the run
-        seats anew. Jacobian are those at the nominal poses.
-        """
+        """Jacobian (n, channels, k), SI, over a run's k levels and seats, nominal."""
         setup = self.setup
         pairs = zip(setup.instrument.channels, setup.sigma, strict=True)
         shared = [channel.shared * sigma for channel, sigma in pairs]

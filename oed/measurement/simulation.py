@@ -47,10 +47,7 @@ def draw_parameters(
 def _redraw_outside(
     measurement: Measurement, theta: Array, rng: np.random.Generator
 ) -> Array:
-    """Parameters (m, n), those out of bounds drawn anew until none is left.
-
-    Raises ValueError where hardly any keep to the bounds.
-    """
+    """Parameters (m, n) within bounds. Raises ValueError where hardly any are."""
     for _ in range(MAX_DRAWS):
         outside = np.flatnonzero(~measurement.in_bounds(theta))
         if not outside.size:

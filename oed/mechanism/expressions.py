@@ -104,10 +104,7 @@ def machine_expressions(machine: Machine) -> MachineExpressions:
 
 
 def twist_slope(rotation: Expr, tip: Expr, x: Expr) -> Expr:
-    """Slope (6, nx) of [tool point, rotation vector] over x, base frame.
-
-    Column j of the rotation is vee(dR/dx_j R^T).
-    """
+    """Slope (6, nx) of tool point and rotation vector: vee(dR/dx_j R^T), base frame."""
     columns = []
     for j in range(x.numel()):
         by_x = ca.reshape(ca.jacobian(ca.vec(rotation), x[j]), 3, 3)

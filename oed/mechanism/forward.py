@@ -88,10 +88,7 @@ class ForwardKinematics:
     def solve(
         self, inputs: tuple[Array, Array, Array], step_tolerance: float
     ) -> tuple[Array, Mask]:
-        """Poses (n, nx) or (m, n, nx), and the mask of those that failed.
-
-        inputs  starts, as the poses, and joints and parameters, which may be broadcast
-        """
+        """Poses (n, nx) or (m, n, nx) from starts, joints, parameters, and failures."""
         start, q, p = inputs
         longest = newton.longest_step(self.machine.lever)
         x, solved, near = self.equations.solve(inputs, step_tolerance, longest)

@@ -129,10 +129,7 @@ class InverseKinematics:
             raise
 
     def home(self) -> tuple[Array, Array]:
-        """Pose and joints (nx + nq,) of the home pose, and its mode. Raises AssemblyError.
-
-        The mode is that of the machine as drawn, at whatever its start leads to.
-        """
+        """Home's pose and joints (nx + nq,), mode as drawn. Raises AssemblyError."""
         if self._home is None:
             self._home = self._assemble_home()
         return self._home

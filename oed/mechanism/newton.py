@@ -82,10 +82,7 @@ def longest_step(lever: float) -> float:
 
 
 def solve_linear(matrix: Array, right: Array) -> Array:
-    """Solve matrices (n, k, k) with right sides (n, k, m); NaN where singular.
-
-    An exactly singular matrix means a singular pose, which callers report by number.
-    """
+    """Solutions of matrices (n, k, k) and sides (n, k, m); NaN where singular."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:

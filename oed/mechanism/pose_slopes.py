@@ -122,10 +122,7 @@ class PoseSlopes:
             )
 
     def reciprocal_condition(self, x: Array, q: Array, p: Array) -> Array:
-        """Reciprocal condition number (n,) of phi_x: 0 where singular.
-
-        Lengths are in units of the machine's lever.
-        """
+        """Reciprocal condition (n,) of phi_x, in levers; 0 where singular."""
         phi_x = self.of_closure(x, q, p)
         values = np.linalg.svd(phi_x * self._scale, compute_uv=False)
         return values[:, -1] / values[:, 0]

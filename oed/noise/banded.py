@@ -96,9 +96,7 @@ class ChainFactor:
         return white
 
     def whiten_chains(self, values: Array) -> Array:
-        """The same of values (C, T, m) of chains of equal length; row after row where
-        they are short: all chains go together.
-        """
+        """The same of chains (C, T, m) of equal length, short rows all together."""
         chains, length, count = values.shape
         if length > BLOCK_ROWS:
             rows = values.reshape(chains * length, count)

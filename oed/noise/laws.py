@@ -324,10 +324,7 @@ class Whitening:
         return gram
 
     def _products(self, values: Array) -> tuple[Array, Array]:
-        """Products (L, m, m) of values, and log determinants (L,) of the covariances.
-
-        What all readings share is taken out by the Woodbury identity.
-        """
+        """Products (L, m, m), by Woodbury, and log determinants (L,) of covariances."""
         gram, log_determinant = self._products_of_noise(values)
         count = values.shape[-1]
         if gram.shape[-1] == count:
@@ -517,21 +514,14 @@ class Whitening:
 
 
 def _student_over_pseudo(dof: float) -> float:
-    """Standard deviation of a Student t error over that of its pseudo-value.
-
-    Of unit scale they are dof / (dof - 2) and the inverse of the Fisher information,
-    (dof + 3) / (dof + 1), in squares.
-    """
+    """Sd of a Student t over its pseudo-value's, the inverse of Fisher information."""
     return float(np.sqrt(dof / (dof - 2.0) * (dof + 1.0) / (dof + 3.0)))
 
 
 def _heavy_tailed(
     errors: Array, tails: NoiseStatement, rng: np.random.Generator
 ) -> Array:
-    """Independent normal errors of unit variance with the tails that are stated.
-
-    Student t keep the variance. Errors far off come on top, from 5 to 50.
-    """
+    """Normal errors of unit variance with stated tails, those far off from 5 to 50."""
     if tails.student_dof is not None:
         dof = tails.student_dof
         chi2 = rng.chisquare(dof, errors.shape)

@@ -288,10 +288,7 @@ def split_student(cost: Cost, mode: Array, root: Array) -> SplitStudent:
 def kernels_at(
     draws: Array, log_weights: Array, widening: float = 1.0
 ) -> KernelMixture:
-    """Kernels at draws (m, d), more where their weights are larger.
-
-    widening  of the kernels, over the best for a normal density
-    """
+    """Kernels at draws (m, d), by weights, `widening` over the best for a normal."""
     weights = np.exp(WEIGHT_POWER * (log_weights - log_weights.max()))
     weights /= weights.sum()
     offsets = draws - weights @ draws

@@ -114,10 +114,7 @@ ROBUST_DENSITIES = (
 
 
 def stated_densities(statement: NoiseStatement) -> tuple[ErrorDensity, ...] | None:
-    """The densities that a statement leaves: () where no reading is far off.
-
-    None where nothing is stated of the tails.
-    """
+    """The densities that are stated: () for no tails, None where nothing is stated."""
     if statement.student_dof is not None:
         return (StudentT(statement.student_dof),)
     share = statement.outlier_share

@@ -101,10 +101,7 @@ class Checkpoint:
 
 
 def ensemble_sizes(walkers: int | None, dimensions: int) -> list[int]:
-    """Walkers of each ensemble; `walkers` in all, as many as are needed by default.
-
-    Fewer than twice the dimensions in all would not span them: these are taken then.
-    """
+    """Walkers of each ensemble: as many in all as given, wanted, or span the space."""
     if walkers is None:
         return [max(2 * (dimensions + 2), MIN_WALKERS)] * N_ENSEMBLES
     walkers = max(walkers, 2 * dimensions + 2)
@@ -164,10 +161,7 @@ class Ensembles:
         return float(np.mean(np.concatenate(shares)))
 
     def run_to(self, steps: int) -> None:
-        """Let every ensemble run to so many steps, and save them.
-
-        Raises KeyboardInterrupt.
-        """
+        """Let ensembles run to so many steps, and save. Raises KeyboardInterrupt."""
         more = steps - self.iteration
         if more <= 0:
             return
@@ -261,10 +255,7 @@ def run(
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> tuple[float, int]:
-    """Run until the chains have converged; autocorrelation time and burn-in, in steps.
-
-    Chains that are resumed are judged before they go on, as the unbroken ones were.
-    """
+    """Run to convergence, judged on resuming too; correlation and burn-in, steps."""
     for steps in _checks(max_steps):
         if steps < min(ensembles.iteration, max_steps):
             continue
@@ -364,10 +355,7 @@ def collect(
 
 
 def _accepted(values: Array, inside: Mask) -> Array:
-    """Values (chains, k, m) of those (chains, draws) inside, as many of each chain.
-
-    All in one chain where that would leave out half of them.
-    """
+    """Values (chains, k, m) inside, equally many, or one chain if half would go."""
     least = int(inside.sum(axis=1).min())
     if least * len(values) < 0.5 * inside.sum():
         return values[inside][None]

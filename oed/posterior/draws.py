@@ -144,10 +144,7 @@ def _add(
     axis: str,
     values: Array,
 ) -> None:
-    """A variable (chains, draws, k) of a group, and the coordinates that it lacks.
-
-    names  of the entries of each last axis
-    """
+    """A variable (chains, draws, k) of a group, with coordinates that lack `names`."""
     import h5py
 
     dimensions = ("chain", "draw", axis)

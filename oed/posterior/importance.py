@@ -198,10 +198,7 @@ def draw_weighted(
 
 
 def resample(weights: Array, count: int, rng: np.random.Generator) -> Index:
-    """Numbers (count,) of proposals by their weights (m,), in a random order.
-
-    Systematic: each is taken as often as its weight says, rounded up or down.
-    """
+    """Numbers (count,) by weights (m,), systematic: rounded up or down, shuffled."""
     levels = (np.arange(count) + rng.random()) / count
     ends = np.cumsum(weights)
     numbers = np.searchsorted(ends, levels * ends[-1])
@@ -233,10 +230,7 @@ def collect(
     chosen: Index,
     rng: np.random.Generator,
 ) -> Posterior:
-    """The drawn proposals, with lost directions from their prior, within bounds.
-
-    Raises OutOfBoundsError where no draw is within bounds.
-    """
+    """The drawn proposals and lost directions within bounds, or OutOfBoundsError."""
     theta = proposals.theta[chosen]
     ess = worth(proposals.theta, chosen)
     z = target.coordinates.from_theta(theta)

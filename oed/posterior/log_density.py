@@ -224,10 +224,7 @@ class LogDensity:
 
     @functools.cached_property
     def _readings(self) -> Readings:
-        """Readings (m, N) at parameters (m, n) that the posterior allows.
-
-        Those of long sessions are interpolated from a few of them.
-        """
+        """Readings (m, N) at parameters (m, n), of long sessions interpolated."""
         if len(self._y) < MIN_READINGS:
             return self._exact
         count = POINTS + CHECKS

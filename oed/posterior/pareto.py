@@ -25,10 +25,7 @@ POINT_SPREAD = 3.0
 
 
 def smoothed_weights(log_weights: Array) -> tuple[Array, float]:
-    """Smoothed weights (m,) of sum 1, and the shape k of their tail.
-
-    Too few weights are as they are, and k infinite; equal ones have no tail, k is 0.
-    """
+    """Weights (m,) of sum 1, k of their tail; too few stay, of k inf; equal have 0."""
     count = len(log_weights)
     tail = count // 5 if count <= FEW_WEIGHTS else math.floor(3.0 * math.sqrt(count))
     weights = np.exp(log_weights - log_weights.max())

@@ -49,9 +49,7 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
 
 
 def _fading(state: State, tau: float) -> Array:
-    """exp(-t / tau) since the set-up's first reading (m,); nothing where no time is
-    known.
-    """
+    """exp(-t / tau) since the set-up's first reading (m,); 0 where no time is known."""
     times = state.time[np.isfinite(state.time)]
     return (
         np.exp(-(terms.fill_gaps(state.time) - times.min()) / tau)

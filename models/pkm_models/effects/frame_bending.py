@@ -56,9 +56,7 @@ def _products(offset: Mapping[str, Array], degree: int) -> Iterable[tuple[str, A
 
 
 def _offset(state: State) -> dict[str, Array]:
-    """Coordinates (m,) of the reference tool point from the middle of the workspace, in
-    levers, by their names.
-    """
+    """Coordinates (m,) of the reference tool point from mid workspace, in levers."""
     middle = {c.name: 0.5 * (c.lower + c.upper) for c in state.machine.command}
     return {
         c.name: (state.pose[:, k] - middle.get(c.name, 0.0)) / state.machine.lever

@@ -131,9 +131,7 @@ def travel_curve(position: Array, number: int) -> Array:
 
 
 def joint_per_metre(state: State) -> Array:
-    """What a metre of strut is worth in each joint (m, nq), without sign: 1 where a
-    joint is a length.
-    """
+    """What a metre of strut is worth in each joint (m, nq); 1 where it is a length."""
     turning = np.array([c.unit == "rad" for c in state.machine.joints])
     worth = np.where(
         np.isfinite(state.joint_per_length),
@@ -170,19 +168,14 @@ def joint_load(state: State, ratio: float) -> tuple[Array, Array]:
 
 
 def joint_change(state: State, shift: Array) -> Array:
-    """Joint changes (m, nq) worth base ends displaced by shift (m, nq, 3), m.
-
-    |A - B - shift| = l is |A - B| = l + along . shift to first order.
-    """
+    """Joint changes (m, nq) worth shifts (m, nq, 3) of base ends, m: first order."""
     return np.asarray(
         state.joint_per_length * np.einsum("mjk,mjk->mj", state.strut_direction, shift)
     )
 
 
 def radial_directions(state: State) -> Array:
-    """Horizontal unit vectors (m, nq, 3) from the middle of the base ends to each; x
-    where an end is in the middle.
-    """
+    """Horizontal unit vectors (m, nq, 3) from mid base to each end; x at the middle."""
     away = state.base - state.base.mean(axis=1, keepdims=True)
     away[..., 2] = 0.0
     length = np.linalg.norm(away, axis=-1, keepdims=True)
@@ -223,9 +216,7 @@ def has_rotary_drives(machine: Machine) -> str | None:
 
 
 def fill_gaps(values: Array) -> Array:
-    """Values with gaps (NaN) closed from their neighbours; zeros where nothing is
-    known.
-    """
+    """Values with gaps closed from their neighbours; zeros where nothing is known."""
     is_finite = np.isfinite(values)
     if not is_finite.any():
         return np.zeros(len(values))
@@ -314,9 +305,7 @@ def _worked(state: State, tau: float) -> Array:
 
 
 def _lag(value: Array, time: Array, tau: float) -> Array:
-    """First-order lag of a value that goes in straight lines between times; settled at
-    the first.
-    """
+    """First-order lag of a value, straight between times and settled at the first."""
     order = np.argsort(time, kind="stable")
     behind = np.empty(len(value))
     last = float(value[order[0]])

@@ -109,9 +109,7 @@ def _offset(a: Expr, b: Expr) -> list[Expr]:
 
 
 def _spread(point: Expr, k: Values) -> Expr:
-    """Slopes (3 x 3) of a point from errors of R, theta, phi, each in units of its
-    noise.
-    """
+    """Slopes (3 x 3) of a point over errors of R, theta, phi, in units of noise."""
     d = point - _gimbal(k)
     flat = ca.sqrt(d[0] ** 2 + d[1] ** 2)
     up = ca.vertcat(-d[0] * d[2] / flat, -d[1] * d[2] / flat, flat)

@@ -29,9 +29,7 @@ def point_channels(sigma: float, axes: str = "xyz") -> tuple[Channel, ...]:
 
 
 def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
-    """The six unknowns with their tolerances (m, rad); 0 holds them, as for a frame
-    that is known.
-    """
+    """The six unknowns with their tolerances (m, rad); 0 holds a known frame's."""
     return (
         *(
             Parameter(f"shift_{n}", 0.0, shift, "m", f"{n} of the instrument's frame")
@@ -51,9 +49,7 @@ def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
 
 
 def rotation_in_frame(s: Values, rotation: Expr) -> Expr:
-    """A rotation (3 x 3) or direction (3,) of the base frame, as the instrument sees
-    it.
-    """
+    """A rotation (3 x 3) or direction (3,) as the instrument sees it."""
     return tilt_torsion(s["turn_x"], s["turn_y"], s["turn_z"]) @ rotation
 
 
@@ -72,9 +68,7 @@ def coordinates_in_frame(s: Values, point: Expr) -> list[Expr]:
 
 
 def axis_angles(axis: Expr) -> list[Expr]:
-    """alpha, beta of an axis (3,) = (sin beta, -sin alpha cos beta, cos alpha cos beta)
-    times its length.
-    """
+    """alpha, beta of (sin beta, -sin alpha cos beta, cos alpha cos beta) l (3,)."""
     return [
         ca.atan2(-axis[1], axis[2]),
         ca.atan2(axis[0], ca.sqrt(axis[1] ** 2 + axis[2] ** 2)),

@@ -54,9 +54,7 @@ def _displacement(axis: int) -> Callable[[Sequence[Frame], Values, Values], Expr
 def _deviation(
     axis: int, line: int
 ) -> Callable[[Sequence[Frame], Values, Values], Expr]:
-    """Deviation along a base axis from a ruler that lies along the axis `line`, up to
-    its tilt.
-    """
+    """Deviation along a base axis from a ruler along axis `line`, up to its tilt."""
     return lambda frames, s, k: (
         _displacement(axis)(frames, s, k)
         - s["tilt"] * _displacement(line)(frames, s, k)

@@ -59,10 +59,7 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
 
 
 def guess(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
-    """The commanded point, and each upper arm with its knee outward.
-
-    The law of cosines gives the turn between the upper arm and the line to the tool.
-    """
+    """The commanded point, and upper arms, knees outward, by the law of cosines."""
     joints = []
     for i in LIMBS:
         cos, sin = ca.cos(p[f"angle{i}"]), ca.sin(p[f"angle{i}"])

@@ -120,10 +120,7 @@ class Wrist:
         return rotation, shift
 
     def angles(self, direction: Expr, p: Values) -> list[Expr]:
-        """Angles that turn z of the tool into a direction (3,) of the platform's frame.
-
-        The direction lies on circles about both axes; they meet in two points.
-        """
+        """Angles that turn z of the tool into a direction (3,) of the platform: two."""
         (_, first), (_, second) = self.axis(p, 0), self.axis(p, 1)
         z = ca.DM([0.0, 0.0, 1.0])
         cos, across = ca.dot(first, second), ca.cross(first, second)

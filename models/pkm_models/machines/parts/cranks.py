@@ -171,10 +171,7 @@ def parameters(
 
 
 def directions(axis: Array, first: Array, count: int) -> tuple[Array, Array]:
-    """Unit axes and directions at angle 0, square to them, each (n, 3).
-
-    Raises ValueError where a direction is along its axis.
-    """
+    """Unit axes and directions at angle 0 (n, 3). Raises ValueError for none."""
     axis = families.unit_vectors(axis, count)
     first = families.unit_vectors(first, count)
     square = first - np.sum(first * axis, axis=1, keepdims=True) * axis

@@ -24,10 +24,7 @@ UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 
 
 def tangents(points: Array) -> Array:
-    """Horizontal axes (n, 3) of base joints (n, 3): across the radius from their centre.
-
-    A joint at the centre has x.
-    """
+    """Horizontal axes (n, 3) of base joints across the radius; x at their centre."""
     radius = np.asarray(points, dtype=float)
     radius = radius - radius.mean(axis=0)
     across = np.stack([-radius[:, 1], radius[:, 0], 0.0 * radius[:, 0]], axis=1)
@@ -41,10 +38,7 @@ def hinges(
     axes: Array | Sequence[Expr],
     upright: Array | Sequence[float],
 ) -> list[PassiveJoint]:
-    """`swing1`, ... of n struts about their hinges' axes (3,).
-
-    upright  (3,) or (n, 3) directions at which the angles are 0
-    """
+    """`swing1`, ... of struts about hinges' axes (3,), 0 at `upright` (3,), (n, 3)."""
     from_where = np.broadcast_to(np.asarray(upright, dtype=float), (len(struts), 3))
     limbs = enumerate(zip(struts, axes, from_where, strict=True), start=1)
     return [_swing(i, *limb) for i, limb in limbs]

@@ -27,9 +27,7 @@ COMPONENTS: tuple[Component, ...] = coordinates.point_errors() + tuple(
 
 
 def command(home: Sequence[float], reach: float, tilt: float) -> tuple[Coordinate, ...]:
-    """Tool point within `reach` (m) of home (3,) along each axis, angles within `tilt`
-    (rad).
-    """
+    """Tool point within `reach` (m) of home (3,) on each axis, angles within `tilt`."""
     return (
         *(
             coordinates.point(n, middle - reach, middle + reach)
@@ -50,10 +48,7 @@ def target(c: Values, names: Sequence[str] = COMMAND) -> list[Expr]:
 
 
 def machine(**fields: Any) -> Machine:
-    """A machine with such a platform; `fields` are those of its geometry and legs.
-
-    Its geometry is a table, unless `base_frame` and `tool_axis` say otherwise.
-    """
+    """A machine with such a platform, of `fields`; its geometry a table by default."""
     return driven(
         COMMAND, components=COMPONENTS, command_orientation=ORIENTATION, **fields
     )
