@@ -146,13 +146,7 @@ def _spread(values: Array) -> float:
 
 
 def computed_readings(session: SessionReadings, nominal: Array, sd: Array) -> Index:
-    """Readings, by number, that equal those of the nominal machine.
-
-    nominal, sd  (N,) readings of the nominal machine, SI, and the standard deviation of
-                 their prediction under tolerances and noise
-
-    Empty where chance explains them.
-    """
+    """Readings, by number, nearer the nominal ones, of `sd` (N,), than by chance."""
     sigma = session.measurement.sigma(session.series)
     close = NOMINAL_SHARE * sigma + np.minimum(_rounding(session), sigma)
     shown = session.shown

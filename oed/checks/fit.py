@@ -90,10 +90,7 @@ class Fit:
 
     @property
     def ratio(self) -> float:
-        """Penalised sum of squares over its expectation, as a ratio of amplitudes.
-
-        It is in units of the noise without the factor.
-        """
+        """Penalised squares over their expectation, in amplitudes of noise unscaled."""
         square = self.scale**2 * self.chi2 + float(self.departure @ self.departure)
         return float(np.sqrt(square / max(len(self.residual), 1)))
 

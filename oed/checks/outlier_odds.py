@@ -475,10 +475,7 @@ class OutlierOdds:
         return float(weights[one] - _log_sum(others))
 
     def _exchange_weights(self, members: Sequence[int], one: int | None) -> Array:
-        """Log weight (R,) of each reading in the place of one member, or beside all.
-
-        It is -inf for the other members. The values of a reading count as independent.
-        """
+        """Log weight (R,) for a member, or beside all; -inf of members."""
         rest = [k for k in members if k != one]
         prediction = self.prediction
         weights = np.zeros(prediction.count)

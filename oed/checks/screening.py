@@ -308,10 +308,7 @@ def log_evidence(
 
 
 def rivals(session: SessionReadings) -> list[Mask | None]:
-    """Values (N,) that may have more noise: one channel of several.
-
-    None stands for tolerances that are too narrow.
-    """
+    """Values (N,) of one channel of several that may be noisier; None: tolerances."""
     channel = session.values.groupby(["setup", "channel"], sort=False).ngroup()
     number = channel.to_numpy()
     groups = np.unique(number)

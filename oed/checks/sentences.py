@@ -394,10 +394,7 @@ def _runs(session: SessionReadings) -> list[_Run]:
 
 
 def _relative_sense(one: Array, other: Array) -> float:
-    """+1 where two paths (n, nq), (m, nq) pass their common poses in the same order.
-
-    -1 in the opposite one; 0 where that cannot be said.
-    """
+    """+1 or -1 by the order in which two paths pass common poses; 0 if unknown."""
     size = max(float(np.ptp(one, axis=0).max()), 1e-12)
     near = _pairs_within(one, other, JOINT_TOLERANCE * size)
     count_one = np.bincount(near[:, 0], minlength=len(one))

@@ -176,11 +176,7 @@ def groups_by_effect(forms: Sequence[ChosenForm]) -> list[Groups]:
 def updated_sizes(
     effects: Sequence[Groups], sizes: Array, values: Array, covariance: Array
 ) -> Array:
-    """Sizes (k,) after an estimate (k,) of the coefficients that was made with others.
-
-    sizes       (k,) prior standard deviations of the estimate
-    covariance  (k, k) of the estimate
-    """
+    """Sizes (k,) by estimate and covariance (k, k), made with other sizes."""
     updated = sizes.copy()
     for groups in effects:
         table = []

@@ -488,10 +488,7 @@ def _series(
 
 
 def _tensions(merged: ReadingsFile, machine: Machine, rows: Index) -> Array:
-    """Tensions (n, nq) of the cables in rows of the table, N; NaN where not recorded.
-
-    Raises ReadingsError where a cable's tension is recorded in some rows alone.
-    """
+    """Tensions (n, nq), N, or NaN; ReadingsError where some rows lack a cable's."""
     tension = np.full((len(rows), len(machine.joints)), np.nan)
     for k, stem in enumerate(tension_columns(machine)):
         values = filled_columns(merged, [stem], rows)

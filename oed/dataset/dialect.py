@@ -88,10 +88,7 @@ def commented(lines: Iterable[str]) -> str:
 
 
 def _skip_comments(text: str) -> tuple[str, int]:
-    """The text below the comments that open it, and their number, blank lines included.
-
-    A spreadsheet may have put them in quotes.
-    """
+    """The text below its opening comments, and their number with blanks."""
     count, start, position, number = 0, 0, 0, 0
     while position < len(text):
         end = text.find("\n", position) + 1 or len(text)

@@ -93,11 +93,7 @@ def spectrum(blocks: Array, prior: Array | None) -> Spectrum:
 def project_on_estimable(
     blocks: Array, prior: Array | None, tolerance: float = 1e-6
 ) -> tuple[Array, Array]:
-    """Blocks in an orthonormal basis (n, r) of the estimable subspace, and that basis.
-
-    The subspace holds the directions that the candidates or the prior determine. No
-    plan out of the candidates determines more, and determinants keep their value.
-    """
+    """Blocks in a basis (n, r) of what candidates or prior determine; the basis."""
     return project_orthonormal(blocks, spectrum(blocks, prior), tolerance)
 
 

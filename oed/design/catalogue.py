@@ -135,10 +135,7 @@ class Catalogue:
     def build(
         self, name: str, columns: int, ingredient: Array | None = None
     ) -> Criterion:
-        """A criterion over some columns, with its ingredient where it needs one.
-
-        Raises ValueError for an unknown name, or where the ingredient is missing.
-        """
+        """A criterion by name. Raises ValueError for none, or as its entry."""
         if name not in self.plan_names:
             raise ValueError(
                 f"criterion {name!r} is none of {', '.join(self.plan_names)}"

@@ -469,10 +469,7 @@ def _worst_corner(lines: list[_Line]) -> tuple[float, _Line, _Line]:
 
 
 def _slope_between(flatter: _Line, steeper: _Line) -> float:
-    """Slope of the chord between the plans that two lines touch.
-
-    Halfway between the lines' gradient where the chord's slope is not between them.
-    """
+    """Slope of the chord between plans that lines touch, or halfway of both."""
     run = flatter.point.plan.largest - steeper.point.plan.largest
     rise = flatter.point.plan.least - steeper.point.plan.least
     chord = rise / run if run > 0 else -1.0

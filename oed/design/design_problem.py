@@ -470,10 +470,7 @@ class DesignProblem:
         )
 
     def _combinations(self, criterion: Criterion) -> list[tuple[int, ...]]:
-        """Combinations of set-ups worth an exchange.
-
-        The best few of the largest number, or within a budget the best of each number.
-        """
+        """The best sets of the most set-ups; by budget, of each number."""
         c = self.candidates
         arguments = c.blocks, criterion.relaxed, c.prior_information, self.rules
         if self.rules.budget is None:

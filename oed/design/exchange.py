@@ -276,10 +276,7 @@ def _estimable(
     tolerance: float,
     of_all: Spectrum,
 ) -> WhiteCandidates:
-    """The candidates over the directions that they or the prior determine.
-
-    For D they are well conditioned there; other criteria need an orthonormal basis.
-    """
+    """Candidates over determined directions: white for D, else orthonormal."""
     if goal.any_coordinates and of_all.is_ill_conditioned(tolerance):
         return whiten(blocks, prior, tolerance, of_all)
     projected, basis = project_orthonormal(blocks, of_all, tolerance)

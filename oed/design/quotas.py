@@ -53,10 +53,7 @@ class Quota:
 
 
 def equal_numbers(groups: Sequence[str], size: int) -> tuple[Quota, ...]:
-    """Quotas that share `size` candidates equally among their groups (C,).
-
-    Raises ValueError where the size is no multiple of the number of groups.
-    """
+    """Quotas that share `size` among groups (C,). Raises ValueError if uneven."""
     names = list(dict.fromkeys(groups))
     each, remainder = divmod(size, len(names))
     if remainder:

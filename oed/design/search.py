@@ -180,10 +180,7 @@ class _Exchange:
         return chosen
 
     def _sweep(self, chosen: Index, level: int) -> tuple[Index, bool]:
-        """Replaces each candidate in turn by the best one, then adds what still fits.
-
-        The second value is whether the plan changed.
-        """
+        """Each candidate replaced by the best, and filled; whether it changed."""
         changed = False
         chosen = chosen.copy()
         current = self.evaluator.regularised_value(chosen, level)

@@ -44,11 +44,7 @@ class SizePrior:
         return np.asarray(np.log(np.concatenate([usual, far])))
 
     def log_visible_shares(self, energy: Array) -> Array:
-        """Log prior (a, S) of the sizes of choices of columns with energies (a,).
-
-        Sizes that could not be seen are no hypotheses, but for the largest: the usual
-        ones, and those beyond, keep their share together.
-        """
+        """Log prior (a, S) of visible sizes by energies (a,); far keep theirs."""
         groups = []
         for sizes, share in ((self.usual, 1.0 - FAR_SHARE), (self.far, FAR_SHARE)):
             values = np.array(sizes)

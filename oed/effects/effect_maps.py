@@ -150,10 +150,7 @@ class SessionStates:
 
 
 def _slowed(state: State, recorded: Sequence[State]) -> State:
-    """The state at feeds at which no joint is faster, or accelerates more, than recorded.
-
-    The largest value of all joints of one unit is the limit of each.
-    """
+    """The state at feeds at which no joint is faster or accelerates more."""
     units = np.array([joint.unit for joint in state.machine.joints])
     share = np.ones(len(state))
     for unit in np.unique(units):

@@ -107,10 +107,7 @@ class ReadingsFit:
     def covariance(
         self, theta: Array, noise: Noise, tolerance: Array
     ) -> tuple[Array, Array]:
-        """Posterior covariance (n, n), SI, and leverage (N,) of each reading.
-
-        The leverage is the share of a reading that the fit uses up.
-        """
+        """Covariance (n, n), SI, and share (N,) of each reading it uses up."""
         freed = tolerance > 0.0
         white = noise.whiten(self.measurement.jacobian(self.series, theta))
         h = self.measurement.in_prior_units(white, freed)

@@ -62,10 +62,7 @@ class LeastSquares(Protocol):
         """Sizes (m, N) of the whitened lengths whose difference a residual is."""
 
     def residuals(self, machines: Index, z: Array) -> Array:
-        """Whitened residuals (s, N) of s machines at z (s, k).
-
-        They are not finite where they cannot be computed.
-        """
+        """Whitened residuals (s, N) at z (s, k); not finite where none."""
 
     def slopes(self, machines: Index, z: Array) -> Array:
         """Whitened slopes (s, N, k) of the predicted readings. Raises AssemblyError."""
@@ -202,12 +199,7 @@ class _Steps:
         self._converged[machines] = True
 
     def _descend(self, machines: Index, system: _StepSystem, rows: Index) -> Index:
-        """Moves machines by the least damped step that does not raise their sum.
-
-        rows  (s,) of the machines in the system
-
-        Returns the machines that have one.
-        """
+        """Machines, `rows` in the system, that a least damped step lowers."""
         waiting = np.arange(len(machines))
         for _ in range(MAX_TRIALS):
             if not waiting.size:

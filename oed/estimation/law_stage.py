@@ -186,10 +186,7 @@ def settle_law(
     prior: NoisePrior,
     near: Array | None = None,
 ) -> SettledLaw:
-    """Fit, outliers and law in turn from an estimate.
-
-    near  (d,) coordinates of the law where they begin; the stated law by default
-    """
+    """Fit, outliers, law in turn, from law coordinates (d,) or as stated."""
     theta = first.theta
     noise = stated
     law = Laws.stated(structure)

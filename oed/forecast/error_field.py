@@ -513,10 +513,7 @@ def design_nodes(
 def _linear(
     model: JointErrors, kernel: Kernel, candidates: Array, sigma: Array
 ) -> tuple[Array, Array]:
-    """Readings (n, k, b) at candidates and errors (m, k, b) over the workspace.
-
-    They are per standard deviation of trends, parameters, modes of the fields and zeros.
-    """
+    """Readings (n, k, b), errors (m, k, b), per sd of trends, modes and zeros."""
     both = model.rows(np.vstack([candidates, model.command]))
     noise = joint_size(both, np.broadcast_to(sigma, both.local.shape[:2]))
     prior = _Prior(model.home_place, TREND_SIZE * kernel.size, noise)

@@ -70,10 +70,7 @@ class ObservationModel:
         return self._value(*inputs)[0]
 
     def sources(self, poses: Sequence[Array], s: Array) -> Array:
-        """Jacobian (n, channels, sources) over the instrument's independent errors.
-
-        Poses (n, nx), s (ns,). Only for instruments that state their sources.
-        """
+        """Jacobian (n, channels, sources) over stated errors; x (n, nx), s (ns,)."""
         rows, columns = self._sources_shape
         flat = self._sources(*poses, s)[0]  # column by column, as CasADi stores
         return flat.reshape(-1, columns, rows).transpose(0, 2, 1)

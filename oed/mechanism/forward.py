@@ -49,9 +49,7 @@ class ForwardKinematics:
 
     @functools.cached_property
     def adjoint(self) -> BatchedFunction:
-        """Slope (n, nx, nx) of the equations over the pose, and factors (n, nx) times
-        that over the parameters, (n, 1, np).
-        """
+        """Slope (n, nx, nx) over the pose, factors (n, nx) times that over p."""
         e = self._expressions
         factors = ca.SX.sym("factors", e.x.numel())
         by_x = ca.jacobian(e.balance, e.x)

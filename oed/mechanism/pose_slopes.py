@@ -80,10 +80,7 @@ class PoseSlopes:
     def over_parameters_with_condition(
         self, x: Array, q: Array, p: Array
     ) -> tuple[Array, Array]:
-        """dx/dp (n, nx, np) at fixed joints, and bounds (n,) on condition numbers.
-
-        The bound is the product of Frobenius norms of phi_x and its inverse.
-        """
+        """dx/dp (n, nx, np), joints fixed, and |phi_x| |phi_x^-1| (n,)."""
         by_x, by_p = self._equations.by_pose_and_parameter(x, q, p)
         identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
         inverse = newton.solve_linear(by_x, identity)
@@ -92,10 +89,7 @@ class PoseSlopes:
         return -(inverse @ by_p), np.sqrt(norm * norm_of_inverse)
 
     def surely_regular(self, condition: Array) -> bool:
-        """Whether bounds (n,) on condition numbers show that all poses are regular.
-
-        A redundant machine's balanced equations do not show it.
-        """
+        """Whether bounds (n,) show all poses regular, redundant ones never."""
         if self._expressions.phi.numel() != self._expressions.x.numel():
             return False
         return bool(np.all(condition < 1.0 / SINGULAR_BELOW))

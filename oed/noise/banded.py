@@ -111,10 +111,7 @@ class ChainFactor:
         return white
 
     def whiten_in_turn(self, parts: Iterable[Array]) -> Iterator[Array]:
-        """W Y by parts (n, m) of Y (N, m), each of which is overwritten.
-
-        Row after row is fast where rows are long, and Y is never whole.
-        """
+        """W Y by parts (n, m) of long rows of Y, each overwritten."""
         decay, slope = np.append(0.0, self._decay), np.append(0.0, self._slope)
         before, last = np.zeros((2, 1))
         start = 0

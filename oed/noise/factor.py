@@ -302,10 +302,7 @@ class Innovations:
         self._shared = SharedFactor(shared, starts, sign=-1.0)
 
     def innovations(self, scored: Array) -> Array:
-        """Innovations (h, m), in the order of the held-out readings.
-
-        scored  (k, m) precision times standardised values, of all readings in order
-        """
+        """Innovations (h, m) held out; scored (k, m): precision times values."""
         white = self._shared.whiten(self._banded.whiten(scored[self._rows]))
         return white[self._rank]
 

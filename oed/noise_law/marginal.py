@@ -168,10 +168,7 @@ def _systematic(points: Array, weights: Array, count: int) -> Index:
 
 
 def _signed(vectors: Array) -> Array:
-    """Vectors in columns (d, k), each with its largest component positive.
-
-    An eigenvector's sign is a matter of rounding.
-    """
+    """Columns (d, k), largest component positive: rounding decides no sign."""
     largest = np.argmax(np.abs(vectors), axis=0)
     return vectors * np.sign(vectors[largest, range(vectors.shape[1])])
 
@@ -272,10 +269,7 @@ class KernelMixture:
 
 
 def split_student(cost: Cost, mode: Array, root: Array) -> SplitStudent:
-    """The split Student for a cost.
-
-    root  (d, d) of the inverse curvature at the mode
-    """
+    """The split Student of a cost, by a root (d, d) of inverse curvature."""
     steps = np.array(TAIL_DISTANCES)[:, None, None]
     moves = (steps * np.vstack([-root.T, root.T])).reshape(-1, len(root))
     costs = cost(mode + np.vstack([np.zeros(len(root)), moves]))

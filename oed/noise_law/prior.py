@@ -234,10 +234,7 @@ def scale_over_stated(u: Array) -> Array:
 
 
 def heavy_scale(u: Array) -> Array:
-    """Log of the noise over the stated one, in SCALE_SD, of normal coordinates.
-
-    Both tails are heavier than normal: noise may be far from a data sheet, either way.
-    """
+    """Log noise over stated, in SCALE_SD: heavier-tailed than normal u."""
     bounded = np.maximum(u, MIN_COORDINATE)
     return np.asarray(bounded * (1.0 + (bounded / HEAVY_FROM) ** 2))
 

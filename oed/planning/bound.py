@@ -147,10 +147,7 @@ class CombinationBound:
         return np.asarray(line.value + np.log(prior + least_worth) + LOG_ROUNDING)
 
     def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
-        """Worth (options + 1, P) of each option at each price, and the prices (P,).
-
-        The last row stands for "no option".
-        """
+        """Worth (options + 1, P) at each price, none last, and prices (P,)."""
         gains = [
             part.gain(profile, root)
             for part, profile in zip(self.parts, profiles, strict=True)

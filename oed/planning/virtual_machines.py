@@ -110,10 +110,7 @@ class VirtualStage:
         )
 
     def _send(self, series: Series, controller: Array | None) -> Series:
-        """The series with the joints that each machine's controller sends.
-
-        Recorded joints stay as they are.
-        """
+        """The series with joints that controllers send; recorded ones stay."""
         if controller is None or np.isnan(series.command).any():
             return series
         tool = np.array(self.measurement.setups[series.setup].tool)
@@ -243,10 +240,7 @@ def _refit_alone(
     z: Array,
     prior_is_stated: bool,
 ) -> Refit:
-    """The fit of one machine from z (k,) to the series of what its readings capture.
-
-    Raises IdentificationError where it does not converge.
-    """
+    """One machine's fit from z (k,) to its captures. IdentificationError."""
     measurement = problem.measurement
     y = problem.y[machine, problem.captured[machine]]
     alone = dataclasses.replace(

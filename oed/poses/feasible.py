@@ -213,19 +213,13 @@ class Clearance:
             self._bar = _Bar(cup_point, surroundings.bar)
 
     def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
-        """Clearance (n,) at poses x (n, nx) with joints q (n, nq), m.
-
-        `bar` = False: with the bar taken off.
-        """
+        """Clearance (n,), m, at x (n, nx), q (n, nq), with the bar or without."""
         ends, radii = self._moving_segments(x, q, bar)
         by_segment = self._segment_clearances(ends, radii)
         return np.asarray(by_segment.min(axis=1, initial=np.inf))
 
     def at_readings(self, series: Series, x: Array) -> Array:
-        """Clearance (N,) at the readings of a series with poses x (m, nx), m.
-
-        At reference poses the bar is off.
-        """
+        """Clearance (N,), m, of readings at x (m, nx); no bar at references."""
         without_bar = np.full(len(x), np.inf)
         if self._links is not None:
             without_bar = self.at_poses(x, series.q, bar=False)

@@ -381,10 +381,7 @@ class LogDensity:
         return proposed, log_student(old) - log_student(new)
 
     def _laplace_root(self) -> Array:
-        """Root of the covariance of the Laplace approximation, symmetric where it can be:
-
-        that one does not depend on the signs of eigenvectors.
-        """
+        """Root of the Laplace covariance, symmetric where possible."""
         root = np.zeros((self.dimensions, self.dimensions))
         if self.law is not None:
             values, vectors = np.linalg.eigh(self.law.covariance)

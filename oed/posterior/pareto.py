@@ -43,10 +43,7 @@ def smoothed_weights(log_weights: Array) -> tuple[Array, float]:
 
 
 def fit_pareto(excess: Array) -> tuple[float, float]:
-    """Shape and scale of a generalised Pareto distribution of sorted excesses (n,).
-
-    A posterior mean over theta = -shape / scale, by quadrature.
-    """
+    """Shape, scale of a generalised Pareto of sorted (n,), by mean -shape / scale."""
     count = len(excess)
     points = MIN_POINTS + math.isqrt(count)
     quartile = excess[int(count / 4 + 0.5) - 1]

@@ -23,10 +23,7 @@ def block(state: State) -> str:
 
 
 def line_places(state: State, axis: int) -> Array:
-    """Places (m,) along the straightedge of a set-up, from -1 to 1 at its ends.
-
-    It is as long as the way that the set-up reads along it.
-    """
+    """Places (m,), -1 to 1, along a straightedge as long as its set-up's way."""
     coordinate = state.tool[:, axis]
     low, high = coordinate.min(), coordinate.max()
     return np.asarray(2.0 * (coordinate - low) / max(high - low, 1e-12) - 1.0)

@@ -142,9 +142,7 @@ def joint_per_metre(state: State) -> Array:
 
 
 def rate_share(state: State) -> Array:
-    """Rate of each joint (m, nq) over what the session's largest feed would be in it;
-    zeros where no feed is known.
-    """
+    """Rate of each joint (m, nq) over that of the largest feed; 0 if unknown."""
     if state.max_feed <= 0.0:
         return np.zeros(state.joints.shape)
     return np.nan_to_num(state.rate) / (state.max_feed * joint_per_metre(state))
@@ -160,9 +158,7 @@ def payload_share(state: State) -> Array:
 
 
 def joint_load(state: State, ratio: float) -> tuple[Array, Array]:
-    """Load (m, nq) of each joint per newton of what moves, and what the payload has of
-    it; ratio: see `RATIOS`.
-    """
+    """Load (m, nq) per newton that moves, and the payload's; ratio: `RATIOS`."""
     extra = state.tool_force * (payload_share(state) / ratio)[:, None]
     return state.platform_force + extra, extra
 
@@ -284,9 +280,7 @@ def warm_up(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:
 
 
 def _worked(state: State, tau: float) -> Array:
-    """Share (m,) of its final temperature that a body has: T' = (u - T) / tau, u = 1 at
-    work and 0 in breaks.
-    """
+    """Share (m,) of final temperature: T' = (u - T) / tau, u = 1 at work."""
     session = state.session_times
     if not session.size:
         return np.zeros(len(state))
@@ -350,10 +344,7 @@ def harmonics(state: State, period: float, size: float) -> Iterator[Column]:
 
 
 def turns(angle: Array, worth: Array, size: float) -> Iterator[Column]:
-    """Sine and cosine of an angle (m, nq) a leg; shape: of twice the angle.
-
-    worth  (m, nq) change of the joint per unit
-    """
+    """Sine, cosine of an angle (m, nq) by `worth` (m, nq); shape: twice it."""
     for i in range(angle.shape[1]):
         leg = f"leg {i + 1}"
         for k, column in ((1, Column), (2, adapting)):

@@ -97,9 +97,7 @@ def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
 
 
 def read_error(c: Values, twist: Sequence[Expr]) -> list[Expr]:
-    """x, y, z and the Euler errors: d alpha = Psi (d psi, d theta, d phi), Eq. (19),
-    inverted.
-    """
+    """x, y, z, Euler errors: d alpha = Psi (d psi, d theta, d phi) inverted, (19)."""
     cos_psi, sin_psi = ca.cos(c["psi"]), ca.sin(c["psi"])
     ax, ay, az = twist[3:]
     dtheta = cos_psi * ax + sin_psi * ay

@@ -48,11 +48,7 @@ _NEVER_WHOLE = (sorting, amounts, tools, contradiction)
 
 
 def trials(data: Suspect, *, of_noise: bool = False) -> Iterator[MistakeTrial]:
-    """Every mistake of a session, undone; those of its noise alone.
-
-    Of a suspect `whole`, at least those of the file and of set-ups that have no amount,
-    and for which no command is solved.
-    """
+    """Every mistake undone, or that of noise; of a suspect `whole`, whole ones."""
     if of_noise:
         yield from noise.noise_trials(data)
         return

@@ -90,10 +90,7 @@ def _revolved(
 
 
 def _counts(data: Suspect, values: Mask, away: Array, turn: float) -> Array:
-    """Revolutions (N,) that make each value what those before it predict.
-
-    Values outside a scope come first; each further one is that which is predicted best.
-    """
+    """Revolutions (N,) by which each value, the best predicted first, is expected."""
     counts = np.zeros(len(away))
     precision = np.eye(data.slopes.shape[1])
     others = np.flatnonzero(~values)

@@ -294,10 +294,7 @@ def _solved(
 
 
 def _check_distance(command: Array, follower: int, measurement: Measurement) -> None:
-    """Raise AssemblyError for commands (m, n_dof) whose follower is far outside.
-
-    The kinematics would follow them from home in hundreds of steps before it gave up.
-    """
+    """Raise AssemblyError for followers hundreds of steps of kinematics away."""
     coordinate = measurement.machine.command[follower]
     room = MAX_WIDTHS_OUTSIDE * (coordinate.upper - coordinate.lower)
     value = command[:, follower]

@@ -65,10 +65,7 @@ def _ordered(
     *,
     is_alone: bool = False,
 ) -> Iterator[MistakeTrial]:
-    """Rows of values (n, c) put where the others predict them.
-
-    `is_alone` says whether they are all that their readings have.
-    """
+    """Rows of values (n, c), alone in their readings or not, put as expected."""
     session = data.session
     y = data.session.y.copy()
     for _ in range(6):

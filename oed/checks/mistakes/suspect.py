@@ -94,11 +94,7 @@ def several_runs(runs: Sequence[Scope]) -> Scope:
 def part_scopes(
     session: SessionReadings, near: Sequence[Scope] | None = None
 ) -> list[Scope]:
-    """The first rows of each set-up and run, and the last ones.
-
-    near  parts near whose ends every cut is made; by default it is made at every row, or
-          every few rows of a long session
-    """
+    """First and last rows of set-ups and runs, cut at all, some, or `near`."""
     whole = whole_scopes(session)
     wholes = [scope for scope in whole if scope.level != "file"] or whole
     step = _step(wholes)
@@ -342,10 +338,7 @@ class Suspect:
 
 
 def shared_instruments(session: SessionReadings) -> list[tuple[Scope, Mask]]:
-    """Each set of values (N,) that one instrument may have read, in two set-ups or more.
-
-    Sets that are all readings of a unit or of a channel concern the file, and are left out.
-    """
+    """Values (N,) that one instrument may have read in two set-ups or more."""
     channel = session.values["channel"].to_numpy()
     units = np.array([session.unit(name) for name in channel])
     keys = [(key, name) for key in (channel, units) for name in dict.fromkeys(key)]

@@ -203,10 +203,7 @@ def _added_twice(
 
 
 def _lost(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
-    """Readings that are all positive, or all negative, where some should not be.
-
-    A reading has a sign to lose where its prediction is surely above or below zero.
-    """
+    """Readings of one sign where predictions, surely not 0, ask for both."""
     y = data.session.y
     sign = np.sign(data.predicted)
     if not (np.all(y[values] >= 0.0) or np.all(y[values] <= 0.0)):

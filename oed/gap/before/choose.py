@@ -87,11 +87,7 @@ class Run:
 def lay_out(
     measurement: Measurement, runs: Sequence[Run]
 ) -> tuple[tuple[Series, ...], pd.DataFrame]:
-    """Series of all runs, one a set-up, and one row of covariates a reading.
-
-    Raises ValueError for runs of one name in a set-up, AssemblyError for poses out of
-    reach.
-    """
+    """Series a set-up, a row of covariates a reading. ValueError, AssemblyError."""
     keys = [(r.setup, r.name) for r in runs]
     if len(set(keys)) < len(keys):
         twice = sorted({key[1] for key in keys if keys.count(key) > 1})

@@ -130,10 +130,7 @@ def power(lam: float, columns: int) -> float:
 
 @functools.cache
 def needed_lambda(columns: int) -> float:
-    """Least lambda that a test with `columns` degrees of freedom finds with `POWER`.
-
-    It is 14.9 for 1 degree of freedom, 28.6 for 12.
-    """
+    """Least lambda that a test finds with POWER: 14.9 for 1 column, 28.6 for 12."""
 
     def excess(lam: float) -> float:
         return power(lam, columns) - MIN_POWER

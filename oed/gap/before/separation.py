@@ -126,10 +126,7 @@ class Separation(Objective):
         return np.asarray(np.linalg.slogdet(m[..., :n, :n])[1])
 
     def worth(self, m: Array, sharp: float = np.inf) -> Array:
-        """The compound (...) for M (..., m, m).
-
-        Where `sharp` is finite the minimum is smoothed, from above.
-        """
+        """The compound (...) for M (..., m, m), smoothed from above by `sharp`."""
         logs = np.log(self.lambdas(m))
         low = logs.min(axis=0)
         if np.isfinite(sharp):

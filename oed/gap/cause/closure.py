@@ -63,10 +63,7 @@ class Paths:
         self._size = len(problem)
 
     def within(self) -> tuple[Index, Index]:
-        """Fold (N,) of each reading, and the unit (N,) that the bootstrap draws.
-
-        A fold is a fifth of each path; a unit is a fold of one run.
-        """
+        """Fold (N,), a fifth of each path, and unit (N,), a fold of one run."""
         fold = np.empty(self._size, dtype=np.intp)
         for number, runs in enumerate(self.groups()):
             rows = self._rows(runs)
@@ -80,10 +77,7 @@ class Paths:
         return fold, self._units(fold)
 
     def whole(self) -> tuple[Index, Index]:
-        """As `within`, with the runs of a fold held out together.
-
-        Units are runs, or fifths of them where runs are few.
-        """
+        """As `within`, a fold's runs held out together; units: runs or fifths."""
         groups = self.groups()
         if len(groups) == 1:
             groups = [[k] for k in range(len(self._runs))]
@@ -99,10 +93,7 @@ class Paths:
         return fold, self._units(part)
 
     def groups(self) -> list[list[int]]:
-        """Numbers of the runs that follow the same path in the same set-up.
-
-        Direction and number of passes do not matter.
-        """
+        """Numbers of runs on one path in one set-up, whichever way or passes."""
         count = len(self._runs)
         near = sparse.lil_matrix((count, count))
         setups = [self._setup[members[0]] for members in self._runs]
@@ -147,10 +138,7 @@ class Paths:
         return max(by_step, STILL_SHARE * extent, rounding)
 
     def _run_places(self, rows: Index, longest: Index) -> tuple[Index, int]:
-        """Place of each row among the poses of the longest run, in its order.
-
-        The second result is the number of places.
-        """
+        """Place of each row among the longest run's poses, and their number."""
         _, first = np.unique(self._reading[longest], return_index=True)
         template = self._joints[longest[np.sort(first)]]
         _, nearest = spatial.cKDTree(template).query(self._joints[rows])
@@ -282,10 +270,7 @@ class RunNoise:
         return self._factor.scored(self._factor.errors.standardise(values))
 
     def information(self, slopes: Array, scored: Array) -> Information:
-        """Information on the coefficients of slopes (N, n), prior N(0, I).
-
-        All readings count. `scored` (N, n + 1) is of the slopes and the residual.
-        """
+        """Information on slopes (N, n), prior N(0, I); `scored` (N, n + 1)."""
         product = self._factor.errors.standardise(slopes).T @ scored
         return product[:, :-1] + np.eye(len(product)), product[:, -1]
 

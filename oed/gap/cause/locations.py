@@ -155,10 +155,7 @@ class ReversedForms:
         self._known: dict[int, Array] = {}
 
     def columns(self, h: Hypothesis, factor: float) -> Array | None:
-        """Columns (N, k) of a hypothesis at its sizes, times a factor.
-
-        None where the readings do not say that they were driven both ways.
-        """
+        """Columns (N, k) at sizes times a factor; None if driven one way only."""
         if not self._both_ways:
             return None
         parts = [np.zeros((len(self._problem), 0))]

@@ -547,10 +547,7 @@ class Search:
     def fit(
         self, effects: Sequence[str], atoms: Sequence[int], sizes: Sequence[float]
     ) -> Hypothesis:
-        """Hypothesis of a set of effects: best forms by turns, evidence over all forms.
-
-        `atoms` and `sizes` are the forms to start from.
-        """
+        """Hypothesis of effects from forms: best by turns, evidence over all."""
         count = len(self.library.effects)
         h = Hypothesis(
             effects=tuple(effects),
@@ -592,10 +589,7 @@ class Search:
     def _log_posterior(
         self, effect: str, others: Sequence[int], sizes: Sequence[float]
     ) -> Array:
-        """Log evidence (atoms, sizes) of an effect's forms over none, with their prior.
-
-        Other forms are in the model at their sizes.
-        """
+        """Log posterior (atoms, sizes) of forms over none, beside others."""
         key = (effect, tuple(zip(others, sizes, strict=True)))
         if key not in self._posteriors:
             grams, place = self._forms.in_question, self._forms.place

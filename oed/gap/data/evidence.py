@@ -126,10 +126,7 @@ class Grams:
         return axes[:, visible] / np.sqrt(energy[visible])
 
     def _directions(self, columns: Index) -> tuple[Array, Array]:
-        """Energies (m,) and axes (k, m) of the directions of some columns.
-
-        Those that nothing but rounding has left are none.
-        """
+        """Energies (m,), axes (k, m) of directions of columns, not rounding."""
         least = ENERGY_TOLERANCE * self.whole[columns].max()
         return _clear_directions(self.gram[np.ix_(columns, columns)], least)
 

@@ -71,10 +71,7 @@ def motion(
     feed: Array,
     still: Index,
 ) -> Motion:
-    """Motion of joints q (m, nq) from the order of poses in each run and its feed.
-
-    The tool is at place (m, 12) of `tool_places`; at the poses `still` the machine stands.
-    """
+    """Motion of joints q (m, nq) in runs, `point` (m, 12); stands at `still`."""
     shape = q.shape
     sense, reversal = np.zeros(shape), np.zeros(shape)
     rate, acceleration = np.full(shape, np.nan), np.full(shape, np.nan)

@@ -607,10 +607,7 @@ def _readable(values: Array) -> Array:
 
 
 def _steps(values: Array, shape: tuple[int, ...]) -> tuple[int, int]:
-    """Numbers from row to row of values (..., entries) at points (n,) or (m, n).
-
-    0 where one row serves all.
-    """
+    """Numbers from row to row of values at points (n,), (m, n); 0 of a common row."""
     outer = inner = 0
     given = values.shape[:-1]
     if given and given[-1] != 1:
