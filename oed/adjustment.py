@@ -44,22 +44,14 @@ AMOUNT_STEP = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class StepProblem:
-    """Amounts of m adjustments that make N weighted errors small.
+    """Amounts of m adjustments that make N weighted errors small."""
 
-    errors     (N,) errors without adjustments
-    gradients  (N, m) by each amount
-    floor      mean square of what no adjustment changes
-    scatter    (m,) mean square that the fitter's error of each adjustment adds
-    step       (m,) smallest amounts
-    most       (m,) largest amounts to either side
-    """
-
-    errors: Array
-    gradients: Array
-    floor: float
-    scatter: Array
-    step: Array
-    most: Array
+    errors: Array  #: (N,) errors without adjustments
+    gradients: Array  #: (N, m) by each amount
+    floor: float  #: mean square of what no adjustment changes
+    scatter: Array  #: (m,) mean square that the fitter's error of each adjustment adds
+    step: Array  #: (m,) smallest amounts
+    most: Array  #: (m,) largest amounts to either side
 
     def size(self, amounts: Array) -> float:
         """Root mean square error with amounts (m,)."""
@@ -180,51 +172,35 @@ def _smallest(problem: StepProblem, lists: list[list[int]]) -> list[int] | None:
 
 @dataclasses.dataclass(frozen=True)
 class AdjustedAccuracy:
-    """Root mean square errors of a machine over the workspace, SI.
+    """Root mean square errors of a machine over the workspace, SI."""
 
-    total      of all components with their weights, after compensation
-    corrected  (k,) of each component, after software compensates the parameters
-    plain      (k,) with a controller that keeps the nominal parameters
-    """
-
-    total: float
+    total: float  #: of all components with their weights, after compensation
+    #: (k,) of each component, after software compensates the parameters
     corrected: Array
-    plain: Array
+    plain: Array  #: (k,) with a controller that keeps the nominal parameters
 
 
 @dataclasses.dataclass(frozen=True)
 class AdjustmentPlan:
-    """Lines of what to adjust, in order.
+    """Lines of what to adjust, in order."""
 
-    parameters  (lines,) numbers of the machine's parameters
-    amounts     (lines,) SI
-    without     (lines,) total error where a line is left out and the others are fitted
-    accuracy    before the first line, and after each
-    """
-
-    parameters: tuple[int, ...]
-    amounts: Array
+    parameters: tuple[int, ...]  #: (lines,) numbers of the machine's parameters
+    amounts: Array  #: (lines,) SI
+    #: (lines,) total error where a line is left out and the others are fitted
     without: Array
-    accuracy: tuple[AdjustedAccuracy, ...]
+    accuracy: tuple[AdjustedAccuracy, ...]  #: before the first line, and after each
 
 
 @dataclasses.dataclass(frozen=True)
 class AdjustableMachine:
-    """What is known of a machine, and where its accuracy counts.
-
-    command     (n, n_dof) workspace commands, SI
-    reference   against which errors are stated
-    identified  (np,) parameters, SI
-    covariance  (np, np) of what the identification leaves unknown
-    weights     (k,) of the components in the total error
-    """
+    """What is known of a machine, and where its accuracy counts."""
 
     kinematics: Kinematics
-    command: Array
-    reference: Reference
-    identified: Array
-    covariance: Array
-    weights: Array
+    command: Array  #: (n, n_dof) workspace commands, SI
+    reference: Reference  #: against which errors are stated
+    identified: Array  #: (np,) parameters, SI
+    covariance: Array  #: (np, np) of what the identification leaves unknown
+    weights: Array  #: (k,) of the components in the total error
 
     @property
     def adjustable(self) -> list[int]:

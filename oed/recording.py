@@ -38,16 +38,12 @@ MIN_RATE = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RemainingError:
-    """Mean square errors of c pose components over a workspace.
+    """Mean square errors of c pose components over a workspace."""
 
-    shares  (c, m) mean square by each eigenvector before any reading, SI
-    rates   (m,) information that the readings have of it, in units of the prior's
-    rest    (c,) mean square that no reading reduces, SI
-    """
-
-    shares: Array
+    shares: Array  #: (c, m) mean square by each eigenvector before any reading, SI
+    #: (m,) information that the readings have of it, in units of the prior's
     rates: Array
-    rest: Array
+    rest: Array  #: (c,) mean square that no reading reduces, SI
 
     def after(self, times: float) -> Array:
         """Mean squares (c,) with the readings taken so many times, inf allowed, SI."""
@@ -114,18 +110,12 @@ def mean_after_once(errors: Sequence[RemainingError]) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlannedReadings:
-    """N readings and the n unknowns beside effects.
+    """N readings and the n unknowns beside effects."""
 
-    white           (N, n) slopes, per prior standard deviation, in units of the noise
-    sigma           (N,) noise, SI
-    information     (n, n) of the prior
-    pose_gradients  (p, c, n) pose errors at p poses, SI
-    """
-
-    white: Array
-    sigma: Array
-    information: Array
-    pose_gradients: Array
+    white: Array  #: (N, n) slopes, per prior standard deviation, in units of the noise
+    sigma: Array  #: (N,) noise, SI
+    information: Array  #: (n, n) of the prior
+    pose_gradients: Array  #: (p, c, n) pose errors at p poses, SI
 
     def predict(
         self, effects: CourseColumns, recorded: Mask, extra: Array

@@ -71,25 +71,19 @@ FALSE_CONFIRMATION = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Promise:
-    """What was promised of k pose components, and m poses that may be measured; SI.
+    """What was promised of k pose components, and m poses that may be measured; SI."""
 
-    names        (k,) of the components
-    maps         (m, k, p) pose errors per parameter
-    covariances  of the parameters (p, p): shapes of error fields, equally likely
-    rms          (k,) promised rms errors
-    uncertainty  (k,) standard uncertainty of one measured error
-    zeroed       whether errors are differences to one reading at home, which they share
-    smooth       (m, b) smooth functions of the command, shapes that no parameter makes
-    workspace    number of the leading poses over which the rms is promised; all by default
-    """
-
-    names: tuple[str, ...]
-    maps: Array
+    names: tuple[str, ...]  #: (k,) of the components
+    maps: Array  #: (m, k, p) pose errors per parameter
+    #: of the parameters (p, p): shapes of error fields, equally likely
     covariances: Sequence[Array]
-    rms: Array
-    uncertainty: Array
+    rms: Array  #: (k,) promised rms errors
+    uncertainty: Array  #: (k,) standard uncertainty of one measured error
+    #: whether errors are differences to one reading at home, which they share
     zeroed: bool = False
+    #: (m, b) smooth functions of the command, shapes that no parameter makes
     smooth: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    #: number of the leading poses over which the rms is promised; all by default
     workspace: int | None = None
 
     def fields(self, count: int, rng: np.random.Generator) -> Array:
@@ -202,21 +196,15 @@ def smooth_functions(command: Array, home: Array | None) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class AcceptancePlan:
-    """Poses to measure, and when a machine passes.
+    """Poses to measure, and when a machine passes."""
 
-    poses        (n,) numbers of workspace poses
-    limits       (k,) rms of the measured errors beyond which it fails, SI
-    confirms     (k,) rms up to which it meets the promise, SI; NaN where the power is low
-    power        (k,) probability that a machine which misses the promise is caught
-    miss         factor on the promised rms of such a machine
-    false_alarm  probability that a machine at the promise fails, all components counted
-    """
-
-    poses: Index
-    limits: Array
+    poses: Index  #: (n,) numbers of workspace poses
+    limits: Array  #: (k,) rms of the measured errors beyond which it fails, SI
+    #: (k,) rms up to which it meets the promise, SI; NaN where the power is low
     confirms: Array
-    power: Array
-    miss: float
+    power: Array  #: (k,) probability that a machine which misses the promise is caught
+    miss: float  #: factor on the promised rms of such a machine
+    #: probability that a machine at the promise fails, all components counted
     false_alarm: float
 
 

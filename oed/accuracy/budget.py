@@ -62,18 +62,12 @@ def instrument_source(name: str) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadingErrors:
-    """Errors of N readings that add up, each with a factor on its standard deviation.
+    """Errors of N readings that add up, each with a factor on its standard deviation."""
 
-    whole      all errors together, in units of the stated noise
-    variances  {error: (N,)} of errors that are independent
-    shared     {error: (K,) columns of `whole.shared`}
-    names      of all errors
-    """
-
-    whole: Errors
-    variances: Mapping[str, Array]
-    shared: Mapping[str, Index]
-    names: tuple[str, ...]
+    whole: Errors  #: all errors together, in units of the stated noise
+    variances: Mapping[str, Array]  #: {error: (N,)} of errors that are independent
+    shared: Mapping[str, Index]  #: {error: (K,) columns of `whole.shared`}
+    names: tuple[str, ...]  #: of all errors
 
     def factor(self, factors: Mapping[str, float]) -> LinearFactor:
         """Root of the sum, each standard deviation times its factor (1 by default)."""
@@ -191,28 +185,17 @@ class CovariancePart:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BudgetModel:
-    """Readings of n parameters, linear, with normal errors.
+    """Readings of n parameters, linear, with normal errors."""
 
-    structure    of the readings
-    slopes       (N, n) in units of stated noise, over z ~ N(0, I) a priori
-    readings     errors of the readings
-    root         (n, n) of the prior covariance, SI: parameters deviate by root z
-    names        (n,) of the parameters
-    instruments  of the readings, each once
-    used         (k,) the parameters that move the pose
-    setup        (n,) which are unknowns of the set-ups
-    effect       (n,) which are coefficients of effects
-    """
-
-    structure: ReadingStructure
-    slopes: Array
-    readings: ReadingErrors
-    root: Array
-    names: tuple[str, ...]
-    instruments: tuple[str, ...]
-    used: Index
-    setup: Mask
-    effect: Mask
+    structure: ReadingStructure  #: of the readings
+    slopes: Array  #: (N, n) in units of stated noise, over z ~ N(0, I) a priori
+    readings: ReadingErrors  #: errors of the readings
+    root: Array  #: (n, n) of the prior covariance, SI: parameters deviate by root z
+    names: tuple[str, ...]  #: (n,) of the parameters
+    instruments: tuple[str, ...]  #: of the readings, each once
+    used: Index  #: (k,) the parameters that move the pose
+    setup: Mask  #: (n,) which are unknowns of the set-ups
+    effect: Mask  #: (n,) which are coefficients of effects
 
     @property
     def errors(self) -> dict[str, Kind]:
@@ -402,35 +385,27 @@ def _posterior(information: Array, removed: Mask | None) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Line:
-    """A source of the errors that remain, for k pose components, SI.
+    """A source of the errors that remain, for k pose components, SI."""
 
-    source    its name
-    kind      what sort of source it is
-    variance  (k,) mean over the workspace; below 0 where the linear calculation
-              predicts too much
-    without   (k,) rms error of the whole without it; None where nobody can remove it
-    halved    (k,) rms error of the whole with half its standard deviation, or None
-    """
-
-    source: str
-    kind: LineKind
+    source: str  #: its name
+    kind: LineKind  #: what sort of source it is
+    #: (k,) mean over the workspace; below 0 where the linear calculation predicts too
+    #: much
     variance: Array
+    #: (k,) rms error of the whole without it; None where nobody can remove it
     without: Array | None = None
+    #: (k,) rms error of the whole with half its standard deviation, or None
     halved: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Budget:
-    """Sources of the errors of the compensated machine.
+    """Sources of the errors of the compensated machine."""
 
-    names     (k,) of the pose components
-    variance  (k,) predicted, SI, mean over the workspace; the lines add up to it
-    lines     of what the prediction contains
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: (k,) of the pose components
+    #: (k,) predicted, SI, mean over the workspace; the lines add up to it
     variance: Array
-    lines: tuple[Line, ...]
+    lines: tuple[Line, ...]  #: of what the prediction contains
 
     def shares(self) -> Mapping[str, dict[str, float]]:
         """Share of the variance by component and source."""

@@ -43,29 +43,22 @@ UNKNOWN_INTERVAL: Interval = (np.nan, np.nan)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Spread:
-    """Error of one pose component, SI.
+    """Error of one pose component, SI."""
 
-    rms               root mean square over workspace and machines
-    p95               95th percentile of the error's size over workspace and machines
-    largest           largest error over the workspace; 95 % of the machines stay below
-    rms_interval      interval that holds the rms over the workspace of 95 % of the
-                      machines
-    p95_interval      the same of each machine's 95th percentile
-    largest_interval  the same of each machine's largest error
-    rms_quantiles     of the rms over the workspace of one machine, at the probabilities
-                      `oed.result.SpreadRecord.LEVELS`
-    monte_carlo       {figure: standard errors that the number of machines leaves}: of
-                      `rms` where it is drawn, of `p95`, `largest`, and of both ends of
-                      the intervals
-    """
-
-    rms: float
-    p95: float
-    largest: float
+    rms: float  #: root mean square over workspace and machines
+    p95: float  #: 95th percentile of the error's size over workspace and machines
+    largest: float  #: largest error over the workspace; 95 % of the machines stay below
+    #: interval that holds the rms over the workspace of 95 % of the machines
     rms_interval: Interval = UNKNOWN_INTERVAL
+    #: the same of each machine's 95th percentile
     p95_interval: Interval = UNKNOWN_INTERVAL
+    #: the same of each machine's largest error
     largest_interval: Interval = UNKNOWN_INTERVAL
+    #: of the rms over the workspace of one machine, at the probabilities
+    #: `oed.result.SpreadRecord.LEVELS`
     rms_quantiles: tuple[float, ...] = ()
+    #: {figure: standard errors that the number of machines leaves}: of `rms` where it
+    #: is drawn, of `p95`, `largest`, and of both ends of the intervals
     monte_carlo: Mapping[str, tuple[float, ...]] = dataclasses.field(
         default_factory=dict
     )
@@ -109,26 +102,17 @@ class Spread:
 
 @dataclasses.dataclass(frozen=True)
 class Prediction:
-    """Residual accuracy over n workspace poses, for k pose components.
+    """Residual accuracy over n workspace poses, for k pose components."""
 
-    reference        against which errors are stated
-    command          (n, n_dof), SI
-    names            (k,) of the components
-    before           {component: Spread} without compensation
-    after            {component: Spread} after compensation
-    fully_corrected  {component: Spread} once an additional axis corrects all that is known
-    sd_before        (n, k) root mean square error at each pose before, SI
-    sd_after         (n, k) the same after
-    """
-
-    reference: Reference
-    command: Array
-    names: tuple[str, ...]
-    before: dict[str, Spread]
-    after: dict[str, Spread]
+    reference: Reference  #: against which errors are stated
+    command: Array  #: (n, n_dof), SI
+    names: tuple[str, ...]  #: (k,) of the components
+    before: dict[str, Spread]  #: {component: Spread} without compensation
+    after: dict[str, Spread]  #: {component: Spread} after compensation
+    #: {component: Spread} once an additional axis corrects all that is known
     fully_corrected: dict[str, Spread]
-    sd_before: Array
-    sd_after: Array
+    sd_before: Array  #: (n, k) root mean square error at each pose before, SI
+    sd_after: Array  #: (n, k) the same after
 
 
 def predict(

@@ -31,14 +31,10 @@ Factor = tuple[str, tuple[str, ...]]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Orientation:
-    """What angles mean.
+    """What angles mean."""
 
-    factors    rotations from left to right
-    axis_only  whether the angles give n = R e_z alone
-    """
-
-    factors: tuple[Factor, ...]
-    axis_only: bool = False
+    factors: tuple[Factor, ...]  #: rotations from left to right
+    axis_only: bool = False  #: whether the angles give n = R e_z alone
 
     @classmethod
     def rotation(cls, *factors: tuple[str, str]) -> Orientation:

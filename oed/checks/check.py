@@ -103,20 +103,16 @@ RATIO_BY_LAW = 2.0
 
 @dataclasses.dataclass(frozen=True)
 class CheckedSession:
-    """A session with what its check found.
+    """A session with what its check found."""
 
-    session       the readings
-    findings      the most harmful first
-    goodness      of the readings without those set aside and those in doubt; None where
-                  they have no fit
-    search        readings far from what all others predict; None where they have no fit
-    explanations  mistakes that explain readings which do not fit
-    """
-
-    session: SessionReadings
-    findings: tuple[CheckFinding, ...]
+    session: SessionReadings  #: the readings
+    findings: tuple[CheckFinding, ...]  #: the most harmful first
+    #: of the readings without those set aside and those in doubt; None where they have
+    #: no fit
     goodness: Goodness | None
+    #: readings far from what all others predict; None where they have no fit
     search: OutlierSearch | None
+    #: mistakes that explain readings which do not fit
     explanations: tuple[Explanation, ...]
 
     @property

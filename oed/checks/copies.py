@@ -20,13 +20,10 @@ COARSE_STEPS = 3.0
 
 @dataclasses.dataclass(frozen=True)
 class EqualReadings:
-    """Readings with equal values, by number.
-
-    same_pose  whether they were taken at the same pose
-    """
+    """Readings with equal values, by number."""
 
     readings: tuple[int, ...]
-    same_pose: bool
+    same_pose: bool  #: whether they were taken at the same pose
 
 
 def resolution(session: SessionReadings, members: Index) -> float:
@@ -170,16 +167,12 @@ def _rounding(session: SessionReadings) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class CoarseReadings:
-    """Readings of a channel that are multiples of a step, SI, above their noise.
-
-    readings  their numbers
-    run       in which they are; empty for all of the file
-    """
+    """Readings of a channel that are multiples of a step, SI, above their noise."""
 
     channel: str
     step: float
-    readings: tuple[int, ...]
-    run: str = ""
+    readings: tuple[int, ...]  #: their numbers
+    run: str = ""  #: in which they are; empty for all of the file
 
 
 def coarse_columns(session: SessionReadings) -> list[CoarseReadings]:

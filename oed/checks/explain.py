@@ -56,16 +56,11 @@ ALIKE_LOG_EVIDENCE = 3.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Candidate:
-    """A mistake that may be fitted.
+    """A mistake that may be fitted."""
 
-    trial      the mistake, undone
-    score      in the linear model
-    log_prior  of it among all mistakes
-    """
-
-    trial: MistakeTrial
-    score: Score
-    log_prior: float = 0.0
+    trial: MistakeTrial  #: the mistake, undone
+    score: Score  #: in the linear model
+    log_prior: float = 0.0  #: of it among all mistakes
 
     @property
     def log_posterior(self) -> float:
@@ -300,22 +295,14 @@ MAX_PARAMETER_DEPARTURE = 4.0
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """Readings without a mistake, fitted.
+    """Readings without a mistake, fitted."""
 
-    kind           of mistake; empty for the readings as given
-    what           the mistake as a sentence, without a full stop
-    before         misfit over the stated noise, of the readings as given
-    after          the same with the mistake undone; NaN where no readings are left
-    probability    among all mistakes and none
-    log_posterior  log evidence and log prior
-    """
-
-    kind: str
-    what: str
-    before: float
-    after: float
-    probability: float = 1.0
-    log_posterior: float = 0.0
+    kind: str  #: of mistake; empty for the readings as given
+    what: str  #: the mistake as a sentence, without a full stop
+    before: float  #: misfit over the stated noise, of the readings as given
+    after: float  #: the same with the mistake undone; NaN where no readings are left
+    probability: float = 1.0  #: among all mistakes and none
+    log_posterior: float = 0.0  #: log evidence and log prior
 
 
 def explain(

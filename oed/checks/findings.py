@@ -33,18 +33,12 @@ PHYSICAL_KINDS = ("offset", "run", "factor", "tool", "size", "change", "contradi
 
 @dataclasses.dataclass(frozen=True)
 class CheckFinding:
-    """What is wrong with readings.
+    """What is wrong with readings."""
 
-    severity  how much harm it does
-    kind      such as `unit`, `sign`, `outlier`, `doubled`
-    sentence  for the user
-    rows      rows of the files at fault; empty where all are
-    """
-
-    severity: Severity
-    kind: str
-    sentence: str
-    rows: tuple[Row, ...] = ()
+    severity: Severity  #: how much harm it does
+    kind: str  #: such as `unit`, `sign`, `outlier`, `doubled`
+    sentence: str  #: for the user
+    rows: tuple[Row, ...] = ()  #: rows of the files at fault; empty where all are
 
     @property
     def is_remark(self) -> bool:

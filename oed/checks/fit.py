@@ -50,31 +50,21 @@ Undo = Callable[[Array], Sequence[SessionReadings]]
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """Readings fitted within the tolerances.
+    """Readings fitted within the tolerances."""
 
-    session    the readings
-    theta      (n,) parameters, SI
-    penalised  sum of squares of whitened residuals and scaled parameters
-    residual   (N,) whitened residual
-    slopes     (N, r) whitened slopes over free parameters in their tolerances
-    departure  (r,) free parameters from nominal, in their tolerances
-    noise      of the readings
-    scale      factor on their noise that the fit assumes
-    amounts    (k,) of the mistake that is undone, SI
-    sd         (k,) their standard deviations, SI
-    precision  (k, k) inverse of their covariance, SI
-    """
-
-    session: SessionReadings
-    theta: Array
-    penalised: float
-    residual: Array
-    slopes: Array
-    departure: Array
-    noise: Noise
-    scale: float = 1.0
+    session: SessionReadings  #: the readings
+    theta: Array  #: (n,) parameters, SI
+    penalised: float  #: sum of squares of whitened residuals and scaled parameters
+    residual: Array  #: (N,) whitened residual
+    slopes: Array  #: (N, r) whitened slopes over free parameters in their tolerances
+    departure: Array  #: (r,) free parameters from nominal, in their tolerances
+    noise: Noise  #: of the readings
+    scale: float = 1.0  #: factor on their noise that the fit assumes
+    #: (k,) of the mistake that is undone, SI
     amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    #: (k,) their standard deviations, SI
     sd: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    #: (k, k) inverse of their covariance, SI
     precision: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
     @property

@@ -38,18 +38,13 @@ from oed.noise_law import (
 
 @dataclasses.dataclass(frozen=True)
 class Judgement:
-    """How the readings of a session fit.
+    """How the readings of a session fit."""
 
-    outliers  readings far from what all others predict; None where there is no fit
-    fitted    residuals of the others against the noise
-    sound     whether nothing asks for an explanation, by the law
-    stated    the same by the stated noise
-    """
-
+    #: readings far from what all others predict; None where there is no fit
     outliers: OutlierSearch | None
-    fitted: Goodness | None
-    sound: bool
-    stated: bool
+    fitted: Goodness | None  #: residuals of the others against the noise
+    sound: bool  #: whether nothing asks for an explanation, by the law
+    stated: bool  #: the same by the stated noise
 
 
 def judge(

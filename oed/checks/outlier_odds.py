@@ -67,36 +67,23 @@ SINGLE_ERROR_FACTOR = 3.0
 
 @dataclasses.dataclass(frozen=True)
 class FarReading:
-    """A reading far from what all others predict.
+    """A reading far from what all others predict."""
 
-    reading  its number
-    pull     how far it is, in standard deviations of its prediction
-    error    how far it is, SI, of the value that is farthest
-    value    number of that value
-    """
-
-    reading: int
-    pull: float
-    error: float
-    value: int
+    reading: int  #: its number
+    pull: float  #: how far it is, in standard deviations of its prediction
+    error: float  #: how far it is, SI, of the value that is farthest
+    value: int  #: number of that value
 
 
 @dataclasses.dataclass(frozen=True)
 class LeaveOneOut:
-    """Each reading against what all others predict, by the precision P = C^-1.
+    """Each reading against what all others predict, by the precision P = C^-1."""
 
-    gradient  (N,) P r
-    diagonal  (N,) of P
-    factor    (N, r) B, with P = S^-1 - B B^T
-    noise     of covariance S
-    reading   (N,) number of the reading that each value belongs to
-    """
-
-    gradient: Array
-    diagonal: Array
-    factor: Array
-    noise: Noise
-    reading: Index
+    gradient: Array  #: (N,) P r
+    diagonal: Array  #: (N,) of P
+    factor: Array  #: (N, r) B, with P = S^-1 - B B^T
+    noise: Noise  #: of covariance S
+    reading: Index  #: (N,) number of the reading that each value belongs to
 
     @property
     def count(self) -> int:
@@ -422,13 +409,10 @@ NORMAL = (np.inf,)
 
 @dataclasses.dataclass(frozen=True)
 class OutlierOdds:
-    """Odds of readings that all others contradict.
+    """Odds of readings that all others contradict."""
 
-    prediction  of each value from all others
-    student     degrees of freedom of the noise where a study states them
-    """
-
-    prediction: LeaveOneOut
+    prediction: LeaveOneOut  #: of each value from all others
+    #: degrees of freedom of the noise where a study states them
     student: float | None = None
 
     @property
@@ -556,20 +540,13 @@ def log_weights_of_shifts(gradient: Array, precision: Array, sigma: Array) -> Ar
 
 @dataclasses.dataclass(frozen=True)
 class _PredictionErrors:
-    """Errors of predicting values from all others but the suspects.
+    """Errors of predicting values from all others but the suspects."""
 
-    core           (C,) of the other readings' values, in their standard deviations
-    far            (m,) of the farthest value of each suspect, likewise
-    core_density   (C,) of gross errors at `core`
-    far_density    (m,) of gross errors at `far`
-    freedom        share of the errors at `core` that is independent
-    """
-
-    core: Array
-    far: Array
-    core_density: Array
-    far_density: Array
-    freedom: float
+    core: Array  #: (C,) of the other readings' values, in their standard deviations
+    far: Array  #: (m,) of the farthest value of each suspect, likewise
+    core_density: Array  #: (C,) of gross errors at `core`
+    far_density: Array  #: (m,) of gross errors at `far`
+    freedom: float  #: share of the errors at `core` that is independent
 
 
 def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:

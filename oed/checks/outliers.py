@@ -146,24 +146,18 @@ SOUND_PROBABILITY = 0.01
 
 @dataclasses.dataclass(frozen=True)
 class OutlierSearch:
-    """Readings far from what all others predict.
+    """Readings far from what all others predict."""
 
-    gross      gross errors that are located, the farthest first
-    doubtful   readings that may be noise as well, the farthest first
-    unlocated  numbers of the readings one of which is wrong; empty where none is needed
-    alike      numbers of readings that are off the same way, as no single errors are
-    solution   fit of the readings that are not gross errors
-    rest       the same without the doubtful ones
-    exhausted  whether more readings deviate than can be outliers
-    """
-
-    gross: tuple[FarReading, ...]
+    gross: tuple[FarReading, ...]  #: gross errors that are located, the farthest first
+    #: readings that may be noise as well, the farthest first
     doubtful: tuple[FarReading, ...]
+    #: numbers of the readings one of which is wrong; empty where none is needed
     unlocated: tuple[int, ...]
+    #: numbers of readings that are off the same way, as no single errors are
     alike: tuple[int, ...]
-    solution: Fit
-    rest: Fit
-    exhausted: bool
+    solution: Fit  #: fit of the readings that are not gross errors
+    rest: Fit  #: the same without the doubtful ones
+    exhausted: bool  #: whether more readings deviate than can be outliers
 
     @property
     def readings(self) -> tuple[int, ...]:

@@ -346,14 +346,11 @@ JOINT_TOLERANCE = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Contradiction:
-    """Two runs through the same poses; rows are those that open each run.
-
-    same_order  whether they pass the poses in the same order
-    """
+    """Two runs through the same poses; rows are those that open each run."""
 
     runs: tuple[str, str]
     rows: tuple[Row, Row]
-    same_order: bool
+    same_order: bool  #: whether they pass the poses in the same order
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,16 +24,12 @@ from oed.noise import Laws, Noise, ReadingStructure
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CheckedLaw:
-    """A noise law that is not tied to a set of readings.
+    """A noise law that is not tied to a set of readings."""
 
-    scale  of each group of readings, `set-up.channel`, over the stated noise
-    law    its other numbers, as one of some laws
-    theta  (n,) parameters at which slopes over renewed unknowns are taken
-    """
-
+    #: of each group of readings, `set-up.channel`, over the stated noise
     scale: Mapping[str, float]
-    law: Laws
-    theta: Array
+    law: Laws  #: its other numbers, as one of some laws
+    theta: Array  #: (n,) parameters at which slopes over renewed unknowns are taken
 
     def noise(self, measurement: Measurement, series: Sequence[Series]) -> Noise:
         """The noise of readings under the law, SI."""
@@ -67,23 +63,18 @@ class CheckedLaw:
 
 @dataclasses.dataclass(frozen=True)
 class SessionReadings:
-    """Readings to check.
+    """Readings to check."""
 
-    measurement  machine with the set-ups of the readings, or with more
-    series       readings, by set-up
-    y            (N,) values, SI: series after series, channels innermost
-    values       one row a value: setup, run, order, row in the file, channel
-    columns      columns of the file by stem; written as a result is, where absent
-    law          noise law of the readings; None for the stated noise
-    wider        factors on the tolerances of parameters, by name
-    """
-
-    measurement: Measurement
-    series: tuple[Series, ...]
-    y: Array
+    measurement: Measurement  #: machine with the set-ups of the readings, or with more
+    series: tuple[Series, ...]  #: readings, by set-up
+    y: Array  #: (N,) values, SI: series after series, channels innermost
+    #: one row a value: setup, run, order, row in the file, channel
     values: pd.DataFrame
+    #: columns of the file by stem; written as a result is, where absent
     columns: Mapping[str, ReadingsColumn] = dataclasses.field(default_factory=dict)
+    #: noise law of the readings; None for the stated noise
     law: CheckedLaw | None = None
+    #: factors on the tolerances of parameters, by name
     wider: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -316,18 +307,12 @@ RANGE_FALSE_ALARM = 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class Ranges:
-    """Predicted ranges of N values, SI.
+    """Predicted ranges of N values, SI."""
 
-    nominal  (N,) readings of the nominal machine
-    middle  (N,) mean of the prediction
-    sd      (N,) its standard deviation, noise included
-    factor  half width of a range in standard deviations
-    """
-
-    nominal: Array
-    middle: Array
-    sd: Array
-    factor: float
+    nominal: Array  #: (N,) readings of the nominal machine
+    middle: Array  #: (N,) mean of the prediction
+    sd: Array  #: (N,) its standard deviation, noise included
+    factor: float  #: half width of a range in standard deviations
 
     @property
     def lower(self) -> Array:

@@ -35,18 +35,16 @@ POSITION_TOLERANCE = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class GridAxis:
-    """A command coordinate of a table, from `lower` to `upper`, SI.
-
-    turn     whether that is a full turn: the last node then repeats the first one, so
-             that interpolation goes on over the end
-    counted  ends of the part in which interpolation errors count; all of it by default
-    """
+    """A command coordinate of a table, from `lower` to `upper`, SI."""
 
     name: str
     unit: str
     lower: float
     upper: float
+    #: whether that is a full turn: the last node then repeats the first one, so that
+    #: interpolation goes on over the end
     turn: bool = False
+    #: ends of the part in which interpolation errors count; all of it by default
     counted: tuple[float, float] | None = None
 
     @property
@@ -123,18 +121,14 @@ class GridAxis:
 
 @dataclasses.dataclass(frozen=True)
 class CommandGrid:
-    """A rectilinear grid with equal steps along each axis.
-
-    counts    (a,) nodes along each axis
-    errors    (s, k) rms errors that interpolation leaves in the box, SI, by state and
-              component
-    is_fine   whether they are within what was asked for
-    """
+    """A rectilinear grid with equal steps along each axis."""
 
     axes: tuple[GridAxis, ...]
-    counts: tuple[int, ...]
+    counts: tuple[int, ...]  #: (a,) nodes along each axis
+    #: (s, k) rms errors that interpolation leaves in the box, SI, by state and
+    #: component
     errors: Array
-    is_fine: bool
+    is_fine: bool  #: whether they are within what was asked for
 
     @property
     def knots(self) -> tuple[Array, ...]:

@@ -27,18 +27,12 @@ N_POSES = 8
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class FurtherAxis:
-    """A motion that no joint makes.
+    """A motion that no joint makes."""
 
-    name       of the offset: that of its pose component, or `turn`
-    unit       SI unit
-    component  pose component that it corrects
-    about      what the offset is, for tables
-    """
-
-    name: str
-    unit: str
-    component: str
-    about: str
+    name: str  #: of the offset: that of its pose component, or `turn`
+    unit: str  #: SI unit
+    component: str  #: pose component that it corrects
+    about: str  #: what the offset is, for tables
 
 
 @dataclasses.dataclass(frozen=True)

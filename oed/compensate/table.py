@@ -10,17 +10,12 @@ from oed.base import Array
 
 @dataclasses.dataclass(frozen=True)
 class InterpolationTable:
-    """Values on a rectilinear grid; beyond the grid its border values hold.
+    """Values on a rectilinear grid; beyond the grid its border values hold."""
 
-    axes    names of the coordinates or states
-    knots   ascending places along each axis, SI
-    values  (n_1, ..., n_a, m), SI
-    turns   axes that are a full turn, whose last knot repeats the first; none by default
-    """
-
-    axes: tuple[str, ...]
-    knots: tuple[Array, ...]
-    values: Array
+    axes: tuple[str, ...]  #: names of the coordinates or states
+    knots: tuple[Array, ...]  #: ascending places along each axis, SI
+    values: Array  #: (n_1, ..., n_a, m), SI
+    #: axes that are a full turn, whose last knot repeats the first; none by default
     turns: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:

@@ -41,42 +41,31 @@ N_DRAWS = 2000
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AnswerPosterior:
-    """What is known of the machine if one answer of a diagnosis is right.
+    """What is known of the machine if one answer of a diagnosis is right."""
 
-    effects       as the diagnosis names them; none: no gap
-    unseen        whether small effects of one common size act as well
-    probability   of the answer, by the diagnosis
-    mean          (n,) parameters, SI
-    covariance    (n, n) of the parameters
-    theta         (m, n) draws of the parameters, SI
-    estimate      the fit; its theta has coefficients of named effects after the parameters
-    noise_law     (m, d) draws of the law's coordinates, one for each of the parameters
-    columns       of what acts beside the parameters; None where nothing does
-    coefficients  (m, k) draws of what acts, one for each draw of the parameters
-    """
-
-    effects: tuple[str, ...]
-    unseen: bool
-    probability: float
-    mean: Array
-    covariance: Array
-    theta: Array
+    effects: tuple[str, ...]  #: as the diagnosis names them; none: no gap
+    unseen: bool  #: whether small effects of one common size act as well
+    probability: float  #: of the answer, by the diagnosis
+    mean: Array  #: (n,) parameters, SI
+    covariance: Array  #: (n, n) of the parameters
+    theta: Array  #: (m, n) draws of the parameters, SI
+    #: the fit; its theta has coefficients of named effects after the parameters
     estimate: Estimate
+    #: (m, d) draws of the law's coordinates, one for each of the parameters
     noise_law: Array
+    #: of what acts beside the parameters; None where nothing does
     columns: ExpectedColumns | None = None
+    #: (m, k) draws of what acts, one for each draw of the parameters
     coefficients: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AnswerMixture:
-    """What is known of the machine after a diagnosis.
+    """What is known of the machine after a diagnosis."""
 
-    answers   those that were fitted, the decision's first
-    rest      probability of all others
-    """
-
+    #: those that were fitted, the decision's first
     answers: tuple[AnswerPosterior, ...]
-    rest: float
+    rest: float  #: probability of all others
 
     @functools.cached_property
     def shares(self) -> Array:
@@ -150,18 +139,13 @@ class AnswerMixture:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MixtureDraws:
-    """Draws of the machine after a diagnosis.
+    """Draws of the machine after a diagnosis."""
 
-    theta         (m, n) parameters, SI
-    answer        (m,) number of the answer that each belongs to
-    columns       of all effects of all answers; None where nothing acts in any
-    coefficients  (m, k) of them
-    """
-
-    theta: Array
-    answer: Index
+    theta: Array  #: (m, n) parameters, SI
+    answer: Index  #: (m,) number of the answer that each belongs to
+    #: of all effects of all answers; None where nothing acts in any
     columns: ExpectedColumns | None
-    coefficients: Array
+    coefficients: Array  #: (m, k) of them
 
 
 #: probability from which an answer is fitted
@@ -174,53 +158,40 @@ MIN_SPLIT_PROBABILITY = 0.1
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-    """An answer, with what no reading shows.
+    """An answer, with what no reading shows."""
 
-    effects    as the diagnosis names them
-    constants  {effect: its constants} of the effects of known form that act
-    unknown    whether something of no known form acts
-    """
-
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  #: as the diagnosis names them
+    #: {effect: its constants} of the effects of known form that act
     constants: Mapping[str, Mapping[str, float]]
-    unknown: bool
+    unknown: bool  #: whether something of no known form acts
     probability: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _AnswerFit:
-    """A fit of an answer: geometry, effects of known form, and what acts beside them.
-
-    parameters  number of leading entries of theta that are no coefficients
-    columns     of the effects whose coefficients follow, and of those drawn beside
-    """
+    """A fit of an answer: geometry, effects of known form, and what acts beside them."""
 
     measurement: Measurement
     series: Sequence[Series]
     estimate: Estimate
-    parameters: int
+    parameters: int  #: number of leading entries of theta that are no coefficients
+    #: of the effects whose coefficients follow, and of those drawn beside
     columns: ExpectedColumns | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AnswerFits:
-    """How the answers of a diagnosis are fitted.
+    """How the answers of a diagnosis are fitted."""
 
-    readings        what is fitted
-    effects         that the diagnosis knows
-    allowed         what effects of known and of no known form do at their expected sizes;
-                    None where no effect changes a reading
-    estimate_noise  whether the noise law is estimated
-    rng             for the draws
-    corrected       the fit with the effects of the decision, where there is one
-    """
-
-    readings: EffectReadings
-    effects: Sequence[Effect]
+    readings: EffectReadings  #: what is fitted
+    effects: Sequence[Effect]  #: that the diagnosis knows
+    #: what effects of known and of no known form do at their expected sizes; None where
+    #: no effect changes a reading
     allowed: ExpectedColumns | None
-    estimate_noise: bool
-    rng: np.random.Generator
+    estimate_noise: bool  #: whether the noise law is estimated
+    rng: np.random.Generator  #: for the draws
     max_iterations: int = 100
+    #: the fit with the effects of the decision, where there is one
     corrected: CorrectedEstimate | None = None
 
     def fit(

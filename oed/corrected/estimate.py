@@ -45,25 +45,19 @@ SEPARATOR = ": "
 
 @dataclasses.dataclass(frozen=True)
 class CorrectedEstimate:
-    """Parameters and effects, estimated together.
+    """Parameters and effects, estimated together."""
 
-    readings     what was fitted
-    measurement  with the effects' coefficients at the end of theta
-    series       the readings' series, each reading with its pose
-    estimate     of theta = [parameters, coefficients]; a coefficient is in prior
-                 standard deviations of its effect
-    forms        of the effects, with their constants
-    scales       (k,) prior standard deviations of the coefficients, in their own units
-    states       of the machine, one a series
-    """
-
-    readings: EffectReadings
+    readings: EffectReadings  #: what was fitted
+    #: with the effects' coefficients at the end of theta
     measurement: MeasurementWithEffects
-    series: tuple[Series, ...]
+    series: tuple[Series, ...]  #: the readings' series, each reading with its pose
+    #: of theta = [parameters, coefficients]; a coefficient is in prior standard
+    #: deviations of its effect
     estimate: Estimate
-    forms: tuple[ChosenForm, ...]
+    forms: tuple[ChosenForm, ...]  #: of the effects, with their constants
+    #: (k,) prior standard deviations of the coefficients, in their own units
     scales: Array
-    states: tuple[State, ...]
+    states: tuple[State, ...]  #: of the machine, one a series
 
     @property
     def parameters(self) -> int:
@@ -138,19 +132,15 @@ class CorrectedEstimate:
 
 @dataclasses.dataclass(frozen=True)
 class CorrectedAccuracy:
-    """Residual accuracy over workspace poses, in states drawn from the session.
+    """Residual accuracy over workspace poses, in states drawn from the session."""
 
-    compensated      with parameters and effects compensated
-    parameters_only  {component: Spread} with the effects left as they are
-    plain            {component: Spread} with other parameters sent, the effects as they
-                     are; empty where none are given
-    budget           sources of the errors that remain
-    """
-
-    compensated: Prediction
+    compensated: Prediction  #: with parameters and effects compensated
+    #: {component: Spread} with the effects left as they are
     parameters_only: Mapping[str, Spread]
+    #: {component: Spread} with other parameters sent, the effects as they are; empty
+    #: where none are given
     plain: Mapping[str, Spread]
-    budget: Budget
+    budget: Budget  #: sources of the errors that remain
 
 
 def _predict(
@@ -256,20 +246,14 @@ MIN_CORRECTION = 1e-10
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StateTable:
-    """Joint corrections of one effect over one state, SI.
+    """Joint corrections of one effect over one state, SI."""
 
-    effect      its name
-    axis        `pose`, `direction`, `payload` or `temp_<body>`
-    joint_wise  whether each joint's correction is read at that joint's own state
-    values      (s,) of the state; temperatures in K above the session's start
-    joints      (s, n, nq) to add to the joints at n commands
-    """
-
-    effect: str
-    axis: str
+    effect: str  #: its name
+    axis: str  #: `pose`, `direction`, `payload` or `temp_<body>`
+    #: whether each joint's correction is read at that joint's own state
     joint_wise: bool
-    values: Array
-    joints: Array
+    values: Array  #: (s,) of the state; temperatures in K above the session's start
+    joints: Array  #: (s, n, nq) to add to the joints at n commands
 
     @property
     def column(self) -> str:
@@ -281,14 +265,10 @@ class StateTable:
 
 @dataclasses.dataclass(frozen=True)
 class TabledEffects:
-    """Tables of an estimate, and the effects that they do not hold.
+    """Tables of an estimate, and the effects that they do not hold."""
 
-    tables   over the same commands
-    missing  {effect: why}
-    """
-
-    tables: tuple[StateTable, ...]
-    missing: Mapping[str, str]
+    tables: tuple[StateTable, ...]  #: over the same commands
+    missing: Mapping[str, str]  #: {effect: why}
 
     def corrections(self, other: TabledEffects) -> Array:
         """Corrections (n, s, nq) of `other` in all states of these tables, in a row."""
@@ -459,18 +439,13 @@ MIN_RUNS = 2
 
 @dataclasses.dataclass(frozen=True)
 class TurnedRuns:
-    """Runs whose rows are in the opposite order of their travel.
+    """Runs whose rows are in the opposite order of their travel."""
 
-    runs    (set-up, run) of each
-    before  residuals with the effects over the stated noise, of the readings as given
-    after   the same with these runs turned
-    gain    of the log evidence
-    """
-
-    runs: tuple[tuple[str, str], ...]
+    runs: tuple[tuple[str, str], ...]  #: (set-up, run) of each
+    #: residuals with the effects over the stated noise, of the readings as given
     before: float
-    after: float
-    gain: float
+    after: float  #: the same with these runs turned
+    gain: float  #: of the log evidence
 
 
 def _find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:

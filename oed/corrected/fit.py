@@ -117,17 +117,13 @@ MAX_DEPARTURE = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class EffectReadings:
-    """Readings y (N,), SI, with the covariates that effects are functions of.
-
-    covariates  one row a reading of the series, as in a Dataset
-    gravity     its direction in the base frame
-    """
+    """Readings y (N,), SI, with the covariates that effects are functions of."""
 
     measurement: Measurement
     series: tuple[Series, ...]
     y: Array
-    covariates: pd.DataFrame
-    gravity: tuple[float, float, float] = DOWN
+    covariates: pd.DataFrame  #: one row a reading of the series, as in a Dataset
+    gravity: tuple[float, float, float] = DOWN  #: its direction in the base frame
 
     def problem(self, theta: Array) -> GapProblem:
         """Residuals and states at theta (n,)."""
@@ -175,18 +171,13 @@ class EffectReadings:
 
 @dataclasses.dataclass(frozen=True)
 class _Start:
-    """Where a joint fit begins.
+    """Where a joint fit begins."""
 
-    forms    of the effects
-    theta    (n,) parameters, SI
-    beta     (k,) coefficients of all forms, in expected sizes
-    settled  whether that is where the forms explain the readings best, as it is where the
-             effects are too large for the linear model about the fit without them
-    """
-
-    forms: tuple[ChosenForm, ...]
-    theta: Array
-    beta: Array
+    forms: tuple[ChosenForm, ...]  #: of the effects
+    theta: Array  #: (n,) parameters, SI
+    beta: Array  #: (k,) coefficients of all forms, in expected sizes
+    #: whether that is where the forms explain the readings best, as it is where the
+    #: effects are too large for the linear model about the fit without them
     settled: bool
 
 

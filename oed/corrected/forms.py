@@ -44,18 +44,12 @@ Groups = Sequence[Index]
 
 @dataclasses.dataclass(frozen=True)
 class ChosenForm:
-    """The form of an effect that suits the readings best.
+    """The form of an effect that suits the readings best."""
 
-    effect     the effect
-    constants  {constant: value}
-    size       factor on its prior standard deviations
-    signature  change of the readings per prior standard deviation
-    """
-
-    effect: Effect
-    constants: Mapping[str, float]
-    size: float
-    signature: Signature
+    effect: Effect  #: the effect
+    constants: Mapping[str, float]  #: {constant: value}
+    size: float  #: factor on its prior standard deviations
+    signature: Signature  #: change of the readings per prior standard deviation
 
 
 def choose_forms(

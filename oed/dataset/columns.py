@@ -134,18 +134,12 @@ _WRITTEN: Final = {"m": "mm", "rad": "deg", "K": "C", "m/s": FEED_UNIT}
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class ReadingsColumn:
-    """A column of a readings file.
+    """A column of a readings file."""
 
-    name    as in the header
-    stem    the name without its unit
-    unit    SI unit
-    factor  from the column's numbers to SI
-    """
-
-    name: str
-    stem: str
-    unit: str
-    factor: float
+    name: str  #: as in the header
+    stem: str  #: the name without its unit
+    unit: str  #: SI unit
+    factor: float  #: from the column's numbers to SI
 
     @classmethod
     def parse(cls, name: str) -> ReadingsColumn:

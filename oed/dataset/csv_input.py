@@ -180,12 +180,10 @@ def filled_columns(
 
 @dataclasses.dataclass(frozen=True)
 class JoinedSessions:
-    """Tables of all sessions in order.
-
-    restarted  numbers of the sessions, from 1, whose clock starts again
-    """
+    """Tables of all sessions in order."""
 
     tables: tuple[ReadingsFile, ...]
+    #: numbers of the sessions, from 1, whose clock starts again
     restarted: tuple[int, ...]
 
 

@@ -125,43 +125,32 @@ def short_names(files: Sequence[str]) -> list[str]:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class ColumnLayout:
-    """Columns of the readings of one set-up.
+    """Columns of the readings of one set-up."""
 
-    command    commanded coordinates
-    joints     joints, where these were recorded instead
-    channels   channels of the instrument
-    reference  whether the first row of a run is its reference
-    implied    whether the joints, as recorded, are the measurement: a closure, a contact,
-               a constraint
-    """
-
-    command: tuple[Coordinate, ...]
-    joints: tuple[Coordinate, ...]
-    channels: tuple[Channel, ...]
-    reference: bool
+    command: tuple[Coordinate, ...]  #: commanded coordinates
+    joints: tuple[Coordinate, ...]  #: joints, where these were recorded instead
+    channels: tuple[Channel, ...]  #: channels of the instrument
+    reference: bool  #: whether the first row of a run is its reference
+    #: whether the joints, as recorded, are the measurement: a closure, a contact, a
+    #: constraint
     implied: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """Readings in SI. Raises ValueError where the numbers of readings do not fit.
+    """Readings in SI. Raises ValueError where the numbers of readings do not fit."""
 
-    series      one a set-up as read from files; a plan may have more
-    y           (N,) readings as in `Measurement.readings`: series after series,
-                channels innermost
-    covariates  one row a reading of the series, in their order: setup, run, order; what
-                the file gave of time, direction, feed, payload, temp_<body>,
-                tension_<k> and repeat, SI, NaN where unknown; and the row in the file
-    layouts     columns of each set-up
-    dropped     number of rows whose reading was not taken
-    columns     columns of the files, by stem; empty for a plan
-    """
-
-    series: tuple[Series, ...]
+    series: tuple[Series, ...]  #: one a set-up as read from files; a plan may have more
+    #: (N,) readings as in `Measurement.readings`: series after series, channels
+    #: innermost
     y: Array
+    #: one row a reading of the series, in their order: setup, run, order; what the file
+    #: gave of time, direction, feed, payload, temp_<body>, tension_<k> and repeat, SI,
+    #: NaN where unknown; and the row in the file
     covariates: pd.DataFrame
-    layouts: Mapping[str, ColumnLayout]
-    dropped: int = 0
+    layouts: Mapping[str, ColumnLayout]  #: columns of each set-up
+    dropped: int = 0  #: number of rows whose reading was not taken
+    #: columns of the files, by stem; empty for a plan
     columns: Mapping[str, ReadingsColumn] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -35,16 +35,11 @@ Row = tuple[int, Sequence[str]]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SplitText:
-    """Text of a readings file split into cells.
+    """Text of a readings file split into cells."""
 
-    separator  between cells
-    text       without a line that names the separator, and comments above the header
-    comments   number of these comments
-    """
-
-    separator: str
-    text: str
-    comments: int = 0
+    separator: str  #: between cells
+    text: str  #: without a line that names the separator, and comments above the header
+    comments: int = 0  #: number of these comments
 
     @classmethod
     def of(cls, text: str) -> SplitText:

@@ -50,18 +50,14 @@ class ReadingsError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class ReadingsFile:
-    """Checked cells of a readings file.
+    """Checked cells of a readings file."""
 
-    file     path, for errors
-    frame    one row a row of the file: `setup` and `run` (text), `order` (int), and
-             each further column by its stem, SI, NaN where the cell is empty; FILE and
-             ROW state where it is in which file
-    columns  columns of the file, by stem
-    """
-
-    file: str
+    file: str  #: path, for errors
+    #: one row a row of the file: `setup` and `run` (text), `order` (int), and each
+    #: further column by its stem, SI, NaN where the cell is empty; FILE and ROW state
+    #: where it is in which file
     frame: pd.DataFrame
-    columns: dict[str, ReadingsColumn]
+    columns: dict[str, ReadingsColumn]  #: columns of the file, by stem
 
     def error(self, problem: str, remedy: str, index: int, stem: str) -> ReadingsError:
         """The error to raise for row `index` of the frame (from 0) and a column."""

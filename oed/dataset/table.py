@@ -125,13 +125,10 @@ Convert = Callable[[str, Sequence[str], Index], Array]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TableCells:
-    """Cells of a table.
+    """Cells of a table."""
 
-    rows     number (n,) of each row in its file
-    columns  by stem: labels, or SI values (n,), NaN where a cell is empty
-    """
-
-    rows: Index
+    rows: Index  #: number (n,) of each row in its file
+    #: by stem: labels, or SI values (n,), NaN where a cell is empty
     columns: Mapping[str, Sequence[str] | Array]
 
 

@@ -120,14 +120,10 @@ CANDIDATES_AT_ONCE = 65536
 
 
 class Rounding(NamedTuple):
-    """Errors of the data of a relaxation.
+    """Errors of the data of a relaxation."""
 
-    rows   largest error of a block (k, n), in the Frobenius norm
-    prior  of the prior information, in the Frobenius norm
-    """
-
-    rows: float = 0.0
-    prior: float = 0.0
+    rows: float = 0.0  #: largest error of a block (k, n), in the Frobenius norm
+    prior: float = 0.0  #: of the prior information, in the Frobenius norm
 
     def rounding_of_basis(self, basis: Array) -> Rounding:
         """The errors of blocks and prior in coordinates of a basis (n, r)."""
@@ -144,18 +140,13 @@ NO_ROUNDING = Rounding()
 
 
 class WhiteCandidates(NamedTuple):
-    """Candidates in new coordinates.
+    """Candidates in new coordinates."""
 
-    blocks    (C, k, r)
-    basis     (n, r) T: directions that rows or prior determine, to orthonormal rows
-    prior     (r, r) prior information
-    rounding  of both
-    """
-
-    blocks: Array
+    blocks: Array  #: (C, k, r)
+    #: (n, r) T: directions that rows or prior determine, to orthonormal rows
     basis: Array
-    prior: Array
-    rounding: Rounding
+    prior: Array  #: (r, r) prior information
+    rounding: Rounding  #: of both
 
 
 def gamma(terms: int) -> float:

@@ -30,18 +30,12 @@ NODE_TOLERANCE = 1e-7
 
 @dataclasses.dataclass(frozen=True)
 class BranchResult:
-    """The best plan of a tree, and its certificate.
+    """The best plan of a tree, and its certificate."""
 
-    indices  chosen candidates, ascending
-    value    log phi of the plan
-    bound    log phi of no plan exceeds it
-    nodes    nodes visited
-    """
-
-    indices: Index
-    value: float
-    bound: float
-    nodes: int
+    indices: Index  #: chosen candidates, ascending
+    value: float  #: log phi of the plan
+    bound: float  #: log phi of no plan exceeds it
+    nodes: int  #: nodes visited
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -36,13 +36,10 @@ from oed.measurement import Measurement, Series
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Nuisances:
-    """Changes of the N numbers that all candidate readings give, by unknown effects.
+    """Changes of the N numbers that all candidate readings give, by unknown effects."""
 
-    columns  (N, u) per unit of each of u unknowns of prior variance 1, SI
-    scatter  (N,) standard deviation of what else they change, reading by reading, SI
-    """
-
-    columns: Array
+    columns: Array  #: (N, u) per unit of each of u unknowns of prior variance 1, SI
+    #: (N,) standard deviation of what else they change, reading by reading, SI
     scatter: Array
 
     @property
@@ -70,36 +67,26 @@ def no_nuisances(numbers: int) -> Nuisances:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates of a plan.
+    """Candidates of a plan."""
 
-    measurement        of the readings
-    series             all readings
-    blocks             (C, k, n + r): n free parameters in the stated scaling, then r
-                       errors that runs share, the nuisances last
-    columns            n
-    prior_information  (n + r, n + r): on the shared errors, and of prior and kept
-                       readings where given; zero where there is none
-    members            (C, 2) first reading of each candidate among all readings of all
-                       series, and its number of readings
-    setups             names
-    setup              (C,) position in `setups`
-    command            (C, d) of the first reading of each candidate, SI
-    cost               (C,) time of a candidate, s
-    setup_cost         (S,) time to mount each set-up, s
-    nuisances          u unknowns beside the parameters; None without
-    """
-
-    measurement: Measurement
-    series: tuple[Series, ...]
+    measurement: Measurement  #: of the readings
+    series: tuple[Series, ...]  #: all readings
+    #: (C, k, n + r): n free parameters in the stated scaling, then r errors that runs
+    #: share, the nuisances last
     blocks: Array
-    columns: int
+    columns: int  #: n
+    #: (n + r, n + r): on the shared errors, and of prior and kept readings where given;
+    #: zero where there is none
     prior_information: Array
+    #: (C, 2) first reading of each candidate among all readings of all series, and its
+    #: number of readings
     members: Index
-    setups: tuple[str, ...]
-    setup: Index
-    command: Array
-    cost: Array
-    setup_cost: Array
+    setups: tuple[str, ...]  #: names
+    setup: Index  #: (C,) position in `setups`
+    command: Array  #: (C, d) of the first reading of each candidate, SI
+    cost: Array  #: (C,) time of a candidate, s
+    setup_cost: Array  #: (S,) time to mount each set-up, s
+    #: u unknowns beside the parameters; None without
     nuisances: Nuisances | None = None
 
     @classmethod
@@ -306,18 +293,12 @@ class Candidates:
 
 
 class _SeriesBlocks(NamedTuple):
-    """One series as candidates.
+    """One series as candidates."""
 
-    rows       (C, k, p) over all p parameters
-    shared     (C, k, r) columns of the errors that its runs share
-    readings   (C,) number of readings of each candidate
-    nuisances  (C, k, u)
-    """
-
-    rows: Array
-    shared: Array
-    readings: Index
-    nuisances: Array
+    rows: Array  #: (C, k, p) over all p parameters
+    shared: Array  #: (C, k, r) columns of the errors that its runs share
+    readings: Index  #: (C,) number of readings of each candidate
+    nuisances: Array  #: (C, k, u)
 
 
 def _shared_information(n: int, parts: Sequence[_SeriesBlocks]) -> Array:

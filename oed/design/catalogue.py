@@ -40,45 +40,30 @@ EXAMPLES: Mapping[Ingredient, Array] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class NamedCriterion:
-    """A criterion as the catalogue lists it.
+    """A criterion as the catalogue lists it."""
 
-    name                in a study
-    about               what it is, in a line
-    source              publication
-    meaning             its number, in the words of a report; empty for an index alone
-    form                the criterion over n columns with its ingredient; None for an index
-                        alone
-    needs               its ingredient: directions of interest (n, s), a combination (1, n)
-                        or the accuracy (J, r, n) of r wanted components at J poses
-    has_weights         whether every solver of weights serves it
-    label               what a sentence calls the number instead of the name, as it stands
-                        beside any criterion
-    is_log_det          whether the number is log det: log phi times directions
-    power               phi is the absolute number to this power otherwise
-    smaller_is_better   as for kappa
-    index               the number from singular values and the number of readings
-    index_of_poses      whether `index` takes the number of poses instead
-    index_of_each_plan  whether each plan is reported with the index
-    index_meaning       the index in the words of the papers that use it
-    symbol              how an index is written; its name where empty
-    """
-
-    name: str
-    about: str
-    source: str
-    meaning: str = ""
+    name: str  #: in a study
+    about: str  #: what it is, in a line
+    source: str  #: publication
+    meaning: str = ""  #: its number, in the words of a report; empty for an index alone
+    #: the criterion over n columns with its ingredient; None for an index alone
     form: Callable[[int, Array | None], Criterion] | None = None
+    #: its ingredient: directions of interest (n, s), a combination (1, n) or the
+    #: accuracy (J, r, n) of r wanted components at J poses
     needs: Ingredient = "none"
-    has_weights: bool = False
+    has_weights: bool = False  #: whether every solver of weights serves it
+    #: what a sentence calls the number instead of the name, as it stands beside any
+    #: criterion
     label: str = ""
-    is_log_det: bool = False
-    power: int = -1
-    smaller_is_better: bool = False
+    is_log_det: bool = False  #: whether the number is log det: log phi times directions
+    power: int = -1  #: phi is the absolute number to this power otherwise
+    smaller_is_better: bool = False  #: as for kappa
+    #: the number from singular values and the number of readings
     index: Callable[[Array, int], float] | None = None
-    index_of_poses: bool = False
-    index_of_each_plan: bool = False
-    index_meaning: str = ""
-    symbol: str = ""
+    index_of_poses: bool = False  #: whether `index` takes the number of poses instead
+    index_of_each_plan: bool = False  #: whether each plan is reported with the index
+    index_meaning: str = ""  #: the index in the words of the papers that use it
+    symbol: str = ""  #: how an index is written; its name where empty
 
     def build(self, columns: int, ingredient: Array | None = None) -> Criterion:
         """The criterion over some columns. Raises ValueError without its ingredient."""

@@ -87,22 +87,14 @@ class DualBound(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EigenvaluePoint:
-    """Weights with their extreme eigenvalues, and the bound that a dual point implies.
+    """Weights with their extreme eigenvalues, and the bound that a dual point implies."""
 
-    plan        weights and their eigenvalues
-    dual        the bound
-    slope       z; None for kappa
-    profit      (C,) <Y - z Z, A_i> at the path's z
-    inside_gap  duality gap over the active set alone, as a share of l_min
-    total_gap   duality gap over all candidates, as a share of l_min
-    """
-
-    plan: WeightedPlan
-    dual: DualBound
-    slope: float | None
-    profit: Array
-    inside_gap: float
-    total_gap: float
+    plan: WeightedPlan  #: weights and their eigenvalues
+    dual: DualBound  #: the bound
+    slope: float | None  #: z; None for kappa
+    profit: Array  #: (C,) <Y - z Z, A_i> at the path's z
+    inside_gap: float  #: duality gap over the active set alone, as a share of l_min
+    total_gap: float  #: duality gap over all candidates, as a share of l_min
 
     @property
     def duality_gap(self) -> float:
@@ -323,18 +315,14 @@ LINE_TOLERANCE = 0.3
 
 @dataclasses.dataclass(frozen=True)
 class EigenvalueRelaxation:
-    """Optimal weights for a criterion of the extreme eigenvalues.
+    """Optimal weights for a criterion of the extreme eigenvalues."""
 
-    weights  (C,)
-    value    the criterion at the weights
-    bound    of every feasible plan: from below for kappa, from above for E and O4
-    gradient   (C,) of the log criterion (of -log kappa) along each weight: how much a
-             candidate is wanted
-    """
-
-    weights: Array
-    value: float
+    weights: Array  #: (C,)
+    value: float  #: the criterion at the weights
+    #: of every feasible plan: from below for kappa, from above for E and O4
     bound: float
+    #: (C,) of the log criterion (of -log kappa) along each weight: how much a candidate
+    #: is wanted
     gradient: Array
 
     @property

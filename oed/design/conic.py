@@ -157,18 +157,12 @@ def dual_root(dual: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polytope:
-    """The feasible weights; limits are kept to 1e-7 of a weight.
+    """The feasible weights; limits are kept to 1e-7 of a weight."""
 
-    size   N
-    caps   (C,)
-    rows   (L, C) of the limits rows w <= upper
-    upper  (L,)
-    """
-
-    size: float
-    caps: Array
-    rows: Array
-    upper: Array
+    size: float  #: N
+    caps: Array  #: (C,)
+    rows: Array  #: (L, C) of the limits rows w <= upper
+    upper: Array  #: (L,)
 
     def maximise(self, gains: Array) -> tuple[float, Array]:
         """A bound of sum_i w_i gains_i, and weights (C,) that (nearly) attain it."""

@@ -16,16 +16,11 @@ PROJECTION_SEED = 20260101
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Copies:
-    """Kinds of candidates.
+    """Kinds of candidates."""
 
-    first   (U,) the first candidate of each kind, ascending
-    label   (C,) kind of each candidate
-    number  (U,) candidates of each kind
-    """
-
-    first: Index
-    label: Index
-    number: Index
+    first: Index  #: (U,) the first candidate of each kind, ascending
+    label: Index  #: (C,) kind of each candidate
+    number: Index  #: (U,) candidates of each kind
 
     @property
     def exist(self) -> bool:

@@ -178,20 +178,13 @@ Solver = Literal["built_in", "clarabel", "scs"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Weights:
-    """Optimal weights of candidates.
+    """Optimal weights of candidates."""
 
-    weights      (C,) from 0 to 1, with the number of readings as their sum
-    value        of the criterion at the weights, as in `Choice`
-    bound        of the criterion for all plans, likewise
-    duality_gap  how much better than the value the bound is, in log phi
-    choice       the readings of largest weight
-    """
-
-    weights: Array
-    value: float
-    bound: float
-    duality_gap: float
-    choice: Choice
+    weights: Array  #: (C,) from 0 to 1, with the number of readings as their sum
+    value: float  #: of the criterion at the weights, as in `Choice`
+    bound: float  #: of the criterion for all plans, likewise
+    duality_gap: float  #: how much better than the value the bound is, in log phi
+    choice: Choice  #: the readings of largest weight
 
 
 def choose_by_weights(

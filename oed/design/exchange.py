@@ -230,20 +230,13 @@ def _choice(problem: Problem, best: Index, value: float, columns: int) -> Choice
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """Candidates over the directions that they or the prior determine.
+    """Candidates over the directions that they or the prior determine."""
 
-    blocks     (C, k, r) candidates over r directions
-    criterion  over these directions
-    base       (r, r) prior information
-    rounding   of blocks and prior information
-    weak       directions left out although candidates or prior see them
-    """
-
-    blocks: Array
-    criterion: Criterion
-    base: Array
-    rounding: Rounding
-    weak: int
+    blocks: Array  #: (C, k, r) candidates over r directions
+    criterion: Criterion  #: over these directions
+    base: Array  #: (r, r) prior information
+    rounding: Rounding  #: of blocks and prior information
+    weak: int  #: directions left out although candidates or prior see them
 
 
 def pose(

@@ -29,14 +29,11 @@ GOAL_TOLERANCE = 1e-3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AccuracyGoal:
-    """Wanted accuracy of components of the pose error.
+    """Wanted accuracy of components of the pose error."""
 
-    names    (K) of the components
-    factors  (K, r, n) in the blocks' columns, in units of the wanted accuracy; a
-             component is reached where its accuracy is at most 1
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: (K) of the components
+    #: (K, r, n) in the blocks' columns, in units of the wanted accuracy; a component is
+    #: reached where its accuracy is at most 1
     factors: Array
 
     def criterion(self) -> LargestVariance:
@@ -50,34 +47,22 @@ class AccuracyGoal:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CurvePoint:
-    """A plan on the curve.
+    """A plan on the curve."""
 
-    size      number of readings
-    indices   chosen candidates
-    accuracy  (K,) of each component
-    bound     (K,) that no plan of this size beats
-    """
-
-    size: int
-    indices: Index
-    accuracy: Array
-    bound: Array
+    size: int  #: number of readings
+    indices: Index  #: chosen candidates
+    accuracy: Array  #: (K,) of each component
+    bound: Array  #: (K,) that no plan of this size beats
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FewestReadings:
-    """The fewest readings that reach the goal.
+    """The fewest readings that reach the goal."""
 
-    size      None where no plan of at most `most` readings was found
-    at_least  no plan of fewer readings reaches the goal
-    most      readings that were tried, at the most
-    best      the last plan
-    """
-
-    size: int | None
-    at_least: int
-    most: int
-    best: CurvePoint
+    size: int | None  #: None where no plan of at most `most` readings was found
+    at_least: int  #: no plan of fewer readings reaches the goal
+    most: int  #: readings that were tried, at the most
+    best: CurvePoint  #: the last plan
 
     @property
     def proven(self) -> bool:
@@ -87,23 +72,16 @@ class FewestReadings:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SizeCurve:
-    """Accuracy against the number of readings, for one set of candidates.
+    """Accuracy against the number of readings, for one set of candidates."""
 
-    blocks   (C, k, n) candidates
-    prior    (n, n) prior information
-    goal     components and their wanted accuracy
-    seed     of the random numbers; each size draws from (*seed, size), so that a plan
-             does not depend on which sizes came before
-    rounds   rounds of local search
-    rules    of a plan, except for the number
-    """
-
-    blocks: Array
-    prior: Array
-    goal: AccuracyGoal
+    blocks: Array  #: (C, k, n) candidates
+    prior: Array  #: (n, n) prior information
+    goal: AccuracyGoal  #: components and their wanted accuracy
+    #: of the random numbers; each size draws from (*seed, size), so that a plan does
+    #: not depend on which sizes came before
     seed: tuple[int, ...]
-    rounds: int = 2
-    rules: Rules | None = None
+    rounds: int = 2  #: rounds of local search
+    rules: Rules | None = None  #: of a plan, except for the number
 
     def point(self, size: int) -> CurvePoint:
         """A plan of `size` readings."""

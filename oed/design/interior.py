@@ -257,28 +257,17 @@ MIN_STEP = 1e-8
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InteriorProblem:
-    """Candidates, prior information, and a transformation T for good rounding.
+    """Candidates, prior information, and a transformation T for good rounding."""
 
-    blocks      (C, k, n) X_i
-    base        (n, n) M0
-    size        N
-    caps        (C,)
-    start       (C,) weights of a good plan
-    turn        T (n, n), with T M T^T = 1 at `start`
-    white       (C, k, n) X_i T^T
-    white_base  (n, n) T M0 T^T
-    square      (n, n) T T^T
-    """
-
-    blocks: Array
-    base: Array
-    size: float
-    caps: Array
-    start: Array
-    turn: Array
-    white: Array
-    white_base: Array
-    square: Array
+    blocks: Array  #: (C, k, n) X_i
+    base: Array  #: (n, n) M0
+    size: float  #: N
+    caps: Array  #: (C,)
+    start: Array  #: (C,) weights of a good plan
+    turn: Array  #: T (n, n), with T M T^T = 1 at `start`
+    white: Array  #: (C, k, n) X_i T^T
+    white_base: Array  #: (n, n) T M0 T^T
+    square: Array  #: (n, n) T T^T
 
     def extreme_eigenvalues(self, active: Index, weights: Array) -> tuple[float, float]:
         """l_min and l_max of M; l_min comes from M^-1, to a rounding of its own."""

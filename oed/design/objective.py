@@ -72,21 +72,15 @@ class Tangent:
     """A line above the objective, which touches it at some weights.
 
     Every plan w' has a value of at most bound(sum_i w'_i slopes_i).
-
-    value      the objective at the weights where the line touches
-    gradient     (C,) along each candidate's weight, for all candidates
-    base_term  the line's term of the prior information M0
-    offset     constant of the line
-    linear     whether the line bounds the objective itself, instead of its exponential
-    rounding   by how much a slope can be too low
     """
 
-    value: float
-    gradient: Array
-    base_term: float
-    offset: float
+    value: float  #: the objective at the weights where the line touches
+    gradient: Array  #: (C,) along each candidate's weight, for all candidates
+    base_term: float  #: the line's term of the prior information M0
+    offset: float  #: constant of the line
+    #: whether the line bounds the objective itself, instead of its exponential
     linear: bool = False
-    rounding: float = 0.0
+    rounding: float = 0.0  #: by how much a slope can be too low
 
     def bound(self, weighted_gradient: float) -> float:
         """The line's height at a plan with sum_i w'_i slopes_i = `weighted_gradient`.

@@ -33,16 +33,11 @@ SINGULAR_SHARE = 1e-12
 
 
 class Pairs(NamedTuple):
-    """A plan with the candidates that may come into it.
+    """A plan with the candidates that may come into it."""
 
-    m       (n, n) information of the plan, positive definite
-    chosen  (N, k, n) blocks of the plan
-    blocks  (C, k, n) candidates
-    """
-
-    m: Array
-    chosen: Array
-    blocks: Array
+    m: Array  #: (n, n) information of the plan, positive definite
+    chosen: Array  #: (N, k, n) blocks of the plan
+    blocks: Array  #: (C, k, n) candidates
 
     def information_after(self, pair: int) -> Array:
         """M' (n, n) after an exchange, by its number in a table (N, C)."""
@@ -78,16 +73,11 @@ class Pairs(NamedTuple):
 
 
 class _Crossed(NamedTuple):
-    """Products of rows (N, n) and others (C, n) by a symmetric matrix.
+    """Products of rows (N, n) and others (C, n) by a symmetric matrix."""
 
-    rows    (N,) x_i^T P x_i
-    others  (C,) x_j^T P x_j
-    cross   (N, C) x_i^T P x_j
-    """
-
-    rows: Array
-    others: Array
-    cross: Array
+    rows: Array  #: (N,) x_i^T P x_i
+    others: Array  #: (C,) x_j^T P x_j
+    cross: Array  #: (N, C) x_i^T P x_j
 
     @classmethod
     def of(cls, rows: Array, others: Array, matrix: Array) -> _Crossed:
@@ -103,16 +93,11 @@ class _Crossed(NamedTuple):
 
 
 class _Leaving(NamedTuple):
-    """The blocks of a plan, as each of them leaves.
+    """The blocks of a plan, as each of them leaves."""
 
-    rows        (N k, n) of all R_i
-    roots       (N, k, k) (1 - D_ii)^(-1/2)
-    shares      (N,) det(1 - D_ii)
-    """
-
-    rows: Array
-    roots: Array
-    shares: Array
+    rows: Array  #: (N k, n) of all R_i
+    roots: Array  #: (N, k, k) (1 - D_ii)^(-1/2)
+    shares: Array  #: (N,) det(1 - D_ii)
 
     @classmethod
     def of(cls, chosen: Array, inverse: Array) -> _Leaving:

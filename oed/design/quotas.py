@@ -25,18 +25,12 @@ from oed.base import Array, Index, Mask
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Quota:
-    """Number of candidates that a plan takes from a selection.
+    """Number of candidates that a plan takes from a selection."""
 
-    name     for messages
-    members  (C,) which candidates are selected
-    least    number, at the least
-    most     number, at the most; None: no limit
-    """
-
-    name: str
-    members: Mask
-    least: int = 0
-    most: int | None = None
+    name: str  #: for messages
+    members: Mask  #: (C,) which candidates are selected
+    least: int = 0  #: number, at the least
+    most: int | None = None  #: number, at the most; None: no limit
 
     @property
     def sentence(self) -> str:

@@ -259,17 +259,12 @@ SAMPLE_SEED = 20260101
 
 @dataclasses.dataclass(frozen=True)
 class Relaxation:
-    """Optimal weights.
+    """Optimal weights."""
 
-    weights  (C,) with sum N
-    value    log phi at the weights
-    bound    upper bound of every feasible plan's log phi
-    gradient   (C,) d log phi / dw_i at the optimum: how much a candidate is wanted
-    """
-
-    weights: Array
-    value: float
-    bound: float
+    weights: Array  #: (C,) with sum N
+    value: float  #: log phi at the weights
+    bound: float  #: upper bound of every feasible plan's log phi
+    #: (C,) d log phi / dw_i at the optimum: how much a candidate is wanted
     gradient: Array
 
     @property

@@ -52,17 +52,13 @@ class TimeBudget(ReadingTimes):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SetupLimit:
-    """Set-ups of C candidates, the time to mount them, and how many there may be.
+    """Set-ups of C candidates, the time to mount them, and how many there may be."""
 
-    setup    (C,) number of the set-up of each candidate
-    seconds  (S,) time to mount each set-up, s, paid once; None where that is no rule
-    most     number of set-ups at the most; None: any number
-    mounted  set-ups that are mounted already: they cost nothing and do not count
-    """
-
-    setup: Index
+    setup: Index  #: (C,) number of the set-up of each candidate
+    #: (S,) time to mount each set-up, s, paid once; None where that is no rule
     seconds: Array | None = None
-    most: int | None = None
+    most: int | None = None  #: number of set-ups at the most; None: any number
+    #: set-ups that are mounted already: they cost nothing and do not count
     mounted: tuple[int, ...] = ()
 
     @property
@@ -123,14 +119,10 @@ class SetupLimit:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DistanceLimit:
-    """Least distance of two readings of one set-up.
+    """Least distance of two readings of one set-up."""
 
-    position  (C, d) of each candidate, in units of its own
-    least     least distance
-    """
-
-    position: Array
-    least: float
+    position: Array  #: (C, d) of each candidate, in units of its own
+    least: float  #: least distance
 
     def too_near(self, member: int) -> Mask:
         """Candidates (C,) too near to one of them, whatever their set-up."""
@@ -167,20 +159,18 @@ class RelaxedRules(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rules:
-    """Rules of a plan over C candidates; a size or a budget is given, or both.
+    """Rules of a plan over C candidates; a size or a budget is given, or both."""
 
-    size      number of candidates to choose; with a budget, at the most
-    time      time of each candidate, or the budget, which limits their sum
-    setups    set-up of each candidate, time to mount it, and number of set-ups
-    distance  least distance of two chosen candidates of one set-up
-    quotas    numbers to take from selections of the candidates; they need `size`, and
-              go neither with a budget nor with a number of set-ups
-    """
-
+    #: number of candidates to choose; with a budget, at the most
     size: int | None = None
+    #: time of each candidate, or the budget, which limits their sum
     time: ReadingTimes | None = None
+    #: set-up of each candidate, time to mount it, and number of set-ups
     setups: SetupLimit | None = None
+    #: least distance of two chosen candidates of one set-up
     distance: DistanceLimit | None = None
+    #: numbers to take from selections of the candidates; they need `size`, and go
+    #: neither with a budget nor with a number of set-ups
     quotas: QuotaSet | None = None
 
     def __post_init__(self) -> None:

@@ -22,14 +22,10 @@ NEGLIGIBLE_ENERGY = 9.0
 
 @dataclasses.dataclass(frozen=True)
 class SizePrior:
-    """Sizes in steps of half a decade.
+    """Sizes in steps of half a decade."""
 
-    usual    sizes that are equally likely
-    far      sizes beyond, which share `FAR_SHARE` equally
-    """
-
-    usual: tuple[float, ...]
-    far: tuple[float, ...]
+    usual: tuple[float, ...]  #: sizes that are equally likely
+    far: tuple[float, ...]  #: sizes beyond, which share `FAR_SHARE` equally
 
     @property
     def values(self) -> Array:

@@ -164,16 +164,12 @@ MIN_CHANGE = 1e-4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ExpectedColumns:
-    """Effects of a machine at their expected sizes.
+    """Effects of a machine at their expected sizes."""
 
-    discrepancy  what they do to the readings
-    forms        effects at their constants, with all of their coefficients
-    mixing       (a, k) of all a coefficients of the forms in each of the k columns
-    """
-
-    discrepancy: Discrepancy
+    discrepancy: Discrepancy  #: what they do to the readings
+    #: effects at their constants, with all of their coefficients
     forms: tuple[ActingForm, ...]
-    mixing: Array
+    mixing: Array  #: (a, k) of all a coefficients of the forms in each of the k columns
 
     @classmethod
     def side_by_side(cls, parts: Sequence[ExpectedColumns]) -> ExpectedColumns | None:

@@ -150,16 +150,11 @@ COURSE_NEEDS = ("direction", "time", "temp_")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CourseColumns:
-    """Changes of N planned readings and of n poses by k coefficients over d courses.
+    """Changes of N planned readings and of n poses by k coefficients over d courses."""
 
-    changes    (d, N, k) of the readings in each course, SI
-    tool       (d, n, c, k) of c pose components in states drawn anew for each, SI
-    of_course  (k,) which depend on the course
-    """
-
-    changes: Array
-    tool: Array
-    of_course: Mask
+    changes: Array  #: (d, N, k) of the readings in each course, SI
+    tool: Array  #: (d, n, c, k) of c pose components in states drawn anew for each, SI
+    of_course: Mask  #: (k,) which depend on the course
 
     @property
     def mean(self) -> Array:

@@ -71,18 +71,13 @@ class ActingForm:
 
 @dataclasses.dataclass(frozen=True)
 class SessionStates:
-    """States of a session, from which those of the workspace are drawn.
-
-    covariates  one row a reading
-    states      one a series
-    gravity     its direction in the base frame
-    used        values, SI, of covariates at which the machine is used
-    """
+    """States of a session, from which those of the workspace are drawn."""
 
     measurement: Measurement
-    covariates: pd.DataFrame
-    states: tuple[State, ...]
-    gravity: tuple[float, float, float]
+    covariates: pd.DataFrame  #: one row a reading
+    states: tuple[State, ...]  #: one a series
+    gravity: tuple[float, float, float]  #: its direction in the base frame
+    #: values, SI, of covariates at which the machine is used
     used: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
     @classmethod

@@ -25,20 +25,15 @@ MIN_CHANGE = 0.1
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlannedEffects:
-    """u combinations of effects in planned readings.
+    """u combinations of effects in planned readings."""
 
-    readings  change of the readings per unit, and by other combinations, SI
-    tool      (n, k, u) change of k pose components at n workspace poses per unit, SI
-    others    (k,) mean square over the workspace by other combinations, SI
-    columns   all effects' columns
-    session   in which the readings would be taken
-    """
-
+    #: change of the readings per unit, and by other combinations, SI
     readings: Nuisances
+    #: (n, k, u) change of k pose components at n workspace poses per unit, SI
     tool: Array
-    others: Array
-    columns: ExpectedColumns
-    session: SessionStates
+    others: Array  #: (k,) mean square over the workspace by other combinations, SI
+    columns: ExpectedColumns  #: all effects' columns
+    session: SessionStates  #: in which the readings would be taken
 
     def of_size(self, factor: float) -> PlannedEffects:
         """The effects with all sizes times a factor; `columns` stay as they are."""

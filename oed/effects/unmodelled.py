@@ -45,22 +45,17 @@ N_MACHINES = 1000
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ExpectedEffect:
-    """Expected errors by one effect that the model lacks.
+    """Expected errors by one effect that the model lacks."""
 
-    effect        the effect
-    sizes         {coefficient: prior standard deviation at each of its constants, in its
-                  SI unit}
-    variance      (n, k) of the pose components at the workspace poses, SI, where the
-                  calibration knows none; median over its constants
-    without       (n, k) of the machine without it, where all others act and are fitted
-    not_testable  why the readings cannot test it; None where they can
-    """
-
-    effect: Effect
+    effect: Effect  #: the effect
+    #: {coefficient: prior standard deviation at each of its constants, in its SI unit}
     sizes: Mapping[str, list[float]]
+    #: (n, k) of the pose components at the workspace poses, SI, where the calibration
+    #: knows none; median over its constants
     variance: Array
+    #: (n, k) of the machine without it, where all others act and are fitted
     without: Array
-    not_testable: str | None
+    not_testable: str | None  #: why the readings cannot test it; None where they can
 
     @property
     def size_text(self) -> str:
@@ -82,17 +77,14 @@ class ExpectedEffects:
     """Expected errors by effects that the model lacks.
 
     The variance (n, k) of the pose components, SI, is the mean over the constants.
-
-    effects     those that have any
-    added       variance by all of them together, beside the geometry's, where the
-                calibration knows none
-    prediction  of machines with all of them, fitted with the parameters: the parameters
-                sent take up of them what they can; fully corrected, effects are
-                compensated too
     """
 
-    effects: list[ExpectedEffect]
+    effects: list[ExpectedEffect]  #: those that have any
+    #: variance by all of them together, beside the geometry's, where the calibration
+    #: knows none
     added: Array
+    #: of machines with all of them, fitted with the parameters: the parameters sent
+    #: take up of them what they can; fully corrected, effects are compensated too
     prediction: Prediction
 
     @classmethod
@@ -162,28 +154,22 @@ class ExpectedEffects:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Form:
-    """An effect at one set of constants, with its textbook's coefficients.
-
-    changes  (N, m) of the readings per prior standard deviation, SI
-    """
+    """An effect at one set of constants, with its textbook's coefficients."""
 
     acting: ActingForm
     sizes: Mapping[str, float]
-    changes: Array
+    changes: Array  #: (N, m) of the readings per prior standard deviation, SI
 
 
 class _FormErrors(NamedTuple):
     """A form, what it does to the tool, and the variance (n, k) of the errors.
 
     The errors are those of the compensated machine.
-
-    tool      (n, k, m) in the states that are judged
-    absorbed  (n, k, m) in those for which the parameters sent take it up
     """
 
     form: _Form
-    tool: Array
-    absorbed: Array
+    tool: Array  #: (n, k, m) in the states that are judged
+    absorbed: Array  #: (n, k, m) in those for which the parameters sent take it up
     variance: Array
 
 

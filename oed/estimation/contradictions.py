@@ -216,16 +216,11 @@ def _record(
 
 @dataclasses.dataclass(frozen=True)
 class ToleranceFactor:
-    """What readings say of all tolerances together.
+    """What readings say of all tolerances together."""
 
-    factor       the most probable one, of `FACTORS`
-    probability  that they are as stated, but for few parameters
-    level        noise over the stated one with that factor
-    """
-
-    factor: float
-    probability: float
-    level: float
+    factor: float  #: the most probable one, of `FACTORS`
+    probability: float  #: that they are as stated, but for few parameters
+    level: float  #: noise over the stated one with that factor
 
     @property
     def is_sure(self) -> bool:

@@ -30,17 +30,13 @@ class IdentifiableCoordinates:
     """Coordinates about an origin: theta = origin + basis @ z + null_basis @ w; SI.
 
     z (r,) and w are N(0, I) a priori; n parameters, k of them free.
-
-    origin      (n,)
-    basis       (n, r) orthonormal directions times tolerances
-    null_basis  (n, k - r) the directions that no reading determines, likewise
-    dual        (r, n) the directions of `basis` over tolerances, so that
-                z = dual @ (theta - origin)
     """
 
-    origin: Array
-    basis: Array
-    null_basis: Array
+    origin: Array  #: (n,)
+    basis: Array  #: (n, r) orthonormal directions times tolerances
+    null_basis: Array  #: (n, k - r) the directions that no reading determines, likewise
+    #: (r, n) the directions of `basis` over tolerances, so that z = dual @ (theta -
+    #: origin)
     dual: Array
 
     @classmethod
@@ -165,19 +161,14 @@ def _padded(rows: Index, values: Array, count: int) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadingsProblem:
-    """Readings of m machines over z: theta = origin + basis @ z.
-
-    y       (m, N) readings, SI
-    origin  (m, n) parameters at z = 0, SI
-    basis   (n, k) changes of the parameters, SI, per z
-    """
+    """Readings of m machines over z: theta = origin + basis @ z."""
 
     measurement: Measurement
     series: Sequence[Series]
     noise: Noise
-    y: Array
-    origin: Array
-    basis: Array
+    y: Array  #: (m, N) readings, SI
+    origin: Array  #: (m, n) parameters at z = 0, SI
+    basis: Array  #: (n, k) changes of the parameters, SI, per z
 
     @functools.cached_property
     def magnitude(self) -> Array:

@@ -30,16 +30,11 @@ ENERGY_TOLERANCE = 1e-12
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EffectDraws:
-    """m draws from the posterior of effects.
+    """m draws from the posterior of effects."""
 
-    coefficients  (m, k)
-    size          (m,) common sizes
-    log_evidence  of the readings, over that without effects
-    """
-
-    coefficients: Array
-    size: Array
-    log_evidence: float
+    coefficients: Array  #: (m, k)
+    size: Array  #: (m,) common sizes
+    log_evidence: float  #: of the readings, over that without effects
 
 
 def sample_effects(
@@ -71,14 +66,7 @@ def sample_effects(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """Changes of the readings by effects that the model lacks.
-
-    columns  (N, k) change of the readings per expected size of each coefficient, SI
-    group    (k,) number of the group of each coefficient
-    names    (g,) of the groups, `effect` or `effect: block`
-    unknown  (g,) which groups stand for effects of no known form
-    sizes    (t,) common sizes that are possible, in expected sizes
-    """
+    """Changes of the readings by effects that the model lacks."""
 
     #: typical size of a healthy machine's effects, in expected sizes, which are those of
     #: catalogues: a machine in order has 0.07 of them
@@ -88,10 +76,12 @@ class Discrepancy:
     #: sizes of what stands out, of unknown form
     LARGE: ClassVar[Array] = 10.0 ** (np.arange(-2, 9) / 2.0)
 
+    #: (N, k) change of the readings per expected size of each coefficient, SI
     columns: Array
-    group: Index
-    names: tuple[str, ...]
-    unknown: Mask
+    group: Index  #: (k,) number of the group of each coefficient
+    names: tuple[str, ...]  #: (g,) of the groups, `effect` or `effect: block`
+    unknown: Mask  #: (g,) which groups stand for effects of no known form
+    #: (t,) common sizes that are possible, in expected sizes
     sizes: Array = dataclasses.field(default_factory=lambda: Discrepancy.SMALL)
 
     @property
@@ -102,21 +92,15 @@ class Discrepancy:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SampledEffects:
-    """Draws of effects, together with the parameters.
+    """Draws of effects, together with the parameters."""
 
-    discrepancy   what was fitted
-    coefficients  (m, k) draws, in expected sizes
-    size          (m,) draws of the common size, in expected sizes
-    theta         (m, n) draws of the parameters, SI, that belong to them; directions that
-                  no reading determines are nominal
-    log_evidence  of the readings with effects, over that without
-    """
-
-    discrepancy: Discrepancy
-    coefficients: Array
-    size: Array
+    discrepancy: Discrepancy  #: what was fitted
+    coefficients: Array  #: (m, k) draws, in expected sizes
+    size: Array  #: (m,) draws of the common size, in expected sizes
+    #: (m, n) draws of the parameters, SI, that belong to them; directions that no
+    #: reading determines are nominal
     theta: Array
-    log_evidence: float
+    log_evidence: float  #: of the readings with effects, over that without
 
     @property
     def changes(self) -> Array:

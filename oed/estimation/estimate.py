@@ -28,18 +28,12 @@ MAX_NAMED = 6
 
 @dataclasses.dataclass(frozen=True)
 class FitStage:
-    """One stage of an identification.
+    """One stage of an identification."""
 
-    patterns    of the names of the parameters that it frees
-    iterations  evaluations of the model
-    rms_before  root mean square of the whitened residuals where it starts
-    rms_after   the same where it ends
-    """
-
-    patterns: tuple[str, ...]
-    iterations: int
-    rms_before: float
-    rms_after: float
+    patterns: tuple[str, ...]  #: of the names of the parameters that it frees
+    iterations: int  #: evaluations of the model
+    rms_before: float  #: root mean square of the whitened residuals where it starts
+    rms_after: float  #: the same where it ends
 
 
 @dataclasses.dataclass(frozen=True)

@@ -70,20 +70,14 @@ class LeastSquares(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Minima:
-    """Where the sums of m machines are least.
+    """Where the sums of m machines are least."""
 
-    z            (m, k)
-    residual     (m, N) whitened; not finite where no sum can be computed, or no slopes
-    slopes       (m, N, k) whitened, of the point before the last step
-    converged    (m,) whether the machine's steps ended at a minimum
-    evaluations  (m,) of the residuals
-    """
-
-    z: Array
+    z: Array  #: (m, k)
+    #: (m, N) whitened; not finite where no sum can be computed, or no slopes
     residual: Array
-    slopes: Array
-    converged: Mask
-    evaluations: Index
+    slopes: Array  #: (m, N, k) whitened, of the point before the last step
+    converged: Mask  #: (m,) whether the machine's steps ended at a minimum
+    evaluations: Index  #: (m,) of the residuals
 
 
 def minimise(
@@ -275,17 +269,12 @@ class _StepSystem:
 
     Lengths are in units of the prior. For an unknown whose prior is nearly flat, they are
     in units of what the readings determine.
-
-    pull        (s, k) minus half the gradient of the sum over z
-    curvature   (s, k) of the directions, ascending
-    directions  (s, k, k) columns
-    descent     (s, k) of the pull along the directions
     """
 
-    pull: Array
-    curvature: Array
-    directions: Array
-    descent: Array
+    pull: Array  #: (s, k) minus half the gradient of the sum over z
+    curvature: Array  #: (s, k) of the directions, ascending
+    directions: Array  #: (s, k, k) columns
+    descent: Array  #: (s, k) of the pull along the directions
 
     @classmethod
     def of(cls, slopes: Array, residual: Array, z: Array, weight: Array) -> _StepSystem:

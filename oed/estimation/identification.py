@@ -136,16 +136,11 @@ def _mean_covariance(weights: Array, fits: Sequence[_Settled]) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _LinearReadings:
-    """Standardised readings to first order about some parameters.
+    """Standardised readings to first order about some parameters."""
 
-    coordinates  identifiable ones, z (r,)
-    residual     (N,) about nominal parameters, z = 0
-    slopes       (N, r) over z
-    """
-
-    coordinates: IdentifiableCoordinates
-    residual: Array
-    slopes: Array
+    coordinates: IdentifiableCoordinates  #: identifiable ones, z (r,)
+    residual: Array  #: (N,) about nominal parameters, z = 0
+    slopes: Array  #: (N, r) over z
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

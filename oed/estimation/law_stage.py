@@ -58,25 +58,17 @@ VARIANCE_TOLERANCE = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SettledLaw:
-    """The most probable law, and the linear model about the fit with it.
-
-    prior        of the law
-    mode         (d,) its coordinates
-    noise        under it
-    coordinates  of the fit
-    robust       the fit, with readings far off replaced
-    iterations   of the last fit
-    has_settled  whether the law changed by less than `LAW_TOLERANCE` in the last round
-    """
+    """The most probable law, and the linear model about the fit with it."""
 
     model: ResidualModel
     law: Laws
-    prior: NoisePrior
-    mode: Array
-    noise: Noise
-    coordinates: IdentifiableCoordinates
-    robust: ReadingsFit
-    iterations: int
+    prior: NoisePrior  #: of the law
+    mode: Array  #: (d,) its coordinates
+    noise: Noise  #: under it
+    coordinates: IdentifiableCoordinates  #: of the fit
+    robust: ReadingsFit  #: the fit, with readings far off replaced
+    iterations: int  #: of the last fit
+    #: whether the law changed by less than `LAW_TOLERANCE` in the last round
     has_settled: bool
 
 
@@ -256,18 +248,14 @@ def integrate_settled(
 
 @dataclasses.dataclass(frozen=True)
 class LawCheck:
-    """How far the estimate by a law is from the one by its variances alone.
+    """How far the estimate by a law is from the one by its variances alone."""
 
-    ratio        of the sum of squares between them to what the law lets expect
-    probability  of a larger one if what the law describes is noise
-    widening     w: sd of an estimate by stated weights under the law, over the stated one
-    correlated   standard deviation of what readings have in common with their neighbours,
-                 over the stated noise; 0 where that is an assumption
-    """
-
-    ratio: float
-    probability: float
+    ratio: float  #: of the sum of squares between them to what the law lets expect
+    probability: float  #: of a larger one if what the law describes is noise
+    #: w: sd of an estimate by stated weights under the law, over the stated one
     widening: float
+    #: standard deviation of what readings have in common with their neighbours, over
+    #: the stated noise; 0 where that is an assumption
     correlated: float = 0.0
 
     @property

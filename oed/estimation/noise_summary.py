@@ -149,15 +149,12 @@ def _scatter_within_run(laws: Laws, longest: int) -> Array:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _StatedChannel:
-    """What is stated of a channel: sd (rms over readings), SI, error of a run over it.
-
-    is_level  whether that error is all that the level of a run moves by
-    """
+    """What is stated of a channel: sd (rms over readings), SI, error of a run over it."""
 
     sigma: float
     shared: float
     unit: str
-    is_level: bool
+    is_level: bool  #: whether that error is all that the level of a run moves by
 
 
 def _stated(setup: Setup, channel: str, sigma: float) -> _StatedChannel:

@@ -73,34 +73,25 @@ MAX_SLOPE = 1e3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ErrorRows:
-    """Errors (n, k) of the driven components as functions of joints and parameters.
+    """Errors (n, k) of the driven components as functions of joints and parameters."""
 
-    positions     (n, a) joints along their principal axes, the workspace from -1 to 1
-    local         (n, k, q) per error of each joint at the command, SI
-    at_home       (n, k, q) per error of each joint at home, SI
-    by_parameter  (n, k, b) per standard deviation of b known directions of the parameters
-    """
-
+    #: (n, a) joints along their principal axes, the workspace from -1 to 1
     positions: Array
-    local: Array
-    at_home: Array
+    local: Array  #: (n, k, q) per error of each joint at the command, SI
+    at_home: Array  #: (n, k, q) per error of each joint at home, SI
+    #: (n, k, b) per standard deviation of b known directions of the parameters
     by_parameter: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class JointErrors:
-    """Error rows of a machine over a workspace.
+    """Error rows of a machine over a workspace."""
 
-    kinematics  of the machine
-    command     (n, n_dof) commands of the workspace, SI
-    reference   against which errors are stated: home or absolute
-    spread      (np, b) of the parameters' errors, per standard deviation, SI; b = 0
-                where no parameter was estimated
-    """
-
-    kinematics: Kinematics
-    command: Array
-    reference: Reference
+    kinematics: Kinematics  #: of the machine
+    command: Array  #: (n, n_dof) commands of the workspace, SI
+    reference: Reference  #: against which errors are stated: home or absolute
+    #: (np, b) of the parameters' errors, per standard deviation, SI; b = 0 where no
+    #: parameter was estimated
     spread: Array
 
     @property
@@ -210,16 +201,11 @@ class JointErrors:
 
 @dataclasses.dataclass(frozen=True)
 class Kernel:
-    """Covariance of the error of each joint, without its trend.
+    """Covariance of the error of each joint, without its trend."""
 
-    order   one of MATERN_ORDERS
-    size    standard deviation, SI
-    length  (a,) correlation lengths, in half spans of the workspace
-    """
-
-    order: str
-    size: float
-    length: Array
+    order: str  #: one of MATERN_ORDERS
+    size: float  #: standard deviation, SI
+    length: Array  #: (a,) correlation lengths, in half spans of the workspace
 
     def covariance(self, first: Array, second: Array) -> Array:
         """Covariance (n, m) between places (n, a) and (m, a)."""
@@ -243,15 +229,11 @@ def _correlation(order: str, distance: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Prior:
-    """Prior covariance of errors: of the joints' fields, of trends, and of what is known.
+    """Prior covariance of errors: of the joints' fields, of trends, and of what is known."""
 
-    home   (a,) place of home
-    trend  standard deviation of the trends' coefficients, SI
-    noise  that of a joint error at home which the instrument's zero amounts to, SI
-    """
-
-    home: Array
-    trend: float
+    home: Array  #: (a,) place of home
+    trend: float  #: standard deviation of the trends' coefficients, SI
+    #: that of a joint error at home which the instrument's zero amounts to, SI
     noise: float
 
     def columns(self, rows: ErrorRows) -> Array:
@@ -297,26 +279,16 @@ def _paired(first: Array, second: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ErrorField:
-    """Errors of the driven components, given readings.
+    """Errors of the driven components, given readings."""
 
-    model   of the errors
-    rows    (n, k) of the readings
-    read    (r,) which components of which rows were read, flat
-    node    (r,) number of the node of each reading; repeats are of one
-    errors  (r,) readings less what the parameters predict, SI
-    sigma   (r,) their noise, SI
-    kernel  of the joints' errors
-    prior   of trends
-    """
-
-    model: JointErrors
-    rows: ErrorRows
-    read: Index
-    node: Index
-    errors: Array
-    sigma: Array
-    kernel: Kernel
-    prior: _Prior
+    model: JointErrors  #: of the errors
+    rows: ErrorRows  #: (n, k) of the readings
+    read: Index  #: (r,) which components of which rows were read, flat
+    node: Index  #: (r,) number of the node of each reading; repeats are of one
+    errors: Array  #: (r,) readings less what the parameters predict, SI
+    sigma: Array  #: (r,) their noise, SI
+    kernel: Kernel  #: of the joints' errors
+    prior: _Prior  #: of trends
 
     def mean(self, command: Array) -> Array:
         """Expected errors (m, k) at commands, SI, beyond what the parameters predict."""
@@ -469,16 +441,12 @@ def _fit_kernel(
 
 @dataclasses.dataclass(frozen=True)
 class NodeDesign:
-    """Candidates to read.
+    """Candidates to read."""
 
-    indices    chosen candidates, the most useful one first
-    predicted  (k,) rms error that interpolation between these readings leaves, SI
-    expected   (k,) rms error before any reading, SI
-    """
-
-    indices: Index
+    indices: Index  #: chosen candidates, the most useful one first
+    #: (k,) rms error that interpolation between these readings leaves, SI
     predicted: Array
-    expected: Array
+    expected: Array  #: (k,) rms error before any reading, SI
 
 
 def design_nodes(
@@ -550,20 +518,14 @@ INTERVAL_LEVELS = (0.025, 0.975)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Forecast:
-    """A controller's table and what it leaves.
+    """A controller's table and what it leaves."""
 
-    field      of errors
-    grid       commands of the table
-    joints     (n, nq) to add to the joints at its commands, SI
-    predicted  (k,) rms over the workspace, SI: of the field and of interpolation
-    interval   (2, k) 95 % interval of it, SI
-    """
-
-    field: ErrorField
-    grid: CommandGrid
-    joints: Array
+    field: ErrorField  #: of errors
+    grid: CommandGrid  #: commands of the table
+    joints: Array  #: (n, nq) to add to the joints at its commands, SI
+    #: (k,) rms over the workspace, SI: of the field and of interpolation
     predicted: Array
-    interval: Array
+    interval: Array  #: (2, k) 95 % interval of it, SI
 
     @property
     def table(self) -> InterpolationTable:

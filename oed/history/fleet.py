@@ -41,14 +41,10 @@ MIN_VARIANCE = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class MachineInformation:
-    """What the readings of a machine say of its parameters, in tolerances from nominal.
+    """What the readings of a machine say of its parameters, in tolerances from nominal."""
 
-    matrix  (p, p) A, positive semidefinite
-    vector  (p,) b
-    """
-
-    matrix: Array
-    vector: Array
+    matrix: Array  #: (p, p) A, positive semidefinite
+    vector: Array  #: (p,) b
 
     @classmethod
     def of_posterior(
@@ -73,14 +69,10 @@ class MachineInformation:
 
 @dataclasses.dataclass(frozen=True)
 class FleetPrior:
-    """Parameters of a further machine, in tolerances from nominal.
+    """Parameters of a further machine, in tolerances from nominal."""
 
-    mean        (p,)
-    covariance  (p, p)
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  #: (p,)
+    covariance: Array  #: (p, p)
 
 
 def fleet_prior(machines: Sequence[MachineInformation]) -> FleetPrior:

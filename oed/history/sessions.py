@@ -484,15 +484,12 @@ def _rate(change: CombinationChange, span: float, widening: float) -> Combinatio
 
 @dataclasses.dataclass(frozen=True)
 class MachineSessions:
-    """Sessions of one machine under the prior N(nominal (n,), diag(tolerance (n,))^2).
+    """Sessions of one machine under the prior N(nominal (n,), diag(tolerance (n,))^2)."""
 
-    names       of the machine's parameters
-    posteriors  one a session, marginal to its set-ups, which are mounted anew in each
-    """
-
-    names: Sequence[str]
+    names: Sequence[str]  #: of the machine's parameters
     nominal: Array
     tolerance: Array
+    #: one a session, marginal to its set-ups, which are mounted anew in each
     posteriors: Sequence[Session]
 
     @classmethod

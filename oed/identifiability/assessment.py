@@ -34,22 +34,15 @@ TOOL_EXTENSION = 0.100
 
 @dataclasses.dataclass(frozen=True)
 class Assessment:
-    """What a set of readings determines. All arrays are over the n free parameters.
+    """What a set of readings determines. All arrays are over the n free parameters."""
 
-    measurement      machine and set-ups
-    series           the readings
-    identifiability  rank, combinations and null directions of the scaled H
-    scale            (n,) factor by which each column of H was multiplied
-    shrinkage        (n,) posterior over prior standard deviation
-    covariance       (n, n) posterior covariance, in units of the tolerances
-    """
-
-    measurement: Measurement
-    series: tuple[Series, ...]
+    measurement: Measurement  #: machine and set-ups
+    series: tuple[Series, ...]  #: the readings
+    #: rank, combinations and null directions of the scaled H
     identifiability: Identifiability
-    scale: Array
-    shrinkage: Array
-    covariance: Array
+    scale: Array  #: (n,) factor by which each column of H was multiplied
+    shrinkage: Array  #: (n,) posterior over prior standard deviation
+    covariance: Array  #: (n, n) posterior covariance, in units of the tolerances
 
     @property
     def names(self) -> tuple[str, ...]:

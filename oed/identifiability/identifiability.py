@@ -31,27 +31,18 @@ MOTION_TOLERANCE = 1e-5
 
 @dataclasses.dataclass(frozen=True)
 class Identifiability:
-    """Identifiability from one matrix H (N, n).
+    """Identifiability from one matrix H (N, n)."""
 
-    names            parameters of the n columns
-    singular_values  (n,) of the scaled H; 0 where there are fewer readings
-    rank             numerical rank
-    tolerance        share of the largest singular value that counts as zero
-    row_space        (rank, n) orthonormal rows, in scaled parameters
-    null_space       (n - rank, n) orthonormal rows, in scaled parameters
-    combinations     (rank, n) coefficients of the combinations of SI parameters that
-                     the readings determine; 1 at the pivot
-    lost             (n - rank, n) changes of SI parameters that change no reading
-    """
-
-    names: tuple[str, ...]
-    singular_values: Array
-    rank: int
-    tolerance: float
-    row_space: Array
-    null_space: Array
+    names: tuple[str, ...]  #: parameters of the n columns
+    singular_values: Array  #: (n,) of the scaled H; 0 where there are fewer readings
+    rank: int  #: numerical rank
+    tolerance: float  #: share of the largest singular value that counts as zero
+    row_space: Array  #: (rank, n) orthonormal rows, in scaled parameters
+    null_space: Array  #: (n - rank, n) orthonormal rows, in scaled parameters
+    #: (rank, n) coefficients of the combinations of SI parameters that the readings
+    #: determine; 1 at the pivot
     combinations: Array
-    lost: Array
+    lost: Array  #: (n - rank, n) changes of SI parameters that change no reading
 
     @property
     def identifiable_singular_values(self) -> Array:

@@ -205,22 +205,15 @@ def _unknowns_jacobian(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _RunErrors:
-    """What the errors that runs share follow from, for N readings.
+    """What the errors that runs share follow from, for N readings."""
 
-    decouple  (N, N) sparse
-    channel   (N,)
-    shared    (N,) error of a run's level, SI
-    stated    (N,) whether it is stated, and is all that the level moves by
-    renewed   (N, s) Jacobian times the stated noise; what one set-up does not have is 0
-    seated    (N, s) Jacobian times the stated seating, SI
-    """
-
-    decouple: scipy.sparse.csr_array
-    channel: Index
-    shared: Array
-    stated: Mask
+    decouple: scipy.sparse.csr_array  #: (N, N) sparse
+    channel: Index  #: (N,)
+    shared: Array  #: (N,) error of a run's level, SI
+    stated: Mask  #: (N,) whether it is stated, and is all that the level moves by
+    #: (N, s) Jacobian times the stated noise; what one set-up does not have is 0
     renewed: Array
-    seated: Array
+    seated: Array  #: (N, s) Jacobian times the stated seating, SI
 
     def columns(self) -> tuple[Array, Index]:
         """Errors common to a run (N, K), and their kinds (K,)."""

@@ -100,15 +100,11 @@ class ObservationModel:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Response:
-    """Jacobian of n readings of a set-up over changes at the poses they see, SI.
+    """Jacobian of n readings of a set-up over changes at the poses they see, SI."""
 
-    joints      for each pose of a reading, (n, channels, nq)
-    parameters  for each pose of a reading, (n, channels, np)
-    nuisances   (n, channels, ns), over the set-up's unknowns at the time of the reading
-    """
-
-    joints: tuple[Array, ...]
-    parameters: tuple[Array, ...]
+    joints: tuple[Array, ...]  #: for each pose of a reading, (n, channels, nq)
+    parameters: tuple[Array, ...]  #: for each pose of a reading, (n, channels, np)
+    #: (n, channels, ns), over the set-up's unknowns at the time of the reading
     nuisances: Array
 
 

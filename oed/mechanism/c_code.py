@@ -19,19 +19,14 @@ from oed.model import Expr, Machine
 
 @dataclasses.dataclass(frozen=True)
 class GeneratedFunctions:
-    """C text of CasADi functions, and the sizes of their shared work vectors.
+    """C text of CasADi functions, and the sizes of their shared work vectors."""
 
-    text    the functions pkm_start, pkm_unmet, pkm_mode, pkm_balance, pkm_held and
-            pkm_wanted, in CasADi's calling convention
-    reals   number of doubles
-    whole   number of integers
-    longest_step  of Newton's method over them, m or rad
-    """
-
+    #: the functions pkm_start, pkm_unmet, pkm_mode, pkm_balance, pkm_held and
+    #: pkm_wanted, in CasADi's calling convention
     text: str
-    reals: int
-    whole: int
-    longest_step: float
+    reals: int  #: number of doubles
+    whole: int  #: number of integers
+    longest_step: float  #: of Newton's method over them, m or rad
 
 
 def generated_functions(machine: Machine, parameters: Array) -> GeneratedFunctions:

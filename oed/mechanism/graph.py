@@ -21,15 +21,12 @@ def keep(condition: Array, x: Array, out: Array) -> None:
 
 
 class Operation(NamedTuple):
-    """What computes a value from others.
+    """What computes a value from others."""
 
-    array       writes its last argument from the others; None for functions of the C
-                library, whose digits NumPy's own do not share
-    expression  the same in the words of lanes.h
-    """
-
+    #: writes its last argument from the others; None for functions of the C library,
+    #: whose digits NumPy's own do not share
     array: Callable[..., Any] | None
-    expression: str
+    expression: str  #: the same in the words of lanes.h
 
 
 #: by the number of CasADi's instruction; C has sines and cosines of an angle together
@@ -83,31 +80,22 @@ OPERATIONS: dict[int, Operation] = {
 
 
 class Node(NamedTuple):
-    """A value of the graph.
+    """A value of the graph."""
 
-    operation  number of CasADi's instruction; None for an input's entry and a constant
-    sources    numbers of the nodes that it takes
-    entry      the input and its entry, or None
-    constant   its number, or None
-    """
-
+    #: number of CasADi's instruction; None for an input's entry and a constant
     operation: int | None
-    sources: tuple[int, ...] = ()
-    entry: tuple[int, int] | None = None
-    constant: float | None = None
+    sources: tuple[int, ...] = ()  #: numbers of the nodes that it takes
+    entry: tuple[int, int] | None = None  #: the input and its entry, or None
+    constant: float | None = None  #: its number, or None
 
 
 @dataclasses.dataclass(frozen=True)
 class Graph:
-    """Values of a dense SX function.
+    """Values of a dense SX function."""
 
-    nodes    sources first
-    inputs   number of entries of each input
-    outputs  for each output, the nodes of its entries, column by column of a matrix
-    """
-
-    nodes: Sequence[Node]
-    inputs: Sequence[int]
+    nodes: Sequence[Node]  #: sources first
+    inputs: Sequence[int]  #: number of entries of each input
+    #: for each output, the nodes of its entries, column by column of a matrix
     outputs: Sequence[Sequence[int]]
 
     def needed(

@@ -175,13 +175,10 @@ Corrections = Callable[[Array, Array], Array]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Controller:
-    """A controller that an earlier calibration compensated.
+    """A controller that an earlier calibration compensated."""
 
-    parameters   (np,) of its inverse kinematics, SI
-    corrections  that it adds to these joints; None where it has no such table
-    """
-
-    parameters: Array
+    parameters: Array  #: (np,) of its inverse kinematics, SI
+    #: that it adds to these joints; None where it has no such table
     corrections: Corrections | None = None
 
     def corrected(self, command: Array, pose: Array, joints: Array) -> Array:

@@ -65,21 +65,16 @@ def twist_between(
 
 @dataclasses.dataclass(frozen=True)
 class ErrorModel:
-    """Linear pose error of a machine at n commands, as slopes over np parameters; SI.
+    """Linear pose error of a machine at n commands, as slopes over np parameters; SI."""
 
-    command    (n, n_dof)
-    rotation   (n, 3, 3) nominal orientation
-    point      (n, 3) nominal tool point
-    joints     (n, nq, np) compensating joint correction, dq_m = joints @ dp, Eq. (24)
-    raw        (n, 6, np) twist error [tool point, rotation vector] without compensation
-    remaining  (n, 6, np) twist error with the compensatable components nulled, Eq. (25)
-    """
-
-    command: Array
-    rotation: Array
-    point: Array
+    command: Array  #: (n, n_dof)
+    rotation: Array  #: (n, 3, 3) nominal orientation
+    point: Array  #: (n, 3) nominal tool point
+    #: (n, nq, np) compensating joint correction, dq_m = joints @ dp, Eq. (24)
     joints: Array
+    #: (n, 6, np) twist error [tool point, rotation vector] without compensation
     raw: Array
+    #: (n, 6, np) twist error with the compensatable components nulled, Eq. (25)
     remaining: Array
 
     @classmethod

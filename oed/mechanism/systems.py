@@ -33,38 +33,26 @@ Values = Callable[[Array, Index], Array]
 
 
 class SolvedSystems(NamedTuple):
-    """Solutions of n systems of equations.
+    """Solutions of n systems of equations."""
 
-    values  (n, k)
-    solved  (n,) which hold
-    near    (n,) which others ended with a short step: careful steps may start there
-    """
-
-    values: Array
-    solved: Mask
+    values: Array  #: (n, k)
+    solved: Mask  #: (n,) which hold
+    #: (n,) which others ended with a short step: careful steps may start there
     near: Mask
 
 
 class AdjointRows(NamedTuple):
-    """Rows at n points.
+    """Rows at n points."""
 
-    values     (n, channels, m)
-    condition  (n,) bound on the condition numbers of A
-    """
-
-    values: Array
-    condition: Array
+    values: Array  #: (n, channels, m)
+    condition: Array  #: (n,) bound on the condition numbers of A
 
 
 class Factors(NamedTuple):
-    """Factors L U of n matrices, by elimination with each matrix's own pivots.
+    """Factors L U of n matrices, by elimination with each matrix's own pivots."""
 
-    entries  (k, k, n): L below, U above, one over U's diagonal on it
-    order    (k, n) rows of the matrix, in the order of the factors'
-    """
-
-    entries: Array
-    order: Index
+    entries: Array  #: (k, k, n): L below, U above, one over U's diagonal on it
+    order: Index  #: (k, n) rows of the matrix, in the order of the factors'
 
     def of(self, chosen: Mask) -> Factors:
         """Those of the chosen matrices."""

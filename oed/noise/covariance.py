@@ -19,12 +19,9 @@ from oed.noise.factor import Errors, LinearFactor, WideFactor, joined
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Noise of N readings, SI: independent here, related in other classes.
+    """Noise of N readings, SI: independent here, related in other classes."""
 
-    sigma  (N,) marginal standard deviations
-    """
-
-    sigma: Array
+    sigma: Array  #: (N,) marginal standard deviations
 
     @staticmethod
     def of(noise: Noise | Array) -> Noise:
@@ -81,11 +78,9 @@ class Noise:
 
 @dataclasses.dataclass(frozen=True)
 class FactoredNoise(Noise):
-    """Noise of readings that are related within runs; SI.
+    """Noise of readings that are related within runs; SI."""
 
-    factor  of the covariance
-    """
-
+    #: of the covariance
     factor: LinearFactor | WideFactor = dataclasses.field(kw_only=True)
 
     @classmethod

@@ -45,26 +45,17 @@ PRECISION_TOLERANCE = 1e-12
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Errors:
-    """Errors of k readings in order, in units of their scales.
+    """Errors of k readings in order, in units of their scales."""
 
-    order    (k,) numbers of the readings
-    starts   (S,) first reading of each segment
-    decay    (k,) correlation with that part of the reading before; 0 for the first
-             of a chain
-    single   (k,) variances of the white part
-    correlated  (k,) variances of the correlated part, alike within a chain
-    shared   (k, K) errors that a segment shares
-    scale    (k,)
-    unmix    (k, k) sparse P^-1, lower triangular; None: 1
-    """
-
-    order: Index
-    starts: Index
+    order: Index  #: (k,) numbers of the readings
+    starts: Index  #: (S,) first reading of each segment
+    #: (k,) correlation with that part of the reading before; 0 for the first of a chain
     decay: Array
-    single: Array
-    correlated: Array
-    shared: Array
-    scale: Array
+    single: Array  #: (k,) variances of the white part
+    correlated: Array  #: (k,) variances of the correlated part, alike within a chain
+    shared: Array  #: (k, K) errors that a segment shares
+    scale: Array  #: (k,)
+    #: (k, k) sparse P^-1, lower triangular; None: 1
     unmix: scipy.sparse.csr_array | None = None
 
     def standardise(self, values: Array) -> Array:

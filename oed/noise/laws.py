@@ -198,14 +198,10 @@ def common_columns(structure: ReadingStructure, laws: Laws) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class LawNoise(FactoredNoise):
-    """Noise of N readings under a law, SI.
+    """Noise of N readings under a law, SI."""
 
-    structure  of the readings
-    law        the law, one of some laws
-    """
-
-    structure: ReadingStructure
-    law: Laws
+    structure: ReadingStructure  #: of the readings
+    law: Laws  #: the law, one of some laws
 
     def split_common(self) -> tuple[Noise, Array]:
         """As in `Noise`: effects and the course apart."""
@@ -226,18 +222,13 @@ class LawNoise(FactoredNoise):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NoiseLaw:
-    """A noise law, in units of the stated noise.
+    """A noise law, in units of the stated noise."""
 
-    law            one of some laws
-    level          factor on everything; 1 where it is marginalised elsewhere
-    student_dof    degrees of freedom of the readings' Student t, inf where they are
-                   normal
-    outlier_share  share of readings that are far off, where the others are normal
-    """
-
-    law: Laws
-    level: float = 1.0
+    law: Laws  #: one of some laws
+    level: float = 1.0  #: factor on everything; 1 where it is marginalised elsewhere
+    #: degrees of freedom of the readings' Student t, inf where they are normal
     student_dof: float = np.inf
+    #: share of readings that are far off, where the others are normal
     outlier_share: float = 0.0
 
     def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:

@@ -12,27 +12,23 @@ class NoiseStatement:
 
     A stated amount is the middle of a narrow prior, exactly 0 takes the part out of the
     model, and what is not stated has a wide prior (`oed.noise_law.prior`).
-
-    levels         names of the channels whose `Channel.shared` is all that the level of
-                   a run moves by
-    seating        standard deviation of each unknown that a run seats anew, SI
-    correlated     share (0 to 1) of the variance of single readings that is correlated
-                   along a run
-    reach          of that correlation, in readings
-    student_dof    degrees of freedom of single readings' Student t
-    outlier_share  share (0 to 1) of the readings that are far off; 0: none is
-    has_course     whether readings may share a course through the session
-    is_assumed     whether nobody measured the stated scatter of single readings
     """
 
+    #: names of the channels whose `Channel.shared` is all that the level of a run moves
+    #: by
     levels: frozenset[str] = frozenset()
+    #: standard deviation of each unknown that a run seats anew, SI
     seating: float | None = None
+    #: share (0 to 1) of the variance of single readings that is correlated along a run
     correlated: float | None = None
-    reach: float | None = None
+    reach: float | None = None  #: of that correlation, in readings
+    #: degrees of freedom of single readings' Student t
     student_dof: float | None = None
+    #: share (0 to 1) of the readings that are far off; 0: none is
     outlier_share: float | None = None
+    #: whether nobody measured the stated scatter of single readings
     is_assumed: bool = False
-    has_course: bool = True
+    has_course: bool = True  #: whether readings may share a course through the session
 
     @property
     def correlated_share(self) -> float:

@@ -36,36 +36,27 @@ class SharedError(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class ReadingStructure:
-    """N readings in C chains of R runs; chains are numbered run by run.
+    """N readings in C chains of R runs; chains are numbered run by run."""
 
-    names      of the groups of readings that share a noise scale, `set-up.channel`
-    group      (N,) group of each reading
-    chain      (N,) chain of each reading
-    run        (C,) run of each chain
-    position   (N,) along the chain, in readings
-    unit       (N,) standard deviation of the stated noise that is not shared, SI
-    decouple   (N, N) sparse: readings whose channels have common sources, made
-               independent and of unit noise; None where division by `unit` does it
-    columns    (N, K) errors that a run shares, in units of the stated noise
-    kinds      (K,) of these errors, as numbers of `SharedError`
-    statement  of the parts that all readings have: correlated noise, tails
-    course     (N, c) modes of what each group's readings share through the session, of
-               unit standard deviation at its end (`oed.measurement.noise_structure`)
-    effects    (N, k) changes per standard deviation of independent normal coefficients
-               that all readings share: what the model lacks, in units of the stated noise
-    """
-
+    #: of the groups of readings that share a noise scale, `set-up.channel`
     names: tuple[str, ...]
-    group: Index
-    chain: Index
-    run: Index
-    position: Array
-    unit: Array
+    group: Index  #: (N,) group of each reading
+    chain: Index  #: (N,) chain of each reading
+    run: Index  #: (C,) run of each chain
+    position: Array  #: (N,) along the chain, in readings
+    unit: Array  #: (N,) standard deviation of the stated noise that is not shared, SI
+    #: (N, N) sparse: readings whose channels have common sources, made independent and
+    #: of unit noise; None where division by `unit` does it
     decouple: scipy.sparse.csr_array | None
-    columns: Array
-    kinds: Index
+    columns: Array  #: (N, K) errors that a run shares, in units of the stated noise
+    kinds: Index  #: (K,) of these errors, as numbers of `SharedError`
+    #: of the parts that all readings have: correlated noise, tails
     statement: NoiseStatement = NOTHING_STATED
+    #: (N, c) modes of what each group's readings share through the session, of unit
+    #: standard deviation at its end (`oed.measurement.noise_structure`)
     course: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    #: (N, k) changes per standard deviation of independent normal coefficients that all
+    #: readings share: what the model lacks, in units of the stated noise
     effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
     @property

@@ -226,16 +226,11 @@ class SplitStudent:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class KernelMixture:
-    """Student t kernels at points.
+    """Student t kernels at points."""
 
-    centres  (m, d)
-    weights  (m,) sum 1
-    root     (d, d) of the kernels' scale matrix
-    """
-
-    centres: Array
-    weights: Array
-    root: Array
+    centres: Array  #: (m, d)
+    weights: Array  #: (m,) sum 1
+    root: Array  #: (d, d) of the kernels' scale matrix
 
     def points(self, count: int) -> Array:
         """Points (count, d)."""
@@ -339,17 +334,13 @@ KERNEL_WIDENING = 1.3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ResidualModel:
-    """Standardised residuals of readings about an estimate of z ~ N(0, I).
-
-    residual  (N,)
-    slopes    (N, r) over z
-    centre    (r,) the estimate. Near the solution: the likelihood is a difference of
-              squares, which loses digits elsewhere
-    """
+    """Standardised residuals of readings about an estimate of z ~ N(0, I)."""
 
     structure: ReadingStructure
-    residual: Array
-    slopes: Array
+    residual: Array  #: (N,)
+    slopes: Array  #: (N, r) over z
+    #: (r,) the estimate. Near the solution: the likelihood is a difference of squares,
+    #: which loses digits elsewhere
     centre: Array
 
     def solve(self, laws: Laws) -> Solutions:
@@ -438,17 +429,14 @@ class ResidualModel:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solutions:
-    """Of L laws: log marginal likelihood, and posterior of z.
+    """Of L laws: log marginal likelihood, and posterior of z."""
 
-    log_size      (L,) log determinant of the readings' covariance, z integrated out
-    triangle      (L, r + 1, r + 1) Cholesky factor of the products of slopes and residual,
-                  with the prior
-    centre        (L, r) the z about which they are
-    """
-
+    #: (L,) log determinant of the readings' covariance, z integrated out
     log_size: Array
+    #: (L, r + 1, r + 1) Cholesky factor of the products of slopes and residual, with
+    #: the prior
     triangle: Array
-    centre: Array
+    centre: Array  #: (L, r) the z about which they are
 
     @property
     def energy(self) -> Array:
@@ -488,28 +476,17 @@ def concatenate_solutions(parts: Sequence[Solutions]) -> Solutions:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NoisePosterior:
-    """Posterior of the noise law, as weighted draws.
+    """Posterior of the noise law, as weighted draws."""
 
-    prior       of the coordinates
-    structure   of the readings
-    draws       (L, d) coordinates u
-    weights     (L,) sum 1
-    mode        (d,) most probable coordinates
-    root        (d, d) root of the covariance about the mode
-    mean        (r,) of z, over laws
-    covariance  (r, r) of z, over laws
-    solutions   of each drawn law
-    """
-
-    prior: NoisePrior
-    structure: ReadingStructure
-    draws: Array
-    weights: Array
-    mode: Array
-    root: Array
-    mean: Array
-    covariance: Array
-    solutions: Solutions
+    prior: NoisePrior  #: of the coordinates
+    structure: ReadingStructure  #: of the readings
+    draws: Array  #: (L, d) coordinates u
+    weights: Array  #: (L,) sum 1
+    mode: Array  #: (d,) most probable coordinates
+    root: Array  #: (d, d) root of the covariance about the mode
+    mean: Array  #: (r,) of z, over laws
+    covariance: Array  #: (r, r) of z, over laws
+    solutions: Solutions  #: of each drawn law
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         """Draws (count, r) of z and (count, d) of the law's coordinates.

@@ -135,18 +135,14 @@ def fisher_information(shape: ErrorDensity) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Outliers:
-    """Readings far off, and residuals that replace theirs.
+    """Readings far off, and residuals that replace theirs."""
 
-    pseudo_residual  (N,) of normal noise with the same information, in units of the
-                     stated noise
-    density          of the errors
-    log_odds         log likelihood of these over that of the residuals as normal ones
-    has_converged    whether the last iteration changed no residual by a tolerance
-    """
-
+    #: (N,) of normal noise with the same information, in units of the stated noise
     pseudo_residual: Array
-    density: ErrorDensity
+    density: ErrorDensity  #: of the errors
+    #: log likelihood of these over that of the residuals as normal ones
     log_odds: float
+    #: whether the last iteration changed no residual by a tolerance
     has_converged: bool
 
     def with_outliers(self, law: NoiseLaw) -> NoiseLaw:

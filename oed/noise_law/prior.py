@@ -68,15 +68,6 @@ STATED_REACH_SD = 0.3
 class NoisePrior:
     """A prior over laws: coordinates u (d,) are standard normal.
 
-    names      of the coordinates: the scales, then those of the parts of the noise that
-               are in the model
-    groups     number of groups of readings with a noise of their own
-    statement  what is stated
-    is_sparse  whether parts that are not stated may as well be absent, as for questions
-               of cause
-    is_common  whether all groups have one scale, and weights near the stated ones: with
-               several groups, each has a factor of its own as of a stated noise
-
     Constants are the names of coordinates other than scales: of the error that is correlated
     along a run, of what a run shares, of the session's course.
     """
@@ -89,10 +80,16 @@ class NoisePrior:
     STATED_SEATING: ClassVar = "stated seating"
     COURSE: ClassVar = "course of the session"
 
+    #: of the coordinates: the scales, then those of the parts of the noise that are in
+    #: the model
     names: tuple[str, ...]
-    groups: int
-    statement: NoiseStatement = NOTHING_STATED
+    groups: int  #: number of groups of readings with a noise of their own
+    statement: NoiseStatement = NOTHING_STATED  #: what is stated
+    #: whether all groups have one scale, and weights near the stated ones: with several
+    #: groups, each has a factor of its own as of a stated noise
     is_common: bool = False
+    #: whether parts that are not stated may as well be absent, as for questions of
+    #: cause
     is_sparse: bool = False
 
     @classmethod

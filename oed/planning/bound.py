@@ -60,18 +60,13 @@ OUTSIDE_SHARE = 0.5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CombinationBound:
-    """The options of a planning problem with their bounds.
-
-    mounting     (options,) time to mount each, s
-    information  (n, n) about the machine before
-    budget       s
-    """
+    """The options of a planning problem with their bounds."""
 
     parts: tuple[OptionBound, ...]
-    mounting: Array
+    mounting: Array  #: (options,) time to mount each, s
     goal: Goal
-    information: Array
-    budget: float
+    information: Array  #: (n, n) about the machine before
+    budget: float  #: s
 
     @classmethod
     def of(
@@ -187,18 +182,12 @@ def _joint_rows(parts: Sequence[OptionBound], n: int) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OptionBound:
-    """Candidates (C) of an option, weighted with a bound of their capture probability.
+    """Candidates (C) of an option, weighted with a bound of their capture probability."""
 
-    machine  (C, k, n) parts of the rows on the machine's parameters
-    setup    (C, k, r) parts of the rows on the option's other unknowns
-    cost     (C,) time of each candidate, s
-    limit    largest number of candidates in a plan
-    """
-
-    machine: Array
-    setup: Array
-    cost: Array
-    limit: int
+    machine: Array  #: (C, k, n) parts of the rows on the machine's parameters
+    setup: Array  #: (C, k, r) parts of the rows on the option's other unknowns
+    cost: Array  #: (C,) time of each candidate, s
+    limit: int  #: largest number of candidates in a plan
 
     @classmethod
     def of(cls, option: Option, n: int) -> OptionBound:
@@ -269,15 +258,12 @@ MIN_NUMBER = 1e-300
 
 @dataclasses.dataclass(frozen=True)
 class GoalBound:
-    """No plan within the budget has a smaller goal value than `value`.
-
-    lines      supporting lines that were computed
-    promising  combinations that can hold a better plan, most promising first, as
-               {position of the option: relaxed number of readings}
-    """
+    """No plan within the budget has a smaller goal value than `value`."""
 
     value: float
-    lines: int
+    lines: int  #: supporting lines that were computed
+    #: combinations that can hold a better plan, most promising first, as {position of
+    #: the option: relaxed number of readings}
     promising: tuple[dict[int, float], ...] = ()
 
 

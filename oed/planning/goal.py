@@ -20,21 +20,16 @@ from oed.measurement import Measurement
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Goal:
-    """Pose components with their weights over the machine's parameters.
+    """Pose components with their weights over the machine's parameters."""
 
-    names        (K,) of the components
-    factors      (K, r, n), in tolerance units and units of `unit`
-    unit         (K,) accuracy that counts as 1, SI
-    has_targets  True: `unit` holds target accuracies, and the worst component counts;
-                 False: the mean square of all components counts
-    rest         (K,) mean square error that no reading reduces, in units of `unit`; a
-                 bound that leaves it out is a bound as well
-    """
-
-    names: tuple[str, ...]
-    factors: Array
-    unit: Array
+    names: tuple[str, ...]  #: (K,) of the components
+    factors: Array  #: (K, r, n), in tolerance units and units of `unit`
+    unit: Array  #: (K,) accuracy that counts as 1, SI
+    #: True: `unit` holds target accuracies, and the worst component counts; False: the
+    #: mean square of all components counts
     has_targets: bool
+    #: (K,) mean square error that no reading reduces, in units of `unit`; a bound that
+    #: leaves it out is a bound as well
     rest: Array | float = 0.0
 
     @property
@@ -83,14 +78,11 @@ class Goal:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ToolErrors:
-    """What effects beside the geometry do to the tool.
+    """What effects beside the geometry do to the tool."""
 
-    jacobian  (poses, k, u) per unit of each of u effects of prior variance 1, SI
-    rest    (k,) mean square by what no reading reduces, SI
-    """
-
+    #: (poses, k, u) per unit of each of u effects of prior variance 1, SI
     jacobian: Array
-    rest: Array
+    rest: Array  #: (k,) mean square by what no reading reduces, SI
 
 
 def workspace_goal(

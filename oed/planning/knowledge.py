@@ -25,19 +25,14 @@ class Knowledge:
     """Equally likely machines (P), in units of the parameters' tolerances.
 
     Machines with the same losses share a covariance: it is held, and worked with, once.
-
-    covariances        (Q, n, n) distinct ones
-    covariance_of      (P,) covariance of each machine
-    errors             (P, n) true minus believed parameters; None: N(0, covariance)
-    lost_readings      (P,) which machines have lost readings
-    mean_square_error  (n, n) over all machines; accuracy is judged by it
     """
 
-    covariances: Array
-    covariance_of: Index
+    covariances: Array  #: (Q, n, n) distinct ones
+    covariance_of: Index  #: (P,) covariance of each machine
+    #: (P, n) true minus believed parameters; None: N(0, covariance)
     errors: Array | None
-    lost_readings: Mask
-    mean_square_error: Array
+    lost_readings: Mask  #: (P,) which machines have lost readings
+    mean_square_error: Array  #: (n, n) over all machines; accuracy is judged by it
 
     @property
     def machines(self) -> int:

@@ -22,28 +22,21 @@ from oed.model import Machine
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Option:
-    """One measurement of the catalogue.
-
-    candidates         readings or whole runs (C), in units of tolerance and noise. Their
-                       columns: the machine's, effects beside the geometry, set-ups', and
-                       errors that runs share
-    counts             numbers of candidates to try, ascending; the last is the limit
-    mounting_seconds   time to mount all set-ups, s
-    candidate_seconds  time of each candidate, (C,), s
-    travel             largest distance between a reading and its expected value, m or
-                       rad, at which it is still captured; infinite: unlimited
-    price              cost in money, in addition to the time
-    operator           who can carry it out
-    """
+    """One measurement of the catalogue."""
 
     name: str
+    #: readings or whole runs (C), in units of tolerance and noise. Their columns: the
+    #: machine's, effects beside the geometry, set-ups', and errors that runs share
     candidates: Candidates
+    #: numbers of candidates to try, ascending; the last is the limit
     counts: tuple[int, ...]
-    mounting_seconds: float
-    candidate_seconds: Array
+    mounting_seconds: float  #: time to mount all set-ups, s
+    candidate_seconds: Array  #: time of each candidate, (C,), s
+    #: largest distance between a reading and its expected value, m or rad, at which it
+    #: is still captured; infinite: unlimited
     travel: float = math.inf
-    price: float = 0.0
-    operator: str = ""
+    price: float = 0.0  #: cost in money, in addition to the time
+    operator: str = ""  #: who can carry it out
 
     @property
     def limits_travel(self) -> bool:

@@ -61,15 +61,13 @@ NEGLIGIBLE_RESIDUAL = 0.02
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LinearisationResidual:
-    """Residuals over drawn machines.
+    """Residuals over drawn machines."""
 
-    rms      (readings,) over the machines that give the reading, SI; inf where none
-             of them reaches the pose
-    columns  (G, readings, m) whitened, for each pattern of captured candidates; None
-             where all residuals are negligible
-    """
-
+    #: (readings,) over the machines that give the reading, SI; inf where none of them
+    #: reaches the pose
     rms: Array
+    #: (G, readings, m) whitened, for each pattern of captured candidates; None where
+    #: all residuals are negligible
     columns: Array | None
 
 
@@ -186,14 +184,10 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ProfiledInformation:
-    """Information of each pattern (G) of captured candidates.
+    """Information of each pattern (G) of captured candidates."""
 
-    machine   (G, n, n) about the machine's parameters
-    by_setup  (G, n, s) columns of K for the set-ups' unknowns
-    """
-
-    machine: Array
-    by_setup: Array
+    machine: Array  #: (G, n, n) about the machine's parameters
+    by_setup: Array  #: (G, n, s) columns of K for the set-ups' unknowns
 
     @property
     def noise(self) -> Array:
@@ -227,18 +221,14 @@ CERTAIN_PROBABILITY = 0.999
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DrawnMachines:
-    """Machines (P) before a stage.
+    """Machines (P) before a stage."""
 
-    knowledge     before the stage; `lost_readings` are those up to this stage
-    setup_errors  (P, s) of the set-ups' parameters and of errors that runs share
-    patterns      (G, N) captured candidates, 1 or 0
-    pattern_of    (P,) pattern of each machine
-    """
-
+    #: before the stage; `lost_readings` are those up to this stage
     knowledge: Knowledge
+    #: (P, s) of the set-ups' parameters and of errors that runs share
     setup_errors: Array
-    patterns: Array
-    pattern_of: Index
+    patterns: Array  #: (G, N) captured candidates, 1 or 0
+    pattern_of: Index  #: (P,) pattern of each machine
 
     @property
     def group_of(self) -> Index:
@@ -370,24 +360,16 @@ MIN_RESIDUAL_DRAWS = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlanStage:
-    """One stage.
+    """One stage."""
 
-    option             the measurement
-    chosen             (N,) chosen candidates, ascending
-    seconds            time for mounting and reading
-    probability        (N,) that each chosen candidate is captured
-    linearisation_rms  (readings,) residual after the stage, SI; empty: not estimated
-    posterior          knowledge of the machine after the stage
-    information        (n, n) that the stage adds
-    """
-
-    option: Option
-    chosen: Index
-    seconds: float
-    probability: Array
+    option: Option  #: the measurement
+    chosen: Index  #: (N,) chosen candidates, ascending
+    seconds: float  #: time for mounting and reading
+    probability: Array  #: (N,) that each chosen candidate is captured
+    #: (readings,) residual after the stage, SI; empty: not estimated
     linearisation_rms: Array
-    posterior: Knowledge
-    information: Array
+    posterior: Knowledge  #: knowledge of the machine after the stage
+    information: Array  #: (n, n) that the stage adds
 
     @property
     def covariance(self) -> Array:

@@ -40,19 +40,16 @@ BOUND_SEED = 19
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlanStreams:
-    """Generators which the caller of a plan search provides.
+    """Generators which the caller of a plan search provides."""
 
-    first_look    machines of partial plans; drawn on and on during the search
-    bound         machines for the bound over all plans; drawn once
-    capture       () starts the stream that estimates how often runs are captured
-    refinement    (k) starts the stream of stage k while plans are refined
-    verification  (k) starts the stream of stage k by which refined plans are judged
-    """
-
+    #: machines of partial plans; drawn on and on during the search
     first_look: np.random.Generator
-    bound: np.random.Generator
+    bound: np.random.Generator  #: machines for the bound over all plans; drawn once
+    #: () starts the stream that estimates how often runs are captured
     capture: Callable[[], np.random.Generator]
+    #: (k) starts the stream of stage k while plans are refined
     refinement: Callable[[int], np.random.Generator]
+    #: (k) starts the stream of stage k by which refined plans are judged
     verification: Callable[[int], np.random.Generator]
 
     @classmethod
@@ -127,16 +124,12 @@ MORE_LINEAR_SHARE = 0.9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StagePlan:
-    """Stages in order.
-
-    seconds   time of all stages
-    value     value of the goal after the last stage; smaller is better
-    accuracy  (K,) of each pose component, before any stage and after each
-    """
+    """Stages in order."""
 
     stages: tuple[PlanStage, ...]
-    seconds: float
-    value: float
+    seconds: float  #: time of all stages
+    value: float  #: value of the goal after the last stage; smaller is better
+    #: (K,) of each pose component, before any stage and after each
     accuracy: tuple[Array, ...]
 
     @property

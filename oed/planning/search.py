@@ -364,25 +364,19 @@ Progress = Callable[[float], None]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlanSearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    best           the plan: the most accurate one within the budget, or, with targets,
-                   the shortest one that reaches them
-    reached        whether the targets are reached; True without targets
-    front          Pareto front of accuracy against time, shortest first
-    alternatives   other refined sequences, best first
-    bound          lower bound of the goal over all plans within the budget
-    most_accurate  the plan of the smallest value
-    next_gain      option of the best further stage, and its relative gain, if there
-                   were time for it; None: all options are in the plan
-    """
-
+    #: the plan: the most accurate one within the budget, or, with targets, the shortest
+    #: one that reaches them
     best: StagePlan
-    reached: bool
+    reached: bool  #: whether the targets are reached; True without targets
+    #: Pareto front of accuracy against time, shortest first
     front: tuple[StagePlan, ...]
-    alternatives: tuple[StagePlan, ...]
-    bound: GoalBound
-    most_accurate: StagePlan
+    alternatives: tuple[StagePlan, ...]  #: other refined sequences, best first
+    bound: GoalBound  #: lower bound of the goal over all plans within the budget
+    most_accurate: StagePlan  #: the plan of the smallest value
+    #: option of the best further stage, and its relative gain, if there were time for
+    #: it; None: all options are in the plan
     next_gain: tuple[str, float] | None
 
     @property
@@ -540,30 +534,21 @@ class ToolEffects(Protocol):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class PlanningTask:
-    """What to plan for one machine; its searches share the stages that they predict.
+    """What to plan for one machine; its searches share the stages that they predict."""
 
-    measurement  the machine, without set-ups
-    command      (m, n_dof) workspace commands at which its accuracy counts, SI
-    reference    against which errors are stated
-    options      the measurements that a plan may take
-    targets      {pose component: accuracy}, SI; empty: all components count
-    budget       time of a plan at most, s
-    stages       their number at most
-    seed         of all random numbers
-    effects      beside the geometry, on the machine whose accuracy counts
-    known        (k, k) covariance of its free parameters from earlier readings, in units
-                 of their tolerances; None where the tolerances are all that is known
-    """
-
-    measurement: Measurement
-    command: Array
-    reference: Reference
-    options: Sequence[Option]
+    measurement: Measurement  #: the machine, without set-ups
+    command: Array  #: (m, n_dof) workspace commands at which its accuracy counts, SI
+    reference: Reference  #: against which errors are stated
+    options: Sequence[Option]  #: the measurements that a plan may take
+    #: {pose component: accuracy}, SI; empty: all components count
     targets: Mapping[str, float]
-    budget: float
-    stages: int
-    seed: Sequence[int]
+    budget: float  #: time of a plan at most, s
+    stages: int  #: their number at most
+    seed: Sequence[int]  #: of all random numbers
+    #: beside the geometry, on the machine whose accuracy counts
     effects: ToolEffects | None = None
+    #: (k, k) covariance of its free parameters from earlier readings, in units of their
+    #: tolerances; None where the tolerances are all that is known
     known: Array | None = None
     memory: StageMemory = dataclasses.field(default_factory=StageMemory)
 

@@ -46,37 +46,26 @@ from oed.planning.prediction import PlanStage
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VirtualReadings:
-    """Readings (N) of m machines.
+    """Readings (N) of m machines."""
 
-    series      with the joints that each machine is sent
-    y           (m, N) SI; NaN where a pose cannot be assembled
-    captured    (m, N) which readings are captured
-    lost_share  (m,) share of the chosen candidates that is lost
-    """
-
-    series: tuple[Series, ...]
-    y: Array
-    captured: Mask
-    lost_share: Array
+    series: tuple[Series, ...]  #: with the joints that each machine is sent
+    y: Array  #: (m, N) SI; NaN where a pose cannot be assembled
+    captured: Mask  #: (m, N) which readings are captured
+    lost_share: Array  #: (m,) share of the chosen candidates that is lost
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VirtualStage:
-    """One stage as it is carried out.
+    """One stage as it is carried out."""
 
-    measurement    all set-ups up to this stage, so that its parameters begin with those
-                   of the stage before
-    series         planned readings
-    candidate      (readings,) candidate that each number belongs to
-    first_channel  (readings,) which numbers are first channels: the travel limits them
-    travel         m or rad; infinite: unlimited
-    """
-
+    #: all set-ups up to this stage, so that its parameters begin with those of the
+    #: stage before
     measurement: Measurement
-    series: tuple[Series, ...]
-    candidate: Index
+    series: tuple[Series, ...]  #: planned readings
+    candidate: Index  #: (readings,) candidate that each number belongs to
+    #: (readings,) which numbers are first channels: the travel limits them
     first_channel: Mask
-    travel: float
+    travel: float  #: m or rad; infinite: unlimited
 
     def read(
         self, truth: Array, expected: Array, controller: Array | None, normals: Array
@@ -286,20 +275,16 @@ def _captured_series(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CapturedReadings:
-    """Readings y (m, N), SI, of m machines that are captured in part, over z (m, k).
-
-    noises  of what each machine's readings capture; None where that is nothing
-    origin  (m, n) parameters at z = 0, SI
-    basis   (n, k) changes of the parameters, SI, per z
-    """
+    """Readings y (m, N), SI, of m machines that are captured in part, over z (m, k)."""
 
     measurement: Measurement
     series: Sequence[Series]
+    #: of what each machine's readings capture; None where that is nothing
     noises: Sequence[Noise | None]
     captured: Mask
     y: Array
-    origin: Array
-    basis: Array
+    origin: Array  #: (m, n) parameters at z = 0, SI
+    basis: Array  #: (n, k) changes of the parameters, SI, per z
 
     @functools.cached_property
     def magnitude(self) -> Array:
@@ -343,18 +328,12 @@ STILL_STEP = 1e-6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MachineErrors:
-    """One machine after one stage.
+    """One machine after one stage."""
 
-    mean_square    (K,) pose errors over the workspace, SI
-    lost_share     share of the candidates that it lost in the stage
-    coverage       share of its parameters within their 95 % intervals
-    pose_coverage  share of its pose errors within their 95 % intervals
-    """
-
-    mean_square: Array
-    lost_share: float
-    coverage: float
-    pose_coverage: float
+    mean_square: Array  #: (K,) pose errors over the workspace, SI
+    lost_share: float  #: share of the candidates that it lost in the stage
+    coverage: float  #: share of its parameters within their 95 % intervals
+    pose_coverage: float  #: share of its pose errors within their 95 % intervals
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -491,25 +470,16 @@ MACHINES_AT_ONCE = 50
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StageRealisation:
-    """One stage, over all virtual machines.
+    """One stage, over all virtual machines."""
 
-    name            of the option
-    predicted       (K,) root mean square of each pose component over workspace and
-                    machines, SI
-    realised        (K,) the same of the virtual machines
-    predicted_loss  share of the chosen candidates expected to be lost
-    realised_loss   share that virtual machines lost
-    coverage        share of the true parameters within their 95 % intervals
-    pose_coverage   share of the true pose errors within their 95 % intervals
-    """
-
-    name: str
+    name: str  #: of the option
+    #: (K,) root mean square of each pose component over workspace and machines, SI
     predicted: Array
-    realised: Array
-    predicted_loss: float
-    realised_loss: float
-    coverage: float
-    pose_coverage: float
+    realised: Array  #: (K,) the same of the virtual machines
+    predicted_loss: float  #: share of the chosen candidates expected to be lost
+    realised_loss: float  #: share that virtual machines lost
+    coverage: float  #: share of the true parameters within their 95 % intervals
+    pose_coverage: float  #: share of the true pose errors within their 95 % intervals
 
     @property
     def ratio(self) -> Array:

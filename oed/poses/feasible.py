@@ -90,21 +90,18 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Obstacles, and what moves between them; m.
+    """Obstacles, and what moves between them; m."""
 
-    obstacles  fixed capsules in the base frame; the stand of the cup touches the bar:
-               let it end short of the cup
-    links      radius of the capsules along the lines of the machine's skeleton; None:
-               links are not checked
-    bar        radius of the bar from its cup to the tool point; None: there is none
-    margin     clearance to be kept
-    ignore     numbers of skeleton lines that are left out (such as a fixed base)
-    """
-
+    #: fixed capsules in the base frame; the stand of the cup touches the bar: let it
+    #: end short of the cup
     obstacles: tuple[Capsule, ...]
+    #: radius of the capsules along the lines of the machine's skeleton; None: links are
+    #: not checked
     links: float | None = None
+    #: radius of the bar from its cup to the tool point; None: there is none
     bar: float | None = None
-    margin: float = 0.0
+    margin: float = 0.0  #: clearance to be kept
+    #: numbers of skeleton lines that are left out (such as a fixed base)
     ignore: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -279,26 +276,23 @@ class DirectionCone:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReadingLimits:
-    """Limits of a candidate reading; None: no limit. Lengths m, angles rad.
+    """Limits of a candidate reading; None: no limit. Lengths m, angles rad."""
 
-    joints         (lower, upper) of joints by name, in place of the machine's range
-    singularity    least reciprocal condition number of phi_x (`Kinematics.singularity`)
-    travel         largest distance of the nominal reading from the value held
-    held           that value, where the instrument does not define it
-    base_cone      directions of the line from the cup to the tool point, base frame
-    platform_cone  directions of the line from the tool point to the cup, platform frame
-    cup            (3,) other end of the line, base frame; None: from the set-up
-                   (`clearance.cup_position`)
-    surroundings   obstacles, and what must stay clear of them
-    """
-
+    #: (lower, upper) of joints by name, in place of the machine's range
     joints: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    #: least reciprocal condition number of phi_x (`Kinematics.singularity`)
     singularity: float | None = None
+    #: largest distance of the nominal reading from the value held
     travel: float | None = None
-    held: float | None = None
+    held: float | None = None  #: that value, where the instrument does not define it
+    #: directions of the line from the cup to the tool point, base frame
     base_cone: DirectionCone | None = None
+    #: directions of the line from the tool point to the cup, platform frame
     platform_cone: DirectionCone | None = None
+    #: (3,) other end of the line, base frame; None: from the set-up
+    #: (`clearance.cup_position`)
     cup: Point3 | None = None
+    #: obstacles, and what must stay clear of them
     surroundings: Surroundings | None = None
 
     @classmethod
@@ -430,16 +424,12 @@ class ReadingLimits:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Feasibility:
-    """Which of n candidate readings can be taken, and why the others cannot.
+    """Which of n candidate readings can be taken, and why the others cannot."""
 
-    allowed  (n,)
-    refused  {reason: (n,)}; a candidate may have several reasons
-    details  {quantity: (n,)} of the limits in use: singularity, travel (distance from
-             the value held), base_cone and platform_cone (angles), clearance; SI
-    """
-
-    allowed: Mask
-    refused: dict[str, Mask]
+    allowed: Mask  #: (n,)
+    refused: dict[str, Mask]  #: {reason: (n,)}; a candidate may have several reasons
+    #: {quantity: (n,)} of the limits in use: singularity, travel (distance from the
+    #: value held), base_cone and platform_cone (angles), clearance; SI
     details: dict[str, Array]
 
     @property

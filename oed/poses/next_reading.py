@@ -33,14 +33,11 @@ MAX_SWEEPS = 2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Belief:
-    """What is known, and what should become accurate.
+    """What is known, and what should become accurate."""
 
-    covariance  (n, n) of the columns, as scaled in the candidates' blocks
-    weights     (K, n, n) W = F^T F of each component's combinations F (r, n); its
-                variance is tr(W C)
-    """
-
-    covariance: Array
+    covariance: Array  #: (n, n) of the columns, as scaled in the candidates' blocks
+    #: (K, n, n) W = F^T F of each component's combinations F (r, n); its variance is
+    #: tr(W C)
     weights: Array
 
     @classmethod

@@ -38,16 +38,11 @@ TIME_TOLERANCE = 1e-12
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Schedule:
-    """Readings in time.
+    """Readings in time."""
 
-    pose     (m,) pose of each reading, -1 at the thermal reference
-    begins   (m,) when each reading begins, s
-    seconds  until the last reading ends
-    """
-
-    pose: Index
-    begins: Array
-    seconds: float
+    pose: Index  #: (m,) pose of each reading, -1 at the thermal reference
+    begins: Array  #: (m,) when each reading begins, s
+    seconds: float  #: until the last reading ends
 
     @property
     def reference(self) -> Mask:
@@ -90,17 +85,12 @@ def interleave(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _TimedPath:
-    """A path with the seconds of each place.
-
-    reading  (n,) of the readings
-    out      (n,) from the reference
-    back     (n,) to the reference
-    """
+    """A path with the seconds of each place."""
 
     path: Route
-    reading: Array
-    out: Array
-    back: Array
+    reading: Array  #: (n,) of the readings
+    out: Array  #: (n,) from the reference
+    back: Array  #: (n,) to the reference
     reference_reading: float
 
     @functools.cached_property
@@ -210,16 +200,11 @@ def travel_from_home(
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class ChangeTimes:
-    """Seconds to change parts of a set-up; another instrument is mounted anew.
+    """Seconds to change parts of a set-up; another instrument is mounted anew."""
 
-    tool      to change the tool
-    place     to move the cup, or the place or teach pose of the instrument
-    settings  to change other settings, such as the bar's length
-    """
-
-    tool: float
-    place: float
-    settings: float
+    tool: float  #: to change the tool
+    place: float  #: to move the cup, or the place or teach pose of the instrument
+    settings: float  #: to change other settings, such as the bar's length
 
     def order_mounting(
         self, setups: Sequence[Setup], rng: np.random.Generator
@@ -277,20 +262,14 @@ PathChange = tuple[float, Callable[[], Index]]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Route:
-    """Poses in the order of reading.
+    """Poses in the order of reading."""
 
-    indices  (n,) poses
-    run      (n,) number of the run that each pose belongs to
-    steps    (n,) length of the move to each pose, the first from the start (0 without)
-    length   of the whole path
-    exact    whether no path is shorter
-    """
-
-    indices: Index
-    run: Index
+    indices: Index  #: (n,) poses
+    run: Index  #: (n,) number of the run that each pose belongs to
+    #: (n,) length of the move to each pose, the first from the start (0 without)
     steps: Array
-    length: float
-    exact: bool
+    length: float  #: of the whole path
+    exact: bool  #: whether no path is shorter
 
 
 def order_poses(
@@ -376,18 +355,12 @@ def _check(distance: Array, start: Array | None, members: list[list[int]]) -> No
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunStates:
-    """Runs in their directions; state 0 is where the machine starts and ends.
+    """Runs in their directions; state 0 is where the machine starts and ends."""
 
-    cost     (S, S) from leaving one state to having passed the next
-    flip     (S,) the same run in the other direction, or itself
-    run      (S,) number of the run
-    members  (S) poses of each state
-    """
-
-    cost: Array
-    flip: Index
-    run: Index
-    members: list[Index]
+    cost: Array  #: (S, S) from leaving one state to having passed the next
+    flip: Index  #: (S,) the same run in the other direction, or itself
+    run: Index  #: (S,) number of the run
+    members: list[Index]  #: (S) poses of each state
 
     @classmethod
     def of(
@@ -603,21 +576,14 @@ def _best_shift(path: _ClosedPath, states: RunStates, size: int) -> PathChange:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadingOrder:
-    """Readings of one set-up in an order of short joint travel.
-
-    series      as given
-    path        through its readings, s
-    speeds      of the joints, SI
-    from_home   whether the machine begins at home
-    as_given    joint travel in the given order, s
-    """
+    """Readings of one set-up in an order of short joint travel."""
 
     measurement: Measurement
-    series: Series
-    path: Route
-    speeds: Sequence[float]
-    from_home: bool
-    as_given: float
+    series: Series  #: as given
+    path: Route  #: through its readings, s
+    speeds: Sequence[float]  #: of the joints, SI
+    from_home: bool  #: whether the machine begins at home
+    as_given: float  #: joint travel in the given order, s
 
     @classmethod
     def of_readings(

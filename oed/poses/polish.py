@@ -317,21 +317,15 @@ START_CURVATURES = (30.0, 1000.0)
 
 @dataclasses.dataclass(frozen=True)
 class PolishResult:
-    """Polished readings.
+    """Polished readings."""
 
-    series        as given, with other commands, joints and poses
-    measurement   with the set-ups as they are now
-    value_before  criterion of the start, over the directions that it determines (with a
-                  prior: over all)
-    value_after   criterion of the polished readings
-    summary       what was gained, or why the start is kept
-    """
-
-    series: tuple[Series, ...]
-    measurement: Measurement
+    series: tuple[Series, ...]  #: as given, with other commands, joints and poses
+    measurement: Measurement  #: with the set-ups as they are now
+    #: criterion of the start, over the directions that it determines (with a prior:
+    #: over all)
     value_before: float
-    value_after: float
-    summary: str
+    value_after: float  #: criterion of the polished readings
+    summary: str  #: what was gained, or why the start is kept
 
     @property
     def setups(self) -> tuple[Setup, ...]:

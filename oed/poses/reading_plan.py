@@ -36,14 +36,11 @@ CASADI_OPTIONS = {"cse": True}
 
 @dataclasses.dataclass(frozen=True)
 class SymbolicPose:
-    """CasADi functions of one pose.
+    """CasADi functions of one pose."""
 
-    residual     (x, q, c, tool) -> closure and controller equations, all to be zero
-    determinant  (x, q) -> det phi_x, lengths in units of the lever; (0,) for a
-                 redundant machine
-    """
-
+    #: (x, q, c, tool) -> closure and controller equations, all to be zero
     residual: Any
+    #: (x, q) -> det phi_x, lengths in units of the lever; (0,) for a redundant machine
     determinant: Any
 
 
@@ -53,13 +50,10 @@ class SymbolicReading:
 
     The arguments of both are (x_1, q_1, [x_2, q_2,] settings, tool), with settings (nk,)
     in the instrument's order and tool (3,).
-
-    rows   -> H^T (n, k): scaled rows, transposed
-    value  -> channels (k,)
     """
 
-    rows: Any
-    value: Any
+    rows: Any  #: -> H^T (n, k): scaled rows, transposed
+    value: Any  #: -> channels (k,)
 
 
 def symbolic_pose(machine: Machine) -> SymbolicPose:

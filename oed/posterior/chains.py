@@ -59,14 +59,10 @@ Starts = Callable[[np.random.Generator, int], Array]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """Where an unfinished chain is saved, so that an interrupted run goes on from there.
+    """Where an unfinished chain is saved, so that an interrupted run goes on from there."""
 
-    folder  of the file; other files in it stay
-    key     text about what is sampled: a chain of another key is not resumed
-    """
-
-    folder: Path
-    key: str
+    folder: Path  #: of the file; other files in it stay
+    key: str  #: text about what is sampled: a chain of another key is not resumed
 
     @property
     def file(self) -> Path:

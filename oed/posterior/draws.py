@@ -23,45 +23,33 @@ if TYPE_CHECKING:
 class Posterior:
     """Draws from the posterior, and their diagnostics.
 
-    names            parameters of theta
-    draws            (chains, draws, n) theta, SI. Independent draws are one chain; of
-                     emcee a chain is an ensemble, its walkers in turn, thinned, or a
-                     walker where there is one ensemble alone
-    z                (chains, draws, r) identifiable coordinates
-    noise_law        (chains, draws, d) coordinates of the noise law, standard normal a
-                     priori (`oed.noise_law.prior`)
-    noise_names      of these coordinates
-    ess              (n,) effective sample size; NaN for held parameters. Of independent
-                     draws: less than their number where some are repeated; of emcee: of
-                     all steps (ArviZ, bulk)
-    sampler          IMPORTANCE or PosteriorSection.EMCEE
-    pareto_k         shape of the tail of the importance weights, also where emcee ran
-                     because it is too large; NaN where no weights were computed
-    proposals        points that were weighted
-
     Of emcee alone, NaN and 0 for independent draws:
-
-    rhat             (n,) split R-hat of the ensembles (ArviZ); NaN for held parameters
-    acceptance       mean share of accepted steps
-    autocorrelation  longest integrated autocorrelation time, in steps (emcee)
-    walkers          of all ensembles
-    steps            steps run by each
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: parameters of theta
+    #: (chains, draws, n) theta, SI. Independent draws are one chain; of emcee a chain
+    #: is an ensemble, its walkers in turn, thinned, or a walker where there is one
+    #: ensemble alone
     draws: Array
-    z: Array
+    z: Array  #: (chains, draws, r) identifiable coordinates
+    #: (chains, draws, d) coordinates of the noise law, standard normal a priori
+    #: (`oed.noise_law.prior`)
     noise_law: Array
-    noise_names: tuple[str, ...]
+    noise_names: tuple[str, ...]  #: of these coordinates
+    #: (n,) effective sample size; NaN for held parameters. Of independent draws: less
+    #: than their number where some are repeated; of emcee: of all steps (ArviZ, bulk)
     ess: Array
-    rhat: Array
-    acceptance: float = np.nan
+    rhat: Array  #: (n,) split R-hat of the ensembles (ArviZ); NaN for held parameters
+    acceptance: float = np.nan  #: mean share of accepted steps
+    #: longest integrated autocorrelation time, in steps (emcee)
     autocorrelation: float = np.nan
-    walkers: int = 0
-    steps: int = 0
-    sampler: str = PosteriorSection.EMCEE
+    walkers: int = 0  #: of all ensembles
+    steps: int = 0  #: steps run by each
+    sampler: str = PosteriorSection.EMCEE  #: IMPORTANCE or PosteriorSection.EMCEE
+    #: shape of the tail of the importance weights, also where emcee ran because it is
+    #: too large; NaN where no weights were computed
     pareto_k: float = np.nan
-    proposals: int = 0
+    proposals: int = 0  #: points that were weighted
 
     @property
     def pooled(self) -> Array:

@@ -53,15 +53,11 @@ PROPOSALS_AT_ONCE = 20_000
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StudentProposal:
-    """Student t about a point.
+    """Student t about a point."""
 
-    centre         (d,)
-    root           (d, d) of the scale matrix
-    points_of_ess  points that are usually enough, over the effective sample size
-    """
-
-    centre: Array
-    root: Array
+    centre: Array  #: (d,)
+    root: Array  #: (d, d) of the scale matrix
+    #: points that are usually enough, over the effective sample size
     points_of_ess: float = 1.35
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
@@ -72,16 +68,11 @@ class StudentProposal:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LawProposal:
-    """A law from kernels, then parameters as in the linear model under this law.
+    """A law from kernels, then parameters as in the linear model under this law."""
 
-    model    of the readings about the estimate
-    fitted   posterior of the law in the linear model
-    kernels  in the law's coordinates
-    """
-
-    model: ResidualModel
-    fitted: NoisePosterior
-    kernels: KernelMixture
+    model: ResidualModel  #: of the readings about the estimate
+    fitted: NoisePosterior  #: posterior of the law in the linear model
+    kernels: KernelMixture  #: in the law's coordinates
     points_of_ess: float = 2.5
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
@@ -110,18 +101,12 @@ def proposal_of(target: LogDensity, rng: np.random.Generator) -> Proposal:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Proposals:
-    """Weighted proposals.
+    """Weighted proposals."""
 
-    points       (m, dimensions) those of a density above 0
-    theta        (m, n) parameters there, along lost directions where there is b(w)
-    log_weights  (m,) before smoothing
-    drawn        proposals, with those of density 0
-    """
-
-    points: Array
-    theta: Array
-    log_weights: Array
-    drawn: int
+    points: Array  #: (m, dimensions) those of a density above 0
+    theta: Array  #: (m, n) parameters there, along lost directions where there is b(w)
+    log_weights: Array  #: (m,) before smoothing
+    drawn: int  #: proposals, with those of density 0
 
     @classmethod
     def empty(cls, target: LogDensity) -> Proposals:

@@ -68,18 +68,12 @@ Readings = Callable[[Array], Array]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InterpolatedReadings:
-    """Readings (m, N) at parameters (m, n) near those it was made at.
+    """Readings (m, N) at parameters (m, n) near those it was made at."""
 
-    few     the k readings, solved exactly
-    middle  (N,) readings that changes are from
-    rows    (k,) numbers of the few
-    matrix  (k, N) T
-    """
-
-    few: Readings
-    middle: Array
-    rows: Index
-    matrix: Array
+    few: Readings  #: the k readings, solved exactly
+    middle: Array  #: (N,) readings that changes are from
+    rows: Index  #: (k,) numbers of the few
+    matrix: Array  #: (k, N) T
 
     def __call__(self, theta: Array) -> Array:
         """Readings (m, N) at parameters (m, n); NaN where a machine is not assembled."""
@@ -464,15 +458,13 @@ def log_student(white: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class ApproximateDraws:
-    """Draws of parameters (m, n), SI, and coordinates (m, d) of the law.
-
-    worth    number of independent draws that they are worth; None: all
-    effects  (m, k) coefficients of effects that belong to them; k is 0 without effects
-    """
+    """Draws of parameters (m, n), SI, and coordinates (m, d) of the law."""
 
     theta: Array
     noise_law: Array
+    #: number of independent draws that they are worth; None: all
     worth: float | None = None
+    #: (m, k) coefficients of effects that belong to them; k is 0 without effects
     effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 

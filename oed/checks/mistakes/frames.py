@@ -33,13 +33,11 @@ AXES = "xyz"
 
 @dataclasses.dataclass(frozen=True)
 class FrameMistake:
-    """A mistake of a frame, in words, and poses without it.
-
-    matrices  rotations (n, 3, 3) of angles by name, where it is not that of their columns
-    """
+    """A mistake of a frame, in words, and poses without it."""
 
     text: str
     undo: Unframed
+    #: rotations (n, 3, 3) of angles by name, where it is not that of their columns
     matrices: Callable[[Mapping[str, Array]], Array] | None = None
 
 

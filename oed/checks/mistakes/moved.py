@@ -29,16 +29,12 @@ AGAIN_SUFFIX = " again"
 
 @dataclasses.dataclass(frozen=True)
 class SoughtAmount:
-    """Where an amount is sought first, and its spread about there, SI.
-
-    basin  of amounts that lead to the same one
-    step   for differences
-    """
+    """Where an amount is sought first, and its spread about there, SI."""
 
     amount: float
     spread: float
-    step: float
-    basin: str = ""
+    step: float  #: for differences
+    basin: str = ""  #: of amounts that lead to the same one
 
 
 def moved_trials(

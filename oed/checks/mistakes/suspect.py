@@ -23,17 +23,13 @@ MAX_PARTS = 200
 
 @dataclasses.dataclass(frozen=True)
 class Scope:
-    """Readings of a session.
+    """Readings of a session."""
 
-    level     `file`, `instrument` (of several set-ups), `set-up`, `runs` (some of
-              several), `run` or `rows`
-    name      `run cup 1`; empty for the file
-    readings  their numbers, ascending
-    """
-
+    #: `file`, `instrument` (of several set-ups), `set-up`, `runs` (some of several),
+    #: `run` or `rows`
     level: str
-    name: str
-    readings: Index
+    name: str  #: `run cup 1`; empty for the file
+    readings: Index  #: their numbers, ascending
 
     @property
     def is_part(self) -> bool:

@@ -25,15 +25,11 @@ FINEST_STEP = 1e-6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PoseTable:
-    """What the nominal machine reads at poses other than those of the file.
+    """What the nominal machine reads at poses other than those of the file."""
 
-    predicted  (N,) readings, SI; NaN where a pose cannot be reached
-    slopes     (N, r) over the free parameters in their tolerances, SI
-    by_amount  (N, k) slopes over the amounts of the change times their spread, SI
-    """
-
-    predicted: Array
-    slopes: Array
+    predicted: Array  #: (N,) readings, SI; NaN where a pose cannot be reached
+    slopes: Array  #: (N, r) over the free parameters in their tolerances, SI
+    #: (N, k) slopes over the amounts of the change times their spread, SI
     by_amount: Array
 
 
@@ -41,58 +37,48 @@ class PoseTable:
 class MistakeTrial:
     """A mistake, undone.
 
-    kind       of mistake: the module that makes the trial
-    scope      the part of the session that it concerns
-    text       the mistake in words
-    session    as given
-    change     the session without it; None where values, order and noise say so
-    amounts    (k,) where the search of its unknown amounts begins, SI
-    steps      (k,) for differences over them
-    estimated  amounts and standard deviations that a fit has, where it is not searched
-    is_blind   whether the nominal machine reads the same at any amounts: their search
-               begins at fitted parameters
-    log_scale  sum over the values of the log of the factor on them: readings that a trial
-               makes small fit easily, and their density pays for it
-    scaling    the same of amounts, where it follows from them
-    log_prior  of the trial among those of its kind and level, beyond an equal share
-    family     trials of which the likeliest alone is fitted
-    missing    values, by mask (N,), of which the trial does not say where they belong
-    log_missing  log density of these, SI; None for that of any value
-
     How it is judged in the linear model, where it differs from the readings as given:
-
-    y          (N,) values
-    mistaken   (N,) values with the mistake in them, where it is not its own inverse
-    table      readings at other poses, for the values of the scope
-    columns    (N, k) slopes of the values over the amounts; those whose size is not
-               known are scaled to what they explain
-    parts      values, by mask (N,), that a machine of their own gives
-    noise      factors (N,) on the stated noise
-
-    on         the same mistake in other readings; None where it has one scope
     """
 
-    kind: str
-    scope: Scope
-    text: Words
-    session: SessionReadings
+    kind: str  #: of mistake: the module that makes the trial
+    scope: Scope  #: the part of the session that it concerns
+    text: Words  #: the mistake in words
+    session: SessionReadings  #: as given
+    #: the session without it; None where values, order and noise say so
     change: Undo | None = None
+    #: (k,) where the search of its unknown amounts begins, SI
     amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    #: (k,) for differences over them
     steps: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    #: amounts and standard deviations that a fit has, where it is not searched
     estimated: Callable[[Fit], tuple[Array, Array]] | None = None
+    #: whether the nominal machine reads the same at any amounts: their search begins at
+    #: fitted parameters
     is_blind: bool = False
+    #: sum over the values of the log of the factor on them: readings that a trial makes
+    #: small fit easily, and their density pays for it
     log_scale: float = 0.0
+    #: the same of amounts, where it follows from them
     scaling: Callable[[Array], float] = lambda amounts: 0.0
+    #: of the trial among those of its kind and level, beyond an equal share
     log_prior: float = 0.0
-    family: str = ""
+    family: str = ""  #: trials of which the likeliest alone is fitted
+    #: values, by mask (N,), of which the trial does not say where they belong
     missing: Mask | None = None
+    #: log density of these, SI; None for that of any value
     log_missing: float | None = None
-    y: Array | None = None
+    y: Array | None = None  #: (N,) values
+    #: (N,) values with the mistake in them, where it is not its own inverse
     mistaken: Array | None = None
+    #: readings at other poses, for the values of the scope
     table: PoseTable | None = None
+    #: (N, k) slopes of the values over the amounts; those whose size is not known are
+    #: scaled to what they explain
     columns: Array | None = None
+    #: values, by mask (N,), that a machine of their own gives
     parts: Mask | None = None
-    noise: Array | None = None
+    noise: Array | None = None  #: factors (N,) on the stated noise
+    #: the same mistake in other readings; None where it has one scope
     on: OnScope | None = None
 
     def undo(self, amounts: Array) -> Sequence[SessionReadings]:

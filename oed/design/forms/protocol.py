@@ -45,11 +45,9 @@ class Criterion(abc.ABC):
 
     Everywhere M (n, n) is symmetric and blocks (C, k, n) are whitened, scaled rows. What
     is not stated here holds of a smooth, concave criterion without methods of its own.
-
-    name  as in the catalogue
     """
 
-    name: str
+    name: str  #: as in the catalogue
 
     # -- properties --------------------------------------------------------------------
 

@@ -46,22 +46,17 @@ CONDITIONS = ("time", "direction", "feed", "payload")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run that could be taken: poses in order, under one condition.
+    """A run that could be taken: poses in order, under one condition."""
 
-    name         unique in its set-up
-    setup        name of the set-up
-    command      (n, n_dof) poses, SI, in the order of direction +1; with direction -1
-                 they are taken in reverse
-    condition    {covariate: value}, SI: `direction`, `feed`, `payload`, and `time` at
-                 which it starts
-    seconds      that it takes
-    """
-
-    name: str
-    setup: str
+    name: str  #: unique in its set-up
+    setup: str  #: name of the set-up
+    #: (n, n_dof) poses, SI, in the order of direction +1; with direction -1 they are
+    #: taken in reverse
     command: Array
+    #: {covariate: value}, SI: `direction`, `feed`, `payload`, and `time` at which it
+    #: starts
     condition: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    seconds: float = 0.0
+    seconds: float = 0.0  #: that it takes
 
     @property
     def direction(self) -> int:
@@ -245,28 +240,18 @@ BOUND_TOLERANCE = 1e-3
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunChoice:
-    """Chosen runs.
+    """Chosen runs."""
 
-    runs          (n,) numbers of the candidates, ascending
-    separation    least sqrt(lambda_k|j) over all targets
-    bound         of the separation: no plan under the rules exceeds it
-    pairs         every pair and combination, ascending by separation
-    value         of the compound, in logs
-    above         bound of the value: no plan's exceeds it
-    volume        log det of the parameters' information with their prior
-    seconds       that the runs take, set-ups included, where costs are known
-    proven        all plans were tried: separation and value belong to the best
-    """
-
-    runs: Index
-    separation: float
-    bound: float
+    runs: Index  #: (n,) numbers of the candidates, ascending
+    separation: float  #: least sqrt(lambda_k|j) over all targets
+    bound: float  #: of the separation: no plan under the rules exceeds it
+    #: every pair and combination, ascending by separation
     pairs: list[SeparationRecord]
-    value: float
-    above: float
-    volume: float
-    seconds: float
-    proven: bool
+    value: float  #: of the compound, in logs
+    above: float  #: bound of the value: no plan's exceeds it
+    volume: float  #: log det of the parameters' information with their prior
+    seconds: float  #: that the runs take, set-ups included, where costs are known
+    proven: bool  #: all plans were tried: separation and value belong to the best
 
     @property
     def before(self) -> float | None:
@@ -282,22 +267,15 @@ class RunChoice:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunsWanted:
-    """What runs are to be chosen for.
+    """What runs are to be chosen for."""
 
-    runs      candidates, all in set-ups of one measurement
-    retained  numbers of those that any plan has
-    wanted    effects that are separated from each other and from the rivals
-    rivals    further effects
-    share     of D in the compound
-    rounds    of the search
-    """
-
-    runs: Sequence[Run]
-    retained: Sequence[int]
+    runs: Sequence[Run]  #: candidates, all in set-ups of one measurement
+    retained: Sequence[int]  #: numbers of those that any plan has
+    #: effects that are separated from each other and from the rivals
     wanted: Sequence[Effect]
-    rivals: Sequence[Effect]
-    share: float
-    rounds: int
+    rivals: Sequence[Effect]  #: further effects
+    share: float  #: of D in the compound
+    rounds: int  #: of the search
 
     def pool(self, problem: GapProblem, rows: Sequence[Index]) -> Separation:
         """The separation of the effects in a problem by its runs, of some rows each."""

@@ -47,16 +47,11 @@ RIVAL_SD = 100.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ColumnSet:
-    """Columns of one explanation among those of all.
+    """Columns of one explanation among those of all."""
 
-    effect     what it explains the readings by
-    at         (k,) numbers of its columns
-    precision  (k,) prior precision of its coefficients as a rival's
-    """
-
-    effect: str
-    at: Index
-    precision: Array
+    effect: str  #: what it explains the readings by
+    at: Index  #: (k,) numbers of its columns
+    precision: Array  #: (k,) prior precision of its coefficients as a rival's
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,16 +69,11 @@ class Form(ColumnSet):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EffectForms:
-    """Forms of all testable effects.
+    """Forms of all testable effects."""
 
-    by_effect    {effect: its forms}
-    reasons      {effect: why the readings cannot test it}
-    columns      (N, K) of all forms, in units of the stated noise
-    """
-
-    by_effect: dict[str, list[Form]]
-    reasons: dict[str, str]
-    columns: Array
+    by_effect: dict[str, list[Form]]  #: {effect: its forms}
+    reasons: dict[str, str]  #: {effect: why the readings cannot test it}
+    columns: Array  #: (N, K) of all forms, in units of the stated noise
 
 
 def effect_forms(

@@ -182,19 +182,15 @@ READING_DRAWS = 600
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AnswerForm:
-    """An answer of a diagnosis in one of its forms.
+    """An answer of a diagnosis in one of its forms."""
 
-    effects      names of what acts; none: nothing
-    probability  after the readings taken
-    columns      (N, k) of all readings, taken and to come, per standard deviation of
-                 each coefficient, in units of the stated noise
-    share_right  probability that the answer is right where this explanation is best: less
-                 than 1 for nothing at all, beside which what is too small to be seen acts
-    """
-
-    effects: tuple[str, ...]
-    probability: float
+    effects: tuple[str, ...]  #: names of what acts; none: nothing
+    probability: float  #: after the readings taken
+    #: (N, k) of all readings, taken and to come, per standard deviation of each
+    #: coefficient, in units of the stated noise
     columns: Array
+    #: probability that the answer is right where this explanation is best: less than 1
+    #: for nothing at all, beside which what is too small to be seen acts
     share_right: float = 1.0
 
 
@@ -269,22 +265,16 @@ N_TARGETS = 2
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SecondVisit:
-    """A second visit.
+    """A second visit."""
 
-    runs              in the order in which they are to be taken
-    series            their readings, with one row of `covariates` each
-    probability_now   of the likeliest set of effects
-    probability_after  expected probability that the likeliest is right after the visit
-    pairs             what the runs separate, ascending
-    inseparable       pairs of answers that no candidate separates
-    """
-
-    runs: tuple[Run, ...]
-    series: tuple[Series, ...]
+    runs: tuple[Run, ...]  #: in the order in which they are to be taken
+    series: tuple[Series, ...]  #: their readings, with one row of `covariates` each
     covariates: pd.DataFrame
-    probability_now: float
+    probability_now: float  #: of the likeliest set of effects
+    #: expected probability that the likeliest is right after the visit
     probability_after: float
-    pairs: tuple[SeparationRecord, ...]
+    pairs: tuple[SeparationRecord, ...]  #: what the runs separate, ascending
+    #: pairs of answers that no candidate separates
     inseparable: tuple[tuple[str, str], ...]
 
 

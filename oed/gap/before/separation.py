@@ -41,18 +41,12 @@ EXCHANGE_LEVELS = (SMOOTHING_LEVELS[0], np.inf)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Target:
-    """A combination of an effect's columns to be separated from a rival.
+    """A combination of an effect's columns to be separated from a rival."""
 
-    form      of the effect
-    shares    (k,) of the form's columns in the combination
-    words     the combination in words
-    rival     form of the rival
-    """
-
-    form: ColumnSet
-    shares: Array
-    words: str
-    rival: ColumnSet
+    form: ColumnSet  #: of the effect
+    shares: Array  #: (k,) of the form's columns in the combination
+    words: str  #: the combination in words
+    rival: ColumnSet  #: form of the rival
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -70,26 +64,20 @@ class Target:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Separation(Objective):
-    """The objective over C candidate runs.
+    """The objective over C candidate runs."""
 
-    grams      (C, m, m) with m = n + K: parameters first, then the columns of all
-               effects
-    base       (m, m) information whatever the plan: the parameters' prior and the runs
-               that any plan has
-    size       number n of parameters
-    targets    at least one
-    log_scale  log det of the parameters' coordinates: what `log_det` lacks to be that in
-               prior standard deviations
-    share      of D in the compound, 0 to 1
-    sharp      how sharply the smoothed minimum takes the least targets
-    """
-
+    #: (C, m, m) with m = n + K: parameters first, then the columns of all effects
     grams: Array
+    #: (m, m) information whatever the plan: the parameters' prior and the runs that any
+    #: plan has
     base: Array
-    size: int
-    targets: tuple[Target, ...]
+    size: int  #: number n of parameters
+    targets: tuple[Target, ...]  #: at least one
+    #: log det of the parameters' coordinates: what `log_det` lacks to be that in prior
+    #: standard deviations
     log_scale: float
-    share: float = 0.0
+    share: float = 0.0  #: of D in the compound, 0 to 1
+    #: how sharply the smoothed minimum takes the least targets
     sharp: float = SMOOTHING_LEVELS[-1]
 
     @property

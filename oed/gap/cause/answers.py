@@ -249,20 +249,13 @@ Classes = Sequence[tuple[str, ...]]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class AnswerGroup:
-    """Hypotheses that one stands for.
+    """Hypotheses that one stands for."""
 
-    hypothesis     the best of them
-    members        a class for each of its effects
-    unknown        whether an unknown remainder acts as well
-    probability    of all of them together
-    unseen         part of it at sizes that no reading shows: all or nothing
-    """
-
-    hypothesis: Hypothesis
-    members: tuple[tuple[str, ...], ...]
-    unknown: bool
-    probability: float
-    unseen: float = 0.0
+    hypothesis: Hypothesis  #: the best of them
+    members: tuple[tuple[str, ...], ...]  #: a class for each of its effects
+    unknown: bool  #: whether an unknown remainder acts as well
+    probability: float  #: of all of them together
+    unseen: float = 0.0  #: part of it at sizes that no reading shows: all or nothing
 
 
 def group(

@@ -43,21 +43,17 @@ from oed.result import PlaceRecord
 
 @dataclasses.dataclass(frozen=True)
 class LikelyForms:
-    """Forms that what acts may have.
+    """Forms that what acts may have."""
 
-    share      posterior probability of these forms
-    columns    (N, k) with coefficients N(0, 1), in units of the stated noise
-    labels     (k,) `leg 1`, `set-up bar`, `channel dz in bar` or "", what each column
-               belongs to
-    timed      (k,) which columns vary with time or temperature; all by default
-    other_way  (N, k) the columns in runs that are driven the other way; None where that
-               is not known
-    """
-
-    share: float
-    columns: Array
+    share: float  #: posterior probability of these forms
+    columns: Array  #: (N, k) with coefficients N(0, 1), in units of the stated noise
+    #: (k,) `leg 1`, `set-up bar`, `channel dz in bar` or "", what each column belongs
+    #: to
     labels: Sequence[str]
+    #: (k,) which columns vary with time or temperature; all by default
     timed: Mask | None = None
+    #: (N, k) the columns in runs that are driven the other way; None where that is not
+    #: known
     other_way: Array | None = None
 
 
@@ -82,19 +78,15 @@ class DrawnEnergy:
 
 @dataclasses.dataclass(frozen=True)
 class Draws:
-    """Energy of what acts, in units of the stated noise, in D draws.
+    """Energy of what acts, in units of the stated noise, in D draws."""
 
-    timed        of what varies with time, before the parameters absorb
-    other_way    of all that acts, and `acting` with the runs as they were driven; None
-                 where the other way is not known
-    remaining    as calibration leaves it
-    parts        {label: (D,)} of the columns of each label, as calibration leaves them
-    """
-
-    timed: DrawnEnergy
+    timed: DrawnEnergy  #: of what varies with time, before the parameters absorb
     acting: DrawnEnergy
+    #: of all that acts, and `acting` with the runs as they were driven; None where the
+    #: other way is not known
     other_way: DrawnEnergy | None
-    remaining: DrawnEnergy
+    remaining: DrawnEnergy  #: as calibration leaves it
+    #: {label: (D,)} of the columns of each label, as calibration leaves them
     parts: dict[str, Array]
 
 

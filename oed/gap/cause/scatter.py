@@ -177,13 +177,11 @@ def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
 class Replicates:
     """Readings that were taken more than once.
 
-    rows        (k,) numbers of these readings
-    cell        (k,) number of the pose, conditions and channel that each belongs to
     on_the_spot whether all were taken again within their run
     """
 
-    rows: Index
-    cell: Index
+    rows: Index  #: (k,) numbers of these readings
+    cell: Index  #: (k,) number of the pose, conditions and channel that each belongs to
     on_the_spot: bool
 
     def energy(self, problem: GapProblem, law: NoiseLaw) -> tuple[float, int]:

@@ -55,31 +55,20 @@ Key = tuple[frozenset[str], bool]
 
 @dataclasses.dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, with or without an unknown remainder, and no more that shows.
+    """A set of effects, with or without an unknown remainder, and no more that shows."""
 
-    effects         names of the effects
-    unknown         whether an unknown remainder acts as well
-    atoms           number of each effect's best form in the library
-    sizes           size of each effect's best form
-    process         number of the best unknown process; None without a remainder
-    process_size    size of the best unknown process
-    log_evidence    of the readings, over all forms and sizes
-    log_prior       log prior probability
-    law             number of the noise law that suits it best
-    effective_laws  number of equally good noise laws that its evidence rests on
-    log_prediction  log predictive density of whole withheld runs; nan where not known
-    """
-
-    effects: tuple[str, ...]
-    unknown: bool
-    atoms: tuple[int, ...]
-    sizes: tuple[float, ...]
-    process: int | None
-    process_size: float
-    log_evidence: float
-    log_prior: float
-    law: int = 0
+    effects: tuple[str, ...]  #: names of the effects
+    unknown: bool  #: whether an unknown remainder acts as well
+    atoms: tuple[int, ...]  #: number of each effect's best form in the library
+    sizes: tuple[float, ...]  #: size of each effect's best form
+    process: int | None  #: number of the best unknown process; None without a remainder
+    process_size: float  #: size of the best unknown process
+    log_evidence: float  #: of the readings, over all forms and sizes
+    log_prior: float  #: log prior probability
+    law: int = 0  #: number of the noise law that suits it best
+    #: number of equally good noise laws that its evidence rests on
     effective_laws: float = 1.0
+    #: log predictive density of whole withheld runs; nan where not known
     log_prediction: float = float("nan")
 
     @property
@@ -288,16 +277,11 @@ class FormProducts:
 
 @dataclasses.dataclass(frozen=True)
 class Remainder:
-    """The best process of an unknown remainder.
+    """The best process of an unknown remainder."""
 
-    process         its number
-    size            its size
-    log_evidence    of a remainder over none, over all processes and sizes
-    """
-
-    process: int
-    size: float
-    log_evidence: float
+    process: int  #: its number
+    size: float  #: its size
+    log_evidence: float  #: of a remainder over none, over all processes and sizes
 
 
 class Remainders:
@@ -377,15 +361,12 @@ _NONE = np.empty(0, dtype=np.intp)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Further:
-    """A further effect over a base: its log evidence, its best form and size.
-
-    of_best  log evidence of that form at that size alone
-    """
+    """A further effect over a base: its log evidence, its best form and size."""
 
     log_evidence: float
     atom: int
     size: float
-    of_best: float
+    of_best: float  #: log evidence of that form at that size alone
 
 
 class Search:

@@ -25,31 +25,23 @@ AGAIN = "repeated runs"
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class ExcessScatter:
-    """Scatter of readings beyond their instrument.
+    """Scatter of readings beyond their instrument."""
 
-    factor   scatter over that of the reference
-    against  the reference: the data sheet, or readings taken again
-    shape    `white`, `along the run`, `run NAME` or `leg K`
-    """
-
-    factor: float
-    against: str
-    shape: str
+    factor: float  #: scatter over that of the reference
+    against: str  #: the reference: the data sheet, or readings taken again
+    shape: str  #: `white`, `along the run`, `run NAME` or `leg K`
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Size:
-    """How large an effect is in these readings.
+    """How large an effect is in these readings."""
 
-    effect           name of the effect
-    rms              {channel: root mean square, SI}, before the geometry absorbs
-    remaining        {channel: root mean square, SI} of what calibration leaves of it
-    detectability    sqrt(lambda), in units of the noise, after the geometry absorbs
-    """
-
-    effect: str
+    effect: str  #: name of the effect
+    #: {channel: root mean square, SI}, before the geometry absorbs
     rms: Mapping[str, float]
+    #: {channel: root mean square, SI} of what calibration leaves of it
     remaining: Mapping[str, float]
+    #: sqrt(lambda), in units of the noise, after the geometry absorbs
     detectability: float
 
 
@@ -78,67 +70,50 @@ class Explained:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class AnswerContent:
-    """What acts by an answer, in the form that suits the readings best.
+    """What acts by an answer, in the form that suits the readings best."""
 
-    constants  {effect: its constants}
-    unknown    whether something of no known form acts as well
-    """
-
-    constants: Mapping[str, Mapping[str, float]]
-    unknown: bool
+    constants: Mapping[str, Mapping[str, float]]  #: {effect: its constants}
+    unknown: bool  #: whether something of no known form acts as well
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Diagnosis(Explained):
-    """A diagnosis of one set of readings.
+    """A diagnosis of one set of readings."""
 
-    problem         the residuals that it is of
-    verdict         none, effect, class (several that are indistinguishable), mixture
-                    (several effects, or one and an unknown remainder), unknown
-    answers         the decision first, the others by probability
-    set95           the 95 % credible set of effects
-    marginal        {effect: probability that it acts}
-    law             noise law as estimated
-    noise_words     the same in words
-    likeness        {form of the unknown remainder in words: probability}, the likeliest
-                    first; empty without a remainder
-    nearest         effects whose form comes nearest to the unknown remainder's
-    where           blocks in which the gap lies
-    closure         how far it shrinks on held-out readings
-    not_testable    {effect: why these readings cannot test it}
-    confusable      groups of effects that these readings cannot distinguish
-    next            advice, in sentences
-    scatter         of readings, where that is more than the instrument has and nothing
-                    explains it; None otherwise
-    effective_laws  number of equally good noise laws that the evidence of the answer
-                    rests on; None under a known law
-    clean           the problem without outliers; None where it was not searched
-    shares          {(effects, whether an unknown acts): probability}
-    contents        what acts by each of the answers
-    left_out        effects that fit at a size that no machine has alone
-    """
-
-    problem: GapProblem
+    problem: GapProblem  #: the residuals that it is of
+    #: none, effect, class (several that are indistinguishable), mixture (several
+    #: effects, or one and an unknown remainder), unknown
     verdict: Verdict
-    answers: tuple[AnswerRecord, ...]
-    set95: tuple[AnswerRecord, ...]
-    marginal: Mapping[str, float]
-    law: NoiseLaw
-    noise_words: tuple[str, ...]
+    answers: tuple[AnswerRecord, ...]  #: the decision first, the others by probability
+    set95: tuple[AnswerRecord, ...]  #: the 95 % credible set of effects
+    marginal: Mapping[str, float]  #: {effect: probability that it acts}
+    law: NoiseLaw  #: noise law as estimated
+    noise_words: tuple[str, ...]  #: the same in words
+    #: {form of the unknown remainder in words: probability}, the likeliest first; empty
+    #: without a remainder
     likeness: Mapping[str, float]
+    #: effects whose form comes nearest to the unknown remainder's
     nearest: tuple[str, ...]
-    where: tuple[PlaceRecord, ...]
-    closure: tuple[ClosureRecord, ...]
-    not_testable: Mapping[str, str]
+    where: tuple[PlaceRecord, ...]  #: blocks in which the gap lies
+    closure: tuple[ClosureRecord, ...]  #: how far it shrinks on held-out readings
+    not_testable: Mapping[str, str]  #: {effect: why these readings cannot test it}
+    #: groups of effects that these readings cannot distinguish
     confusable: tuple[tuple[str, ...], ...]
-    next: tuple[str, ...]
-    contents: tuple[AnswerContent, ...]
+    next: tuple[str, ...]  #: advice, in sentences
+    contents: tuple[AnswerContent, ...]  #: what acts by each of the answers
+    #: of readings, where that is more than the instrument has and nothing explains it;
+    #: None otherwise
     scatter: ExcessScatter | None = None
+    #: number of equally good noise laws that the evidence of the answer rests on; None
+    #: under a known law
     effective_laws: float | None = None
+    #: the problem without outliers; None where it was not searched
     clean: GapProblem | None = None
+    #: {(effects, whether an unknown acts): probability}
     shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
         default_factory=dict
     )
+    #: effects that fit at a size that no machine has alone
     left_out: tuple[str, ...] = ()
 
     @property

@@ -49,22 +49,15 @@ LEVEL_RATE = 2.0
 
 @dataclasses.dataclass(frozen=True)
 class Grams:
-    """Inner products of K columns and of the residual, in a metric.
+    """Inner products of K columns and of the residual, in a metric."""
 
-    gram     (K, K) Gram matrix of the columns
-    b        (K,) projections of the residual on the columns
-    whole    (K,) energy of the columns before parameters and other columns absorb
-    energy   r^T M r of the residual
-    size     number of readings
-    base     log evidence of no further column
-    """
-
-    gram: Array
-    b: Array
+    gram: Array  #: (K, K) Gram matrix of the columns
+    b: Array  #: (K,) projections of the residual on the columns
+    #: (K,) energy of the columns before parameters and other columns absorb
     whole: Array
-    energy: float
-    size: int
-    base: float
+    energy: float  #: r^T M r of the residual
+    size: int  #: number of readings
+    base: float  #: log evidence of no further column
 
     def take(self, columns: Index) -> Grams:
         """Grams of some of the columns."""
@@ -232,14 +225,10 @@ def explained_energy(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GramAxes:
-    """Axes of Gram matrices A of d columns: of many sets of effects, few directions differ.
+    """Axes of Gram matrices A of d columns: of many sets of effects, few directions differ."""
 
-    energy  (a, d) of each axis; 0 of those that are rounding
-    axes    (a, d, d) columns; 0 where they are rounding
-    """
-
-    energy: Array
-    axes: Array
+    energy: Array  #: (a, d) of each axis; 0 of those that are rounding
+    axes: Array  #: (a, d, d) columns; 0 where they are rounding
 
     @classmethod
     def of(cls, gram: Array, least: Array) -> GramAxes:
@@ -466,18 +455,12 @@ WeighedLaw = tuple[NoiseLaw, float]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LawPosterior:
-    """Posterior of the noise law with some columns in the model.
+    """Posterior of the noise law with some columns in the model."""
 
-    columns       (N, k') compressed, the parameters' slopes among them
-    mode          the most probable law
-    draws         (EACH, d) coordinates of laws drawn from it
-    log_evidence  of the readings, over all laws
-    """
-
-    columns: Array
-    mode: NoiseLaw
-    draws: Array
-    log_evidence: float
+    columns: Array  #: (N, k') compressed, the parameters' slopes among them
+    mode: NoiseLaw  #: the most probable law
+    draws: Array  #: (EACH, d) coordinates of laws drawn from it
+    log_evidence: float  #: of the readings, over all laws
 
 
 def posterior(problem: GapProblem, columns: Array) -> LawPosterior:

@@ -22,32 +22,22 @@ from oed.noise import NoiseLaw
 
 @dataclasses.dataclass(frozen=True)
 class ActingEffectForm:
-    """A form of an effect that acts.
+    """A form of an effect that acts."""
 
-    effect     the effect
-    constants  {constant: value}
-    names      (k,) of the coefficients that may differ from 0
-    size       prior standard deviation of these, in expected sizes
-    """
-
-    effect: Effect
-    constants: Mapping[str, float]
-    names: tuple[str, ...]
-    size: float
+    effect: Effect  #: the effect
+    constants: Mapping[str, float]  #: {constant: value}
+    names: tuple[str, ...]  #: (k,) of the coefficients that may differ from 0
+    size: float  #: prior standard deviation of these, in expected sizes
 
 
 @dataclasses.dataclass(frozen=True)
 class Settled:
-    """Readings linearised where some forms explain them best.
+    """Readings linearised where some forms explain them best."""
 
-    problem       with its residuals there
-    coefficients  of all forms there, one after the other, in expected sizes
-    departure     how far the linear model of the beginning is off where it leads: norm
-                  over all readings, in units of the noise, of what parameters leave
-    """
-
-    problem: GapProblem
-    coefficients: Array
+    problem: GapProblem  #: with its residuals there
+    coefficients: Array  #: of all forms there, one after the other, in expected sizes
+    #: how far the linear model of the beginning is off where it leads: norm over all
+    #: readings, in units of the noise, of what parameters leave
     departure: float
 
 
@@ -82,18 +72,13 @@ def settle(
 
 @dataclasses.dataclass(frozen=True)
 class _LinearPoint:
-    """A point and the readings linearised about it.
+    """A point and the readings linearised about it."""
 
-    values   (n + k,) parameters, then coefficients, in prior standard deviations
-    problem  with its residuals there
-    columns  (N, k) of the forms there, per prior sd, in units of the noise
-    exact    (N,) the readings of the point, in units of the noise
-    """
-
+    #: (n + k,) parameters, then coefficients, in prior standard deviations
     values: Array
-    problem: GapProblem
-    columns: Array
-    exact: Array
+    problem: GapProblem  #: with its residuals there
+    columns: Array  #: (N, k) of the forms there, per prior sd, in units of the noise
+    exact: Array  #: (N,) the readings of the point, in units of the noise
 
     def change(self, values: Array) -> Array:
         """Change of the readings (N,) by values (n + k,), linear about this point."""

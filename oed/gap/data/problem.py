@@ -45,26 +45,17 @@ LACKING = "the readings do not have "
 
 @dataclasses.dataclass(frozen=True)
 class Signature:
-    """An effect's columns in the readings, at one set of constants.
+    """An effect's columns in the readings, at one set of constants."""
 
-    effect       name of the effect
-    constants    {constant: value}
-    columns      (N, k) readings per standard deviation of each coefficient, SI
-    names        (k,) of the coefficients
-    labels       (k,) the blocks that they belong to
-    scales       (k,) prior standard deviations of the coefficients, in their own units
-    shape        (k,) which columns only let the form adapt
-    textbook     prior share of the form without these
-    """
-
-    effect: str
-    constants: Mapping[str, float]
-    columns: Array
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
+    effect: str  #: name of the effect
+    constants: Mapping[str, float]  #: {constant: value}
+    columns: Array  #: (N, k) readings per standard deviation of each coefficient, SI
+    names: tuple[str, ...]  #: (k,) of the coefficients
+    labels: tuple[str, ...]  #: (k,) the blocks that they belong to
+    #: (k,) prior standard deviations of the coefficients, in their own units
     scales: Array
-    shape: Mask
-    textbook: float
+    shape: Mask  #: (k,) which columns only let the form adapt
+    textbook: float  #: prior share of the form without these
 
     def take(self, chosen: Mask) -> Signature:
         """The signature of the chosen (k,) columns alone."""
@@ -281,39 +272,25 @@ def _recorded(need: str, states: Sequence[State]) -> bool:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GapProblem:
-    """N readings in units of their stated noise, and the n parameters that absorb.
+    """N readings in units of their stated noise, and the n parameters that absorb."""
 
-    structure      how the readings hang together, in these units; each channel of an
-                   instrument has a noise of its own, whatever set-up it is in
-    measurement    what was fitted
-    series         the readings' series
-    covariates     one row a reading of the series, as in a Dataset
-    y              (N,) the readings, SI
-    gravity        its direction in the base frame
-    theta          (n_all,) fitted parameters, SI
-    states         the machine's state, one a series
-    responses      slopes of the readings, one a series
-    sigma          (N,) stated noise, SI
-    residual       (N,) r over sigma
-    slopes         (N, n) H over sigma, per prior standard deviation of each parameter
-    names          (n,) of those parameters
-    rows           one row a reading of a channel: setup, run, order, channel,
-                   covariates, phase
-    """
-
+    #: how the readings hang together, in these units; each channel of an instrument has
+    #: a noise of its own, whatever set-up it is in
     structure: ReadingStructure
-    measurement: Measurement
-    series: tuple[Series, ...]
-    covariates: pd.DataFrame
-    y: Array
-    gravity: tuple[float, float, float]
-    theta: Array
-    states: tuple[State, ...]
-    responses: tuple[Response, ...]
-    sigma: Array
-    residual: Array
+    measurement: Measurement  #: what was fitted
+    series: tuple[Series, ...]  #: the readings' series
+    covariates: pd.DataFrame  #: one row a reading of the series, as in a Dataset
+    y: Array  #: (N,) the readings, SI
+    gravity: tuple[float, float, float]  #: its direction in the base frame
+    theta: Array  #: (n_all,) fitted parameters, SI
+    states: tuple[State, ...]  #: the machine's state, one a series
+    responses: tuple[Response, ...]  #: slopes of the readings, one a series
+    sigma: Array  #: (N,) stated noise, SI
+    residual: Array  #: (N,) r over sigma
+    #: (N, n) H over sigma, per prior standard deviation of each parameter
     slopes: Array
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: (n,) of those parameters
+    #: one row a reading of a channel: setup, run, order, channel, covariates, phase
     rows: pd.DataFrame
 
     def __len__(self) -> int:

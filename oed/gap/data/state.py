@@ -48,19 +48,14 @@ ARRIVAL_SHARE = 0.02
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Motion:
-    """Motion of the joints at every pose, (m, nq) each, as in `State`.
+    """Motion of the joints at every pose, (m, nq) each, as in `State`."""
 
-    sense           sign of the joint's last motion
-    rate            per second; NaN where the feed is not known, and in runs in which
-                    the tool neither moves nor turns
-    acceleration    per second squared; NaN likewise
-    reversal        distance since the joint last turned back
-    """
-
-    sense: Array
+    sense: Array  #: sign of the joint's last motion
+    #: per second; NaN where the feed is not known, and in runs in which the tool
+    #: neither moves nor turns
     rate: Array
-    acceleration: Array
-    reversal: Array
+    acceleration: Array  #: per second squared; NaN likewise
+    reversal: Array  #: distance since the joint last turned back
 
 
 def motion(

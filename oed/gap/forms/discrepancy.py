@@ -34,16 +34,13 @@ READINGS = "the readings"
 
 @dataclasses.dataclass(frozen=True)
 class Carrier:
-    """What a discrepancy acts on.
+    """What a discrepancy acts on."""
 
-    name      in words
-    columns   (N, c, J) change of the readings, in units of the noise; J are the poses
-              that a reading sees
-    labels    (c,) the block of each of its columns; "" where they belong together
-    """
-
-    name: str
+    name: str  #: in words
+    #: (N, c, J) change of the readings, in units of the noise; J are the poses that a
+    #: reading sees
     columns: Array
+    #: (c,) the block of each of its columns; "" where they belong together
     labels: tuple[str, ...]
 
     @property
@@ -212,36 +209,24 @@ Values = Array
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TermPart:
-    """Columns of one term on one column of its carrier.
+    """Columns of one term on one column of its carrier."""
 
-    column  number of the carrier's column
-    block   the columns
-    sign    of the columns driven the other way
-    """
-
-    column: int
-    block: Block
-    sign: float = 1.0
+    column: int  #: number of the carrier's column
+    block: Block  #: the columns
+    sign: float = 1.0  #: of the columns driven the other way
 
 
 @dataclasses.dataclass(frozen=True)
 class Term:
-    """One kind of discrepancy at one reach.
+    """One kind of discrepancy at one reach."""
 
-    name       of the kind: what it comes with
-    about      in words
-    carrier    what it acts on
-    parts      on each of the carrier's columns; terms may have parts in common
-    reach      of its kernel
-    timed      whether it varies with the time or a temperature
-    """
-
-    name: str
-    about: str
-    carrier: Carrier
+    name: str  #: of the kind: what it comes with
+    about: str  #: in words
+    carrier: Carrier  #: what it acts on
+    #: on each of the carrier's columns; terms may have parts in common
     parts: tuple[TermPart, ...]
-    reach: float
-    timed: bool = False
+    reach: float  #: of its kernel
+    timed: bool = False  #: whether it varies with the time or a temperature
 
     @property
     def is_visible(self) -> bool:

@@ -72,50 +72,34 @@ MAX_GRID = 200
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Atom:
-    """One form of one effect.
+    """One form of one effect."""
 
-    effect        name of the effect
-    constants     {constant: value}
-    columns       (k,) numbers of its columns in the library
-    log_weight    log of its prior share among the effect's forms
-    about         the form in words
-    timed         whether it is a function of the time or of a temperature
-    reversal      (k,) factor on each column where the runs are driven the other way; None
-                  where the effect's columns tell
-    """
-
-    effect: str
-    constants: Mapping[str, float]
-    columns: Index
-    log_weight: float
-    about: str = ""
-    timed: bool = False
+    effect: str  #: name of the effect
+    constants: Mapping[str, float]  #: {constant: value}
+    columns: Index  #: (k,) numbers of its columns in the library
+    log_weight: float  #: log of its prior share among the effect's forms
+    about: str = ""  #: the form in words
+    timed: bool = False  #: whether it is a function of the time or of a temperature
+    #: (k,) factor on each column where the runs are driven the other way; None where
+    #: the effect's columns tell
     reversal: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Library:
-    """Columns of all atoms, per prior standard deviation of each coefficient.
+    """Columns of all atoms, per prior standard deviation of each coefficient."""
 
-    columns         (N, K) change of the readings, in units of the noise
-    atoms           forms of the effects
-    names           (K,) of the coefficients
-    labels          (K,) the block of each coefficient; "" for none
-    scales          (K,) prior standard deviations of the coefficients
-    limits          (K,) coefficients, per standard deviation, that no machine exceeds
-    not_testable    {effect: why these readings cannot test it}
-    families        {effect: family of effects that differ by the form alone}
-    by_condition    {covariate that effects need first, "" for none: number of effects}
-    """
-
-    columns: Columns
-    atoms: tuple[Atom, ...]
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
-    scales: Array
-    not_testable: Mapping[str, str]
+    columns: Columns  #: (N, K) change of the readings, in units of the noise
+    atoms: tuple[Atom, ...]  #: forms of the effects
+    names: tuple[str, ...]  #: (K,) of the coefficients
+    labels: tuple[str, ...]  #: (K,) the block of each coefficient; "" for none
+    scales: Array  #: (K,) prior standard deviations of the coefficients
+    not_testable: Mapping[str, str]  #: {effect: why these readings cannot test it}
+    #: {effect: family of effects that differ by the form alone}
     families: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    #: {covariate that effects need first, "" for none: number of effects}
     by_condition: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    #: (K,) coefficients, per standard deviation, that no machine exceeds
     limits: Sequence[float] = ()
 
     @functools.cached_property

@@ -55,20 +55,13 @@ REFINED_STEPS = np.linspace(-0.8, 0.8, 9)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Band:
-    """Waves of some frequencies over a clock.
+    """Waves of some frequencies over a clock."""
 
-    kind           in time, or along a travel
-    unit           of the clock: s, readings, travel_m or travel_rad
-    clock          (N, J) at each of the poses that a reading sees
-    carriers       what one of them may act on
-    frequencies    (k,) per unit of the clock, evenly spaced
-    """
-
-    kind: str
-    unit: str
-    clock: Array
-    carriers: tuple[Carrier, ...]
-    frequencies: Array
+    kind: str  #: in time, or along a travel
+    unit: str  #: of the clock: s, readings, travel_m or travel_rad
+    clock: Array  #: (N, J) at each of the poses that a reading sees
+    carriers: tuple[Carrier, ...]  #: what one of them may act on
+    frequencies: Array  #: (k,) per unit of the clock, evenly spaced
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

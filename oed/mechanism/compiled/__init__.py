@@ -78,14 +78,10 @@ FOLDER_NAME = "compiled"
 
 @dataclasses.dataclass(frozen=True)
 class Compiler:
-    """A compiler of this computer.
+    """A compiler of this computer."""
 
-    path      its program
-    identity  what changes with the compiler and the processor
-    """
-
-    path: str
-    identity: str
+    path: str  #: its program
+    identity: str  #: what changes with the compiler and the processor
 
 
 def compiled_text(text: str) -> CompiledText | None:
@@ -299,15 +295,11 @@ ANGLE_FUNCTIONS = {ca.OP_SIN: "s", ca.OP_COS: "c"}
 
 
 class LaneJob(NamedTuple):
-    """What is computed of a function.
+    """What is computed of a function."""
 
-    template  the file of C text that does it
-    varying   numbers of the inputs that vary while the others stay
-    macros    further numbers of the template, by name
-    """
-
-    template: str
-    varying: frozenset[int]
+    template: str  #: the file of C text that does it
+    varying: frozenset[int]  #: numbers of the inputs that vary while the others stay
+    #: further numbers of the template, by name
     macros: tuple[tuple[str, int], ...] = ()
 
 

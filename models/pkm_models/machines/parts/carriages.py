@@ -15,15 +15,12 @@ from pkm_models.rotation import across
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GuidedStruts(legs.FixedStruts):
-    """Limbs 1 to n: carriage i at b_i + q_i u_i, its strut to the platform joint.
+    """Limbs 1 to n: carriage i at b_i + q_i u_i, its strut to the platform joint."""
 
-    along  (n, 3) directions u_i of the guides
-    side   (n,) 1 where a carriage is ahead of its platform joint, -1 where behind
-    joint  (x, p, i) the platform joint (3,) of a limb
-    """
-
-    along: Array
+    along: Array  #: (n, 3) directions u_i of the guides
+    #: (n,) 1 where a carriage is ahead of its platform joint, -1 where behind
     side: Array
+    #: (x, p, i) the platform joint (3,) of a limb
     joint: Callable[[Values, Values, int], Expr] = legs.platform_joint
 
     @functools.cached_property

@@ -48,19 +48,16 @@ SIDE = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CrankedStruts(legs.FixedStruts):
-    """Limbs 1 to n.
+    """Limbs 1 to n."""
 
-    axis   (n, 3) directions w_i
-    first  (n, 3) directions u_i; what of them is along the axis does not count
-    side   (n,) 1 where a knee is ahead of the line to the platform joint, -1 where behind
-    joint  (x, p, i) the platform joint (3,) of a limb
-    flat   whether the machine is planar: points have x and y, and no axis is tilted
-    """
-
-    axis: Array
+    axis: Array  #: (n, 3) directions w_i
+    #: (n, 3) directions u_i; what of them is along the axis does not count
     first: Array
+    #: (n,) 1 where a knee is ahead of the line to the platform joint, -1 where behind
     side: Array
+    #: (x, p, i) the platform joint (3,) of a limb
     joint: Callable[[Values, Values, int], Expr]
+    #: whether the machine is planar: points have x and y, and no axis is tilted
     flat: bool = False
 
     @functools.cached_property
