@@ -32,10 +32,8 @@ from oed.model import Adjustment, Parameter
 
 #: share of the error by which it must grow without a line that is worth its work
 WORTH_SHARE = 0.05
-#: rounds of linearisation about the adjusted machine
-MAX_ROUNDS = 6
-#: moves by a step, at most, for each line: rounding is nearly best
-MAX_MOVES = 8
+MAX_ROUNDS = 6  #: rounds of linearisation about the adjusted machine
+MAX_MOVES = 8  #: moves by a step, at most, for each line: rounding is nearly best
 #: largest amount where none is stated, in tolerances of the parameter
 MAX_TOLERANCES = 4.0
 #: amounts (m, rad) of what is turned continuously are rounded to this

@@ -15,8 +15,7 @@ from typing import Final
 
 #: with any value as the option -P of Python; processes of multiprocessing inherit it
 SAFE_PATH: Final = "PYTHONSAFEPATH"
-#: programs that `run` waits for
-_running: set[subprocess.Popen[bytes]] = set()
+_running: set[subprocess.Popen[bytes]] = set()  #: programs that `run` waits for
 
 
 def run(

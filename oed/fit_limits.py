@@ -13,10 +13,8 @@ ALARM_PROBABILITY = 1e-5
 #: residuals over the stated noise up to which a noise that is to be estimated, and was
 #: stated as a guess, explains them
 GUESS_RATIO = 10.0
-#: degrees of freedom below which residuals say nothing of the noise
-MIN_DOF = 1.0
-#: tolerances from nominal from which on an estimate is far off
-FAR_TOLERANCES = 4.0
+MIN_DOF = 1.0  #: degrees of freedom below which residuals say nothing of the noise
+FAR_TOLERANCES = 4.0  #: tolerances from nominal from which on an estimate is far off
 
 
 def noise_ratio(chi2: float | None, dof: float | None) -> float | None:

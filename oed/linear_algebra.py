@@ -18,8 +18,7 @@ from oed.base import Array, Index
 EQUAL_VALUE_TOLERANCE: Final = 1e-7
 #: share of the largest value below which a value is rounding
 ZERO_VALUE_SHARE: Final = 1e-13
-#: seed of the directions that choose signs and turns
-DIRECTION_SEED: Final = 20160801
+DIRECTION_SEED: Final = 20160801  #: seed of the directions that choose signs and turns
 
 
 def right_singular(matrix: Array) -> tuple[Array, Array]:

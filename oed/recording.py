@@ -30,8 +30,7 @@ from oed.gap import GapProblem
 THERMOMETER_UNCERTAINTY = 0.2
 #: most courses over which errors with a recorded covariate are averaged
 MAX_COURSES = 4
-#: how a need names a temperature
-TEMPERATURE = "temp_"
+TEMPERATURE = "temp_"  #: how a need names a temperature
 #: rate, in units of the prior's information, below which readings determine nothing
 MIN_RATE = 1e-9
 

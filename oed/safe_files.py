@@ -29,10 +29,8 @@ PART_NAME: Final = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)\.part", re.DOTALL)
 STALE_AGE: Final = 7 * 86400.0
 #: the list: SHA-256 of the last contents by name, the file written last at the end
 LIST_NAME: Final = ".oed-files.json"
-#: bytes of the largest list that is read
-MAX_LIST_BYTES: Final = 4_000_000
-#: number of the administrator
-ROOT_USER: Final = 0
+MAX_LIST_BYTES: Final = 4_000_000  #: bytes of the largest list that is read
+ROOT_USER: Final = 0  #: number of the administrator
 
 
 @contextlib.contextmanager

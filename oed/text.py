@@ -5,10 +5,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-#: percent by which rounding may miss all of something
-PERCENT_ROUNDING: Final = 1e-9
-#: length from which `shorten` cuts within a word
-MAX_WORD_LENGTH: Final = 30
+PERCENT_ROUNDING: Final = 1e-9  #: percent by which rounding may miss all of something
+MAX_WORD_LENGTH: Final = 30  #: length from which `shorten` cuts within a word
 
 
 def rounded(value: float, digits: int = 2) -> str:

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from oed.base import Array
 
-#: factors to SI: `3.0 * MM` is three millimetres in metres
-MM: Final = 1e-3
+MM: Final = 1e-3  #: factors to SI: `3.0 * MM` is three millimetres in metres
 UM: Final = 1e-6
 NM: Final = 1e-9
 INCH: Final = 25.4e-3

@@ -18,8 +18,7 @@ from oed import trust
 from oed.result import Judgement, StudyResult, WantedVerdict
 from oed.text import format_probability
 
-#: probability from which a pass or a fail is stated
-SURE_PROBABILITY: Final = 0.95
+SURE_PROBABILITY: Final = 0.95  #: probability from which a pass or a fail is stated
 #: what a distribution of errors holds, by the mode of its prediction
 SCOPE_WORDS: Final = {
     "mixture": "averaged over the possible causes",

@@ -57,14 +57,10 @@ def measured_rms_within(
     return float(special.chndtr(scale * largest**2, poses, scale * rms**2))
 
 
-#: share of the shapes that no parameter makes
-SMOOTH_SHARE = 0.5
-#: machines drawn to choose poses
-N_CHOOSING = 600
-#: machines drawn to state limits and power
-N_STATING = 8000
-#: power below which a test confirms nothing, whatever it reads
-MIN_POWER = 0.8
+SMOOTH_SHARE = 0.5  #: share of the shapes that no parameter makes
+N_CHOOSING = 600  #: machines drawn to choose poses
+N_STATING = 8000  #: machines drawn to state limits and power
+MIN_POWER = 0.8  #: power below which a test confirms nothing, whatever it reads
 #: probability that a machine which misses its promise is said to meet it
 FALSE_CONFIRMATION = 0.05
 

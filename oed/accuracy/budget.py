@@ -40,8 +40,7 @@ from oed.noise import Errors, Laws, LinearFactor, ReadingStructure, SharedError
 # a run's readings share (level, stated shared error, a set-up seated anew, an error carried
 # along) are run-to-run errors.
 
-#: names of the errors of readings
-BEYOND = "noise beyond the stated one"
+BEYOND = "noise beyond the stated one"  #: names of the errors of readings
 COURSE = "drift through the session"
 LEVELS = "run-to-run level"
 SHARED = "error shared by a run"
@@ -166,10 +165,8 @@ LineKind = Kind | Literal["linearisation"]
 #: factor on the standard deviation of an error that is taken away: its covariance stays
 #: regular
 REMOVAL_FACTOR = 1e-4
-#: share of the variance below which a line is rounding
-SHARE_TOLERANCE = 1e-10
-#: machines drawn for what linearisation leaves out
-N_MACHINES = 48
+SHARE_TOLERANCE = 1e-10  #: share of the variance below which a line is rounding
+N_MACHINES = 48  #: machines drawn for what linearisation leaves out
 #: poses of all machines whose maps are computed at once: 200 MB with 100 parameters
 MAX_POSES = 20_000
 

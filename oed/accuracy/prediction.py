@@ -31,13 +31,10 @@ from oed.result import CompensationName, SpreadRecord
 
 #: virtual machines drawn for the 95th percentile and the largest error
 N_MACHINES = 2000
-#: errors of all machines, poses and components, at most
-MAX_ERRORS = 12_000_000
-#: ends of the interval that holds 95 % of the machines
-INTERVAL = (0.025, 0.975)
+MAX_ERRORS = 12_000_000  #: errors of all machines, poses and components, at most
+INTERVAL = (0.025, 0.975)  #: ends of the interval that holds 95 % of the machines
 
-#: lower and upper end
-Interval = tuple[float, float]
+Interval = tuple[float, float]  #: lower and upper end
 UNKNOWN_INTERVAL: Interval = (np.nan, np.nan)
 
 

@@ -20,10 +20,8 @@ import scipy  # its parts load when first used: light commands need names alone
 from oed.base.arrays import Array
 
 AXES = "xyz"
-#: a rotation by the vector (rx, ry, 0)
-TILT = "tilt"
-#: sine of an angle below which its direction is left at 0
-MIN_TILT_SINE = 1e-12
+TILT = "tilt"  #: a rotation by the vector (rx, ry, 0)
+MIN_TILT_SINE = 1e-12  #: sine of an angle below which its direction is left at 0
 
 #: rotation about an axis, or a tilt, with the names of its angles
 Factor = tuple[str, tuple[str, ...]]

@@ -16,8 +16,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 
-#: places in the span at which a curve's modes are computed
-N_POINTS = 200
+N_POINTS = 200  #: places in the span at which a curve's modes are computed
 #: share of a field's energy below which what is left is rounding
 ENERGY_ROUNDING = 1e-12
 

@@ -22,8 +22,7 @@ MAX_GAIN = 25.0
 SEEN_KINDS = ("unit", "deviation", "sorting", "disorder", "copied")
 #: factors on readings, and on their noise, that a few readings do not tell
 UNSEEN_FACTORS = (0.5, 2.0)
-#: mistakes of a kind that a sentence names
-MAX_NAMED = 3
+MAX_NAMED = 3  #: mistakes of a kind that a sentence names
 
 
 def unseen_mistakes(

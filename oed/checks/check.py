@@ -34,10 +34,8 @@ RANGES = {
     "payload": (0.0, 1e5),
     "tension_": (0.0, 1e6),
 }
-#: 0 C in kelvin
-ZERO_CELSIUS = 273.15
-#: the lowest temperature at which machines work, K
-COLDEST_KELVIN = 213.15
+ZERO_CELSIUS = 273.15  #: 0 C in kelvin
+COLDEST_KELVIN = 213.15  #: the lowest temperature at which machines work, K
 
 
 def doubtful_conditions(session: SessionReadings) -> list[CheckFinding]:
@@ -93,8 +91,7 @@ def _cause(stem: str, least: float, largest: float, upper: float) -> str:
     return "correct it, or leave the cell empty where it is unknown"
 
 
-#: values from which on mistakes are tried: fewer fit too many of them
-MIN_VALUES = 8
+MIN_VALUES = 8  #: values from which on mistakes are tried: fewer fit too many of them
 #: kinds of findings on how large the residuals are
 FIT_KINDS = ("fit", "guess", "law", "too_small")
 #: residuals over the stated noise from which on it is said that a law explains them

@@ -14,8 +14,7 @@ from oed.measurement import Series
 COPY_FALSE_ALARM = 1e-5
 #: share of the stated noise within which a reading is one of the nominal machine
 NOMINAL_SHARE = 0.1
-#: rounding steps, in the stated noise, from which on they matter
-COARSE_STEPS = 3.0
+COARSE_STEPS = 3.0  #: rounding steps, in the stated noise, from which on they matter
 
 
 @dataclasses.dataclass(frozen=True)

@@ -268,8 +268,7 @@ def _exchange_one_run(data: Suspect, trial: MistakeTrial) -> Iterator[MistakeTri
                 yield changed
 
 
-#: readings of which at most the mistakes are compared
-MAX_COMPARED = 1000
+MAX_COMPARED = 1000  #: readings of which at most the mistakes are compared
 #: log odds against no mistake from which one is named: forms of noise and effects are
 #: known so well
 MIN_LOG_ODDS = 10.0
@@ -279,16 +278,14 @@ NAMED_SHARE = 0.007
 MAX_EXPLAINED_RATIO = 3.0
 #: the largest probability that is stated: no evidence is certain
 MAX_PROBABILITY = 0.9999
-#: misfit over the noise that is none
-MIN_MISFIT = 1e-9
+MIN_MISFIT = 1e-9  #: misfit over the noise that is none
 #: standard deviations of a misfit by which undoing a mistake must bring it nearer to the noise
 MIN_IMPROVEMENT = 2.0
 #: kinds that may explain what a specific mistake explains as well, and misfit that is
 #: noise: a specific mistake that leaves no more ends the search
 GENERAL_KINDS = ("contradiction", "change", "disorder", "size", "run")
 SETTLED_RATIO = 1.5
-#: misfit from which rivals of a mistake are looked at
-RIVAL_RATIO = 1.5
+RIVAL_RATIO = 1.5  #: misfit from which rivals of a mistake are looked at
 #: tolerances from nominal beyond which a fit is no machine to be linear about
 MAX_PARAMETER_DEPARTURE = 4.0
 

@@ -57,10 +57,8 @@ class CheckFinding:
         return self.severity > Severity.BAD_FIT or self.is_about_the_fit
 
 
-#: digits of a number that a person reads
-SIGNIFICANT_DIGITS = 4
-#: rows that a sentence names, at most
-MAX_LISTED_ROWS = 6
+SIGNIFICANT_DIGITS = 4  #: digits of a number that a person reads
+MAX_LISTED_ROWS = 6  #: rows that a sentence names, at most
 
 
 def rounded(value: float, sd: float) -> str:

@@ -32,12 +32,10 @@ if TYPE_CHECKING:
     from oed.checks.mistakes.trial import MistakeTrial
 
 
-#: steps of one fit
-MAX_STEPS = 30
+MAX_STEPS = 30  #: steps of one fit
 #: steps by which an amount may change with no doubt: its prior is that wide
 AMOUNT_PRIOR_STEPS = 1e9
-#: residuals over the noise that ask for no further round
-SETTLED_RATIO = 2.0
+SETTLED_RATIO = 2.0  #: residuals over the noise that ask for no further round
 #: factor on the noise up to which the stated noise is tried as well
 MAX_STATED_SCALE = 100.0
 #: errors of poses that cannot be reached

@@ -304,10 +304,8 @@ def _slips(value: float) -> Iterator[tuple[str, float]]:
             yield "two neighbouring digits exchanged", sign * float("".join(other))
 
 
-#: readings that are combined
-N_CANDIDATES = 60
-#: readings in one set, at most
-MAX_SET = 3
+N_CANDIDATES = 60  #: readings that are combined
+MAX_SET = 3  #: readings in one set, at most
 
 
 def best_set(prediction: LeaveOneOut, removed: list[int], limit: float) -> list[int]:
@@ -392,16 +390,11 @@ def _variances(blocks: Array, inverse: Array) -> Array:
     return np.asarray(np.maximum(np.einsum("sii->si", inverse), least))
 
 
-#: posterior odds from which a reading is located
-LOCATED_ODDS = 100.0
-#: posterior odds from which a reading is a gross error
-GROSS_ODDS = 10.0
-#: scale of a gross error's prior, in units of the noise
-GROSS_SCALE = 10.0
-#: gross errors expected in a session that has any
-EXPECTED_GROSS = 8.0
-#: share of a session's readings that are gross errors, at most
-MAX_GROSS_SHARE = 0.12
+LOCATED_ODDS = 100.0  #: posterior odds from which a reading is located
+GROSS_ODDS = 10.0  #: posterior odds from which a reading is a gross error
+GROSS_SCALE = 10.0  #: scale of a gross error's prior, in units of the noise
+EXPECTED_GROSS = 8.0  #: gross errors expected in a session that has any
+MAX_GROSS_SHARE = 0.12  #: share of a session's readings that are gross errors, at most
 #: degrees of freedom of noise with heavy tails, and of normal noise
 HEAVY_TAILS = (4.0, 6.0, 10.0)
 NORMAL = (np.inf,)

@@ -34,12 +34,9 @@ from oed.measurement import reading_structure
 from oed.noise import Laws, Noise, ReadingStructure
 from oed.noise_law import NoisePrior, ResidualModel, log_prior_of_scale
 
-#: least scale of the noise over the stated one
-MIN_SCALE = 0.5
-#: factor between scales of the noise
-SCALE_STEP = 1.5
-#: scale over the largest one that sums of squares resolve
-RESOLVED_SHARE = 1e-6
+MIN_SCALE = 0.5  #: least scale of the noise over the stated one
+SCALE_STEP = 1.5  #: factor between scales of the noise
+RESOLVED_SHARE = 1e-6  #: scale over the largest one that sums of squares resolve
 #: log of the range of sizes that an amount may have: a factor of 10^5 is as good as all
 LOG_SIZE_RANGE = float(np.log(np.log(1e5)))
 
@@ -56,8 +53,7 @@ class Score:
         return Score(self.log_evidence + log_factor, self.scale)
 
 
-#: of what cannot be
-IMPOSSIBLE = Score(-np.inf, 1.0)
+IMPOSSIBLE = Score(-np.inf, 1.0)  #: of what cannot be
 
 
 class Screening:
@@ -265,16 +261,11 @@ def _values_alone(trial: MistakeTrial) -> Array | None:
 
 #: coordinates of the laws that are looked at: of the error of a run
 LEVELS = (-2.0, 0.0, 1.5, 3.0)
-#: of the share that is carried over
-SHARES = (-1.5, 0.3, 1.8)
-#: of the reach in readings
-REACHES = (0.0, 1.5)
-#: prior probability of no rival
-NO_RIVAL_PROBABILITY = 0.6
-#: prior probability of all rivals together
-RIVAL_PROBABILITY = 0.4
-#: factor between sizes of a rival
-SIZE_STEP = 4.0
+SHARES = (-1.5, 0.3, 1.8)  #: of the share that is carried over
+REACHES = (0.0, 1.5)  #: of the reach in readings
+NO_RIVAL_PROBABILITY = 0.6  #: prior probability of no rival
+RIVAL_PROBABILITY = 0.4  #: prior probability of all rivals together
+SIZE_STEP = 4.0  #: factor between sizes of a rival
 
 
 def linear_readings(solution: Fit) -> ResidualModel:

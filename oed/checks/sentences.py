@@ -25,8 +25,7 @@ from oed.text import capitalised, format_p_value
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE_RATIO = 10.0
-#: factor within which a misfit is such a factor
-UNIT_FACTOR_TOLERANCE = 1.5
+UNIT_FACTOR_TOLERANCE = 1.5  #: factor within which a misfit is such a factor
 
 
 def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
@@ -338,10 +337,8 @@ def _times(ratio: float) -> str:
 # orders two. Effects of the sense (play, friction) follow the order.
 
 
-#: share of steps that must agree
-AGREEING_SHARE = 0.75
-#: joints are equal to so much of their largest difference
-JOINT_TOLERANCE = 1e-6
+AGREEING_SHARE = 0.75  #: share of steps that must agree
+JOINT_TOLERANCE = 1e-6  #: joints are equal to so much of their largest difference
 
 
 @dataclasses.dataclass(frozen=True)

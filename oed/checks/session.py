@@ -293,14 +293,11 @@ def _is_used(name: str) -> bool:
 # The range is linear about the nominal machine where the exact closure of a few drawn
 # machines agrees with the slopes; else many machines are drawn through the closure.
 
-#: machines that test linearity
-N_TRIAL_MACHINES = 24
-#: machines drawn where it fails
-N_MACHINES = 400
+N_TRIAL_MACHINES = 24  #: machines that test linearity
+N_MACHINES = 400  #: machines drawn where it fails
 #: values that are predicted at once, a reading of a machine each
 VALUES_AT_ONCE = 1_000_000
-#: share of the linear standard deviation that curvature may have
-MAX_CURVATURE = 0.05
+MAX_CURVATURE = 0.05  #: share of the linear standard deviation that curvature may have
 #: probability that one reading of a correct session lies outside its range
 RANGE_FALSE_ALARM = 1e-4
 

@@ -21,12 +21,9 @@ from oed.checks.session import SessionReadings
 from oed.dataset import Row
 from oed.text import capitalised
 
-#: s
-HOUR = 3600.0
-#: time after which a clock of 12 hours begins again, s
-HALF_DAY = 12.0 * HOUR
-#: time after which a clock of 24 hours begins again, s
-DAY = 24.0 * HOUR
+HOUR = 3600.0  #: s
+HALF_DAY = 12.0 * HOUR  #: time after which a clock of 12 hours begins again, s
+DAY = 24.0 * HOUR  #: time after which a clock of 24 hours begins again, s
 #: times after which a display begins again, in words
 CLOCK_TURNS = {
     HOUR: "the clock shows minutes and seconds alone",
@@ -35,14 +32,10 @@ CLOCK_TURNS = {
 }
 #: seconds of the units that times may be in
 TIME_UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": HOUR}
-#: longest steps after which the next reading still follows
-PAUSE_STEPS = 3.0
-#: ratio up to which steps are alike
-ALIKE_RATIO = 1.5
-#: readings that a run with a cadence has at least
-MIN_CADENCE_READINGS = 3
-#: share of the range of a joint from which on two poses differ
-APART_SHARE = 1e-3
+PAUSE_STEPS = 3.0  #: longest steps after which the next reading still follows
+ALIKE_RATIO = 1.5  #: ratio up to which steps are alike
+MIN_CADENCE_READINGS = 3  #: readings that a run with a cadence has at least
+APART_SHARE = 1e-3  #: share of the range of a joint from which on two poses differ
 
 
 @dataclasses.dataclass(frozen=True)
@@ -314,8 +307,7 @@ def _hours(seconds: float) -> str:
 #: turns that bring later runs after earlier ones, in words
 LATER_WORDS = {HALF_DAY: "12 h (a clock of 12 hours)", DAY: "24 h (another day)"}
 
-#: rows of two runs at one time
-Clash = tuple[TimedRun, int, TimedRun, int]
+Clash = tuple[TimedRun, int, TimedRun, int]  #: rows of two runs at one time
 
 
 def first_fault_of_runs(

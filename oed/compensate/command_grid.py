@@ -21,16 +21,13 @@ from oed.mechanism import NO_TOOL, BatchedFunction, Kinematics, symbols
 from oed.model import Machine
 
 FULL_TURN = 2.0 * math.pi
-#: nodes along an axis: its ends
-MIN_NODES = 2
+MIN_NODES = 2  #: nodes along an axis: its ends
 #: nodes round a full turn: one at each quarter, and the first once more
 MIN_NODES_ROUND = 5
-#: an axis grows by this share of its nodes at a time
-GROWTH_SHARE = 1.0 / 16.0
+GROWTH_SHARE = 1.0 / 16.0  #: an axis grows by this share of its nodes at a time
 #: places in the box over which errors are averaged: a Latin hypercube
 N_POSITIONS = 512
-#: what counts as equal places, m or rad
-POSITION_TOLERANCE = 1e-9
+POSITION_TOLERANCE = 1e-9  #: what counts as equal places, m or rad
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,12 +17,10 @@ from oed.compensate.exact import compensated_joints
 from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, pose_error
 from oed.model import Component
 
-#: name of the offset about the tool axis
-TURN = "turn"
+TURN = "turn"  #: name of the offset about the tool axis
 #: a rotation lies along the tool axis where it is off it by less than this share
 ALIGNMENT_TOLERANCE = 1e-6
-#: poses at which the directions of what stays are examined
-N_POSES = 8
+N_POSES = 8  #: poses at which the directions of what stays are examined
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -35,8 +35,7 @@ from oed.mechanism import AssemblyError
 from oed.posterior import OutOfBoundsError
 from oed.result import AnswerRecord
 
-#: draws of the mixture: each answer has as many as its share of them
-N_DRAWS = 2000
+N_DRAWS = 2000  #: draws of the mixture: each answer has as many as its share of them
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -148,10 +147,8 @@ class MixtureDraws:
     coefficients: Array  #: (m, k) of them
 
 
-#: probability from which an answer is fitted
-MIN_PROBABILITY = 0.02
-#: draws of each answer at least
-MIN_DRAWS = 300
+MIN_PROBABILITY = 0.02  #: probability from which an answer is fitted
+MIN_DRAWS = 300  #: draws of each answer at least
 #: probability from which an answer is fitted with small effects as well
 MIN_SPLIT_PROBABILITY = 0.1
 

@@ -39,8 +39,7 @@ from oed.noise import LawNoise
 if TYPE_CHECKING:
     from oed.corrected.fit import EffectReadings, MeasurementWithEffects
 
-#: name of a coefficient in theta: `effect: coefficient`
-SEPARATOR = ": "
+SEPARATOR = ": "  #: name of a coefficient in theta: `effect: coefficient`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -234,14 +233,11 @@ def _budget(
 # correction is that of the state less that of the neutral one, which has a table of its
 # own where it is not zero. The corrections of all tables add up.
 
-#: axis of what depends on the pose alone
-POSE = "pose"
+POSE = "pose"  #: axis of what depends on the pose alone
 DIRECTION = "direction"
 PAYLOAD = "payload"
-#: beginning of the axis of a body's temperature
-TEMPERATURE = "temp_"
-#: corrections up to here, m or rad, are nothing
-MIN_CORRECTION = 1e-10
+TEMPERATURE = "temp_"  #: beginning of the axis of a body's temperature
+MIN_CORRECTION = 1e-10  #: corrections up to here, m or rad, are nothing
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -429,8 +425,7 @@ def _correction(
 # columns (`oed.corrected.forms`). All runs turned at once only change the sign of the
 # effects, so the smaller of two complementary sets is reported.
 
-#: least gain of the log evidence
-MIN_GAIN = 20.0
+MIN_GAIN = 20.0  #: least gain of the log evidence
 #: least change of a run's columns by turning it, in units of the noise
 MIN_CHANGE = 1.0
 #: fewest runs with a sense: of one run alone, turning only changes the effects' sign

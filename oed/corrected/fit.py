@@ -101,15 +101,12 @@ class MeasurementWithEffects(Measurement):
         return measurement
 
 
-#: rounds of estimation, linearisation and sizes
-MAX_ROUNDS = 6
+MAX_ROUNDS = 6  #: rounds of estimation, linearisation and sizes
 #: change of values that ends them, in standard deviations: laws of the noise that are drawn
 #: move them by a few hundredths
 VALUE_TOLERANCE = 0.1
-#: change of the logarithms of sizes that ends them
-LOG_SIZE_TOLERANCE = 0.1
-#: choices of forms and settled points about each other
-MAX_PASSES = 2
+LOG_SIZE_TOLERANCE = 0.1  #: change of the logarithms of sizes that ends them
+MAX_PASSES = 2  #: choices of forms and settled points about each other
 #: departure from the linear model, in units of the noise over all readings, up to which it
 #: serves
 MAX_DEPARTURE = 1.0

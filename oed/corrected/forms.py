@@ -28,10 +28,8 @@ from oed.base import Array, Index
 from oed.effect_model import EFFECT_SIZES, FAR_SHARE, Effect
 from oed.gap import GapProblem, Metric, Signature
 
-#: constants beyond which textbook forms alone are scanned
-MAX_FULL_GRID = 64
-#: passes over the effects
-N_PASSES = 2
+MAX_FULL_GRID = 64  #: constants beyond which textbook forms alone are scanned
+N_PASSES = 2  #: passes over the effects
 #: precision that readings add to a prior's, as a share of it, below which an estimate says
 #: nothing: its value is exact to 0.03 standard deviations, which is 0.3 of those that the
 #: readings alone would have there

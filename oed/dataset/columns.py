@@ -20,18 +20,13 @@ from oed.model import Coordinate, Machine
 #: values (n,) of a column as they should be, SI, from those of the file
 Notation = Callable[[Array], Array]
 
-#: a right angle, rad
-RIGHT_ANGLE = np.pi / 2.0
-#: grads of a full circle
-TURN_GRAD = 400.0
-#: degrees of a full circle
-TURN_DEG = 360.0
+RIGHT_ANGLE = np.pi / 2.0  #: a right angle, rad
+TURN_GRAD = 400.0  #: grads of a full circle
+TURN_DEG = 360.0  #: degrees of a full circle
 #: what a value is, over what it should be
 WRONG_FACTORS = {"half of": 0.5, "twice": 2.0, "a tenth of": 0.1, "ten times": 10.0}
-#: minutes of a degree, and seconds of a minute
-MINUTES = 60.0
-#: rounding of decimals, in minutes
-MINUTE_TOLERANCE = 1e-6
+MINUTES = 60.0  #: minutes of a degree, and seconds of a minute
+MINUTE_TOLERANCE = 1e-6  #: rounding of decimals, in minutes
 
 
 def column_meanings(coordinate: Coordinate, values: Array) -> dict[str, Notation]:
@@ -108,10 +103,8 @@ SEXAGESIMAL: dict[str, Notation] = {
 }
 
 
-#: columns of text
-LABELS: Final = ("setup", "run")
-#: columns that every file has
-REQUIRED: Final = ("setup", "run", "order")
+LABELS: Final = ("setup", "run")  #: columns of text
+REQUIRED: Final = ("setup", "run", "order")  #: columns that every file has
 #: columns without a unit in their name
 UNITLESS: Final = (*REQUIRED, "direction", "repeat")
 #: SI unit by covariate; temperatures of bodies, `temp_<body>_C`, come in addition
@@ -124,8 +117,7 @@ COVARIATES: Final[Mapping[str, str]] = {
 }
 #: tension of a cable, `tension_<k>_N`, k from 1 as its joint
 TENSION: Final = "tension_"
-#: standard deviation of one reading, `sigma_<channel>_<unit>`
-SIGMA: Final = "sigma_"
+SIGMA: Final = "sigma_"  #: standard deviation of one reading, `sigma_<channel>_<unit>`
 #: unit of a feed: the only one with an underscore of its own
 FEED_UNIT: Final = "mm_min"
 #: unit in which a quantity is written, where it is not its SI unit

@@ -41,10 +41,8 @@ from oed.text import suggest
 #
 # Every check raises ReadingsError for the first problem, with row, column and remedy.
 
-#: SI amount by which a value may exceed its coordinate's range
-RANGE_SLACK = 1e-9
-#: names that a remedy lists
-MAX_LISTED = 24
+RANGE_SLACK = 1e-9  #: SI amount by which a value may exceed its coordinate's range
+MAX_LISTED = 24  #: names that a remedy lists
 
 
 def expected_columns(measurement: Measurement) -> dict[str, str]:

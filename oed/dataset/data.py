@@ -98,8 +98,7 @@ class FileRow:
         return f"{self.row} of {self.file}"
 
 
-#: a row of the only file, or of one of several
-Row = int | FileRow
+Row = int | FileRow  #: a row of the only file, or of one of several
 
 
 def named_rows(covariates: pd.DataFrame) -> Array:

@@ -29,8 +29,7 @@ REMARK: Final = re.compile(r"(remark|comment|note)s?(_\w+)?", re.IGNORECASE)
 #: a number with a decimal comma
 DECIMAL_COMMA: Final = re.compile(r"[+-]?\d*,\d+(e[+-]?\d+)?", re.IGNORECASE)
 
-#: number of a row in its file, and its cells
-Row = tuple[int, Sequence[str]]
+Row = tuple[int, Sequence[str]]  #: number of a row in its file, and its cells
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 FILE = "#file"
 #: column of a frame, which no file can have: the row's number in its file
 ROW = "#row"
-#: characters of a name or value in an error
-MAX_SHOWN: Final = 40
+MAX_SHOWN: Final = 40  #: characters of a name or value in an error
 
 
 class ReadingsError(ValueError):

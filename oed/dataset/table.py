@@ -37,8 +37,7 @@ ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
 MIN_COVARIATES: Final = {"time": 0, "feed": 0, "repeat": 1}
 #: least and largest standard deviation of a reading, SI
 SIGMA_RANGE: Final = (1e-12, 1e3)
-#: orders stay below this
-MAX_ORDER: Final = 1e15
+MAX_ORDER: Final = 1e15  #: orders stay below this
 
 
 def check_rows(table: ReadingsFile) -> None:
@@ -114,10 +113,8 @@ def _refuse_first(
 #
 # Text cells take some forty bytes each, however short they are; numbers take eight.
 
-#: rows whose cells are in memory as text at once
-ROWS_AT_ONCE: Final = 10_000
-#: size of a number in a cell beyond which it is a slip
-MAX_NUMBER: Final = 1e12
+ROWS_AT_ONCE: Final = 10_000  #: rows whose cells are in memory as text at once
+MAX_NUMBER: Final = 1e12  #: size of a number in a cell beyond which it is a slip
 
 #: SI values (n,) of cells of a column, by its stem, with the numbers (n,) of their rows
 Convert = Callable[[str, Sequence[str], Index], Array]

@@ -113,10 +113,8 @@ def _root(matrix: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * eigenvectors.T)
 
 
-#: unit roundoff
-UNIT_ROUNDOFF = float(np.finfo(float).eps) / 2
-#: rows whose products are bounded at a time
-CANDIDATES_AT_ONCE = 65536
+UNIT_ROUNDOFF = float(np.finfo(float).eps) / 2  #: unit roundoff
+CANDIDATES_AT_ONCE = 65536  #: rows whose products are bounded at a time
 
 
 class Rounding(NamedTuple):
@@ -135,8 +133,7 @@ class Rounding(NamedTuple):
         return Rounding(self.rows + other.rows, self.prior + other.prior)
 
 
-#: data without error
-NO_ROUNDING = Rounding()
+NO_ROUNDING = Rounding()  #: data without error
 
 
 class WhiteCandidates(NamedTuple):

@@ -20,12 +20,10 @@ from oed.design.exchange import Choice
 from oed.design.forms import Criterion
 from oed.design.objective import LOG_ROUNDING, CriterionObjective
 
-#: nodes visited, at the most
-MAX_NODES = 2000
+MAX_NODES = 2000  #: nodes visited, at the most
 #: two plans whose log phi differs by less than this are equally good
 EQUAL_TOLERANCE = 1e-9
-#: duality gap of a node's relaxation, in log phi
-NODE_TOLERANCE = 1e-7
+NODE_TOLERANCE = 1e-7  #: duality gap of a node's relaxation, in log phi
 
 
 @dataclasses.dataclass(frozen=True)

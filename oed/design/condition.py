@@ -39,21 +39,16 @@ from oed.design.interior import InteriorPath, InteriorProblem, build_problem
 from oed.design.objective import knapsack_value
 from oed.design.relaxation import Relaxation
 
-#: number of rounds in which candidates join
-MAX_ROUNDS = 40
-#: number of steps of a path
-MAX_STEPS = 60
-#: number of candidates in the first active set
-START_SIZE = 200
-#: number of candidates that join in a round
-JOINING_SIZE = 100
+MAX_ROUNDS = 40  #: number of rounds in which candidates join
+MAX_STEPS = 60  #: number of steps of a path
+START_SIZE = 200  #: number of candidates in the first active set
+JOINING_SIZE = 100  #: number of candidates that join in a round
 #: a path ends where the active set causes less than this share of the duality gap: the
 #: others are due to candidates outside
 INSIDE_SHARE = 0.1
 #: allowance for the rounding of traces, a share of the least eigenvalue (and of kappa)
 BOUND_ROUNDING = 1e-10
-#: weights below this share of their cap count as none
-NEGLIGIBLE_WEIGHT = 1e-4
+NEGLIGIBLE_WEIGHT = 1e-4  #: weights below this share of their cap count as none
 
 
 class DualPoint(NamedTuple):
@@ -307,10 +302,8 @@ def _raise_to_size(problem: InteriorProblem, weights: Array, active: Index) -> A
     return np.asarray(weights + missing * room / room.sum())
 
 
-#: lines that bound O4, at the most
-MAX_LINES = 16
-#: share of the tolerance that each line of O4 is solved to
-LINE_TOLERANCE = 0.3
+MAX_LINES = 16  #: lines that bound O4, at the most
+LINE_TOLERANCE = 0.3  #: share of the tolerance that each line of O4 is solved to
 
 
 @dataclasses.dataclass(frozen=True)

@@ -51,8 +51,7 @@ from oed.design.forms.protocol import Support, weight_gradient
 from oed.design.objective import LOG_ROUNDING, knapsack_value
 from oed.design.relaxation import Relaxation
 
-#: least share of a place in the mean variance that bounds G
-MIN_SHARE = 1e-12
+MIN_SHARE = 1e-12  #: least share of a place in the mean variance that bounds G
 
 
 class ConicCriterion:
@@ -238,8 +237,7 @@ class NoConicAnswerError(ValueError):
 
 #: duality gap of the relaxation whose information scales the problem
 SCALING_TOLERANCE = 1e-2
-#: relative accuracy of the least ratio of kappa
-RATIO_TOLERANCE = 1e-10
+RATIO_TOLERANCE = 1e-10  #: relative accuracy of the least ratio of kappa
 #: number of Dinkelbach's steps towards it, which converge superlinearly
 MAX_RATIO_STEPS = 30
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from oed.base import Array, Index
 
-#: seed of the hash's multipliers
-PROJECTION_SEED = 20260101
+PROJECTION_SEED = 20260101  #: seed of the hash's multipliers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

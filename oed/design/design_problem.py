@@ -37,12 +37,9 @@ from oed.design.relaxation import Relaxation
 from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules, SetupLimit
 from oed.result import RobustSummary
 
-#: duality gap in log phi at which combinations are compared
-RANKING_TOLERANCE = 1e-2
-#: candidates of a set-up that are looked at, about
-THINNED_SIZE = 60
-#: combinations that are returned, at the most
-BEST_COMBINATIONS = 3
+RANKING_TOLERANCE = 1e-2  #: duality gap in log phi at which combinations are compared
+THINNED_SIZE = 60  #: candidates of a set-up that are looked at, about
+BEST_COMBINATIONS = 3  #: combinations that are returned, at the most
 
 Combination = tuple[int, ...]
 

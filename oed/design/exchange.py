@@ -38,10 +38,8 @@ from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 
-#: plans that are looked at, at most
-MAX_ENUMERATED_PLANS = 100_000
-#: numbers in the matrices that are in memory at once
-NUMBERS_AT_ONCE = 1_000_000
+MAX_ENUMERATED_PLANS = 100_000  #: plans that are looked at, at most
+NUMBERS_AT_ONCE = 1_000_000  #: numbers in the matrices that are in memory at once
 #: plans whose log phi differs by less are equally good: the first one is taken
 EQUAL_TOLERANCE = 1e-10
 

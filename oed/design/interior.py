@@ -31,8 +31,7 @@ from oed.design.forms.protocol import pairwise_traces, weight_gradient
 
 #: ridge of the linear system, which has a unit diagonal, that is tried first
 MIN_RIDGE = 1e-14
-#: ridge beyond which a step would no longer solve the system
-MAX_RIDGE = 1e-6
+MAX_RIDGE = 1e-6  #: ridge beyond which a step would no longer solve the system
 
 
 class Move(NamedTuple):
@@ -249,10 +248,8 @@ def _room(matrix: Array, change: Array) -> float:
     return 1.0 / max(-least, 1e-30)
 
 
-#: share of a step to the border of the feasible set
-STEP_SHARE = 0.95
-#: shares of both steps below which the path ends
-MIN_STEP = 1e-8
+STEP_SHARE = 0.95  #: share of a step to the border of the feasible set
+MIN_STEP = 1e-8  #: shares of both steps below which the path ends
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

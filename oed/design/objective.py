@@ -36,8 +36,7 @@ from oed.base import Array, Index
 from oed.design.blocks import NO_ROUNDING, Rounding, gamma, information
 from oed.design.forms.protocol import Criterion, weight_gradient
 
-#: allowance for the rounding of a line's logarithms, in log phi
-LOG_ROUNDING = 1e-12
+LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in log phi
 
 
 def knapsack_value(gradient: Array, size: float, cap: Array | float) -> float:

@@ -45,17 +45,13 @@ from oed.design.objective import (
     knapsack_value,
 )
 
-#: Newton steps in a call, at the most
-MAX_NEWTON_STEPS = 8
+MAX_NEWTON_STEPS = 8  #: Newton steps in a call, at the most
 #: damping of a step, as a share of the mean curvature: more where the step does not
 #: raise the value
 DAMPING_FACTORS = (1e-10, 1e-6, 1e-3, 1e-1, 1e1)
-#: a weight within this share of a bound is put on the bound
-BOUND_TOLERANCE = 1e-13
-#: number of halvings of a straight step
-MAX_HALVINGS = 20
-#: least share of a straight step that is tried: 2^-20
-MIN_STEP_SHARE = 1e-6
+BOUND_TOLERANCE = 1e-13  #: a weight within this share of a bound is put on the bound
+MAX_HALVINGS = 20  #: number of halvings of a straight step
+MIN_STEP_SHARE = 1e-6  #: least share of a straight step that is tried: 2^-20
 #: rounding of a value, over the value: two units in its last place
 VALUE_ROUNDING = 4.4e-16
 
@@ -233,26 +229,22 @@ def _shift_to_sum(target: Array, total: float, caps: Array) -> float:
     return float(bends[last] + excess / max(inside[last], 1.0))
 
 
-#: rounds of adding candidates
-MAX_ROUNDS = 200
+MAX_ROUNDS = 200  #: rounds of adding candidates
 #: round after which Newton steps are given up if the bound is worse than at the start
 NEWTON_PATIENCE = 4
 #: change in log phi below which a round counts as none: the rounding of its sums
 STAGNATION_GAIN = 1e-11
 #: number of such rounds that end the method: one alone may only exchange candidates
 MAX_STAGNANT_ROUNDS = 3
-#: number of candidates in the first active set, at the least
-START_SIZE = 60
+START_SIZE = 60  #: number of candidates in the first active set, at the least
 #: the same for each direction: an optimal design mostly needs about two
 START_PER_DIRECTION = 6
-#: multiplicative steps before Newton steps
-START_STEPS = 16
+START_STEPS = 16  #: multiplicative steps before Newton steps
 #: number of multiplicative steps where Newton steps fail
 MAX_MULTIPLICATIVE_STEPS = 300
 #: duality gap in log phi that is then enough: these steps converge slowly
 MULTIPLICATIVE_GAP = 1e-2
-#: candidates beyond which the start is sought in a sample of them
-SAMPLE_SIZE = 20000
+SAMPLE_SIZE = 20000  #: candidates beyond which the start is sought in a sample of them
 #: seed of the candidates that join the first active set whatever their weight
 SAMPLE_SEED = 20260101
 

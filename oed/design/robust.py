@@ -35,8 +35,7 @@ from oed.result import RobustSummary
 
 #: sharpness of the smoothed minimum over scenarios, from level to level
 SHARPNESS = (4.0, 16.0, 64.0, 256.0, 1024.0)
-#: duality gap of the relaxation, in log phi
-GAP_TOLERANCE = 1e-4
+GAP_TOLERANCE = 1e-4  #: duality gap of the relaxation, in log phi
 
 __all__ = ["Risk", "RobustChoice", "aggregate", "choose"]
 Risk = Literal["mean", "cvar", "worst"]

@@ -19,18 +19,13 @@ from oed.design.evaluator import PlanEvaluator
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 
-#: number of candidates in the pool, at the least
-POOL_SIZE = 200
-#: the same for each reading of a plan
-POOL_PER_READING = 8
-#: the same for each class of the quotas
-POOL_PER_CLASS = 50
-#: number of copies of a candidate that the pool may hold for each place
-MAX_COPIES = 4
+POOL_SIZE = 200  #: number of candidates in the pool, at the least
+POOL_PER_READING = 8  #: the same for each reading of a plan
+POOL_PER_CLASS = 50  #: the same for each class of the quotas
+MAX_COPIES = 4  #: number of copies of a candidate that the pool may hold for each place
 #: relative difference of gradients below which two candidates count as copies: rounding
 COPY_TOLERANCE = 1e-9
-#: gain in log phi below which an exchange counts as none
-MIN_GAIN = 1e-10
+MIN_GAIN = 1e-10  #: gain in log phi below which an exchange counts as none
 #: sweeps at the most: rounding near a singular plan could let two exchanges undo each
 #: other for ever
 MAX_SWEEPS = 50
@@ -42,10 +37,8 @@ MAX_STEPS_PER_ROUND = 120
 STEPS_OF_DESCENT = 5
 #: number of readings that one restart replaces, at the most: more would be a new plan
 MAX_REPLACED = 6
-#: probability that a restart replaces a whole set-up instead
-SETUP_PROBABILITY = 0.3
-#: weight from which a relaxed candidate counts as chosen
-CHOSEN_WEIGHT = 1e-6
+SETUP_PROBABILITY = 0.3  #: probability that a restart replaces a whole set-up instead
+CHOSEN_WEIGHT = 1e-6  #: weight from which a relaxed candidate counts as chosen
 #: weight from which a relaxed candidate may be chosen: below is rounding
 POSSIBLE_WEIGHT = 1e-9
 

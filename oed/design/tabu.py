@@ -30,19 +30,15 @@ from oed.design.forms.variance import variance_reduction
 from oed.design.pairs import Pairs
 from oed.linear_algebra import symmetric_inverse
 
-#: plans that are searched at first
-MAX_PLANS = 16
-#: rows of the candidates that a plan exchanges with, at the least
-NEAR_ROWS = 200
-#: candidates that a plan exchanges with, for each of its places
-NEAR_PER_PLACE = 4
+MAX_PLANS = 16  #: plans that are searched at first
+NEAR_ROWS = 200  #: rows of the candidates that a plan exchanges with, at the least
+NEAR_PER_PLACE = 4  #: candidates that a plan exchanges with, for each of its places
 #: steps after which these are sought anew: a few rows change which others complete a plan
 STEPS_NEAR = 5
 #: most steps for which a candidate, or a place, rests, in turn for the plans: short rests
 #: climb fast, long ones leave the wide basins of candidates with symmetries
 MAX_RESTS = (2, 3, 4, 6, 10, 15)
-#: gain in log phi below which a plan counts as no better
-MIN_GAIN = 1e-10
+MIN_GAIN = 1e-10  #: gain in log phi below which a plan counts as no better
 #: numbers in the products of all pairs that are in memory at once
 NUMBERS_AT_ONCE = 2_000_000
 

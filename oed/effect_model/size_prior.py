@@ -14,8 +14,7 @@ import numpy as np
 
 from oed.base import Array
 
-#: prior probability that a size is beyond what is usual
-FAR_SHARE = 0.1
+FAR_SHARE = 0.1  #: prior probability that a size is beyond what is usual
 #: expected lambda of a form below which its size is taken for none at all
 NEGLIGIBLE_ENERGY = 9.0
 

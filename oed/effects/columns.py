@@ -32,14 +32,10 @@ from oed.mechanism import NO_TOOL
 # session visits (Solin and Sarkka 2020, Stat. Comput. 30, 419-446). The variance falls
 # with the order. Their sizes are given by the caller.
 
-#: terms of a series over the workspace
-WORKSPACE_TERMS = 24
-#: terms of a series over the time
-TIME_TERMS = 10
-#: half width of the box over that of what the session visits
-BOX_FACTOR = 1.25
-#: order at which the variance has fallen to a quarter
-QUARTER_ORDER = 2.0
+WORKSPACE_TERMS = 24  #: terms of a series over the workspace
+TIME_TERMS = 10  #: terms of a series over the time
+BOX_FACTOR = 1.25  #: half width of the box over that of what the session visits
+QUARTER_ORDER = 2.0  #: order at which the variance has fallen to a quarter
 #: size of a unit coefficient, in the unit of the joint, the tool's m or the reading
 UNIT_SIZE = 1e-6
 
@@ -153,10 +149,8 @@ def _zero_where_unknown(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)
 
 
-#: most values of an effect's constants that stand side by side
-MAX_FORMS = 16
-#: share of a group's variance that its principal columns hold
-VARIANCE_SHARE = 0.995
+MAX_FORMS = 16  #: most values of an effect's constants that stand side by side
+VARIANCE_SHARE = 0.995  #: share of a group's variance that its principal columns hold
 #: root mean square change of the readings, in units of the noise, below which a group
 #: changes nothing
 MIN_CHANGE = 1e-4

@@ -37,10 +37,8 @@ from oed.effects.effect_maps import (
 from oed.gap import GapProblem, untestable
 from oed.linear_algebra import covariance_root
 
-#: points of an effect's constants that are tried
-N_CONSTANTS = 5
-#: machines drawn for intervals and percentiles
-N_MACHINES = 1000
+N_CONSTANTS = 5  #: points of an effect's constants that are tried
+N_MACHINES = 1000  #: machines drawn for intervals and percentiles
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

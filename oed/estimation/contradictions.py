@@ -51,14 +51,11 @@ FALSE_ALARM = 0.01
 MIN_FREEDOM = 3
 #: share of slopes, or of singular values, below which they are rounding
 RANK_TOLERANCE = 1e-6
-#: parameters whose changes are named
-MAX_NAMED = 3
+MAX_NAMED = 3  #: parameters whose changes are named
 #: factors on the tolerances: four a decade, up to thirty times
 TOLERANCE_FACTORS = 10.0 ** (np.arange(7) / 4.0)
-#: prior probability that the tolerances are as stated
-P_AS_STATED = 0.95
-#: probability of tolerances as stated below which they are given up
-P_GIVEN_UP = 0.05
+P_AS_STATED = 0.95  #: prior probability that the tolerances are as stated
+P_GIVEN_UP = 0.05  #: probability of tolerances as stated below which they are given up
 #: share of the combinations that are far where few nominal numbers are wrong
 FAR_SHARE = 0.2
 #: noise over the stated one: 20 a decade
@@ -66,8 +63,7 @@ NOISE_LEVELS = 10.0 ** (np.arange(-20, 81) / 20.0)
 #: scale of the log of the noise over the stated one, of a Cauchy density
 LOG_NOISE_SCALE = 0.4
 
-#: names of parameters that move together
-Names = tuple[str, ...]
+Names = tuple[str, ...]  #: names of parameters that move together
 
 
 def contradicted_parameters(

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 #: distance from a bound, standard deviations, within which an estimate is near it
 BOUND_MARGIN = 2.0
-#: parameters that a warning names, the widest first
-MAX_NAMED = 6
+MAX_NAMED = 6  #: parameters that a warning names, the widest first
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,10 +81,8 @@ class Estimate:
     True
     """
 
-    #: shrinkage above which a parameter is weakly identified
-    WEAK: ClassVar = 0.3
-    #: shrinkage above which it stays at its prior
-    AT_PRIOR: ClassVar = 0.7
+    WEAK: ClassVar = 0.3  #: shrinkage above which a parameter is weakly identified
+    AT_PRIOR: ClassVar = 0.7  #: shrinkage above which it stays at its prior
 
     theta: Array
     covariance: Array

@@ -28,28 +28,20 @@ from oed.mechanism import AssemblyError
 
 #: distance to the minimum, posterior standard deviations, below which a step is the last
 MAX_LAST_STEP = 1e-7
-#: steps of each machine
-MAX_STEPS = 60
-#: steps tried from a point, each more damped
-MAX_TRIALS = 16
-#: factor on the damping after a step that raises the sum
-DAMPING_GROWTH = 10.0
-#: factor on the damping after a step that does not
-DAMPING_DECAY = 0.01
+MAX_STEPS = 60  #: steps of each machine
+MAX_TRIALS = 16  #: steps tried from a point, each more damped
+DAMPING_GROWTH = 10.0  #: factor on the damping after a step that raises the sum
+DAMPING_DECAY = 0.01  #: factor on the damping after a step that does not
 #: gradient along a step at its end, over minus that at its start, from which it overshoots
 OVERSHOOT_GRADIENT_RATIO = 0.25
 #: distance to the minimum, posterior standard deviations, within which that counts
 OVERSHOOT_DISTANCE = 3.0
 #: longest first step, tolerances for each unknown: spurious minima lie farther away
 FIRST_LENGTH = 3.0
-#: factor on the longest step after a step as long as that
-LENGTH_GROWTH = 4.0
-#: relative rounding error of readings
-READINGS_TOLERANCE = 1e-15
-#: relative rounding error of sums of squares
-SUM_TOLERANCE = 1e-12
-#: weight below which a prior is nearly flat
-FLAT_PRIOR = 1e-3
+LENGTH_GROWTH = 4.0  #: factor on the longest step after a step as long as that
+READINGS_TOLERANCE = 1e-15  #: relative rounding error of readings
+SUM_TOLERANCE = 1e-12  #: relative rounding error of sums of squares
+FLAT_PRIOR = 1e-3  #: weight below which a prior is nearly flat
 #: curvature over the largest below which a direction takes no step
 FLAT_CURVATURE = 1e-14
 

@@ -56,12 +56,10 @@ from oed.noise_law import NoisePrior, ResidualModel, robust_residuals
 # law is found with the effects at the sizes drawn. A large error can pass for noise or for an
 # effect: both the stated law and that of a fit without effects are starts, weighed by evidence.
 
-#: rounds of effects and law
-N_ROUNDS = 3
+N_ROUNDS = 3  #: rounds of effects and law
 #: draws of the effects in a round: their root mean square is known to a tenth
 ROUND_DRAWS = 150
-#: draws of the effects at the end: they are those of the result
-N_DRAWS = 400
+N_DRAWS = 400  #: draws of the effects at the end: they are those of the result
 #: singular values of the effects' columns, over the noise, below which they are left out
 #: of the covariance
 MIN_SIZE = 0.1

@@ -42,8 +42,7 @@ from oed.noise_law import (
     robust_residuals,
 )
 
-#: rounds of fit and noise law
-MAX_ROUNDS = 6
+MAX_ROUNDS = 6  #: rounds of fit and noise law
 #: change of a law's coordinates, prior standard deviations, at which the rounds end
 LAW_TOLERANCE = 0.03
 #: probability of a larger difference below which the law's weights are not used: the
@@ -52,8 +51,7 @@ P_CONTRADICTED = 0.05
 #: correlated noise of a run, over the stated noise, from which it is none of the
 #: instrument's: two standard deviations of what a statement is good for
 MAX_CORRELATED = KNOWN_TO**2
-#: share of a variance below which it is rounding
-VARIANCE_TOLERANCE = 1e-9
+VARIANCE_TOLERANCE = 1e-9  #: share of a variance below which it is rounding
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -23,8 +23,7 @@ from oed.result import NoiseRecord
 P_DEPARTURE = 0.95
 #: kinds of numbers that are standard deviations
 ERRORS = ("reading", "run", "seat", "course")
-#: factor on the stated noise beyond which single readings depart
-MIN_RATIO = 1.2
+MIN_RATIO = 1.2  #: factor on the stated noise beyond which single readings depart
 #: size, over the stated noise, beyond which an error that a run shares departs
 SHARED_SIZE = 0.5
 #: share of the variance that is correlated beyond which it departs from the stated one

@@ -27,8 +27,7 @@ from oed.result import GoodnessSection, LeftOutRun
 
 #: probability below which a run is surprising, over the number of runs
 P_SURPRISE = 1e-3
-#: runs that a sentence names
-MAX_NAMED = 3
+MAX_NAMED = 3  #: runs that a sentence names
 
 
 @dataclasses.dataclass(frozen=True)

@@ -33,20 +33,16 @@ from oed.mechanism import NO_TOOL, Kinematics
 from oed.model import Component
 from oed.poses import Belief
 
-#: kernels that compete: correlation at scaled distances
-MATERN_ORDERS = ("3/2", "5/2")
+MATERN_ORDERS = ("3/2", "5/2")  #: kernels that compete: correlation at scaled distances
 #: prior median of a correlation length, in half spans of the workspace
 LENGTH_MEDIAN = 1.0
-#: prior standard deviation of its logarithm
-LENGTH_SPREAD = 1.0
+LENGTH_SPREAD = 1.0  #: prior standard deviation of its logarithm
 #: standard deviation of the coefficients of trend and zero over the size of the errors
 TREND_SIZE = 10.0
 #: share of a component's variance that is added to each reading: rounding
 NUGGET_SHARE = 1e-9
-#: lengths from which the optimisation starts
-START_LENGTHS = (0.5, 2.0)
-#: share of a field's variance that its modes represent
-ENERGY_SHARE = 0.999
+START_LENGTHS = (0.5, 2.0)  #: lengths from which the optimisation starts
+ENERGY_SHARE = 0.999  #: share of a field's variance that its modes represent
 MAX_MODES = 40
 
 
@@ -64,8 +60,7 @@ MAX_MODES = 40
 # of zero has one direction, and the places near a singular pose, where errors change fast,
 # lie far apart.
 
-#: what counts as an equal place, m or rad
-POSITION_TOLERANCE = 1e-9
+POSITION_TOLERANCE = 1e-9  #: what counts as an equal place, m or rad
 #: slope over a twist from which on a component's error has no meaning: psi of an upright
 #: tool
 MAX_SLOPE = 1e3
@@ -510,10 +505,8 @@ def _modes(prior: _Prior, kernel: Kernel, rows: ErrorRows) -> Array:
 
 #: interpolation in the table may cost this share of the rms that the field leaves
 INTERPOLATION_SHARE = 0.2
-#: draws of the field, for the interval of its rms
-N_DRAWS = 400
-#: probabilities of the ends of that interval
-INTERVAL_LEVELS = (0.025, 0.975)
+N_DRAWS = 400  #: draws of the field, for the interval of its rms
+INTERVAL_LEVELS = (0.025, 0.975)  #: probabilities of the ends of that interval
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

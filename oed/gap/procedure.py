@@ -140,8 +140,7 @@ def _rms_by_channel(problem: GapProblem, signal: Array) -> dict[str, float]:
     }
 
 
-#: ways of holding readings out
-SPLITS: tuple[closure.Split, ...] = ("within", "whole")
+SPLITS: tuple[closure.Split, ...] = ("within", "whole")  #: ways of holding readings out
 
 
 def diagnose(

@@ -45,8 +45,7 @@ MIN_SHARE = 0.01
 #: largest eigenvalue of a posterior covariance over the prior's: what no reading
 #: determines has 1, up to rounding
 MAX_INFORMED = 1.0 - 1e-9
-#: directions of drift that the proof is a mean over
-N_DIRECTIONS = 200
+N_DIRECTIONS = 200  #: directions of drift that the proof is a mean over
 #: log of the largest factor on the usual growth within which the provable one is sought
 LOG_BRACKET = 12.0
 #: p-value of what parameters leave of a change, from which they explain it
@@ -54,14 +53,10 @@ P_EXPLAINED = 0.01
 #: p-value below which the sessions do not lie on a line, and intervals are widened
 P_UNEVEN = 0.01
 
-#: probability of a false alarm of a session's comparison
-FALSE_ALARM = 0.01
-#: combinations and causes that are printed
-MAX_COMBINATIONS = 10
-#: parameters of a combination that are printed
-MAX_TERMS = 4
-#: departure from 1 of a coefficient that is written as 1
-UNIT_TOLERANCE = 5e-4
+FALSE_ALARM = 0.01  #: probability of a false alarm of a session's comparison
+MAX_COMBINATIONS = 10  #: combinations and causes that are printed
+MAX_TERMS = 4  #: parameters of a combination that are printed
+UNIT_TOLERANCE = 5e-4  #: departure from 1 of a coefficient that is written as 1
 #: p-value of no drift from which a combination is not shown: its 95 % interval has 0
 MIN_P_VALUE = 0.05
 

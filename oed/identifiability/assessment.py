@@ -28,8 +28,7 @@ from oed.model import Expr, Parameter, Values
 
 #: readings as a machine with its set-ups, and their series
 Readings = tuple[Measurement, Sequence[Series]]
-#: length (m) by which the trial's tool is longer
-TOOL_EXTENSION = 0.100
+TOOL_EXTENSION = 0.100  #: length (m) by which the trial's tool is longer
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,8 +21,7 @@ from oed.model import Machine, PointGroup
 #: between are directions of no practical use, such as the eighteenth of a single circle
 #: of the A3 head (4e-8), which 0.5 um noise would leave at metres.
 RANK_TOLERANCE = 1e-6
-#: coefficients below this share of a row's largest are rounding
-ZERO_TOLERANCE = 1e-7
+ZERO_TOLERANCE = 1e-7  #: coefficients below this share of a row's largest are rounding
 #: shares of a column that must be independent of the pivots, tried in turn
 PIVOT_THRESHOLDS = (1e-2, 1e-4, 1e-6, 1e-9)
 #: largest deviation (of a unit vector) of a null direction from a rigid motion

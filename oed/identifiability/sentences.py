@@ -17,10 +17,8 @@ from oed.result import IdentifiabilityFinding
 
 #: posterior over prior standard deviation above which a parameter counts as weak
 WEAK_SHRINKAGE = 0.7
-#: number of parameters that the sentence on a lost direction names
-MAX_TERMS = 8
-#: their least share of the largest one
-MIN_SHARE = 0.05
+MAX_TERMS = 8  #: number of parameters that the sentence on a lost direction names
+MIN_SHARE = 0.05  #: their least share of the largest one
 
 
 def explain(

@@ -237,10 +237,8 @@ class _RunErrors:
         return columns[:, used], kinds[used].astype(np.intp)
 
 
-#: most terms; they leave a twentieth of the variance
-MAX_COURSE_TERMS = 4
-#: readings of a channel for each term
-READINGS_PER_TERM = 5
+MAX_COURSE_TERMS = 4  #: most terms; they leave a twentieth of the variance
+READINGS_PER_TERM = 5  #: readings of a channel for each term
 
 
 def course_terms(group: Index, progress: Array) -> Array:

@@ -38,27 +38,19 @@ MIN_ARRAY_POINTS = 192
 BLOCK_POINTS = 4096
 #: environment variable that decides when functions are compiled
 COMPILE_VARIABLE = "OED_COMPILE"
-#: its value where no function is compiled
-NEVER_COMPILE = "0"
-#: its value where each function is compiled at its first call
-COMPILE_AT_ONCE = "1"
-#: time of an instruction at a point in the interpreter, s
-INTERPRETER_SECONDS = 5e-9
-#: the same of array operations
-ARRAY_SECONDS = 1e-9
-#: time of any call that is not compiled, s
-CALL_SECONDS = 20e-6
+NEVER_COMPILE = "0"  #: its value where no function is compiled
+COMPILE_AT_ONCE = "1"  #: its value where each function is compiled at its first call
+INTERPRETER_SECONDS = 5e-9  #: time of an instruction at a point in the interpreter, s
+ARRAY_SECONDS = 1e-9  #: the same of array operations
+CALL_SECONDS = 20e-6  #: time of any call that is not compiled, s
 #: time in which an instruction is written as C, to see whether it is compiled already, s
 WRITING_SECONDS = 10e-6
-#: time in which the compiler compiles it, s
-COMPILER_SECONDS = 0.4e-3
-#: time that the compiler takes at least, s
-COMPILER_START = 0.1
+COMPILER_SECONDS = 0.4e-3  #: time in which the compiler compiles it, s
+COMPILER_START = 0.1  #: time that the compiler takes at least, s
 #: share of its compilation's time after which a function is compiled beside the work:
 #: later runs find it
 BESIDE_SHARE = 0.1
-#: evaluations in which Newton's method ends, about
-NEWTON_EVALUATIONS = 5
+NEWTON_EVALUATIONS = 5  #: evaluations in which Newton's method ends, about
 
 
 class BatchedFunction:

@@ -27,12 +27,9 @@ SLOPE_TOLERANCE = 1e-3
 #: steps in which a solution is followed, first few, then more from where these end;
 #: powers of two, of which shares are exact
 PATH_STEPS = (8, 64, 512)
-#: number of starts about the machine's own, for a home pose that fails
-N_STARTS = 64
-#: how far they reach, over the lever and in radians
-START_SPREAD = 1.0
-#: pose numbers that an error lists
-MAX_LISTED = 8
+N_STARTS = 64  #: number of starts about the machine's own, for a home pose that fails
+START_SPREAD = 1.0  #: how far they reach, over the lever and in radians
+MAX_LISTED = 8  #: pose numbers that an error lists
 
 OUT_OF_REACH = "out of reach or singular"
 MIRRORED = (

@@ -48,8 +48,7 @@ from oed.model import Machine
 MAX_STEPS = 20
 #: times that a step is halved which leads away from the target, at most
 MAX_HALVINGS = 20
-#: step that ends them, m or rad
-STEP_TOLERANCE = 1e-12
+STEP_TOLERANCE = 1e-12  #: step that ends them, m or rad
 #: how far a target may be off where the steps do not end, m or rad
 TARGET_TOLERANCE = 1e-9
 
@@ -166,8 +165,7 @@ def command_of_pose(
 
 #: steps in which joints without a command are followed from the home pose
 HOMING_STEPS = 20
-#: the same, where the first steps are too long
-FINER_HOMING_STEPS = 400
+FINER_HOMING_STEPS = 400  #: the same, where the first steps are too long
 
 #: what is added (n, nq) to the joints at commands (n, n_dof) that mean poses (n, nx), SI
 Corrections = Callable[[Array, Array], Array]

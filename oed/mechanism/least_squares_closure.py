@@ -16,8 +16,7 @@ from oed.mechanism.expressions import MachineExpressions, machine_expressions
 from oed.model import Expr, Machine
 from oed.result import ClosestClosure, MachineShape
 
-#: an equation is open above this share of the machine's lever
-OPEN_SHARE = 1e-6
+OPEN_SHARE = 1e-6  #: an equation is open above this share of the machine's lever
 #: weight of the command against the closure: what remains shows in the closure
 COMMAND_WEIGHT = 10.0
 

@@ -14,8 +14,7 @@ MAX_ITERATIONS = 30
 #: Longest step (m, rad). Longer ones are shortened, which keeps the assembly mode of
 #: the start.
 MAX_STEP = 0.2
-#: Longest step of a large machine, over its lever
-LARGE_STEP = 0.1
+LARGE_STEP = 0.1  #: Longest step of a large machine, over its lever
 #: rows of which the slopes are in memory together: a multiple of a batch's largest chunk
 BLOCK_ROWS = 8192
 

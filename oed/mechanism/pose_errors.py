@@ -21,8 +21,7 @@ import numpy as np
 from oed.base import Array
 from oed.mechanism.kinematics import Kinematics
 
-#: the reference tool
-NO_TOOL: Array = np.zeros(3)
+NO_TOOL: Array = np.zeros(3)  #: the reference tool
 
 
 def pose_error(

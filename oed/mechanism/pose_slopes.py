@@ -27,8 +27,7 @@ from oed.model import Machine
 #: reciprocal condition number of phi_x (lengths over the lever) below which a pose
 #: counts as singular
 SINGULAR_BELOW = 1e-6
-#: poses over readings up to which many readings see one pose
-MAX_POSE_SHARE = 0.25
+MAX_POSE_SHARE = 0.25  #: poses over readings up to which many readings see one pose
 
 
 class PoseSlopes:

@@ -15,21 +15,16 @@ import numpy as np
 
 from oed.base import Array, Index, Mask
 
-#: step (m, rad) after which the slopes are kept
-SHORT_STEP = 1e-4
+SHORT_STEP = 1e-4  #: step (m, rad) after which the slopes are kept
 #: most steps with new slopes: the last are quadratic, so that eight reach rounding
 NEWTON_STEPS = 8
-#: most steps with kept slopes, which show the error that remains
-CHORD_STEPS = 4
-#: error (m, rad) after which a point takes no further step
-FINAL_ERROR = 1e-17
-#: error (m, rad) that the last step may leave
-REMAINING_ERROR = 1e-15
+CHORD_STEPS = 4  #: most steps with kept slopes, which show the error that remains
+FINAL_ERROR = 1e-17  #: error (m, rad) after which a point takes no further step
+REMAINING_ERROR = 1e-15  #: error (m, rad) that the last step may leave
 
 #: values (n, k) and slopes (n, k, k) of systems at unknowns (n, k), and their numbers
 Equations = Callable[[Array, Index], tuple[Array, Array]]
-#: the values alone
-Values = Callable[[Array, Index], Array]
+Values = Callable[[Array, Index], Array]  #: the values alone
 
 
 class SolvedSystems(NamedTuple):

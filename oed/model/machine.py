@@ -17,16 +17,13 @@ import numpy as np
 from oed.base import Array, Mask, Orientation
 from oed.model.parameter import CommonTolerance, Parameter
 
-#: A CasADi SX expression (CasADi ships no type stubs).
-Expr = Any
+Expr = Any  #: A CasADi SX expression (CasADi ships no type stubs).
 #: Expressions or numbers by the name of their coordinate or parameter.
 Values = Mapping[str, Expr]
-#: Ends of a strut, at the base and at the platform.
-Strut = tuple[Expr, Expr]
+Strut = tuple[Expr, Expr]  #: Ends of a strut, at the base and at the platform.
 #: Pose and joints from which Newton's method starts.
 Start = tuple[Sequence[Expr], Sequence[Expr]]
-#: the reference tool's point (3,), m
-NO_SHIFT = (0.0, 0.0, 0.0)
+NO_SHIFT = (0.0, 0.0, 0.0)  #: the reference tool's point (3,), m
 
 #: a coordinate may exceed its range by this share of the range's upper end
 RANGE_SLACK = 1e-9

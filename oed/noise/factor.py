@@ -39,8 +39,7 @@ from oed.noise.banded import (
 
 #: columns that are whitened back at once: more take memory and no less time
 COLUMNS_AT_ONCE = 64
-#: share of a precision below which it is rounding
-PRECISION_TOLERANCE = 1e-12
+PRECISION_TOLERANCE = 1e-12  #: share of a precision below which it is rounding
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -35,8 +35,7 @@ from oed.noise.structure import ReadingStructure
 
 #: least and largest size of an outlier that is drawn, over the noise of single readings
 OUTLIER_SIZES = (5.0, 50.0)
-#: numbers in the largest array of one batch of laws: 8 MB
-BATCH_SIZE = 1_000_000
+BATCH_SIZE = 1_000_000  #: numbers in the largest array of one batch of laws: 8 MB
 #: numbers of whitened readings that are worked on together: half of a core's cache
 CACHED_NUMBERS = 150_000
 #: size of a part of a law, over the stated noise, from which it is described

@@ -2,8 +2,7 @@
 
 import dataclasses
 
-#: reach of correlated noise, in readings, where none is stated
-REACH_MEDIAN = 8.0
+REACH_MEDIAN = 8.0  #: reach of correlated noise, in readings, where none is stated
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -41,5 +40,4 @@ class NoiseStatement:
         return self.reach or REACH_MEDIAN
 
 
-#: nothing is stated but the scatter of readings
-NOTHING_STATED = NoiseStatement()
+NOTHING_STATED = NoiseStatement()  #: nothing is stated but the scatter of readings

@@ -34,10 +34,8 @@ from oed.linear_algebra import eigenvectors, triangle_of_sums
 from oed.noise import Laws, ReadingStructure
 from oed.noise_law.prior import NoisePrior
 
-#: largest coordinate of a law that is looked at, prior sd
-MAX_COORDINATE = 8.0
-#: step of numerical gradients in a search, prior sd
-GRADIENT_STEP = 1e-4
+MAX_COORDINATE = 8.0  #: largest coordinate of a law that is looked at, prior sd
+GRADIENT_STEP = 1e-4  #: step of numerical gradients in a search, prior sd
 #: step of numerical curvatures, prior sd: wide, as the cost is not smooth to its last digit
 CURVATURE_STEP = 0.15
 #: least curvature, over that of the prior: draws are no wider than sqrt(2) prior sd
@@ -48,8 +46,7 @@ MAX_NEWTON_STEPS = 6
 STEP_TOLERANCE = 3e-4
 #: step of the central differences of Newton's gradient, prior sd
 NEWTON_GRADIENT_STEP = 0.01
-#: rise of the cost that rounding explains
-COST_TOLERANCE = 1e-6
+COST_TOLERANCE = 1e-6  #: rise of the cost that rounding explains
 
 #: minus log posterior density (L,), up to a constant, at coordinates (L, d)
 Cost = Callable[[Array], Array]
@@ -178,10 +175,8 @@ def _signed(vectors: Array) -> Array:
 STUDENT_DOF = 20.0
 #: distances from the mode at which widths are read off, standard deviations by curvature
 TAIL_DISTANCES = (1.0, 2.0, 3.5)
-#: least and largest width, over that by the curvature
-WIDTH_LIMITS = (0.7, 4.0)
-#: least rise of the cost at these distances: the cost may be flat
-MIN_RISE = 1e-3
+WIDTH_LIMITS = (0.7, 4.0)  #: least and largest width, over that by the curvature
+MIN_RISE = 1e-3  #: least rise of the cost at these distances: the cost may be flat
 #: power of the weights by which kernels are placed: a single draw must not take all
 WEIGHT_POWER = 0.5
 #: numbers of offsets from kernels that are computed at once: 4 MB
@@ -317,17 +312,14 @@ def _sobol(count: int, dimensions: int) -> Array:
         return np.asarray(sequence.random(count + 1)[1:])
 
 
-#: laws drawn in a round
-N_DRAWS = 320
+N_DRAWS = 320  #: laws drawn in a round
 #: equally weighted laws that a first round is worth, below which there is a second
 MIN_EFFECTIVE_DRAWS = 100.0
 #: largest coordinate of the mode, prior sd: readings without noise have theirs at the
 #: end, and draws must fit beyond it
 MAX_MODE = MAX_COORDINATE - 1.0
-#: rounds in which kernels are placed anew at laws drawn from them
-N_PLACEMENTS = 2
-#: laws drawn in each of these rounds
-PLACEMENT_LAWS = 640
+N_PLACEMENTS = 2  #: rounds in which kernels are placed anew at laws drawn from them
+PLACEMENT_LAWS = 640  #: laws drawn in each of these rounds
 #: factor on the width of kernels: tails that a proposal lacks give large weights
 KERNEL_WIDENING = 1.3
 

@@ -28,8 +28,7 @@ from oed.noise_law.prior import scale_over_stated
 
 #: degrees of freedom of the Student t that are tried
 STUDENT_DOF = (3.0, 4.0, 6.0, 10.0)
-#: shares of outliers that are tried
-OUTLIER_SHARES = (0.005, 0.01, 0.02, 0.05)
+OUTLIER_SHARES = (0.005, 0.01, 0.02, 0.05)  #: shares of outliers that are tried
 #: sizes of outliers that are tried, over the noise of the others
 OUTLIER_SCALES = (5.0, 10.0)
 #: sizes of single readings that have nothing to do with the others: a probe that touched
@@ -39,10 +38,8 @@ GROSS_SCALES = (30.0, 100.0)
 MIN_LOG_RATIO = 3.0
 #: iterations of residuals and what they are predicted to be without outliers
 MAX_ITERATIONS = 12
-#: change of a residual, over the stated noise, at which they end
-STEP_TOLERANCE = 1e-3
-#: fewest readings among which one can be recognised as far off
-MIN_READINGS = 8
+STEP_TOLERANCE = 1e-3  #: change of a residual, over the stated noise, at which they end
+MIN_READINGS = 8  #: fewest readings among which one can be recognised as far off
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
 

@@ -38,8 +38,7 @@ KNOWN_TO = float(np.exp(SCALE_SD))
 ASSUMED_SCALE_SD = float(np.log(10.0))
 #: readings beyond the unknowns, for each group, from which they determine assumed weights
 READINGS_PER_WEIGHT = 10
-#: degrees of freedom from which readings determine their noise law
-MIN_FREEDOM = 10
+MIN_FREEDOM = 10  #: degrees of freedom from which readings determine their noise law
 #: distance of the correlated share from 0 and 1, where the filter is singular
 MIN_SHARE = 1e-6
 #: median, over the stated noise, of a run's level, of a renewed unknown and of a course,
@@ -54,14 +53,11 @@ SPARSE_SD = 1.8
 #: median of the correlated share, and sd of its logit, for questions of cause
 SPARSE_SHARE = 0.05
 SPARSE_SHARE_SD = 2.5
-#: sd of the log of the reach, in readings
-REACH_SD = 1.0
+REACH_SD = 1.0  #: sd of the log of the reach, in readings
 #: sd of the logs of a run's level and of its seating over the stated ones
 STATED_SD = 0.4
-#: sd of the logit of the correlated share about the stated one
-STATED_SHARE_SD = 0.7
-#: sd of the log of the reach over the stated one
-STATED_REACH_SD = 0.3
+STATED_SHARE_SD = 0.7  #: sd of the logit of the correlated share about the stated one
+STATED_REACH_SD = 0.3  #: sd of the log of the reach over the stated one
 
 
 @dataclasses.dataclass(frozen=True)

@@ -42,20 +42,15 @@ from oed.planning.goal import Goal
 from oed.planning.option import Option
 from oed.planning.travel import capture_probability_bound, is_captured
 
-#: allowance for the rounding of a line's logarithms, in log phi
-LOG_ROUNDING = 1e-12
+LOG_ROUNDING = 1e-12  #: allowance for the rounding of a line's logarithms, in log phi
 #: prices of time to try, as shares of the highest gain a candidate has for its time
 PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
-#: gap in log phi of a combination's relaxation
-RELAXATION_TOLERANCE = 3e-3
-#: number of relaxations in which the prices of readings settle
-MAX_PRICE_STEPS = 6
+RELAXATION_TOLERANCE = 3e-3  #: gap in log phi of a combination's relaxation
+MAX_PRICE_STEPS = 6  #: number of relaxations in which the prices of readings settle
 #: share by which the numbers of readings may then exceed their limits
 LIMIT_EXCESS = 0.02
-#: supporting lines that are computed
-MAX_LINES = 150
-#: weight of the candidates of options that are not in a relaxation
-OUTSIDE_SHARE = 0.5
+MAX_LINES = 150  #: supporting lines that are computed
+OUTSIDE_SHARE = 0.5  #: weight of the candidates of options that are not in a relaxation
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -240,20 +235,14 @@ class OptionBound:
         return np.asarray(net.sum(axis=1))
 
 
-#: largest number of combinations that are bounded
-MAX_COMBINATIONS = 200_000
-#: combinations that are reported as promising
-PROMISING_COMBINATIONS = 4
+MAX_COMBINATIONS = 200_000  #: largest number of combinations that are bounded
+PROMISING_COMBINATIONS = 4  #: combinations that are reported as promising
 #: gain of a line in log phi below which a relaxation has reached its own tolerance
 STUCK_GAIN = 1e-9
-#: machines drawn
-MACHINES_DRAWN = 4000
-#: standard errors by which the estimate is lowered
-SAFETY_FACTOR = 4.0
-#: combinations which are treated at once
-COMBINATIONS_AT_ONCE = 1000
-#: smallest value, so that its logarithm exists
-MIN_NUMBER = 1e-300
+MACHINES_DRAWN = 4000  #: machines drawn
+SAFETY_FACTOR = 4.0  #: standard errors by which the estimate is lowered
+COMBINATIONS_AT_ONCE = 1000  #: combinations which are treated at once
+MIN_NUMBER = 1e-300  #: smallest value, so that its logarithm exists
 
 
 @dataclasses.dataclass(frozen=True)

@@ -215,8 +215,7 @@ def profile(information: Array, columns: int, unknowns: int) -> ProfiledInformat
     return ProfiledInformation(symmetric, gain[:, :, : unknowns - columns])
 
 
-#: capture probability from which no machines are drawn
-CERTAIN_PROBABILITY = 0.999
+CERTAIN_PROBABILITY = 0.999  #: capture probability from which no machines are drawn
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -348,10 +347,8 @@ def _all_captured(
     )
 
 
-#: number of machines drawn where readings can be lost
-MACHINE_DRAWS = 48
-#: the same for a first look at a partial plan
-FIRST_LOOK_DRAWS = 12
+MACHINE_DRAWS = 48  #: number of machines drawn where readings can be lost
+FIRST_LOOK_DRAWS = 12  #: the same for a first look at a partial plan
 #: number of machines drawn for the linearisation residual, at the most
 RESIDUAL_DRAWS = 96
 #: the same for each pattern of captures, at the least: two give no mean

@@ -114,8 +114,7 @@ def _key(plan: StagePlan, option: Option, chosen: Index, draws: int) -> Key:
     return id(before), id(option), draws, np.sort(chosen).tobytes()
 
 
-#: relative gain below which a change counts as none
-MIN_RELATIVE_GAIN = 1e-3
+MIN_RELATIVE_GAIN = 1e-3  #: relative gain below which a change counts as none
 #: relative difference of values that drawn machines do not resolve
 VALUE_RESOLUTION = 3e-3
 #: ratio of linearisation residuals below which a plan counts as more linear
@@ -269,8 +268,7 @@ def _shortest(time: Array, count: int, seconds: float) -> Index:
     return np.asarray(order[in_time], dtype=np.intp)
 
 
-#: machines drawn to judge a finished plan
-VERIFICATION_DRAWS = 1000
+VERIFICATION_DRAWS = 1000  #: machines drawn to judge a finished plan
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -49,14 +49,10 @@ from oed.planning.virtual_machines import PlanRealisation, propagate
 # A refined plan selects the readings of each stage anew, given what the later stages add.
 # Every trial of a stage draws the same machines, so plans differ by their readings alone.
 
-#: times that time is moved, at most
-MAX_ROUNDS = 8
-#: exchange sweeps when the readings of a stage are selected
-EXCHANGE_SWEEPS = 3
-#: rounding of sums of times
-TIME_TOLERANCE = 1e-9
-#: an option, and how many of its candidates are read
-Step = tuple[Option, int]
+MAX_ROUNDS = 8  #: times that time is moved, at most
+EXCHANGE_SWEEPS = 3  #: exchange sweeps when the readings of a stage are selected
+TIME_TOLERANCE = 1e-9  #: rounding of sums of times
+Step = tuple[Option, int]  #: an option, and how many of its candidates are read
 #: share of a stage's readings that is given up when time is moved to another stage
 REPLACED_SHARE = 0.25
 
@@ -289,8 +285,7 @@ def _swapped(steps: list[Step], k: int) -> list[Step]:
     return [*steps[:k], steps[k + 1], steps[k], *steps[k + 2 :]]
 
 
-#: number of partial plans in the beam, where none is asked for
-BEAM_SIZE = 6
+BEAM_SIZE = 6  #: number of partial plans in the beam, where none is asked for
 
 Evaluated = dict[tuple[tuple[str, int], ...], StagePlan]
 
@@ -352,12 +347,10 @@ def _children(problem: PlanProblem, parent: StagePlan) -> list[StagePlan]:
     return children
 
 
-#: sequences which are refined
-REFINED_SEQUENCES = 6
+REFINED_SEQUENCES = 6  #: sequences which are refined
 #: value at a first look up to which a refined plan can reach its targets
 NEAR_TARGET_VALUE = 1.1
-#: share of the progress that the beam search takes
-BEAM_SHARE = 0.8
+BEAM_SHARE = 0.8  #: share of the progress that the beam search takes
 
 Progress = Callable[[float], None]
 

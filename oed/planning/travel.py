@@ -16,10 +16,8 @@ from oed.base import Array, Index, Mask
 from oed.planning.knowledge import Knowledge, Prior, make_knowledge
 from oed.planning.option import Option
 
-#: machines drawn to estimate how often a whole run is captured
-RUN_DRAWS = 1000
-#: smallest variance to divide by
-MIN_VARIANCE = 1e-300
+RUN_DRAWS = 1000  #: machines drawn to estimate how often a whole run is captured
+MIN_VARIANCE = 1e-300  #: smallest variance to divide by
 
 
 def capture_probability(

@@ -320,8 +320,7 @@ class _CapturedReadings:
         return white
 
 
-#: standard deviations to either side of a 95 % interval
-HALF_WIDTH = 1.959964
+HALF_WIDTH = 1.959964  #: standard deviations to either side of a 95 % interval
 #: share of a component's widest interval below which an interval is left out
 STILL_STEP = 1e-6
 
@@ -464,8 +463,7 @@ class WorkspaceErrors:
         return rotation, point
 
 
-#: machines whose poses are computed together
-MACHINES_AT_ONCE = 50
+MACHINES_AT_ONCE = 50  #: machines whose poses are computed together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -252,8 +252,7 @@ class Clearance:
         return clearances
 
 
-#: share of a joint's limits that rounding may exceed
-JOINT_SLACK = 1e-9
+JOINT_SLACK = 1e-9  #: share of a joint's limits that rounding may exceed
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

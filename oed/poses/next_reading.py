@@ -27,8 +27,7 @@ from oed.base import Array
 
 #: weight of the sum of log variances beside what is lacking to the limits
 BEYOND_LIMITS_WEIGHT = 1e-2
-#: exchanges of every reading, at the most
-MAX_SWEEPS = 2
+MAX_SWEEPS = 2  #: exchanges of every reading, at the most
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -32,8 +32,7 @@ from oed.base import Array, Index, Mask
 from oed.instrument import Setup
 from oed.measurement import Measurement, Series
 
-#: relative tolerance of the longest time
-TIME_TOLERANCE = 1e-12
+TIME_TOLERANCE = 1e-12  #: relative tolerance of the longest time
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -242,20 +241,13 @@ def _change_time(before: Setup, after: Setup, changes: ChangeTimes) -> float:
     return seconds + changes.settings * bool(changed - moved)
 
 
-#: number of random changes of a path, at most
-MAX_KICKS = 200
-#: the same times the number of readings: a minute of work
-MAX_MOVES = 20_000
-#: run of thermal reference readings
-REFERENCE_RUN = "reference"
-#: most runs that are ordered exactly: 2^12 subsets
-MAX_EXACT_RUNS = 12
-#: neighbouring runs that are shifted together, at the most
-MAX_SHIFTED = 3
-#: share of the largest length below which a gain counts as none
-MIN_GAIN = 1e-9
-#: a path longer by this share is still a start for the next change
-WORSE_SHARE = 0.01
+MAX_KICKS = 200  #: number of random changes of a path, at most
+MAX_MOVES = 20_000  #: the same times the number of readings: a minute of work
+REFERENCE_RUN = "reference"  #: run of thermal reference readings
+MAX_EXACT_RUNS = 12  #: most runs that are ordered exactly: 2^12 subsets
+MAX_SHIFTED = 3  #: neighbouring runs that are shifted together, at the most
+MIN_GAIN = 1e-9  #: share of the largest length below which a gain counts as none
+WORSE_SHARE = 0.01  #: a path longer by this share is still a start for the next change
 #: change of length, and the path after it
 PathChange = tuple[float, Callable[[], Index]]
 

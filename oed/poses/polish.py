@@ -308,8 +308,7 @@ class PolishProgram:
 START_TOLERANCE = 1e-6
 #: singular values below this share of the largest count as undetermined by the start
 UNDETERMINED_SHARE = 1e-6
-#: gain below which the start is kept
-MIN_GAIN = 1e-9
+MIN_GAIN = 1e-9  #: gain below which the start is kept
 #: curvature that the quasi-Newton matrix starts from, tried in turn: low ones step far,
 #: and may fail
 START_CURVATURES = (30.0, 1000.0)

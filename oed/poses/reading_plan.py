@@ -172,10 +172,8 @@ def _whiten(rows: Any, setup: Setup, sources: Any | None) -> Any:
 
 #: by how much a held reading may miss in the end, m or rad: a thousandth of what is read
 HOLD_TOLERANCE = 1e-9
-#: by how much a joint may leave its range in the end, m or rad
-JOINT_TOLERANCE = 1e-9
-#: number of Newton steps that restore the hold
-MAX_RESTORE_STEPS = 6
+JOINT_TOLERANCE = 1e-9  #: by how much a joint may leave its range in the end, m or rad
+MAX_RESTORE_STEPS = 6  #: number of Newton steps that restore the hold
 #: step of their central differences, m or rad: near the cube root of the rounding
 DIFFERENCE_STEP = 1e-6
 #: a command nearer than this to the edge of the workspace is not moved

@@ -30,28 +30,18 @@ from oed.posterior.draws import Posterior
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
 from oed.safe_files import whole_file
 
-#: ensembles of independent random numbers
-N_ENSEMBLES = 4
-#: walkers of an ensemble at least
-MIN_WALKERS = 16
-#: share of steps that are proposed from the Laplace approximation
-LAPLACE_SHARE = 0.6
-#: share of steps by differential evolution
-EVOLUTION_SHARE = 0.4
-#: steps between checks of convergence at least
-CHECK_STEPS = 50
+N_ENSEMBLES = 4  #: ensembles of independent random numbers
+MIN_WALKERS = 16  #: walkers of an ensemble at least
+LAPLACE_SHARE = 0.6  #: share of steps that are proposed from the Laplace approximation
+EVOLUTION_SHARE = 0.4  #: share of steps by differential evolution
+CHECK_STEPS = 50  #: steps between checks of convergence at least
 #: steps between checks as a share of those run: a check looks at all of them
 CHECK_SHARE = 0.2
-#: checks before sampling may end
-MIN_CHECKS = 2
-#: steps that must be run, in autocorrelation times
-MIN_TIMES = 10
-#: steps of the burn-in, in autocorrelation times
-BURN_IN_TIMES = 2
-#: effective sample size by emcee's estimate, over the wanted one
-SPARE_ESS = 1.2
-#: R-hat of independent ensembles below which they agree
-MIXED_RHAT = 1.01
+MIN_CHECKS = 2  #: checks before sampling may end
+MIN_TIMES = 10  #: steps that must be run, in autocorrelation times
+BURN_IN_TIMES = 2  #: steps of the burn-in, in autocorrelation times
+SPARE_ESS = 1.2  #: effective sample size by emcee's estimate, over the wanted one
+MIXED_RHAT = 1.01  #: R-hat of independent ensembles below which they agree
 
 #: points (count, dimensions) to start from
 Starts = Callable[[np.random.Generator, int], Array]

@@ -31,24 +31,19 @@ from oed.posterior.log_density import (
 from oed.posterior.pareto import smoothed_weights
 from oed.result import PosteriorSection
 
-#: k beyond which more proposals are not worth a try
-MAX_K = 1.0
+MAX_K = 1.0  #: k beyond which more proposals are not worth a try
 #: draws, over the goal effective sample size: more where some are repeated
 SPARES = (1.2, 2.0, 3.0)
-#: proposals at most, over the goal effective sample size
-MAX_PROPOSALS_PER_ESS = 30.0
-#: proposals at first at least: the tail of fewer has no shape
-MIN_PROPOSALS = 1000
+MAX_PROPOSALS_PER_ESS = 30.0  #: proposals at most, over the goal effective sample size
+MIN_PROPOSALS = 1000  #: proposals at first at least: the tail of fewer has no shape
 #: share of proposals of density above 0 below which there is no sampling
 MIN_SHARE = 0.01
 #: effective sample size beyond which proposals need too much memory
 MAX_ESS = 100_000.0
 #: further proposals, over those that would do if their worth were their share
 SPARE_PROPOSALS = 1.3
-#: further proposals at least, over those so far
-MIN_MORE = 0.25
-#: proposals whose densities are computed at once
-PROPOSALS_AT_ONCE = 20_000
+MIN_MORE = 0.25  #: further proposals at least, over those so far
+PROPOSALS_AT_ONCE = 20_000  #: proposals whose densities are computed at once
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,8 +81,7 @@ class LawProposal:
         return np.hstack([z, laws]), log_density
 
 
-#: draws points and knows their density
-Proposal = StudentProposal | LawProposal
+Proposal = StudentProposal | LawProposal  #: draws points and knows their density
 
 
 def proposal_of(target: LogDensity, rng: np.random.Generator) -> Proposal:

@@ -49,18 +49,12 @@ from oed.noise_law import NoisePosterior, ResidualModel
 # by a QR decomposition with pivots. The machine is then solved exactly at k readings alone.
 # E is small beside the noise; points of their own check it.
 
-#: readings from which on interpolation is faster
-MIN_READINGS = 1000
-#: points that the decomposition is of
-POINTS = 200
-#: further points that it is checked at
-CHECKS = 20
-#: readings of points that are solved at once
-AT_ONCE = 300_000
-#: error over the noise of a reading that is left out
-LEFT_OUT = 1e-6
-#: error that the checks may show, over that
-MAX_ERROR = 10.0
+MIN_READINGS = 1000  #: readings from which on interpolation is faster
+POINTS = 200  #: points that the decomposition is of
+CHECKS = 20  #: further points that it is checked at
+AT_ONCE = 300_000  #: readings of points that are solved at once
+LEFT_OUT = 1e-6  #: error over the noise of a reading that is left out
+MAX_ERROR = 10.0  #: error that the checks may show, over that
 
 #: readings (m, k) at parameters (m, n), NaN where a machine cannot be assembled
 Readings = Callable[[Array], Array]
@@ -122,18 +116,14 @@ MIN_DOF = 20.0
 #: of these over the coordinates. Against a normal density 95 % of proposals count in any
 #: dimension; with 20 degrees it would be 76 % of 36 coordinates
 DOF_PER_COORDINATE = 2.5
-#: draws of the parameters: their covariance is known to 2 %
-N_DRAWS = 2000
-#: rounds of draws until enough keep to the bounds
-MAX_ROUNDS = 30
+N_DRAWS = 2000  #: draws of the parameters: their covariance is known to 2 %
+MAX_ROUNDS = 30  #: rounds of draws until enough keep to the bounds
 #: change of all readings together along null directions, over the noise, that a draw may
 #: keep, and draws that are brought below it at once: two steps leave up to 5e-4
 MAX_EXCESS = 5e-4
 CORRECTED_AT_ONCE = 100
-#: readings of draws that are predicted at once: 2 MB
-BATCH_READINGS = 200_000
-#: points that b(w) is fitted at, over its coefficients
-POINTS_PER_COEFFICIENT = 2
+BATCH_READINGS = 200_000  #: readings of draws that are predicted at once: 2 MB
+POINTS_PER_COEFFICIENT = 2  #: points that b(w) is fitted at, over its coefficients
 #: such points at most: beyond, to follow each draw costs as much
 MAX_BEND_POINTS = 1000
 #: change of all readings together, over the noise, that b(w) may leave (root mean square):
@@ -143,8 +133,7 @@ MAX_LEFT = 0.3
 SPREAD_OF_POINTS = 1.5
 #: movement by a lost direction, in tolerances, below which it is rounding
 MOVE_TOLERANCE = 1e-9
-#: draws of a start at most, until it keeps to the bounds
-MAX_DRAWS = 2000
+MAX_DRAWS = 2000  #: draws of a start at most, until it keeps to the bounds
 
 
 class OutOfBoundsError(RuntimeError):

@@ -11,8 +11,7 @@ import numpy as np
 
 from oed.base import Array
 
-#: fewest weights of a tail that has a shape
-MIN_TAIL = 5
+MIN_TAIL = 5  #: fewest weights of a tail that has a shape
 #: weights up to which the tail is a fifth of them; of more it is 3 sqrt(m)
 FEW_WEIGHTS = 225
 #: prior of the shape (Vehtari et al.): its mean, and the excesses that it is worth

@@ -108,8 +108,7 @@ forecast/nodes/* names ../#
 
 #: steps of a pattern that stand for each entry, or for all of them together
 EVERY: Final = ("*", "#")
-#: keys from the whole result on, and what is there
-Keys = tuple[str, ...]
+Keys = tuple[str, ...]  #: keys from the whole result on, and what is there
 Entry = tuple[Keys, Any]
 
 

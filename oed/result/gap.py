@@ -12,8 +12,7 @@ import msgspec
 from oed.result.prediction import PredictionSection
 from oed.result.record import Point, Probability, Record, Size
 
-#: an effect of an answer whose form no known effect has
-UNKNOWN = "unknown"
+UNKNOWN = "unknown"  #: an effect of an answer whose form no known effect has
 
 
 class CompensationName:
@@ -96,8 +95,7 @@ class MixtureSection(Record, frozen=True):
     words: list[str] = []
 
 
-#: two names
-Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]
+Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]  #: two names
 
 
 class SharedRecord(Record, frozen=True):

@@ -325,8 +325,7 @@ class BudgetSection(Record, frozen=True):
 #: a figure of drawn machines, and its errors: one, or one for each end
 Figure = Annotated[str, msgspec.Meta(pattern="^(rms|p95|max)(_interval)?$")]
 MonteCarloErrors = Annotated[list[float], msgspec.Meta(min_length=1, max_length=2)]
-#: lower and upper end
-Interval = tuple[float, float]
+Interval = tuple[float, float]  #: lower and upper end
 #: what held-out readings say of a fit
 HeldOutVerdict = Literal["agrees", "confirms", "contradicts"]
 

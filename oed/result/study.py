@@ -152,8 +152,7 @@ class StudyResult(Record, frozen=True, kw_only=True):
     estimate: EstimateSection | None = None
     posterior: PosteriorSection | None = None
     prediction: PredictionSection | None = None
-    #: on each wanted accuracy, by component
-    verdicts: dict[str, WantedVerdict] = {}
+    verdicts: dict[str, WantedVerdict] = {}  #: on each wanted accuracy, by component
     held_out: list[HeldOutSection] = []
     gap: GapSection | None = None
     corrected: CorrectedSection | None = None

@@ -14,10 +14,8 @@ from oed.base import Array
 from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, references, terms
 
-#: change of a length by the air's temperature, 1 / K
-PER_KELVIN = 0.93e-6
-#: change of a length by the air's pressure, 1 / hPa
-PER_HPA = 0.27e-6
+PER_KELVIN = 0.93e-6  #: change of a length by the air's temperature, 1 / K
+PER_HPA = 0.27e-6  #: change of a length by the air's pressure, 1 / hPa
 #: air that is not as it was stated: 1 K and 3 hPa
 SCALE = float(np.hypot(PER_KELVIN, 3.0 * PER_HPA))
 #: channels along the beam of interferometers

@@ -18,8 +18,7 @@ from pkm_models.effects import natures, terms
 FIELD_SIZE = 20e-6  # m, at a lever's distance from the middle of the workspace
 #: sizes of constant, linear, quadratic ... fields, against the quadratic one's
 PARTS = (0.3, 0.3, 1.0, terms.SHAPE_SHARE, 0.5 * terms.SHAPE_SHARE)
-#: payloads are a half to a seventh of what the frame carries anyhow
-SAGS = (0.15, 0.5)
+SAGS = (0.15, 0.5)  #: payloads are a half to a seventh of what the frame carries anyhow
 
 
 def columns(state: State, sag: float) -> Iterable[Column]:

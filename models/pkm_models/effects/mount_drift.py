@@ -7,10 +7,8 @@ from collections.abc import Iterable
 from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-#: expected creep of a mount in a session, m
-CREEP = 5e-6
-#: expected turn of a mount in a session, rad
-CREEP_ANGLE = 10e-6
+CREEP = 5e-6  #: expected creep of a mount in a session, m
+CREEP_ANGLE = 10e-6  #: expected turn of a mount in a session, rad
 #: unknowns of set-ups that a mount has
 ANGLES = (*(f"turn_{k}" for k in "xyz"), "tilt")
 UNKNOWNS = {

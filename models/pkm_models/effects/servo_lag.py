@@ -9,10 +9,8 @@ import numpy as np
 from oed.effect_model import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-#: expected delay, s
-DELAY = 1e-3
-#: expected coefficient of the acceleration, s^2
-SECOND_ORDER = 3e-4
+DELAY = 1e-3  #: expected delay, s
+SECOND_ORDER = 3e-4  #: expected coefficient of the acceleration, s^2
 
 
 def columns(state: State) -> Iterable[Column]:

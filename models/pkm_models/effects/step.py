@@ -7,14 +7,10 @@ from collections.abc import Iterable
 from oed.effect_model import Column, Effect, State
 from pkm_models.effects import mount_drift, natures, terms
 
-#: expected steps that a joint loses, m
-LOST_STEPS = 20e-6
-#: expected shift of a mount that is knocked, m
-MOUNT_SHIFT = 10e-6
-#: turn of a mount over its shift, rad / m
-TURN_RATIO = 2.0
-#: moments of the session at which it may happen
-N_MOMENTS = 59
+LOST_STEPS = 20e-6  #: expected steps that a joint loses, m
+MOUNT_SHIFT = 10e-6  #: expected shift of a mount that is knocked, m
+TURN_RATIO = 2.0  #: turn of a mount over its shift, rad / m
+N_MOMENTS = 59  #: moments of the session at which it may happen
 WHEN = tuple(
     (k + 1) / (N_MOMENTS + 1) for k in range(N_MOMENTS)
 )  # share of the session

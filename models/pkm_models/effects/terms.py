@@ -26,8 +26,7 @@ SHAPE_SHARE = 0.4
 MASS_RATIOS = (0.3, 1.0, 3.0, 10.0)
 #: correlation length of an error along a joint's travel, over half the travel read
 CORRELATION_LENGTH = 0.5
-#: modes that describe such an error
-N_CURVES = 10
+N_CURVES = 10  #: modes that describe such an error
 #: least part of a joint's whole travel over which its error is a curve of its own
 MIN_TRAVEL_SHARE = 0.25
 CACHE_SIZE = 32
@@ -235,8 +234,7 @@ def session_share(state: State) -> Array:
 #: smooth courses over the session that what warms or creeps may take besides the
 #: textbook's
 N_COURSES = 4
-#: correlation length of these courses, over half a session
-COURSE_LENGTH = 0.5
+COURSE_LENGTH = 0.5  #: correlation length of these courses, over half a session
 
 
 def free_courses(state: State) -> dict[str, Array]:
@@ -255,10 +253,8 @@ def free_courses(state: State) -> dict[str, Array]:
     return courses
 
 
-#: shortest gap, s, that is more than the way to the next pose
-MIN_PAUSE = 60.0
-#: shortest break, over the median of such gaps
-BREAK_RATIO = 2.5
+MIN_PAUSE = 60.0  #: shortest gap, s, that is more than the way to the next pose
+BREAK_RATIO = 2.5  #: shortest break, over the median of such gaps
 
 
 def warm_up(state: State, body: str, tau: float) -> tuple[bool, Array, Array]:

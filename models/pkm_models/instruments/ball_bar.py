@@ -26,8 +26,7 @@ CHANNEL = Channel(
     "length", "m", 0.5e-6, about="distance from the cup's centre to the tool ball's"
 )
 COST = Cost(setup=900.0, reading=6.0)
-#: a magnetic cup seats elsewhere each time
-CUP = ("cup_x", "cup_y", "cup_z")
+CUP = ("cup_x", "cup_y", "cup_z")  #: a magnetic cup seats elsewhere each time
 
 
 def _offset(s: Values) -> Expr:

@@ -40,10 +40,8 @@ from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.model import Expr, Machine, Parameter, Values
 
 SOURCE = "Tian et al. 2016, section 3, Eq. (13)"
-#: noise of a level, rad
-LEVEL_SIGMA = 10e-6
-#: noise of an autocollimator, rad
-AUTOCOLLIMATOR_SIGMA = 2.5e-6
+LEVEL_SIGMA = 10e-6  #: noise of a level, rad
+AUTOCOLLIMATOR_SIGMA = 2.5e-6  #: noise of an autocollimator, rad
 TURNS = "xyz"
 U, V, W = 0, 1, 2
 SLOPES = {

@@ -33,14 +33,10 @@ SOURCE = (
     "Rugbani and Schreve, The use of parallel mechanism micro-CMM in micrometrology,"
     " section VI: constrained calibration and self-calibration"
 )
-#: noise of a sensor, by unit
-SENSOR_SIGMA = {"rad": 5e-6, "m": 1e-6}
-#: tolerance of a sensor's zero, by unit
-ZERO_TOLERANCE = {"rad": 10e-3, "m": 1e-3}
-#: play of a lock, by unit
-LOCK_PLAY = {"rad": 20e-6, "m": 5e-6}
-#: tolerance of where a lock rests, by unit
-REST_TOLERANCE = {"rad": 10e-3, "m": 1e-3}
+SENSOR_SIGMA = {"rad": 5e-6, "m": 1e-6}  #: noise of a sensor, by unit
+ZERO_TOLERANCE = {"rad": 10e-3, "m": 1e-3}  #: tolerance of a sensor's zero, by unit
+LOCK_PLAY = {"rad": 20e-6, "m": 5e-6}  #: play of a lock, by unit
+REST_TOLERANCE = {"rad": 10e-3, "m": 1e-3}  #: tolerance of where a lock rests, by unit
 SINE_SCALE = 1e-3
 #: the joint that the catalogue shows; a machine has its own
 EXAMPLE = PassiveJoint("swing1", "rad", 0.0, "a passive joint, as the machine names it")

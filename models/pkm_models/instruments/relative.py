@@ -32,10 +32,8 @@ from oed.instrument import Channel, Cost, Frame, Instrument
 from oed.model import Expr, Parameter, Values
 
 SOURCE = "Chang, Li and Li 2011, Chin. J. Mech. Eng., sections 2.3.2 and 2.4"
-#: noise of a laser interferometer, m
-LASER_SIGMA = 1.0e-6
-#: noise of a micrometer, m
-MICROMETER_SIGMA = 3.0e-6
+LASER_SIGMA = 1.0e-6  #: noise of a laser interferometer, m
+MICROMETER_SIGMA = 3.0e-6  #: noise of a micrometer, m
 TILT = Parameter(
     "tilt",
     0.0,

@@ -26,10 +26,8 @@ from oed.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.model import Expr, Machine, Parameter, Values
 
 AXES = "xyz"
-#: how exactly a seat takes the tool again, m
-REPEATABILITY = 1e-6
-#: tolerance of where the seat is, m
-SEAT_TOLERANCE = 1e-3
+REPEATABILITY = 1e-6  #: how exactly a seat takes the tool again, m
+SEAT_TOLERANCE = 1e-3  #: tolerance of where the seat is, m
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:

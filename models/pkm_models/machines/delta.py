@@ -55,10 +55,8 @@ ANGLES = tuple(math.radians(d) for d in (210.0, 330.0, 90.0))
 PRINT_SHARE = 0.8
 #: height of the workspace over the arm's vertical reach, where none is given
 HEIGHT_SHARE = 0.6
-#: prior standard deviation of angles, rad
-ANGLE_SD = 3.5e-3
-#: prior standard deviation of tilts, rad
-TILT_SD = 2e-3
+ANGLE_SD = 3.5e-3  #: prior standard deviation of angles, rad
+TILT_SD = 2e-3  #: prior standard deviation of tilts, rad
 
 DIMENSIONS = (
     Dimension("radius", "m", (3,), 0.16175, "tower's distance less the platform's"),

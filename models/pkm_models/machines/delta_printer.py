@@ -26,8 +26,7 @@ from pkm_models.machines import delta, linear_delta
 from pkm_models.machines.linear_delta import TOWERS
 from pkm_models.machines.parts import coordinates, families, six_dof
 
-#: angles of the effector's three sides, rad
-SIDES = linear_delta.ANGLE
+SIDES = linear_delta.ANGLE  #: angles of the effector's three sides, rad
 SLOPE_SD = 5e-3  # of a bed as it is mounted
 EDGE_SD = 1e-3  # rad: rods and carriages are right by 0.05 mm over 50 mm
 TRIM_SD = 0.1e-3  # m

@@ -35,8 +35,7 @@ PLATFORM = ((-0.120, 0.0, 0.300), (0.120, 0.0, 0.300), (0.0, 0.150, 0.300))
 #: axes of the revolute joints, in the platform's frame
 AXES = np.array([(0.0, 1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
 SIDES = across(AXES)
-#: share of the size by which points on one line may be off it
-OFF_LINE = 1e-6
+OFF_LINE = 1e-6  #: share of the size by which points on one line may be off it
 DIMENSIONS = (
     Dimension("base", "m", (3, 3), BASE, legs.BASE),
     Dimension("platform", "m", (3, 3), PLATFORM, legs.PLATFORM),

@@ -44,10 +44,8 @@ COMMAND = ("x", "y", "z", "rx", "ry")
 POINTS = ((0.0, 0.0, 0.250), (0.0, 0.0, 0.250))
 #: axis 4 along the passive leg, axis 5 square to it
 DIRECTIONS = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-#: largest turn of a wrist axis, rad
-TURN = math.pi
-#: times that the start's platform follows the wrist
-N_ROUNDS = 3
+TURN = math.pi  #: largest turn of a wrist axis, rad
+N_ROUNDS = 3  #: times that the start's platform follows the wrist
 #: sine of the angle between tool and singular directions, at home, below which it is refused
 MIN_SINE = 0.05
 DIMENSIONS = (

@@ -16,10 +16,8 @@ from oed.checks.mistakes.suspect import Scope, Suspect
 from oed.checks.mistakes.trial import MistakeTrial, mistakes_of_scopes, value_trial
 from oed.checks.session import SessionReadings
 
-#: step of the share of the reading before, for differences
-SHARE_STEP = 1e-4
-#: share of the reading before, at most
-MAX_SHARE = 0.98
+SHARE_STEP = 1e-4  #: step of the share of the reading before, for differences
+MAX_SHARE = 0.98  #: share of the reading before, at most
 
 
 def _chain(count: int, rest: float = 1.0, before: float = 0.0) -> Array:

@@ -16,10 +16,8 @@ from oed.checks.mistakes.trial import (
     value_trial,
 )
 
-#: readings of a part, at least
-MIN_PART = 6
-#: readings of a session up to which it is divided at every one
-MAX_CUT = 300
+MIN_PART = 6  #: readings of a part, at least
+MAX_CUT = 300  #: readings of a session up to which it is divided at every one
 
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:

@@ -19,10 +19,8 @@ from oed.checks.mistakes.trial import (
 
 #: what a dial shows in one revolution, by SI unit
 REVOLUTIONS = {"m": (1e-3, 0.1e-3, 0.2e-3, 10e-3), "rad": (2.0 * np.pi, np.pi)}
-#: noise from which on a revolution is told from it
-REVOLUTION_SD = 8.0
-#: divisions of a dial, at least
-MIN_DIVISIONS = 10.0
+REVOLUTION_SD = 8.0  #: noise from which on a revolution is told from it
+MIN_DIVISIONS = 10.0  #: divisions of a dial, at least
 
 
 def trials(data: Suspect) -> Iterator[MistakeTrial]:

@@ -231,12 +231,9 @@ def _join_parts(
 
 # Series driven to other poses: other commands in the file's rows, other joints.
 
-#: a full turn, rad
-FULL_TURN = 2.0 * np.pi
-#: share of a coordinate's range that rounding may exceed
-RANGE_TOLERANCE = 1e-9
-#: commands or joints (n, k) in place of others
-Change = Callable[[Array], Array]
+FULL_TURN = 2.0 * np.pi  #: a full turn, rad
+RANGE_TOLERANCE = 1e-9  #: share of a coordinate's range that rounding may exceed
+Change = Callable[[Array], Array]  #: commands or joints (n, k) in place of others
 
 
 def commanded(

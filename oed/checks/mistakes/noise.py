@@ -23,16 +23,11 @@ from oed.checks.mistakes.trial import (
 )
 from oed.dataset import ReadingsColumn
 
-#: decimals that a column has where it is rounded, from tens on
-DECIMALS = range(-1, 4)
-#: values of which a rounded column has more than so many
-MIN_VALUES = 4
-#: share of a rounding step that is looked at for slopes
-STEP_SHARE = 1e-3
-#: error of rounding, over the noise, from which on it matters
-MIN_ROUNDING_ERROR = 3.0
-#: log prior: most columns of whole numbers were driven so
-ROUNDING_LOG_PRIOR = -2.0
+DECIMALS = range(-1, 4)  #: decimals that a column has where it is rounded, from tens on
+MIN_VALUES = 4  #: values of which a rounded column has more than so many
+STEP_SHARE = 1e-3  #: share of a rounding step that is looked at for slopes
+MIN_ROUNDING_ERROR = 3.0  #: error of rounding, over the noise, from which on it matters
+ROUNDING_LOG_PRIOR = -2.0  #: log prior: most columns of whole numbers were driven so
 #: noise over that which is stated: another unit, by SI unit
 OTHER_NOISE = {"m": (1e3, 1e-3, 1e6, 1e-6), "rad": (3600.0, 1.0 / 3600.0, 1e3, 1e-3)}
 #: level at which residuals depend on the pose, so that they are no noise

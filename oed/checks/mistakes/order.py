@@ -18,8 +18,7 @@ from oed.checks.mistakes.trial import (
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
-#: readings of a group in another order
-Turn = Callable[[Index], Index]
+Turn = Callable[[Index], Index]  #: readings of a group in another order
 #: orders of readings that were taken backward, in words
 BACKWARD: dict[str, Turn] = {
     "reversed order": lambda rows: rows[::-1],

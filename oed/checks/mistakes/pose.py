@@ -40,18 +40,13 @@ from oed.model import Coordinate
 
 #: shares of a coordinate's range where an amount is sought first
 RANGE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3)
-#: steps of a full turn where it is sought first
-TURN_STEPS = 24
+TURN_STEPS = 24  #: steps of a full turn where it is sought first
 #: spread of an amount about where it is sought, over its distance from nothing
 RELATIVE_SPREAD = 0.5
-#: share of the workspace by which a machine may have stood outside
-RANGE_SLACK = 0.1
-#: step for differences over an amount, over its spread
-RELATIVE_STEP = 1e-3
-#: Newton steps to the pose with the same reading
-MAX_STEPS = 12
-#: step of a command for differences, SI
-COMMAND_STEP = 1e-5
+RANGE_SLACK = 0.1  #: share of the workspace by which a machine may have stood outside
+RELATIVE_STEP = 1e-3  #: step for differences over an amount, over its spread
+MAX_STEPS = 12  #: Newton steps to the pose with the same reading
+COMMAND_STEP = 1e-5  #: step of a command for differences, SI
 #: widths of the workspace outside of it beyond which Newton steps do not come back
 MAX_WIDTHS_OUTSIDE = 2.0
 

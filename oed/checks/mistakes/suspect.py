@@ -15,10 +15,8 @@ from oed.measurement import Series
 
 # Which part of a session a mistake concerns: the file, a set-up, a run, or rows of one.
 
-#: readings that a part of a run, and what remains of it, have at least
-MIN_PART = 3
-#: parts of a session that are looked at first
-MAX_PARTS = 200
+MIN_PART = 3  #: readings that a part of a run, and what remains of it, have at least
+MAX_PARTS = 200  #: parts of a session that are looked at first
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,8 +138,7 @@ def rows_scope(session: SessionReadings, readings: Index) -> Scope:
 
 #: sets of set-ups and channels that are tried, at most: all of a number of set-ups, or none
 MAX_SETS = 60
-#: a set-up, and channels of it
-Use = tuple[str, tuple[str, ...]]
+Use = tuple[str, tuple[str, ...]]  #: a set-up, and channels of it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from oed.checks.mistakes.trial import (
 from oed.checks.session import SessionReadings
 from oed.measurement import Measurement, Series
 
-#: step of the tool's length for differences, m
-LENGTH_STEP = 1e-4
+LENGTH_STEP = 1e-4  #: step of the tool's length for differences, m
 #: the axis of the tool alone, those beside it, and all three together
 AXIS_SETS = ((2,), (0,), (1,), (0, 1, 2))
 POINT_READ = "the point that is read"

@@ -62,17 +62,14 @@ POLISHED_POWER = 8.0
 GUIDING_POWERS = (1.0, 2.0, 4.0)
 #: power of the means whose gradient stands for those of the extreme eigenvalues
 GRADIENT_POWER = 4.0
-#: number of candidates whose eigenvalues are computed
-SHORTLIST_SIZE = 24
+SHORTLIST_SIZE = 24  #: number of candidates whose eigenvalues are computed
 #: eigenvalues of the ranks are raised to at least this share of the largest: below,
 #: squares of their reciprocals would be rounding alone
 RANK_FLOOR = 1e-9
-#: factor of det M below which an exchange counts as singular
-SINGULAR_FACTOR = 1e-9
+SINGULAR_FACTOR = 1e-9  #: factor of det M below which an exchange counts as singular
 #: stands for the trace after such an exchange: more than any other
 SINGULAR_TRACE = 1e200
-#: an eigenvalue below this share of the largest is rounding
-SINGULAR_TOLERANCE = 1e-15
+SINGULAR_TOLERANCE = 1e-15  #: an eigenvalue below this share of the largest is rounding
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

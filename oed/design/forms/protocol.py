@@ -29,8 +29,7 @@ from oed.linear_algebra import symmetric_inverse
 
 #: number of candidates whose products are in memory at once: 500 MB of 1000 columns
 CANDIDATES_AT_ONCE = 65536
-#: number of exchanges whose values are computed one by one
-SHORTLIST_PAIRS = 8
+SHORTLIST_PAIRS = 8  #: number of exchanges whose values are computed one by one
 
 
 class Support(NamedTuple):

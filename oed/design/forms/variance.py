@@ -39,8 +39,7 @@ from oed.linear_algebra import symmetric_inverse
 #: exponents that lead from the mean variance to the largest, whose error is then
 #: log(J) / 256
 SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0)
-#: eigenvalues of W below this share of the largest are rounding
-RANK_TOLERANCE = 1e-14
+RANK_TOLERANCE = 1e-14  #: eigenvalues of W below this share of the largest are rounding
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -230,12 +230,10 @@ def _targets(forms: Sequence[Form], rivals: Sequence[Form]) -> list[Target]:
     return targets
 
 
-#: share of D in the compound
-VOLUME_SHARE = 0.1
+VOLUME_SHARE = 0.1  #: share of D in the compound
 #: plans up to which all of them are tried, so that the best is proven
 MAX_ENUMERATED = 20_000
-#: gap of the relaxation that is good enough, in log lambda
-BOUND_TOLERANCE = 1e-3
+BOUND_TOLERANCE = 1e-3  #: gap of the relaxation that is good enough, in log lambda
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

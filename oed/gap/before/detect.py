@@ -106,10 +106,8 @@ def effect_forms(
 
 # Power of a test that finds a gap: the noncentral chi-square.
 
-#: probability that a test finds a gap which is none
-FALSE_ALARM = 0.01
-#: probability that a test finds a gap, from which on the gap is found
-MIN_POWER = 0.90
+FALSE_ALARM = 0.01  #: probability that a test finds a gap which is none
+MIN_POWER = 0.90  #: probability that a test finds a gap, from which on the gap is found
 
 
 def power(lam: float, columns: int) -> float:
@@ -137,17 +135,14 @@ def needed_lambda(columns: int) -> float:
 #
 # Combinations of an effect's coefficients are put into words, in prior standard deviations.
 
-#: sqrt(lambda_k|j) below which the two cannot be distinguished
-MIN_SEPARATION = 5.0
-#: share of lambda_k that a rival must absorb to count as one
-RIVAL_SHARE = 0.5
+MIN_SEPARATION = 5.0  #: sqrt(lambda_k|j) below which the two cannot be distinguished
+RIVAL_SHARE = 0.5  #: share of lambda_k that a rival must absorb to count as one
 #: principal angle, deg, below which a combination of one effect is a combination of the
 #: other to these readings
 SAME_ANGLE = 1.0
 #: share of the mean by which coefficients that are common may differ
 COMMON_TOLERANCE = 0.1
-#: numbers in an array of such products: 16 MB
-PRODUCT_NUMBERS = 2_000_000
+PRODUCT_NUMBERS = 2_000_000  #: numbers in an array of such products: 16 MB
 #: pairs of forms whose smallest angle is sought at once, those of most in common first
 ANGLES_AT_ONCE = 64
 
@@ -386,8 +381,7 @@ def _term(value: float, name: str) -> str:
     return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"
 
 
-#: draws from an effect's prior for its median least size
-PRIOR_DRAWS = 400
+PRIOR_DRAWS = 400  #: draws from an effect's prior for its median least size
 
 
 def detect(

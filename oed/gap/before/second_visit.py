@@ -41,10 +41,8 @@ from oed.result import UNKNOWN, SeparationRecord
 # the readings state them. Further values of these can be given, and further runs. All
 # start a pause after the last reading.
 
-#: from the last reading to a second visit, s
-VISIT_DELAY = 600.0
-#: a path is read at each pose, or at every second one
-STEPS = (1, 2)
+VISIT_DELAY = 600.0  #: from the last reading to a second visit, s
+STEPS = (1, 2)  #: a path is read at each pose, or at every second one
 
 
 def candidate_runs(
@@ -176,8 +174,7 @@ def _words(condition: Mapping[str, float]) -> Iterator[str]:
 # with that probability. Its mean over the draws is the expected probability of the right
 # answer (the preposterior analysis of Raiffa and Schlaifer 1961, chapter 4).
 
-#: draws of the readings to come
-READING_DRAWS = 600
+READING_DRAWS = 600  #: draws of the readings to come
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -256,8 +253,7 @@ def _right(
     return np.asarray(probability.sum() * joined.max(axis=0))
 
 
-#: ordered pairs of the likeliest answers that are tried
-MAX_PAIRS = 12
+MAX_PAIRS = 12  #: ordered pairs of the likeliest answers that are tried
 #: pairs that a plan is for, of those that the candidates separate: with more the likeliest
 #: are less well separated
 N_TARGETS = 2

@@ -31,8 +31,7 @@ from oed.gap.before.detect import ColumnSet
 from oed.gap.data.evidence import separated
 from oed.result import SeparationRecord
 
-#: least lambda that counts: its logarithm must stay finite
-MIN_LAMBDA = 1e-9
+MIN_LAMBDA = 1e-9  #: least lambda that counts: its logarithm must stay finite
 #: how sharply the smoothed minimum takes the least targets, from level to level
 SMOOTHING_LEVELS = (2.0, 8.0, 32.0, 128.0, 512.0)
 #: the same at the levels of an exchange search, which ends with the minimum itself

@@ -183,8 +183,7 @@ def _no_effect_advice(
     ]
 
 
-#: tests that are named where many effects look alike
-MAX_TESTS = 3
+MAX_TESTS = 3  #: tests that are named where many effects look alike
 
 
 def _class_advice(members: Sequence[str], by_name: Mapping[str, Effect]) -> str:
@@ -236,8 +235,7 @@ def _tests(effects: Sequence[str], by_name: Mapping[str, Effect]) -> list[str]:
     return [test for test in tests if test]
 
 
-#: least probability of an answer that is reported
-MIN_REPORTED = 0.002
+MIN_REPORTED = 0.002  #: least probability of an answer that is reported
 #: log posterior by which a rival may be behind and still belong to an effect's class
 RIVAL_LOG_POSTERIOR = 5.5
 #: members from which on a class with a named effect is reported as unknown

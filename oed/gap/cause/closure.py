@@ -40,14 +40,12 @@ from oed.result import ClosureRecord
 #
 # Runs that repeat one another, whichever way and however often, are held out together.
 
-#: number of folds
-N_FOLDS = 5
+N_FOLDS = 5  #: number of folds
 #: share of a run's poses that another must have for the two to repeat each other
 REPEAT_SHARE = 0.8
 #: runs from which on the bootstrap draws whole runs; below, stretches of runs
 MIN_RUNS = 8
-#: share of the joints' extent below which a step is none
-STILL_SHARE = 1e-3
+STILL_SHARE = 1e-3  #: share of the joints' extent below which a step is none
 
 
 class Paths:

@@ -193,23 +193,17 @@ class ReversedForms:
         return self._problem.with_covariates(other_way)
 
 
-#: cells of the session that stretches of time are made of
-N_CELLS = 48
-#: sectors of the phase that stretches of runs are made of
-N_SECTORS = 12
-#: places that a run must have for its phase to mean something
-MIN_PHASES = 8
-#: p-value below which a location stands out
-STANDING_OUT = 0.05
+N_CELLS = 48  #: cells of the session that stretches of time are made of
+N_SECTORS = 12  #: sectors of the phase that stretches of runs are made of
+MIN_PHASES = 8  #: places that a run must have for its phase to mean something
+STANDING_OUT = 0.05  #: p-value below which a location stands out
 #: departure of a direction's share from a half that is none: which way a joint arrives at
 #: the ends of a run is not known of runs that were driven the other way
 EVEN_TOLERANCE = 0.05
 #: share of the readings of two locations that both have, from which they are the same
 SAME_SHARE = 0.9
-#: share of a joint's extent by which it is off its middle position
-STILL_SHARE = 1e-3
-#: nats by which a stretch must confine the gap to be reported
-MIN_CONFINEMENT = 0.1
+STILL_SHARE = 1e-3  #: share of a joint's extent by which it is off its middle position
+MIN_CONFINEMENT = 0.1  #: nats by which a stretch must confine the gap to be reported
 
 
 def locate(

@@ -350,12 +350,9 @@ def energies(diagonal: Array, choices: Sequence[Index]) -> Array:
 
 #: log evidence below the best at which sets are not taken further
 MAX_LOG_DEFICIT = 14.0
-#: number of sets that are taken further
-N_SETS = 8
-#: rounds in which the effects of a set take turns at their best forms
-MAX_ROUNDS = 4
-#: sizes of effects, in expected sizes
-EFFECT_SIZE_VALUES = EFFECT_SIZES.values
+N_SETS = 8  #: number of sets that are taken further
+MAX_ROUNDS = 4  #: rounds in which the effects of a set take turns at their best forms
+EFFECT_SIZE_VALUES = EFFECT_SIZES.values  #: sizes of effects, in expected sizes
 _NONE = np.empty(0, dtype=np.intp)
 
 

@@ -31,10 +31,8 @@ from oed.noise_law import Outliers
 
 #: noise level, in units of the stated one, that is beyond its prior
 MAX_NOISE_LEVEL = 2.0
-#: a gap's atoms, and its process
-Forms = tuple[tuple[int, ...], int | None]
-#: hypotheses of each first search that are evaluated under all laws
-N_CANDIDATES = 14
+Forms = tuple[tuple[int, ...], int | None]  #: a gap's atoms, and its process
+N_CANDIDATES = 14  #: hypotheses of each first search that are evaluated under all laws
 #: least root mean square of each effect and process in the wide model, in units of the
 #: noise
 WIDE_RMS = 0.7

@@ -34,8 +34,7 @@ from oed.gap.data.problem import GapProblem
 
 #: factors on the selected sizes between which training readings choose
 SIZE_FACTORS = (1.0, 0.5, 2.0)
-#: likeliest forms of each effect between which they choose
-MAX_FORMS = 5
+MAX_FORMS = 5  #: likeliest forms of each effect between which they choose
 #: powers of the evidence, equally likely before withheld runs
 POWERS = np.linspace(0.05, 1.0, 20)
 

@@ -34,8 +34,7 @@ from oed.noise_law import NoisePrior, ResidualModel, draw_laws
 ENERGY_TOLERANCE = 1e-9
 #: energy of a direction of columns, at their sizes, that is far below the noise
 UNSEEN_ENERGY = 0.09
-#: the largest usual size of an effect
-USUAL_SIZE = EFFECT_SIZES.usual[-1]
+USUAL_SIZE = EFFECT_SIZES.usual[-1]  #: the largest usual size of an effect
 #: columns that are whitened at once: more take memory and no less time
 COLUMNS_AT_ONCE = 64
 #: size of a direction of columns, in units of the noise, below which `compress` drops it
@@ -43,8 +42,7 @@ MIN_SIZE = 0.03
 #: shape of the inverse gamma prior of the squared noise level: its stated value to within
 #: a factor of about two
 LEVEL_SHAPE = 2.0
-#: rate of the same prior
-LEVEL_RATE = 2.0
+LEVEL_RATE = 2.0  #: rate of the same prior
 
 
 @dataclasses.dataclass(frozen=True)
@@ -441,16 +439,13 @@ def noise_level(grams: Grams) -> float:
 # It is exact for h = a alone, and the same laws serve every hypothesis. A common factor
 # on the noise is integrated over in closed form (`evidence`); the laws hold the rest.
 
-#: points of a model's posterior, by which its evidence is computed
-N_POINTS = 48
+N_POINTS = 48  #: points of a model's posterior, by which its evidence is computed
 #: coordinates beyond which a law is not looked at, in prior sd: what a run shares is
 #: below some hundred times the noise, and single readings keep some of it
 MAX_COORDINATE = 4.5
-#: laws that are drawn of each model
-DRAWS_OF_EACH = 4
+DRAWS_OF_EACH = 4  #: laws that are drawn of each model
 
-#: a noise law, and the log of its weight
-WeighedLaw = tuple[NoiseLaw, float]
+WeighedLaw = tuple[NoiseLaw, float]  #: a noise law, and the log of its weight
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

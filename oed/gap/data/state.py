@@ -31,8 +31,7 @@ from oed.measurement import Measurement, Series
 # it is the speed at the machine's lever about that point. So a step of length ds takes
 # ds / feed, with ds the larger of both chords: joint rates stay those of the machine.
 
-#: poses of a run from which on a path is laid through them
-MIN_POSES = 4
+MIN_POSES = 4  #: poses of a run from which on a path is laid through them
 #: median turn of the tool's direction at the poses beyond which poses are points and no
 #: path, rad
 CORNER_ANGLE = np.deg2rad(50.0)

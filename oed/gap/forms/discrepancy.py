@@ -174,25 +174,16 @@ def _most_poses(problem: GapProblem) -> int:
 #: reaches of the kernels: over the session and the travels, from -1 to 1, and over the
 #: unit circle of the phase
 REACHES = {"time": (0.2, 1.0), "place": (0.3, 1.0), "phase": (0.3, 1.0)}
-#: share of its variance that a term's columns have
-VARIANCE_SHARE = 0.98
-#: columns of a term on one part of its carrier, at most
-MAX_MODES = 36
-#: most columns of a term, those of all parts of its carrier together
-MAX_COLUMNS = 72
-#: readings that a run must have to be a term by itself
-MIN_RUN_READINGS = 8
+VARIANCE_SHARE = 0.98  #: share of its variance that a term's columns have
+MAX_MODES = 36  #: columns of a term on one part of its carrier, at most
+MAX_COLUMNS = 72  #: most columns of a term, those of all parts of its carrier together
+MIN_RUN_READINGS = 8  #: readings that a run must have to be a term by itself
 
-#: kind of what varies over the session
-OVER_TIME = "over time"
-#: kind of what depends on the pose alone
-OVER_WORKSPACE = "over the workspace"
-#: kind of what acts in one run alone
-IN_A_RUN = "in a run"
-#: kind of what acts along all runs
-ALONG_RUNS = "along the runs"
-#: kind of what acts with the direction of runs
-WITH_DIRECTION = "with the direction"
+OVER_TIME = "over time"  #: kind of what varies over the session
+OVER_WORKSPACE = "over the workspace"  #: kind of what depends on the pose alone
+IN_A_RUN = "in a run"  #: kind of what acts in one run alone
+ALONG_RUNS = "along the runs"  #: kind of what acts along all runs
+WITH_DIRECTION = "with the direction"  #: kind of what acts with the direction of runs
 
 #: covariate that a listed effect of each kind needs first
 CONDITIONS = {

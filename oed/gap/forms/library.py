@@ -51,23 +51,17 @@ def distinct_from_parameters(
     return distinct
 
 
-#: prior share of an effect's forms in which one limb alone has it
-ALONE_SHARE = 0.4
+ALONE_SHARE = 0.4  #: prior share of an effect's forms in which one limb alone has it
 #: expected difference between limbs built alike, against what they share
 LIMB_DIFFERENCE = 0.3
 #: norm of a signature over all readings at the largest usual size, in units of the noise,
 #: below which an effect cannot be tested at all
 MIN_NORM = 0.3
-#: limbs of a form beyond which it is not tried in all of them at once
-MAX_LIMBS = 12
-#: name of what limbs built alike share
-ALL_LEGS = "all legs"
-#: how the name of a limb's difference from it ends
-APART = " apart"
-#: forms that stay then
-N_BEST_FORMS = 8
-#: constants in a grid that is scanned in textbook forms
-MAX_GRID = 200
+MAX_LIMBS = 12  #: limbs of a form beyond which it is not tried in all of them at once
+ALL_LEGS = "all legs"  #: name of what limbs built alike share
+APART = " apart"  #: how the name of a limb's difference from it ends
+N_BEST_FORMS = 8  #: forms that stay then
+MAX_GRID = 200  #: constants in a grid that is scanned in textbook forms
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -26,29 +26,22 @@ from oed.gap.forms.discrepancy import JOINTS, Carrier
 from oed.gap.forms.library import Atom, Library
 from oed.noise import NoiseLaw
 
-#: kinds of waves
-IN_TIME = "a wave in time"
+IN_TIME = "a wave in time"  #: kinds of waves
 ALONG_TRAVEL = "a wave along the travel"
-#: waves of each kind that stay
-N_PEAKS = 4
-#: frequencies a resolution cell
-OVERSAMPLING = 1.5
-#: frequencies of a band, at most
-MAX_FREQUENCIES = 6000
+N_PEAKS = 4  #: waves of each kind that stay
+OVERSAMPLING = 1.5  #: frequencies a resolution cell
+MAX_FREQUENCIES = 6000  #: frequencies of a band, at most
 #: values that are computed at once, of many frequencies and a few readings: half of a
 #: core's cache
 VALUES_AT_ONCE = 60_000
-#: those of one reading
-ROW_VALUES = 12_000
+ROW_VALUES = 12_000  #: those of one reading
 #: places of the even grid, on either side of a reading, that its value goes to
 SPREAD = 14
 #: shortest period, in steps between readings, where these are irregular: they
 #: distinguish waves from their aliases
 IRREGULAR_PERIOD = 0.25
-#: longest period along a joint's travel as a share of it
-MAX_PERIOD = 3.0
-#: readings that a clock must have for its waves to mean something
-MIN_TICKS = 16
+MAX_PERIOD = 3.0  #: longest period along a joint's travel as a share of it
+MIN_TICKS = 16  #: readings that a clock must have for its waves to mean something
 #: places between two frequencies at which a peak is refined
 REFINED_STEPS = np.linspace(-0.8, 0.8, 9)
 

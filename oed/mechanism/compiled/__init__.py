@@ -64,16 +64,11 @@ FLAGS = (
 )
 #: all that this processor can do, or what every one can, where the compiler cannot tell
 PROCESSORS = (("-march=native",), ())
-#: longest time of a compilation, s
-COMPILATION_TIMEOUT = 120.0
-#: time that a compiler has to end with the program, s
-END_TIMEOUT = 2.0
-#: files of the folder beyond which the oldest are removed
-MAX_FILES = 512
-#: characters of a digest in a file's name
-DIGEST_LENGTH = 32
-#: name of the folder with the compiled files
-FOLDER_NAME = "compiled"
+COMPILATION_TIMEOUT = 120.0  #: longest time of a compilation, s
+END_TIMEOUT = 2.0  #: time that a compiler has to end with the program, s
+MAX_FILES = 512  #: files of the folder beyond which the oldest are removed
+DIGEST_LENGTH = 32  #: characters of a digest in a file's name
+FOLDER_NAME = "compiled"  #: name of the folder with the compiled files
 
 
 @dataclasses.dataclass(frozen=True)
@@ -277,16 +272,12 @@ def _remove_oldest(folder: Path) -> None:
 
 #: least number of points of a core's share: two milliseconds of work
 MIN_SHARED_POINTS = 8192
-#: shares begin at multiples of this: of the lanes of every processor
-MAX_LANES = 8
+MAX_LANES = 8  #: shares begin at multiples of this: of the lanes of every processor
 #: instructions of the longest function that is compiled, in some ten seconds
 MAX_INSTRUCTIONS = 20_000
-#: state of a solved point in newton.h
-SOLVED_STATE = 1
-#: state of a point that ended with a short step
-SHORT_STEP_STATE = 2
-#: bytes of a number
-NUMBER_SIZE = 8
+SOLVED_STATE = 1  #: state of a solved point in newton.h
+SHORT_STEP_STATE = 2  #: state of a point that ended with a short step
+NUMBER_SIZE = 8  #: bytes of a number
 DOUBLE = np.dtype(float)
 #: first and last point, points of the inner dimension, table of the inputs, constants
 SHARED_TYPES = (*(ctypes.c_int64,) * 3, ctypes.c_void_p, ctypes.c_void_p)
@@ -446,10 +437,8 @@ class _Limits(ctypes.Structure):
 class _Lanes:
     """A job on a function, compiled."""
 
-    #: its function in C
-    name: str
-    #: types of its own arguments, after those of every job
-    types: tuple[Any, ...]
+    name: str  #: its function in C
+    types: tuple[Any, ...]  #: types of its own arguments, after those of every job
 
     def __init__(self, functions: ctypes.CDLL, graph: Graph, constants: Array) -> None:
         self._run = getattr(functions, self.name)

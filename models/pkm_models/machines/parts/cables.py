@@ -34,8 +34,7 @@ from pkm_models.machines.parts.coordinates import (
 from pkm_models.machines.parts.families import Geometry
 from pkm_models.rotation import tilt_torsion, z_rotation
 
-#: prior standard deviation of the drums' scales
-SCALE_SD = 0.5e-3
+SCALE_SD = 0.5e-3  #: prior standard deviation of the drums' scales
 ATTACH = "the cables' points on the mover, from the tool point; all 0 for a point"
 STIFFNESS = "E A of each cable, which recorded tensions stretch; none: not known"
 TURNS = {2: ("spin",), 3: ("rx", "ry", "spin")}

@@ -34,10 +34,8 @@ from pkm_models.machines.parts.coordinates import joint
 from pkm_models.machines.parts.families import point
 from pkm_models.rotation import across
 
-#: prior standard deviation of the cranks' zeros, rad
-ZERO_SD = 2e-3
-#: cranks turn by less than this either way, rad
-MAX_ANGLE = 1.5 * math.pi
+ZERO_SD = 2e-3  #: prior standard deviation of the cranks' zeros, rad
+MAX_ANGLE = 1.5 * math.pi  #: cranks turn by less than this either way, rad
 #: joints of cranks
 CRANK = "angle of crank {}, right-handed about its axis, from the direction of angle 0"
 SIDE = (

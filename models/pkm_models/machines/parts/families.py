@@ -13,8 +13,7 @@ from oed.base import Array
 from oed.model import Coordinate, Dimension, Expr, Parameter, PointGroup, Values
 from pkm_models.machines.parts.coordinates import joint
 
-#: a table of geometry, SI, by name
-Geometry = Mapping[str, Any]
+Geometry = Mapping[str, Any]  #: a table of geometry, SI, by name
 XYZ = "xyz"
 #: standard deviation of places and lengths over the machine's size, where none is given
 RELATIVE_TOLERANCE = 1e-3

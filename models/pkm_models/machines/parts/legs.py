@@ -14,13 +14,11 @@ from pkm_models.machines.parts.families import Geometry, point
 from pkm_models.machines.parts.six_dof import ANGLES, XYZ, platform
 from pkm_models.rotation import across
 
-#: prior standard deviations of directions, rad
-DIRECTION_SD = 1e-3
+DIRECTION_SD = 1e-3  #: prior standard deviations of directions, rad
 BASE = "joint centres at the base, in the base frame"
 PLATFORM = "joint centres at the platform, from the tool point"
 SIDE = "1 where the carriage is ahead of its platform joint, -1 where behind"
-#: joints of extensible legs and of carriages
-LEG = "length of leg {} less its zero"
+LEG = "length of leg {} less its zero"  #: joints of extensible legs and of carriages
 CARRIAGE = "travel of carriage {} along the direction of its guide"
 #: commands of a tripod: height and tilt vector of the tool
 TRIPOD_COMMAND = ("z", "rx", "ry")
