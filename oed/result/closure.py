@@ -7,20 +7,13 @@ from oed.base import Array
 
 @dataclasses.dataclass(frozen=True)
 class MachineShape:
-    """A machine at a pose and joints, whether it assembles there or not; m.
+    """A machine at a pose and joints, whether it assembles there or not; m."""
 
-    equations  (k,) values of the closure, m or rad
-    lines      polylines of points (n, 3), as the machine draws itself
-    struts     (nq, 2, 3) ends of the strut of each joint; none where it has none
-    tool       (3,) tool point
-    axes       (3, 3) of the platform, in columns
-    """
-
-    equations: Array
-    lines: tuple[Array, ...]
-    struts: Array
-    tool: Array
-    axes: Array
+    equations: Array  #: (k,) values of the closure, m or rad
+    lines: tuple[Array, ...]  #: polylines of points (n, 3), as the machine draws itself
+    struts: Array  #: (nq, 2, 3) ends of the strut of each joint; none where it has none
+    tool: Array  #: (3,) tool point
+    axes: Array  #: (3, 3) of the platform, in columns
 
 
 @dataclasses.dataclass(frozen=True)

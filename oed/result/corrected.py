@@ -6,40 +6,32 @@ from oed.result.record import Record
 
 
 class EffectEstimate(Record, frozen=True):
-    """A coefficient of an effect, in `unit`; `prior_sd` is the size expected of it.
-
-    shape    whether it only lets the form depart from the textbook's
-    """
+    """A coefficient of an effect, in `unit`; `prior_sd` is the size expected of it."""
 
     value: float
     sd: float
     unit: str
     effect: str
     prior_sd: float
-    shape: bool = False
+    shape: bool = False  #: whether it only lets the form depart from the textbook's
 
 
 class EffectTable(Record, frozen=True):
-    """Joint corrections of an effect over a state, for a controller to add.
-
-    state          `pose`, `direction`, `payload_N` or `temp_<body>_C`, a rise above the
-                   session's start
-    joint_wise     whether each joint's correction is read at that joint's own state
-    values         of the state; between them corrections go in straight lines
-    joints         names of the joints with their unit
-    commands       at which the corrections hold: a grid with equal steps
-    table          [value][command][joint]
-    interpolation  {component: rms error, in its fine unit} that straight lines between
-                   the commands leave, in the worst state
-    """
+    """Joint corrections of an effect over a state, for a controller to add."""
 
     effect: str
+    #: `pose`, `direction`, `payload_N` or `temp_<body>_C`, a rise above the session's
+    #: start
     state: str
+    #: whether each joint's correction is read at that joint's own state
     joint_wise: bool
-    values: list[float]
-    joints: list[str]
+    values: list[float]  #: of the state; between them corrections go in straight lines
+    joints: list[str]  #: names of the joints with their unit
+    #: at which the corrections hold: a grid with equal steps
     commands: list[dict[str, float]]
-    table: list[list[list[float]]]
+    table: list[list[list[float]]]  #: [value][command][joint]
+    #: {component: rms error, in its fine unit} that straight lines between the commands
+    #: leave, in the worst state
     interpolation: dict[str, float] = {}
 
 

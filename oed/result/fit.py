@@ -10,18 +10,14 @@ from oed.result.record import Number, Record, Size
 
 
 class OutlierRecord(Record, frozen=True):
-    """A reading that all others contradict.
-
-    row   of its file
-    file  its name, where the readings are of several
-    """
+    """A reading that all others contradict."""
 
     setup: str
     run: str
     order: int
-    row: int
+    row: int  #: of its file
     pull: float
-    file: str = ""
+    file: str = ""  #: its name, where the readings are of several
 
 
 class MistakeRecord(Record, frozen=True):
@@ -32,40 +28,28 @@ class MistakeRecord(Record, frozen=True):
 
 
 class NoiseRecord(Record, frozen=True):
-    """One number of the noise law as estimated.
+    """One number of the noise law as estimated."""
 
-    kind     reading (about the mean of its run), run, seat, course at the session's end
-             (standard deviations),
-             carried (share of the variance) or reach (in readings)
-    of       set-up and channel, or set-up; empty for all readings
-    stated   what the stated noise has
-    departs  whether it surely differs from that by more than matters
-    """
-
+    #: reading (about the mean of its run), run, seat, course at the session's end
+    #: (standard deviations), carried (share of the variance) or reach (in readings)
     kind: str
-    of: str
+    of: str  #: set-up and channel, or set-up; empty for all readings
     value: float
     sd: float
     unit: str
-    stated: Number = None
-    departs: bool = False
+    stated: Number = None  #: what the stated noise has
+    departs: bool = False  #: whether it surely differs from that by more than matters
 
 
 class LeftOutRun(Record, frozen=True):
-    """A run against what all other runs predict of it.
-
-    values     number of its values
-    ratio      its errors over what is predicted
-    p_high     probability of larger errors
-    log_score  log predictive density, readings in units of their noise
-    """
+    """A run against what all other runs predict of it."""
 
     setup: str
     run: str
-    values: int
-    ratio: float
-    p_high: float
-    log_score: float
+    values: int  #: number of its values
+    ratio: float  #: its errors over what is predicted
+    p_high: float  #: probability of larger errors
+    log_score: float  #: log predictive density, readings in units of their noise
 
     @property
     def chi2(self) -> float:
@@ -151,17 +135,13 @@ class ParameterEstimate(Record, frozen=True):
 
 
 class CombinationEstimate(Record, frozen=True):
-    """A linear combination of parameters that the readings determine.
+    """A linear combination of parameters that the readings determine."""
 
-    terms      coefficient of each parameter, SI over SI; 1 at the first that has its unit
-    value      of the combination's departure from nominal
-    tolerance  its standard deviation before the readings
-    """
-
+    #: coefficient of each parameter, SI over SI; 1 at the first that has its unit
     terms: dict[str, float]
-    value: float
+    value: float  #: of the combination's departure from nominal
     sd: float
-    tolerance: float
+    tolerance: float  #: its standard deviation before the readings
     unit: str
 
 
@@ -188,26 +168,22 @@ class HeldParameter(Record, frozen=True):
 
 
 class RunCurve(Record, frozen=True):
-    """Readings along a run, as departures from those of the nominal machine, in `unit`.
-
-    kind         circle: `at` is the angle in degrees; line: the way along it in mm
-    measured     of each reading
-    predicted    of the identified machine
-    half_widths  half of the 95 % interval of a reading about `predicted`
-    compensated  what the compensated machine is predicted to read, from the parameters
-                 and what no drive corrects, with half of its 95 % interval; none where
-                 only joints are recorded, and of readings after compensation
-    """
+    """Readings along a run, as departures from those of the nominal machine, in `unit`."""
 
     setup: str
     run: str
     channel: str
     unit: str
+    #: circle: `at` is the angle in degrees; line: the way along it in mm
     kind: Annotated[str, msgspec.Meta(pattern="^(circle|line)$")]
     at: list[float]
-    measured: list[float]
-    predicted: list[float]
+    measured: list[float]  #: of each reading
+    predicted: list[float]  #: of the identified machine
+    #: half of the 95 % interval of a reading about `predicted`
     half_widths: list[float]
+    #: what the compensated machine is predicted to read, from the parameters and what
+    #: no drive corrects, with half of its 95 % interval; none where only joints are
+    #: recorded, and of readings after compensation
     compensated: list[float] = []
     compensated_half_widths: list[float] = []
 
@@ -245,18 +221,14 @@ class EstimateSection(Record, frozen=True):
 
 
 class Marginal(Record, frozen=True):
-    """Posterior of one parameter, in its display unit.
-
-    rhat    of emcee's ensembles; None for independent draws
-    ess     None for a parameter that is not sampled
-    """
+    """Posterior of one parameter, in its display unit."""
 
     mean: float
     sd: float
     q025: float
     q975: float
-    rhat: Number
-    ess: Number
+    rhat: Number  #: of emcee's ensembles; None for independent draws
+    ess: Number  #: None for a parameter that is not sampled
     unit: str
 
 
@@ -285,11 +257,6 @@ class PredictiveCheckRecord(Record, frozen=True):
 class PosteriorSection(Record, frozen=True):
     """Sampler summary. `posterior.nc` holds the draws.
 
-    sampler    `importance` (independent draws) or `emcee`
-    pareto_k   shape of the tail of the importance weights, also where emcee ran because it
-               is too large; None where no weights were computed
-    proposals  points that were weighted
-
     Of emcee alone, None and 0 for independent draws: acceptance, walkers,
     autocorrelation.
     """
@@ -307,9 +274,11 @@ class PosteriorSection(Record, frozen=True):
         list[float]
     ]  # thinned draws [draw][direction], in prior standard deviations
     checks: dict[str, PredictiveCheckRecord] = {}  # posterior predictive
-    sampler: str = "emcee"
+    sampler: str = "emcee"  #: `importance` (independent draws) or `emcee`
+    #: shape of the tail of the importance weights, also where emcee ran because it is
+    #: too large; None where no weights were computed
     pareto_k: Number = None
-    proposals: int = 0
+    proposals: int = 0  #: points that were weighted
 
     @staticmethod
     def largest_pareto_k(points: int) -> float:

@@ -26,15 +26,12 @@ class CompensationName:
 
 
 class MixedAnswer(Record, frozen=True):
-    """An answer that the mixture holds, with its probability by the diagnosis.
+    """An answer that the mixture holds, with its probability by the diagnosis."""
 
-    effects  that act, `unknown` for something of no known form; none: no gap
-    unseen   whether small effects of one common size act as well
-    """
-
+    #: that act, `unknown` for something of no known form; none: no gap
     effects: tuple[str, ...]
     probability: Probability
-    unseen: bool = False
+    unseen: bool = False  #: whether small effects of one common size act as well
 
 
 class MixedParameter(Record, frozen=True):
@@ -54,63 +51,51 @@ class MixedParameter(Record, frozen=True):
 
 
 class CompensationChoice(Record, frozen=True):
-    """A compensation, and the rms error that all answers expect of it.
+    """A compensation, and the rms error that all answers expect of it."""
 
-    name  `plain fit` (no effect in the model), `best answer` or `mixture`, each with the
-          geometry alone; `best answer with effects`, where effects are corrected;
-          `nothing`
-    rms   {component: in its fine unit}
-    """
-
+    #: `plain fit` (no effect in the model), `best answer` or `mixture`, each with the
+    #: geometry alone; `best answer with effects`, where effects are corrected;
+    #: `nothing`
     name: str
-    rms: dict[str, float]
+    rms: dict[str, float]  #: {component: in its fine unit}
 
 
 class MixtureSection(Record, frozen=True):
-    """Parameters and accuracy over all hypotheses of a diagnosis.
+    """Parameters and accuracy over all hypotheses of a diagnosis."""
 
-    answers     that were fitted, the decision's first
-    rest        probability of all others
-    controller  parameters for a controller that corrects geometry alone, in the units of
-                `parameters`: those of `sent`
-    sent        the choice of least expected error with the geometry alone; `mixture` is
-                the mean, shifted so that it takes up what is known of the effects
-    covariance  of `parameters`, in their units
-    choices     compensations and what all answers expect of each
-    prediction  with `controller` sent, over all hypotheses; null without a workspace
-    with_effects  the same with the parameters and the effects of the best answer sent;
-                null where none is corrected, or that is expected to be worse
-    words       in sentences
-    """
-
-    answers: list[MixedAnswer]
-    rest: float
+    answers: list[MixedAnswer]  #: that were fitted, the decision's first
+    rest: float  #: probability of all others
     parameters: dict[str, MixedParameter]
-    covariance: list[list[float]]
+    covariance: list[list[float]]  #: of `parameters`, in their units
+    #: parameters for a controller that corrects geometry alone, in the units of
+    #: `parameters`: those of `sent`
     controller: dict[str, float] = {}
+    #: the choice of least expected error with the geometry alone; `mixture` is the
+    #: mean, shifted so that it takes up what is known of the effects
     sent: str = CompensationName.MIXTURE
+    #: compensations and what all answers expect of each
     choices: list[CompensationChoice] = []
+    #: with `controller` sent, over all hypotheses; null without a workspace
     prediction: PredictionSection | None = None
+    #: the same with the parameters and the effects of the best answer sent; null where
+    #: none is corrected, or that is expected to be worse
     with_effects: PredictionSection | None = None
-    words: list[str] = []
+    words: list[str] = []  #: in sentences
 
 
 Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=2)]  #: two names
 
 
 class SharedRecord(Record, frozen=True):
-    """A combination of an effect's coefficients that a rival imitates.
-
-    detectability    sqrt(lambda) where nothing else acts
-    separation       sqrt(lambda) once the rival absorbs what it can
-    angle_deg        principal angle between the combination and the rival
-    """
+    """A combination of an effect's coefficients that a rival imitates."""
 
     words: str
     combination: dict[str, float]
+    #: sqrt(lambda) where nothing else acts
     detectability: float = msgspec.field(name="seen")
+    #: sqrt(lambda) once the rival absorbs what it can
     separation: float = msgspec.field(name="apart")
-    angle_deg: float
+    angle_deg: float  #: principal angle between the combination and the rival
 
 
 class RivalRecord(Record, frozen=True):
@@ -367,24 +352,18 @@ class Spot(Record, frozen=True):
 
 
 class SecondVisitRecord(Record, frozen=True):
-    """Runs to read at a second visit, which separate the answers of a diagnosis best.
-
-    poses                of each run, a reference pose among them
-    probability_now      that the likeliest set of effects is right, members of a class
-                         apart
-    probability_after    the same after the visit, expected
-    separations          what the runs separate, in the forms and sizes as estimated
-    inseparable          pairs of answers that no run of these separates further
-    words                what the visit is worth, in sentences
-    """
+    """Runs to read at a second visit, which separate the answers of a diagnosis best."""
 
     runs: list[ChosenRun]
-    poses: list[int]
+    poses: list[int]  #: of each run, a reference pose among them
+    #: that the likeliest set of effects is right, members of a class apart
     probability_now: float
-    probability_after: float
+    probability_after: float  #: the same after the visit, expected
+    #: what the runs separate, in the forms and sizes as estimated
     separations: list[SeparationRecord]
+    #: pairs of answers that no run of these separates further
     inseparable: list[tuple[str, str]]
-    words: list[str] = []
+    words: list[str] = []  #: what the visit is worth, in sentences
 
 
 class GapSection(Record, frozen=True):

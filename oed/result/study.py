@@ -51,13 +51,10 @@ class Polyline(Record, frozen=True):
 
 
 class DrawingLabel(Record, frozen=True):
-    """Parameters at the point of the drawing (3,), m, that they move.
-
-    text    the names, shortened: `da1x, y, z`
-    """
+    """Parameters at the point of the drawing (3,), m, that they move."""
 
     at: Point
-    text: str
+    text: str  #: the names, shortened: `da1x, y, z`
     parameters: list[str]
 
 
@@ -83,22 +80,19 @@ class Drawing(Record, frozen=True):
 
 
 class MachineInfo(Record, frozen=True):
-    """The machine's table, in display units.
-
-    parameters  rows of name, about, unit, nominal, tolerance; `held` where the
-                controller holds other values, `expected` where the prior mean is another
-    controller  what the study names as held by the controller; "" for nominal numbers
-    earlier     session whose posterior is the prior; "" for tolerances
-    fleet       results of other machines whose mean and spread are the prior
-    """
+    """The machine's table, in display units."""
 
     name: str
     about: str
     source: str
+    #: rows of name, about, unit, nominal, tolerance; `held` where the controller holds
+    #: other values, `expected` where the prior mean is another
     parameters: list[dict[str, str | float]]
     frame: list[str]
+    #: what the study names as held by the controller; "" for nominal numbers
     controller: str = ""
-    earlier: str = ""
+    earlier: str = ""  #: session whose posterior is the prior; "" for tolerances
+    #: results of other machines whose mean and spread are the prior
     fleet: list[str] = []
 
 
