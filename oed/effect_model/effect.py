@@ -37,95 +37,62 @@ class State:
     """State of the machine at m poses of a set-up, reference poses included; nq joints.
 
     All in SI; NaN where unknown.
-
-    machine                the machine
-    setup                  name of the set-up
-    instrument             name of its instrument
-    pose                   (m, nx) pose coordinates
-    tool                   (m, 3) tool point, base frame
-    rotation               (m, 3, 3) orientation of the platform, base frame
-    axis                   (m, 3) the platform's z, base frame
-    joints                 (m, nq) commanded joint coordinates
-    motion_sign            (m, nq) sign of each joint's last motion in the run; 0 where
-                           nothing is known, as at a teach pose
-    travel_since_reversal  (m, nq) travel since the joint last reversed in the run, m or
-                           rad; inf before it does
-    rate                   (m, nq) joint velocity at the run's feed
-    acceleration           (m, nq) joint acceleration at the run's feed
-    tool_force             (m, nq) generalised force in each joint per newton along
-                           gravity at the tool point, J^-T w
-    platform_force         (m, nq) the same at the middle of the platform's joints; at
-                           the tool point where the machine states no struts
-    twist                  (m, 6, nq) motion of the tool point (3, m) and rotation
-                           (3, rad) per unit of each joint, base frame
-    strut_length           (m, nq) length of the strut that the joint drives
-    strut_direction        (m, nq, 3) its direction from base to platform
-    base                   (m, nq, 3) its end at the base, base frame
-    platform               (m, nq, 3) its end at the platform, base frame
-    joint_per_length       (m, nq) joint change that equals a strut longer by 1 m
-    phase                  (m,) place along the run, equal for both directions of
-                           travel, rad in [0, 2 pi)
-    run                    (m,) label of the run
-    order                  (m,) position in the run
-    time                   (m,) s
-    feed                   (m,) m/s
-    payload                (m,) N
-    direction              (m,) +1 or -1
-    temperature            {body: (m,)} K
-    tension                (m, nq) tension of the cable that each joint pays out, N
-    max_payload            largest payload of the session, N; 0 where unknown
-    max_feed               largest feed of the session, m/s; 0 where unknown
-    session_times          (k,) sorted times of all readings of the session, s; empty
-                           where unknown
-    session_progress       (m,) elapsed share of the session, 0 to 1: by the clock, or
-                           by the order of readings where not all have a time
-    start_temperature      {body: temperature at the session's first reading, K}
-    channels               names of the instrument's channels
-    settings               settings of the set-up by name
-    joint_range            (2, nq) least and largest value of each joint in the session
-    home                   (nx,) pose coordinates of the home pose
-    session_span           first and last time over all set-ups, s
     """
 
-    machine: Machine
-    setup: str
-    instrument: str
-    pose: Array
-    tool: Array
-    rotation: Array
-    axis: Array
-    joints: Array
+    machine: Machine  #: the machine
+    setup: str  #: name of the set-up
+    instrument: str  #: name of its instrument
+    pose: Array  #: (m, nx) pose coordinates
+    tool: Array  #: (m, 3) tool point, base frame
+    rotation: Array  #: (m, 3, 3) orientation of the platform, base frame
+    axis: Array  #: (m, 3) the platform's z, base frame
+    joints: Array  #: (m, nq) commanded joint coordinates
+    #: (m, nq) sign of each joint's last motion in the run; 0 where nothing is known, as
+    #: at a teach pose
     motion_sign: Array
+    #: (m, nq) travel since the joint last reversed in the run, m or rad; inf before it
+    #: does
     travel_since_reversal: Array
-    rate: Array
-    acceleration: Array
+    rate: Array  #: (m, nq) joint velocity at the run's feed
+    acceleration: Array  #: (m, nq) joint acceleration at the run's feed
+    #: (m, nq) generalised force in each joint per newton along gravity at the tool
+    #: point, J^-T w
     tool_force: Array
+    #: (m, nq) the same at the middle of the platform's joints; at the tool point where
+    #: the machine states no struts
     platform_force: Array
+    #: (m, 6, nq) motion of the tool point (3, m) and rotation (3, rad) per unit of each
+    #: joint, base frame
     twist: Array
-    strut_length: Array
-    strut_direction: Array
-    base: Array
-    platform: Array
-    joint_per_length: Array
+    strut_length: Array  #: (m, nq) length of the strut that the joint drives
+    strut_direction: Array  #: (m, nq, 3) its direction from base to platform
+    base: Array  #: (m, nq, 3) its end at the base, base frame
+    platform: Array  #: (m, nq, 3) its end at the platform, base frame
+    joint_per_length: Array  #: (m, nq) joint change that equals a strut longer by 1 m
+    #: (m,) place along the run, equal for both directions of travel, rad in [0, 2 pi)
     phase: Array
-    run: NDArray[np.str_]
-    order: Array
-    time: Array
-    feed: Array
-    payload: Array
-    direction: Array
-    temperature: Mapping[str, Array]
-    tension: Array
-    max_payload: float
-    max_feed: float
+    run: NDArray[np.str_]  #: (m,) label of the run
+    order: Array  #: (m,) position in the run
+    time: Array  #: (m,) s
+    feed: Array  #: (m,) m/s
+    payload: Array  #: (m,) N
+    direction: Array  #: (m,) +1 or -1
+    temperature: Mapping[str, Array]  #: {body: (m,)} K
+    tension: Array  #: (m, nq) tension of the cable that each joint pays out, N
+    max_payload: float  #: largest payload of the session, N; 0 where unknown
+    max_feed: float  #: largest feed of the session, m/s; 0 where unknown
+    #: (k,) sorted times of all readings of the session, s; empty where unknown
     session_times: Array
+    #: (m,) elapsed share of the session, 0 to 1: by the clock, or by the order of
+    #: readings where not all have a time
     session_progress: Array
+    #: {body: temperature at the session's first reading, K}
     start_temperature: Mapping[str, float]
-    channels: tuple[str, ...]
-    settings: Mapping[str, float]
-    joint_range: Array
-    home: Array
-    session_span: tuple[float, float]
+    channels: tuple[str, ...]  #: names of the instrument's channels
+    settings: Mapping[str, float]  #: settings of the set-up by name
+    joint_range: Array  #: (2, nq) least and largest value of each joint in the session
+    home: Array  #: (nx,) pose coordinates of the home pose
+    session_span: tuple[float, float]  #: first and last time over all set-ups, s
 
     @functools.cached_property
     def joints_per_displacement(self) -> Array:

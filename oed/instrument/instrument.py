@@ -97,20 +97,14 @@ class Frame:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class InnerReading:
-    """A number that an instrument reads inside, and turns into its channels.
+    """A number that an instrument reads inside, and turns into its channels."""
 
-    name     such as `range`
-    unit     SI unit
-    noise    the setting with the standard deviation of one such reading, SI
-    sources  which of the instrument's sources are errors of it, from 0
-    zero     what its zero depends on, in words
-    """
-
-    name: str
-    unit: str
-    noise: str
+    name: str  #: such as `range`
+    unit: str  #: SI unit
+    noise: str  #: the setting with the standard deviation of one such reading, SI
+    #: which of the instrument's sources are errors of it, from 0
     sources: tuple[int, ...]
-    zero: str
+    zero: str  #: what its zero depends on, in words
 
 
 #: channels of a reading from frames, nuisances and settings
@@ -279,16 +273,12 @@ def _rows(sources: Sources, rows: Sequence[int]) -> Sources:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Protocol:
-    """How often each planned reading is taken.
+    """How often each planned reading is taken."""
 
-    repeats          passes of a run in one direction
-    both_directions  as many passes again in the opposite direction
-    average          the mean of all passes is the reading, with the noise of
-                     independent passes; otherwise every pass gives readings
-    """
-
-    repeats: int = 1
-    both_directions: bool = False
+    repeats: int = 1  #: passes of a run in one direction
+    both_directions: bool = False  #: as many passes again in the opposite direction
+    #: the mean of all passes is the reading, with the noise of independent passes;
+    #: otherwise every pass gives readings
     average: bool = True
 
     @property
@@ -302,30 +292,23 @@ class Protocol:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setup:
-    """An instrument as mounted. Raises ValueError where its numbers do not fit.
+    """An instrument as mounted. Raises ValueError where its numbers do not fit."""
 
-    name        unique in a study
-    instrument  the instrument
-    settings    value of each setting, SI
-    nuisances   the instrument's nuisances with this set-up's tolerances
-    sigma       noise of each channel, SI; of the mean where the protocol averages
-    tool        tool point (3,) in the platform frame, relative to the reference tool's,
-                m
-    teach       command (n_dof,) of the teach pose, SI; for reference "teach" only
-    protocol    how often each planned reading is taken
-    statement   what is stated of its noise beyond sigma
-    station     what it shares its unknowns with: set-ups of one name see one frame
-    """
-
-    name: str
-    instrument: Instrument
-    settings: Mapping[str, float]
+    name: str  #: unique in a study
+    instrument: Instrument  #: the instrument
+    settings: Mapping[str, float]  #: value of each setting, SI
+    #: the instrument's nuisances with this set-up's tolerances
     nuisances: tuple[Parameter, ...]
+    #: noise of each channel, SI; of the mean where the protocol averages
     sigma: tuple[float, ...]
+    #: tool point (3,) in the platform frame, relative to the reference tool's, m
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: command (n_dof,) of the teach pose, SI; for reference "teach" only
     teach: tuple[float, ...] | None = None
-    protocol: Protocol = Protocol()
+    protocol: Protocol = Protocol()  #: how often each planned reading is taken
+    #: what is stated of its noise beyond sigma
     statement: NoiseStatement = NOTHING_STATED
+    #: what it shares its unknowns with: set-ups of one name see one frame
     station: str = ""
 
     @property

@@ -128,16 +128,11 @@ class Series:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TakenReadings:
-    """Some readings of a series.
+    """Some readings of a series."""
 
-    whole  the series
-    part   the readings `rows` of it
-    rows   (k,) in rising order
-    """
-
-    whole: Series
-    part: Series
-    rows: Index
+    whole: Series  #: the series
+    part: Series  #: the readings `rows` of it
+    rows: Index  #: (k,) in rising order
 
     @staticmethod
     def of_values(

@@ -114,36 +114,28 @@ def _translation_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Dimension:
-    """One entry of a family's table of geometry.
+    """One entry of a family's table of geometry."""
 
-    name     as in the table, without its unit
-    unit     SI unit
-    shape    () for a number, (3,) or (6, 3) for a list; None for a length that the user
-             chooses, as in (None, 2)
-    default  SI value; None where the family derives it from the others
-    about    what it is
-    """
-
-    name: str
-    unit: str
+    name: str  #: as in the table, without its unit
+    unit: str  #: SI unit
+    #: () for a number, (3,) or (6, 3) for a list; None for a length that the user
+    #: chooses, as in (None, 2)
     shape: tuple[int | None, ...]
-    default: Any
-    about: str
+    default: Any  #: SI value; None where the family derives it from the others
+    about: str  #: what it is
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Family:
     """Machines of one architecture and any geometry.
 
-    name            as the model in a study
-    dimensions      the table of geometry
     build(geometry) the machine of these SI values by name, arrays or numbers; entries
                     that are left out are derived. Raises ValueError, in a sentence,
                     where they make no machine
     """
 
-    name: str
-    dimensions: tuple[Dimension, ...]
+    name: str  #: as the model in a study
+    dimensions: tuple[Dimension, ...]  #: the table of geometry
     build: Callable[[Mapping[str, Any]], Machine]
 
 

@@ -10,18 +10,14 @@ from oed import units
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Adjustment:
-    """A motion that a fitter makes, and how exactly.
+    """A motion that a fitter makes, and how exactly."""
 
-    by    what to turn, shift or shim, in words
-    step  smallest amount, SI; 0 where it is turned continuously
-    sd    standard deviation of the amount as the fitter sets it, SI; that of an error
-          anywhere within a step where it is not stated
-    most  largest amount to either side, SI; 0: four tolerances of the parameter
-    """
-
-    by: str
-    step: float = 0.0
+    by: str  #: what to turn, shift or shim, in words
+    step: float = 0.0  #: smallest amount, SI; 0 where it is turned continuously
+    #: standard deviation of the amount as the fitter sets it, SI; that of an error
+    #: anywhere within a step where it is not stated
     sd: float | None = None
+    #: largest amount to either side, SI; 0: four tolerances of the parameter
     most: float = 0.0
 
     @property
@@ -78,11 +74,8 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CommonTolerance:
-    """Parameters whose errors are correlated: parts of one batch, holes of one jig.
+    """Parameters whose errors are correlated: parts of one batch, holes of one jig."""
 
-    names        of the k parameters
-    correlation  between each two of them, below 1; or all of them, (k, k)
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: of the k parameters
+    #: between each two of them, below 1; or all of them, (k, k)
     correlation: float | tuple[tuple[float, ...], ...]
