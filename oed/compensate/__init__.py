@@ -17,14 +17,18 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.compensate.command_grid import CommandGrid, GridAxis, joint_motion
-    from oed.compensate.exact import (
+    from oed.compensate.command_grid import (
+        CommandGrid,
+        GridAxis,
+        InterpolationTable,
+        joint_motion,
+    )
+    from oed.compensate.export_errors import interpolation_errors, joint_errors
+    from oed.compensate.further import (
+        FurtherAxes,
         commands_of_added,
         compensated_joints,
         joint_corrections,
     )
-    from oed.compensate.export_errors import interpolation_errors, joint_errors
-    from oed.compensate.further import FurtherAxes
-    from oed.compensate.table import InterpolationTable
 else:
     __getattr__ = door(__name__)

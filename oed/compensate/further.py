@@ -1,4 +1,4 @@
-"""Offsets for additional axes: known pose errors that no joint of the machine corrects.
+"""Joints that hold commands, and offsets for additional axes where no joint does.
 
 A machine that drives z and two tilts leaves errors in x, in y and about the tool axis.
 With the joints at what compensation gives, they are known as well as the parameters are,
@@ -13,7 +13,6 @@ import dataclasses
 import numpy as np
 
 from oed.base import Array
-from oed.compensate.exact import compensated_joints
 from oed.mechanism import NO_TOOL, ErrorModel, Kinematics, pose_error
 from oed.model import Component
 
@@ -118,3 +117,38 @@ def _turns_about_tool_axis(kinematics: Kinematics) -> bool:
     along = np.einsum("ni,nip->np", axis, turns)
     across = turns - axis[:, :, None] * along[:, None]
     return bool(np.abs(across).max() <= ALIGNMENT_TOLERANCE * np.abs(turns).max())
+
+
+def compensated_joints(
+    kinematics: Kinematics, command: Array, parameters: Array, tool: Array = NO_TOOL
+) -> Array:
+    """Joints (n, nq) that hold commands (n, n_dof) on a machine with these parameters.
+
+    `parameters` are (np,) or (n, np), SI. Raises AssemblyError.
+    """
+    return kinematics.inverse(command, parameters, tool)[1]
+
+
+def joint_corrections(
+    kinematics: Kinematics, command: Array, parameters: Array
+) -> Array:
+    """What (n, nq) a controller with the nominal model adds to its joints, at commands.
+
+    parameters  (np,) of the real machine, SI
+
+    Raises AssemblyError.
+    """
+    needed = compensated_joints(kinematics, command, parameters)
+    modelled = compensated_joints(kinematics, command, kinematics.machine.nominal)
+    return needed - modelled
+
+
+def commands_of_added(kinematics: Kinematics, command: Array, added: Array) -> Array:
+    """Commands (n, n_dof) at which the nominal model has what is `added` (n, nq) to its joints.
+
+    Raises AssemblyError.
+    """
+    nominal = kinematics.machine.nominal
+    start, joints = kinematics.inverse(command)
+    pose = kinematics.forward(joints + added, nominal, start)
+    return kinematics.command_of_pose(pose, command, NO_TOOL)

@@ -50,7 +50,6 @@ if TYPE_CHECKING:
         written,
     )
     from oed.dataset.csv_input import from_rows, load, load_sessions
-    from oed.dataset.csv_output import to_csv
     from oed.dataset.data import (
         Dataset,
         Row,
@@ -59,6 +58,7 @@ if TYPE_CHECKING:
         named_rows,
         reading_digests,
         shared,
+        to_csv,
     )
     from oed.dataset.dialect import (
         DECIMAL_COMMA,

@@ -13,8 +13,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.design import condition, relaxation
-from oed.design.blocks import NO_ROUNDING, Rounding, quotient_error
-from oed.design.copies import find_copies
+from oed.design.blocks import NO_ROUNDING, Rounding, find_copies, quotient_error
 from oed.design.forms import Criterion
 from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation

@@ -23,8 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from oed.base import Array, Index
-from oed.design.blocks import information
-from oed.design.copies import find_copies
+from oed.design.blocks import find_copies, information
 from oed.design.forms import Criterion
 from oed.design.forms.variance import variance_reduction
 from oed.design.pairs import Pairs

@@ -17,9 +17,8 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.effects.columns import ExpectedColumns
-    from oed.effects.courses import Course, CourseColumns
+    from oed.effects.courses import Course, CourseColumns, PlannedEffects
     from oed.effects.effect_maps import ActingForm, SessionStates, absorbing_shift
-    from oed.effects.planned import PlannedEffects
     from oed.effects.unmodelled import ExpectedEffect, ExpectedEffects
 else:
     __getattr__ = door(__name__)

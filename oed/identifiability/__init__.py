@@ -23,12 +23,10 @@ if TYPE_CHECKING:
     from oed.identifiability.assessment import Assessment, recoveries
     from oed.identifiability.identifiability import (
         Identifiability,
-        analyse,
-        lost_motions,
-    )
-    from oed.identifiability.information import (
         Scaling,
+        analyse,
         column_scale,
+        lost_motions,
         parameter_covariance,
         posterior_covariance,
         prior_information,

@@ -2,7 +2,7 @@
 
 The assessment needs no reading, only the Jacobian H of the readings over the parameters.
 `oed.identifiability.identifiability` finds rank and null directions of H,
-`oed.identifiability.information` the posterior covariance; `oed.identifiability.sentences`
+`oed.identifiability.identifiability` the posterior covariance; `oed.identifiability.sentences`
 puts the result into sentences.
 
 Remedies for lost directions are additional readings, tried on the Jacobian H. Each trial
@@ -20,7 +20,7 @@ import numpy as np
 
 from oed import units
 from oed.base import Array, Index
-from oed.identifiability import identifiability, information
+from oed.identifiability import identifiability
 from oed.identifiability.identifiability import Identifiability
 from oed.instrument import Channel, Cost, Frame, Instrument, mount
 from oed.measurement import Measurement, Series
@@ -53,7 +53,7 @@ class Assessment:
         cls,
         measurement: Measurement,
         series: Sequence[Series],
-        scaling: information.Scaling = "length",
+        scaling: identifiability.Scaling = "length",
     ) -> Assessment:
         """Assess readings of the nominal machine.
 
@@ -64,12 +64,12 @@ class Assessment:
         theta = measurement.nominal
         free = free_parameters(measurement, series)
         jacobian = measurement.jacobian(series, theta)
-        h = information.scaled_jacobian(measurement, series, jacobian, scaling)
-        whitened = information.scaled_jacobian(
+        h = identifiability.scaled_jacobian(measurement, series, jacobian, scaling)
+        whitened = identifiability.scaled_jacobian(
             measurement, series, jacobian, "tolerance"
         )
-        scale = information.column_scale(measurement, scaling)[free]
-        covariance = information.posterior_covariance(whitened[:, free])
+        scale = identifiability.column_scale(measurement, scaling)[free]
+        covariance = identifiability.posterior_covariance(whitened[:, free])
         names = [measurement.names[k] for k in free]
         return cls(
             measurement=measurement,

@@ -15,8 +15,12 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.measurement.fixed_reading import commands_at_fixed_reading
-    from oed.measurement.measurement import Measurement, Response, Series
+    from oed.measurement.measurement import (
+        Measurement,
+        Response,
+        Series,
+        commands_at_fixed_reading,
+    )
     from oed.measurement.noise_structure import reading_structure
     from oed.measurement.simulation import draw_errors, draw_parameters, draw_readings
 else:

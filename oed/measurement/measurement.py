@@ -5,7 +5,7 @@ Each set-up's readings are those of `oed.measurement.setup_readings`, series aft
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from oed.base import Array, Mask
 from oed.instrument import ParameterVector, Series, Setup, TakenReadings
 from oed.measurement.setup_readings import Response, SetupReadings, stated_noise
 from oed.mechanism import AssemblyError, Kinematics
-from oed.model import Machine
+from oed.model import Coordinate, Machine
 from oed.noise import Noise
 
 __all__ = ["Measurement", "Response", "Series"]
@@ -271,3 +271,61 @@ class Measurement(ParameterVector):
 def _run_labels(run: Sequence[str] | None, count: int) -> np.ndarray:
     """Run (count,) of each pose; `1` for all by default."""
     return np.array(["1"] * count if run is None else list(run), dtype=np.str_)
+
+
+def _solve_coordinate(
+    read: Callable[[Array], Array],
+    wanted: float,
+    command: Array,
+    column: int,
+    limits: Coordinate,
+) -> tuple[Array, Mask]:
+    """Commands (n, n_dof) with one column solved so that `read` gives the wanted value.
+
+    read    readings (n,) at commands (n, n_dof), SI
+    limits  range of the column
+
+    Returns them, and the mask (n,) of those that have a solution within the range.
+    """
+    from scipy.optimize import elementwise  # takes as long as NumPy to import
+
+    solved = np.array(command, dtype=float)
+
+    def excess(value: Array, row: Array) -> Array:
+        poses = solved[row.astype(int)]
+        poses[:, column] = value
+        return read(poses) - wanted
+
+    n = len(solved)
+    root = elementwise.find_root(
+        excess,
+        (np.full(n, limits.lower), np.full(n, limits.upper)),
+        args=(np.arange(n, dtype=float),),
+        tolerances={"xatol": 1e-12, "fatol": 1e-13},
+    )
+    solved[:, column] = root.x
+    return solved, root.success
+
+
+def commands_at_fixed_reading(
+    measurement: Measurement, setup: str, command: Array, coordinate: str
+) -> tuple[Array, Mask]:
+    """Solve one command coordinate for the reading that the instrument keeps.
+
+    A ball bar of fixed length leads the tool on a sphere about its cup. Returns
+    the commands (n, n_dof), and the mask (n,) of those that have a solution within
+    the coordinate's range. Raises ValueError where the instrument keeps no reading.
+    """
+    mounted = measurement.setups[setup]
+    if mounted.instrument.fixed_reading is None:
+        raise ValueError(
+            f"{mounted.instrument.name} holds no reading by design: give {coordinate} itself"
+        )
+    wanted = mounted.instrument.fixed_reading(mounted.settings)
+    column = [c.name for c in measurement.machine.command].index(coordinate)
+    limits = measurement.machine.workspace(mounted.tool)[column]
+
+    def read(poses: Array) -> Array:
+        return measurement.expected_readings(measurement.series(setup, poses))
+
+    return _solve_coordinate(read, wanted, command, column, limits)

@@ -22,19 +22,21 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.model.machine import (
+        Adjustment,
+        CommonTolerance,
         Component,
         Coordinate,
         Dimension,
         Expr,
         Family,
         Machine,
+        Parameter,
         PassiveJoint,
         PointGroup,
         Start,
         Strut,
         Values,
     )
-    from oed.model.parameter import Adjustment, CommonTolerance, Parameter
 else:
     # imported when first used: a module of the room may need little of it
     __getattr__ = door(__name__)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.effect_model import Column, Effect, State
-from pkm_models.effects import bar, natures, references
+from pkm_models.effects import natures, references
 
 LENGTH_ERROR = 10e-6  # m
 
@@ -15,7 +15,7 @@ LENGTH_ERROR = 10e-6  # m
 def columns(state: State) -> Iterable[Column]:
     """A constant a bar: what reads too much is shorter than it says."""
     yield Column(
-        bar.label(state),
+        references.bar_label(state),
         LENGTH_ERROR,
         references.block(state),
         reading={"length": np.ones(len(state))},

@@ -11,7 +11,7 @@ import numpy as np
 
 from oed.base import Array
 from oed.effect_model import Column, Effect, State
-from pkm_models.effects import bar, natures, terms
+from pkm_models.effects import natures, references, terms
 
 TEMPERATURE_RISE = 1.0  # K
 
@@ -22,8 +22,8 @@ def columns(state: State, tau: float, held: float) -> Iterable[Column]:
     two, a second time constant, and any smooth course where no temperature is recorded.
     """
     measured, warm, second = terms.warm_up(state, "bar", tau)
-    name = bar.label(state)
-    long = bar.length(state) or bar.NOMINAL_LENGTH
+    name = references.bar_label(state)
+    long = references.bar_length(state) or references.NOMINAL_BAR_LENGTH
     unit, scale = (
         ("per kelvin", terms.STEEL_EXPANSION)
         if measured

@@ -37,3 +37,18 @@ def from_reference(state: State, values: Array) -> Array:
         first = members[np.argmin(state.order[members])]
         relative[members] -= values[first]
     return relative
+
+
+NOMINAL_BAR_LENGTH = 0.3  # m, where a set-up does not tell
+
+
+def bar_length(state: State) -> float | None:
+    """Nominal length of the set-up's bar, m; None where it does not tell."""
+    length = state.settings.get("length")
+    return None if length is None else float(length)
+
+
+def bar_label(state: State) -> str:
+    """The bar by its length, or by its set-up: bars of one nominal length are one bar."""
+    length = bar_length(state)
+    return f"{state.setup} bar" if length is None else f"bar {1e3 * length:g} mm"

@@ -7,7 +7,7 @@ import pytest
 from oracles import planar_cables, planar_geometry
 from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
-from oed.compensate.exact import joint_corrections
+from oed.compensate.further import joint_corrections
 from oed.mechanism import AssemblyError, Kinematics, pose_error
 
 PLANAR = Kinematics(planar_2dof.machine)

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 from shipped_models import a3_head, planar_2dof
 
 from kernel.cases import CASES
-from oed.compensate.exact import compensated_joints
-from oed.compensate.further import TURN, FurtherAxes
+from oed.compensate.further import TURN, FurtherAxes, compensated_joints
 from oed.mechanism import Kinematics
 
 A3 = Kinematics(a3_head.machine)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed.base import grid_nodes
-from oed.compensate.table import InterpolationTable
+from oed.compensate.command_grid import InterpolationTable
 
 KNOTS = (np.array([0.0, 1.0, 4.0]), np.array([-1.0, 2.0]), np.array([7.0]))
 

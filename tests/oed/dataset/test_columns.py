@@ -15,7 +15,7 @@ from shipped_models import (
 )
 
 from oed.base import consecutive_slices
-from oed.dataset import columns, csv_input, csv_output, data, table
+from oed.dataset import columns, csv_input, data, table
 from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table import check_rows
@@ -111,7 +111,7 @@ def test_references_of_runs_are_rows_without_readings(planar):
     command = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
     series = planar.series("ruler", command, run=["a"] * 3)
     readings = data.from_series([series], np.array([1e-6, 2e-6, np.nan, 4e-6]), planar)
-    header, *rows = csv_output.to_csv(readings).splitlines()
+    header, *rows = data.to_csv(readings).splitlines()
     assert header.startswith("setup,run,order,y_mm,z_mm")
     assert len(rows) == 3
     assert rows[0].endswith(",,")  # the reference

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from oed.design import Rules, choose
+from oed.design.blocks import find_copies
 from oed.design.bounds import bound
-from oed.design.copies import find_copies
 from oed.design.forms import Determinant
 
 

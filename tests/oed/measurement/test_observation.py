@@ -8,7 +8,7 @@ from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 
 from oed.instrument import Setup, mount
 from oed.measurement import Measurement, Series, reading_structure
-from oed.measurement.fixed_reading import _solve_coordinate
+from oed.measurement.measurement import _solve_coordinate
 from oed.measurement.setup_readings import ObservationModel, stated_noise
 from oed.model import Coordinate
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arviz_stats import base
 
-from oed.posterior.pareto import fit_pareto, smoothed_weights
+from oed.posterior.importance import fit_pareto, smoothed_weights
 
 
 @pytest.mark.parametrize("count", [200, 1000, 5000])
