@@ -10,6 +10,7 @@ from oed.base import door
 
 if TYPE_CHECKING:
     from oed.result.agreement import breaches
+    from oed.result.closure import ClosestClosure, MachineShape
     from oed.result.corrected import CorrectedSection, EffectEstimate, EffectTable
     from oed.result.fit import (
         CombinationEstimate,
@@ -104,11 +105,9 @@ if TYPE_CHECKING:
     from oed.result.record import Judgement, Record, finite_or_none
     from oed.result.study import (
         Claim,
-        ClosestClosure,
         Drawing,
         DrawingLabel,
         MachineInfo,
-        MachineShape,
         Polyline,
         SetupInfo,
         StudyResult,

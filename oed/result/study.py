@@ -5,12 +5,10 @@ Field names are fixed by the contract; values are SI unless a `unit` stands besi
 Arrays are lists.
 """
 
-import dataclasses
 from typing import Annotated, ClassVar
 
 import msgspec
 
-from oed.base import Array
 from oed.result.corrected import CorrectedSection
 from oed.result.fit import EstimateSection, GoodnessSection, PosteriorSection, RunCurve
 from oed.result.gap import GapBeforeSection, GapSection, MixtureSection
@@ -194,31 +192,3 @@ class StudyResult(Record, frozen=True, kw_only=True):
         if mixture is not None and mixture.prediction is not None:
             return mixture.with_effects or mixture.prediction
         return self.final_prediction
-
-
-@dataclasses.dataclass(frozen=True)
-class MachineShape:
-    """A machine at a pose and joints, whether it assembles there or not; m."""
-
-    equations: Array  #: (k,) values of the closure, m or rad
-    lines: tuple[Array, ...]  #: polylines of points (n, 3), as the machine draws itself
-    struts: Array  #: (nq, 2, 3) ends of the strut of each joint; none where it has none
-    tool: Array  #: (3,) tool point
-    axes: Array  #: (3, 3) of the platform, in columns
-
-
-@dataclasses.dataclass(frozen=True)
-class ClosestClosure:
-    """A machine at the guess for a command, and where its equations are met best.
-
-    guess, nearest  the machine there
-    joints          names of the joints in each equation
-    line_joints     names of the joints that move each line of the drawing
-    still_open      equations, from 0, that are not met at the nearest
-    """
-
-    guess: MachineShape
-    nearest: MachineShape
-    joints: tuple[tuple[str, ...], ...]
-    line_joints: tuple[tuple[str, ...], ...]
-    still_open: tuple[int, ...]
