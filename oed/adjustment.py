@@ -166,8 +166,6 @@ def _smallest(problem: StepProblem, lists: list[list[int]]) -> list[int] | None:
 
 
 # -- machines --------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class AdjustedAccuracy:
     """Root mean square errors of a machine over the workspace, SI."""

@@ -206,8 +206,6 @@ def _listed(folder: Path) -> dict[str, list[str]]:
 
 
 # -- private folders --------------------------------------------------------------------
-
-
 def make_private(folder: Path) -> bool:
     """Make a folder, and those above it, for this user alone; whether it is private.
 

@@ -378,8 +378,6 @@ def _posterior(information: Array, removed: Mask | None) -> Array:
 
 
 # -- lines -------------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Line:
     """A source of the errors that remain, for k pose components, SI."""
@@ -482,8 +480,6 @@ def _alternatives(
 
 
 # -- what linearisation leaves out -----------------------------------------------------
-
-
 def variance_over_machines(
     measurement: Measurement,
     series: Sequence[Series],

@@ -189,8 +189,6 @@ def _neighbouring_parts(
 
 
 # -- mistakes of several runs ----------------------------------------------------------
-
-
 def _several_runs_trials(
     data: Suspect, every: Sequence[Candidate]
 ) -> Iterator[MistakeTrial]:
@@ -417,8 +415,6 @@ def _sample(session: SessionReadings) -> SessionReadings:
 
 
 # -- a mistake undone and fitted -------------------------------------------------------
-
-
 def as_given(nearest: Fit | None) -> Explanation | None:
     """The readings as given, without a prior; None where they cannot be fitted."""
     if nearest is None:

@@ -306,8 +306,6 @@ def half_covariance(slopes: Array) -> Array:
 
 
 # Goodness of fit against the stated noise, with a probability in both tails.
-
-
 @dataclasses.dataclass(frozen=True)
 class Goodness:
     """How residuals compare with the stated noise.

@@ -163,8 +163,6 @@ def predict_from_others(solution: Fit) -> LeaveOneOut:
 
 
 # -- far readings ----------------------------------------------------------------------
-
-
 def measure(
     prediction: LeaveOneOut, readings: Sequence[int], aside: Sequence[int]
 ) -> tuple[FarReading, ...]:
@@ -419,7 +417,6 @@ class OutlierOdds:
         return float(special.logit(self.share))
 
     # -- which reading it is -----------------------------------------------------------
-
     def of_location(self, members: Sequence[int]) -> dict[int, float]:
         """Log odds of each suspected reading over all sets of readings without it.
 
@@ -482,7 +479,6 @@ class OutlierOdds:
         return sets, np.concatenate(weights)
 
     # -- gross error or noise ----------------------------------------------------------
-
     def of_gross_error(
         self, members: Sequence[int], *, rest_fits: bool
     ) -> dict[int, float]:
@@ -529,8 +525,6 @@ def log_weights_of_shifts(gradient: Array, precision: Array, sigma: Array) -> Ar
 
 
 # -- gross error or noise --------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class _PredictionErrors:
     """Errors of predicting values from all others but the suspects."""

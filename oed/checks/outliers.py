@@ -200,8 +200,6 @@ def _exhausted(session: SessionReadings, search: FarSearch) -> OutlierSearch | N
 
 
 # -- gross errors, doubtful and unlocated readings -------------------------------------
-
-
 def _judged(
     session: SessionReadings, search: FarSearch, *, noise_is_a_guess: bool
 ) -> OutlierSearch | None:

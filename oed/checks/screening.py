@@ -95,7 +95,6 @@ class Screening:
         return [s.plus(t.log_scale) for s, t in zip(result, trials, strict=True)]
 
     # -- one residual under all scales -------------------------------------------------
-
     def _scores_of(self, white: Array) -> list[Score]:
         """Scores of whitened residuals (N, m) with the slopes as given."""
         return [self._best(column) for column in self._densities_by_scale(white).T]
@@ -116,7 +115,6 @@ class Screening:
         return np.asarray(density.T + self._weights(len(white))[:, None])
 
     # -- amounts in the readings -------------------------------------------------------
-
     def _columns_score(self, trial: MistakeTrial, columns: Array) -> Score:
         """Score with amounts of unknown size, of columns (N, k)."""
         both = np.column_stack([self._residual, self.noise.whiten(columns)])
@@ -131,7 +129,6 @@ class Screening:
         return self._best(alone + gains + scaling)
 
     # -- other poses, missing values, several machines ---------------------------------
-
     def _any_score(self, trial: MistakeTrial) -> Score:
         data = self.data
         y = data.session.y if trial.y is None else trial.y

@@ -314,8 +314,6 @@ def outside(session: SessionReadings, ranges: Ranges, values: Index) -> CheckFin
 
 
 # -- words -----------------------------------------------------------------------------
-
-
 def _place(session: SessionReadings, value: int) -> str:
     """`row 12, column length_mm = 300.1`."""
     channel, row = (session.values[c].iloc[value] for c in ("channel", "row"))

@@ -179,7 +179,6 @@ class SessionReadings:
         return np.asarray(mask)
 
     # -- what a fit needs --------------------------------------------------------------
-
     def noise(self) -> Noise:
         """Noise of the readings, SI: by the law, or as stated."""
         if self.law is None:
@@ -195,7 +194,6 @@ class SessionReadings:
         return np.asarray(measurement.prior_root()[:, free] * factor)
 
     # -- words -------------------------------------------------------------------------
-
     def column(self, channel: str) -> ReadingsColumn:
         """Column of a channel, as in the file."""
         if channel in self.columns:

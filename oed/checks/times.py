@@ -198,8 +198,6 @@ def _constant(run: TimedRun, column: TimeColumn) -> CheckFinding | None:
 
 
 # -- times that go back ----------------------------------------------------------------
-
-
 def _backward(run: TimedRun, steps: Array, column: TimeColumn) -> CheckFinding:
     back = np.flatnonzero(steps < 0.0)
     k = int(back[0])
@@ -276,8 +274,6 @@ def _single_row(run: TimedRun) -> Row | None:
 
 
 # -- times that jump -------------------------------------------------------------------
-
-
 def _jump(run: TimedRun, steps: Array, column: TimeColumn) -> CheckFinding | None:
     """Half a day or a day too much, or another unit from a row on."""
     k = int(np.argmax(steps))
@@ -331,8 +327,6 @@ def first_fault_of_runs(
 
 
 # -- two poses at one time -------------------------------------------------------------
-
-
 def first_clash(runs: Sequence[TimedRun]) -> Clash | None:
     """Two runs with different poses at the same times; None where there are none."""
     by_start = sorted(runs, key=lambda run: run.start)
@@ -422,8 +416,6 @@ def _follows_later(runs: Sequence[TimedRun], k: int, turn: float) -> bool:
 
 
 # -- times that are doubtful -----------------------------------------------------------
-
-
 def _run_in_other_unit(
     runs: Sequence[TimedRun], column: TimeColumn
 ) -> CheckFinding | None:

@@ -174,8 +174,6 @@ def filled_columns(
 
 
 # Tables of several sessions as those of one: run names of their own, and one clock.
-
-
 @dataclasses.dataclass(frozen=True)
 class JoinedSessions:
     """Tables of all sessions in order."""

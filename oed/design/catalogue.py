@@ -128,7 +128,6 @@ class Catalogue:
         return self[name].build(columns, ingredient)
 
     # -- names -------------------------------------------------------------------------
-
     @property
     def plan_names(self) -> tuple[str, ...]:
         """Names of the criteria that judge a plan."""
@@ -155,7 +154,6 @@ class Catalogue:
         return tuple(n for n, item in self.entries.items() if item.index is not None)
 
     # -- indices of readings -----------------------------------------------------------
-
     def index(self, name: str, singular_values: Array, count: int = 0) -> float:
         """An index of singular values (L,). Raises LookupError for what is none."""
         function = self[name].index

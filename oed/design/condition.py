@@ -253,8 +253,6 @@ def _only_plan(problem: InteriorProblem, slope: float | None) -> EigenvaluePoint
 
 
 # -- the active set --------------------------------------------------------------------
-
-
 def _first_active_set(problem: InteriorProblem) -> Index:
     """The support of the start and an even sample, which carry more than the size."""
     count, stride = len(problem.caps), max(1, len(problem.caps) // START_SIZE)

@@ -297,8 +297,6 @@ def _greedy_plans(
 
 
 # -- bounds ----------------------------------------------------------------------------
-
-
 def _check(blocks: Array, rules: Rules) -> None:
     if rules.size is not None and not 0 < rules.size <= len(blocks):
         raise ValueError(

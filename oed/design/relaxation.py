@@ -445,8 +445,6 @@ def eliminate(tangent: Tangent, value: float, size: float, caps: Array) -> Index
 
 
 # -- the active set --------------------------------------------------------------------
-
-
 def _begin(
     objective: Objective, size: float, caps: Array
 ) -> tuple[Index, Array, float]:

@@ -172,8 +172,6 @@ class _ScenarioEvaluator(PlanEvaluator):
 
 
 # -- scenarios as one objective --------------------------------------------------------
-
-
 def aggregate(values: Array, risk: Risk, tail_share: float) -> Array:
     """Values (S, ...) of the scenarios combined to (...)."""
     if risk == "mean":

@@ -350,7 +350,6 @@ class Rules:
         )
 
     # -- plans of any objective --------------------------------------------------------
-
     def relax(
         self,
         count: int,
@@ -425,7 +424,6 @@ class Rules:
         return max(plans, key=evaluator.value)
 
     # -- convex problems that hold every plan ------------------------------------------
-
     def relaxations(self, count: int) -> Iterator[RelaxedRules]:
         """Convex problems that together hold every plan under the rules.
 

@@ -38,9 +38,8 @@ from oed.result import UNKNOWN, CoefficientRecord, PlaceRecord
 #: should remove from withheld readings
 MIN_CLOSURE = -1.0
 
+
 # What the best hypothesis explains of the residual: coefficients, sizes, remainder.
-
-
 def explain(
     problem: GapProblem, search: Search, h: Hypothesis, named: Collection[str]
 ) -> Explained:

@@ -68,7 +68,6 @@ class Measurement(ParameterVector):
         return self._readings[series.setup]
 
     # -- series ------------------------------------------------------------------------
-
     def series(
         self,
         setup: str,
@@ -120,7 +119,6 @@ class Measurement(ParameterVector):
         return self.kinematics.inverse(command, controller, tool)
 
     # -- readings ----------------------------------------------------------------------
-
     def readings(self, series: Sequence[Series], theta: Array) -> Array:
         """Exact nonlinear readings y (N,) at theta (n,), or (m, N) at theta (m, n); SI.
 
@@ -205,7 +203,6 @@ class Measurement(ParameterVector):
         return np.asarray(self.of(series).poses(series, theta[None], strict=True)[0])
 
     # -- noise, and what belongs to each reading ---------------------------------------
-
     def noise(self, series: Sequence[Series]) -> Noise:
         """Stated noise of the readings (N,) at their nominal poses, SI."""
         return stated_noise([(self.of(s), s) for s in series])
@@ -233,7 +230,6 @@ class Measurement(ParameterVector):
         return np.concatenate(factors)
 
     # -- one series --------------------------------------------------------------------
-
     def _read(self, series: Series, theta: Array, wanted: Mask | None = None) -> Array:
         """Readings (m, N of the series) at theta (m, n), NaN where not assembled."""
         poses = None

@@ -299,8 +299,6 @@ class SetupReadings:
 
 
 # Noise of readings, as instrument and study state it.
-
-
 def stated_noise(several: Sequence[tuple[SetupReadings, Series]]) -> Noise:
     """Noise of the readings of several series at their nominal poses, SI.
 

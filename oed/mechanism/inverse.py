@@ -148,7 +148,6 @@ class InverseKinematics:
         return np.column_stack([direct, inverse, np.sign(np.nan_to_num(by_joint))])
 
     # -- home --------------------------------------------------------------------------
-
     def _assemble_home(self) -> tuple[Array, Array]:
         machine = self.machine
         drawn = machine.drawn or machine
@@ -242,7 +241,6 @@ class InverseKinematics:
         return -newton.solve_linear(slope, by_parameter)[:, x.shape[1] :]
 
     # -- paths -------------------------------------------------------------------------
-
     def _follow(
         self,
         begun: tuple[Array, Array],
@@ -290,7 +288,6 @@ class InverseKinematics:
         return regular
 
     # -- equations ---------------------------------------------------------------------
-
     def _starts(self, command: Array, p: Array, tool: Array) -> Array:
         return np.hstack(self._start(command, p, tool))
 

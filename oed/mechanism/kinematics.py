@@ -236,7 +236,6 @@ class Kinematics:
         return BatchedFunction("frame", [e.x, e.tool], frame)
 
     # -- the controller ----------------------------------------------------------------
-
     def inverse(
         self, command: Array, p: Array | None = None, tool: Array | None = None
     ) -> tuple[Array, Array]:
@@ -290,7 +289,6 @@ class Kinematics:
         return x, q
 
     # -- the machine -------------------------------------------------------------------
-
     def forward(self, q: Array, p: Array, start: Array) -> Array:
         """Pose x with phi(x, q, p) = 0, from a start in the wanted assembly mode.
 
@@ -407,7 +405,6 @@ class Kinematics:
         return np.asarray(np.linalg.slogdet(phi_x)[0])
 
     # -- tool frame and pose errors ----------------------------------------------------
-
     def frames(self, x: Array, tool: Array) -> tuple[Array, Array, Array]:
         """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx).
 

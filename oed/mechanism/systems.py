@@ -88,8 +88,6 @@ def factors(matrices: Array) -> Factors:
 
 
 # Of one matrix, Python's own numbers are five times as fast as arrays of one entry.
-
-
 def _factors_of_one(rows: list[list[float]]) -> Factors:
     order = list(range(len(rows)))
     for k in range(len(rows)):

@@ -173,8 +173,6 @@ def _joint_rows(parts: Sequence[OptionBound], n: int) -> Array:
 
 
 # -- one option ------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class OptionBound:
     """Candidates (C) of an option, weighted with a bound of their capture probability."""
@@ -339,8 +337,6 @@ def _combinations(mounting: Array, budget: float, stages: int) -> Index:
 
 
 # -- machines that no reading captures -------------------------------------------------
-
-
 def bound_uncaptured(
     options: Sequence[Option],
     goal: Goal,

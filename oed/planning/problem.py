@@ -79,8 +79,6 @@ Key = tuple[int, int, int, bytes]
 # the same machines for a stage at each use. A stage after the same stages, with the same
 # readings, is therefore the same. Plans on trial differ in one or two stages, and
 # searches with fewer measurements meet earlier plans again.
-
-
 class StageMemory:
     """Stages by the stage before, the option, its readings and the machines drawn.
 

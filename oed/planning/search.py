@@ -218,8 +218,6 @@ def _mean_probability(problem: PlanProblem, option: Option, prior: Prior) -> flo
 
 
 # -- moves -----------------------------------------------------------------------------
-
-
 def steps_of(plan: StagePlan) -> list[Step]:
     """The steps of a plan."""
     return [(stage.option, len(stage.chosen)) for stage in plan.stages]

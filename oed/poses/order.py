@@ -343,8 +343,6 @@ def _check(distance: Array, start: Array | None, members: list[list[int]]) -> No
 
 
 # -- the shortest path -----------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunStates:
     """Runs in their directions; state 0 is where the machine starts and ends."""
@@ -564,8 +562,6 @@ def _best_shift(path: _ClosedPath, states: RunStates, size: int) -> PathChange:
 
 
 # -- readings of a plan ----------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadingOrder:
     """Readings of one set-up in an order of short joint travel."""

@@ -123,7 +123,6 @@ class PolishProgram:
         self._series = [self._add_series(series) for series in start.series]
 
     # -- variables and constraints -----------------------------------------------------
-
     def _add_variable(self, value: Array, lower: Array, upper: Array) -> Any:
         """A matrix (., m) of variables from values (m, .)."""
         name = f"z{len(self._start_values)}"
@@ -239,7 +238,6 @@ class PolishProgram:
         self._objective = function(m)
 
     # -- solution ----------------------------------------------------------------------
-
     def solve(self, curvature: float, iterations: int) -> tuple[str, Array]:
         """IPOPT's status, and its last point."""
         nlp: Any = {
@@ -444,8 +442,6 @@ def _free_variables(
 
 
 # -- values of plans -------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class _PolishEvaluator:
     """The criterion over the columns of `basis` (n, r), with prior information (r, r).

@@ -231,8 +231,6 @@ def home_determinant(measurement: Measurement) -> float:
 
 
 # -- readings that the instrument holds ------------------------------------------------
-
-
 def _first_channel(measurement: Measurement, series: Series) -> Array:
     """First channel (n,) of the readings of a series on the nominal machine."""
     readings = measurement.readings([series], measurement.nominal)
@@ -305,8 +303,6 @@ def _command_slopes(plan: ReadingPlan, series: Series) -> Array:
 
 
 # -- checks ----------------------------------------------------------------------------
-
-
 def find_fault(
     plan: ReadingPlan,
     variables: Ranges,

@@ -314,8 +314,6 @@ def _lag(value: Array, time: Array, tau: float) -> Array:
 
 
 # -- columns ---------------------------------------------------------------------------
-
-
 def adapting(name: str, size: float, label: str, joints: Mapping[int, Array]) -> Column:
     """A column that only lets the form adapt; `size` is the textbook's."""
     return Column(name, SHAPE_SHARE * size, label, joints, shape=True)

@@ -52,8 +52,6 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 # -- readings --------------------------------------------------------------------------
-
-
 def _subject(data: Suspect, scope: Scope, values: Mask) -> str:
     if scope.level == "instrument":
         return f"all readings{scope.of} are"
@@ -195,8 +193,6 @@ def _log_size(factor: float) -> float:
 
 
 # -- set-ups that moved ----------------------------------------------------------------
-
-
 def _moved_setup(data: Suspect, scope: Scope) -> MistakeTrial | None:
     """The unknowns of a set-up anew in one run, or in the first or last rows."""
     names = data.session.values["setup"].to_numpy()
@@ -258,8 +254,6 @@ def _set_up_again(
 
 
 # -- sizes far from nominal ------------------------------------------------------------
-
-
 def _sizes(data: Suspect) -> Iterator[MistakeTrial]:
     """Each free parameter far outside its tolerance."""
     measurement = data.session.measurement
@@ -294,8 +288,6 @@ def _size(data: Suspect, k: int, column: int) -> MistakeTrial:
 
 
 # -- zeros inside an instrument --------------------------------------------------------
-
-
 def _zeros(data: Suspect) -> Iterator[MistakeTrial]:
     """Each inner reading off by an amount: in the file, a set-up, a run and in rows."""
     setups = data.session.measurement.setups.values()

@@ -43,8 +43,6 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 # -- copies ----------------------------------------------------------------------------
-
-
 def _equal(data: Suspect, one: Index, other: Index) -> bool:
     if len(one) != len(other) or len(one) < 3:
         return False
@@ -67,8 +65,6 @@ def _copied(data: Suspect, one: Scope, other: Scope) -> MistakeTrial:
 
 
 # -- two parts that fit alone ----------------------------------------------------------
-
-
 def _divisions(data: Suspect) -> Iterator[MistakeTrial]:
     """The session divided at every reading, or at the ends of runs where it is long."""
     count = 1 + int(data.session.reading_of_value[-1])

@@ -58,8 +58,6 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 # -- columns ---------------------------------------------------------------------------
-
-
 def _groups(names: list[str]) -> list[list[str]]:
     """Channels that are permuted together: pairs alone where there are many."""
     if len(names) <= 3:
@@ -113,8 +111,6 @@ def _mapped(
 
 
 # -- what may be wrong with poses ------------------------------------------------------
-
-
 def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -189,8 +185,6 @@ def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> 
 
 
 # -- poses that are read ---------------------------------------------------------------
-
-
 def _read(data: Suspect) -> Iterator[MistakeTrial]:
     setups = data.session.measurement.setups
     of = {s.setup: setups[s.setup].instrument.orientation for s in data.session.series}
@@ -215,8 +209,6 @@ def _read_otherwise(
 
 
 # -- poses that are commanded ----------------------------------------------------------
-
-
 def _driven(data: Suspect) -> Iterator[MistakeTrial]:
     """Commands of all six coordinates; those out of the workspace were never given."""
     machine = data.session.measurement.machine

@@ -47,8 +47,6 @@ def trials(data: Suspect) -> Iterator[MistakeTrial]:
 
 
 # -- joints at a stop ------------------------------------------------------------------
-
-
 def _stopped(data: Suspect, k: int, sign: float) -> Iterator[MistakeTrial]:
     """A joint that went no further than a stop, where readings are far off beyond it."""
 

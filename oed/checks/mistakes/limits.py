@@ -58,8 +58,6 @@ def _clipped(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
 
 
 # -- revolutions -----------------------------------------------------------------------
-
-
 def _revolved(
     data: Suspect, si: str, turn: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:

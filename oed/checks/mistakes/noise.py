@@ -91,8 +91,6 @@ def _rounded(data: Suspect, text: str, error: Array, scope: Scope) -> MistakeTri
 
 
 # -- noise -----------------------------------------------------------------------------
-
-
 def _other_noise(
     data: Suspect, si: str, factor: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:

@@ -169,8 +169,6 @@ def _displacement(
 
 
 # -- another program of a fixed length -------------------------------------------------
-
-
 def _programs(data: Suspect) -> Iterator[MistakeTrial]:
     """Each coordinate displaced in the file, a set-up and a run, with each that follows."""
     command = data.session.measurement.machine.command

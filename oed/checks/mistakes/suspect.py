@@ -328,8 +328,6 @@ class Suspect:
 
 
 # -- one instrument in several set-ups -------------------------------------------------
-
-
 def shared_instruments(session: SessionReadings) -> list[tuple[Scope, Mask]]:
     """Values (N,) that one instrument may have read in two set-ups or more."""
     channel = session.values["channel"].to_numpy()

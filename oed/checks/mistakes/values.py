@@ -109,8 +109,6 @@ def _readings(data: Suspect, scope: Scope, values: Mask) -> str:
 
 
 # -- units and deviations --------------------------------------------------------------
-
-
 def _other_unit_trial(
     data: Suspect, si: str, name: str, factor: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:
@@ -200,8 +198,6 @@ def _added_twice(
 
 
 # -- signs and factors -----------------------------------------------------------------
-
-
 def _lost(data: Suspect, scope: Scope, values: Mask) -> MistakeTrial | None:
     """Readings of one sign where predictions, surely not 0, ask for both."""
     y = data.session.y

@@ -188,8 +188,6 @@ class PowerMean(Criterion):
 
 
 # -- traces of powers ------------------------------------------------------------------
-
-
 def trace_after_adding(
     eigenvalues: Array, eigenvectors: Array, rows: Array, p: int
 ) -> Array:
@@ -257,8 +255,6 @@ def _determinant_series(
 
 
 # -- shortlists ----------------------------------------------------------------------
-
-
 def rank_by_variance(eigenvalues: Array, eigenvectors: Array, blocks: Array) -> Array:
     """Reduction of tr M^-1 by each block (C,), from the eigensystem of M."""
     floored = np.maximum(eigenvalues, RANK_FLOOR * eigenvalues[-1])
@@ -298,8 +294,6 @@ def evaluate_shortlist(
 
 
 # -- extreme eigenvalues --------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ExtremeEigenvalues(Criterion):
     """a log l_min - b log l_max, with `least` a and `largest` b.

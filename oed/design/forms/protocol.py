@@ -49,7 +49,6 @@ class Criterion(abc.ABC):
     name: str  #: as in the catalogue
 
     # -- properties --------------------------------------------------------------------
-
     @property
     def concave(self) -> bool:
         """Whether `support` exists, and with it relaxations and bounds by convexity."""
@@ -86,7 +85,6 @@ class Criterion(abc.ABC):
         return 1
 
     # -- values ------------------------------------------------------------------------
-
     @abc.abstractmethod
     def value(self, m: Array) -> float:
         """log phi(M); -inf where M leaves a direction undetermined that phi needs."""
@@ -137,7 +135,6 @@ class Criterion(abc.ABC):
         return values.reshape(len(pairs.chosen), len(pairs.blocks))
 
     # -- other criteria that follow from it --------------------------------------------
-
     @abc.abstractmethod
     def restrict(self, basis: Array) -> Criterion:
         """The same criterion of B^T M B, for an orthonormal basis B (n, r)."""
@@ -170,7 +167,6 @@ class Criterion(abc.ABC):
         return [step for step in steps if step.concave and step.smooth][-1]
 
     # -- methods of its own ------------------------------------------------------------
-
     @property
     def polished(self) -> Criterion | None:
         """The criterion with an `expression` to polish poses by; None without one."""

@@ -349,8 +349,6 @@ def indistinguishable(
 
 
 # -- root ------------------------------------------------------------------------------
-
-
 def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
     """R (k, m), R R^T the pseudo-inverse of a Gram matrix above a `least` energy."""
     values, vectors = eigenvectors(gram)

@@ -350,8 +350,6 @@ def propose(
 
 
 # -- both visits as one problem --------------------------------------------------------
-
-
 def both_visits(
     taken: GapProblem, candidates: Sequence[Run]
 ) -> tuple[GapProblem, tuple[Index, ...]]:
@@ -425,8 +423,6 @@ def answer_forms(
 
 
 # -- targets ---------------------------------------------------------------------------
-
-
 def _pool(
     both: GapProblem,
     law: NoiseLaw,

@@ -90,7 +90,6 @@ class Separation(Objective):
         return self.size + len(self.targets)
 
     # -- one matrix, or many at once ---------------------------------------------------
-
     def of(self, chosen: Index) -> Array:
         """M (m, m) of a plan."""
         return np.asarray(self.base + self.grams[chosen].sum(axis=0))
@@ -155,7 +154,6 @@ class Separation(Objective):
         return sorted(records, key=lambda record: record.separation)
 
     # -- relaxation --------------------------------------------------------------------
-
     def at(self, active: Index, weights: Array) -> Array:
         """M (m, m)."""
         runs = np.tensordot(weights, self.grams[active], axes=1)

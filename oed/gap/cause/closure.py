@@ -255,8 +255,6 @@ def _score(
 
 
 # -- prediction of held-out readings ---------------------------------------------------
-
-
 class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 

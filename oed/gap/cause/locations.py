@@ -35,12 +35,11 @@ from oed.gap.forms.library import Library
 from oed.noise import NoiseLaw
 from oed.result import PlaceRecord
 
+
 # Energy of what acts in each reading, in draws of the posterior over likely forms.
 #
 # `ReversedForms` has the columns as if every run had been driven the other way, at the same
 # poses.
-
-
 @dataclasses.dataclass(frozen=True)
 class LikelyForms:
     """Forms that what acts may have."""
@@ -234,8 +233,6 @@ def locate(
 
 
 # -- places ----------------------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Place:
     """A place as reported, its mean share of the gap, its even share, its readings (N,)."""

@@ -171,8 +171,6 @@ def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
 
 
 # -- readings taken again --------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replicates:
     """Readings that were taken more than once.
@@ -246,8 +244,6 @@ def _numbers(values: Array) -> Index:
 
 
 # -- shape -----------------------------------------------------------------------------
-
-
 def shape(problem: GapProblem, law: NoiseLaw) -> str:
     """How the scatter is spread: in one run or leg, along runs, or in no way."""
     factor = law.factor(problem.structure)

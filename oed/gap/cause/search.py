@@ -435,7 +435,6 @@ class Search:
         return self.library.atoms[atom].columns
 
     # -- one hypothesis ----------------------------------------------------------------
-
     def grams_with(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
         """Grams of the columns of forms alone, these in the model one after the other."""
         columns = [self.columns_of(k) for k in atoms]
@@ -490,7 +489,6 @@ class Search:
         return float(total)
 
     # -- sets of effects ---------------------------------------------------------------
-
     def screen(
         self, without: Iterable[str], atoms: Sequence[int], sizes: Sequence[float]
     ) -> dict[str, Further]:
@@ -587,7 +585,6 @@ class Search:
         return self.grams_with(h.atoms, h.sizes), selected
 
     # -- the search --------------------------------------------------------------------
-
     def run(self) -> list[Hypothesis]:
         """No gap, one to three effects, and these with an unknown, best first."""
         if not self._hypotheses:

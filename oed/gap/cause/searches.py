@@ -187,8 +187,6 @@ def _add_scarce(
 
 
 # -- the wide model --------------------------------------------------------------------
-
-
 def wide_model(problem: GapProblem, library: Library, processes: Library) -> Array:
     """Columns (N, k), compressed, of slopes, middle forms and broad processes."""
     forms = [_middle_form(library, effect) for effect in library.effects]
@@ -208,8 +206,6 @@ def _middle_form(library: Library, effect: str) -> list[Block]:
 
 
 # -- outliers --------------------------------------------------------------------------
-
-
 def detect_outliers(
     problem: GapProblem, law: NoiseLaw, columns: Array
 ) -> Outliers | None:

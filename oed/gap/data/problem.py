@@ -493,8 +493,6 @@ def reversed_runs(covariates: pd.DataFrame) -> pd.DataFrame:
 
 
 # Inner products of changes of the readings, less what the parameters absorb.
-
-
 class Metric:
     """Inner products <u, v> = u^T M v with M = (Sigma + H Lambda H^T)^-1.
 

@@ -474,8 +474,6 @@ def _owner(series: Series) -> Index:
 
 
 # -- phase along runs ------------------------------------------------------------------
-
-
 def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
     """Phase (m,) of each pose along its run, rad.
 

@@ -334,8 +334,6 @@ def _columns(weights: Array, turns: Array) -> Array:
 
 
 # -- tail of the chi-square ------------------------------------------------------------
-
-
 def log_tail(energy: Array, rank: Array | float) -> Array:
     """Log of the chi-square's upper tail, by its asymptote where that underflows."""
     a = np.maximum(rank, 1e-9) / 2.0

@@ -138,8 +138,6 @@ class FixedStruts:
 
 
 # -- carriages on straight guides ------------------------------------------------------
-
-
 def direction(p: Values, i: int, along: Array, sides: Array) -> Expr:
     """Direction (3,) of guide i with its two tilts."""
     tilted = (
@@ -188,8 +186,6 @@ def guide_dimensions(
 
 
 # -- tripods ---------------------------------------------------------------------------
-
-
 def tripod_command(table: Geometry) -> tuple[Coordinate, ...]:
     """Height within reach of home, and tilt vector."""
     z, reach, tilt = (
