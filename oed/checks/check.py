@@ -192,25 +192,21 @@ class CheckedSession:
         """The check as the result holds it."""
         outliers = self.outliers
         none = GoodnessSection(None, None, None, None)
+        unlocated = () if self.outliers is None else self.outliers.unlocated
+        row = self.session.values["row"].to_numpy()
+        first = np.searchsorted(self.session.reading_of_value, sorted(unlocated))
         return replace(
             none if self.goodness is None else self.goodness.section,
             bad_fit=self.bad_fit,
             outliers=self._records(() if outliers is None else outliers.gross),
             doubtful=self._records(() if outliers is None else outliers.doubtful),
-            unlocated=self._unlocated_rows(),
+            unlocated=[int(k) for k in row[first]],
             mistakes=[
                 MistakeRecord(what=one.what, evidence=sentences.evidence(one))
                 for one in self.explanations
             ],
             findings=[finding.sentence for finding in self.findings],
         )
-
-    def _unlocated_rows(self) -> list[int]:
-        """Rows of the file one of which is wrong; none where the readings tell which."""
-        unlocated = () if self.outliers is None else self.outliers.unlocated
-        row = self.session.values["row"].to_numpy()
-        first = np.searchsorted(self.session.reading_of_value, sorted(unlocated))
-        return [int(k) for k in row[first]]
 
     def _records(self, far: Sequence[FarReading]) -> list[OutlierRecord]:
         """Readings by their place in the file."""

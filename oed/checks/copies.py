@@ -206,15 +206,6 @@ def _coarse(
     """Values of a channel, where their step exceeds what is stated; None otherwise."""
     step = resolution(session, rows)
     sigma = session.measurement.sigma(session.series)[rows]
-    is_stated = step <= _stated_resolution(session, channel)
-    if is_stated or step <= COARSE_STEPS * float(np.median(sigma)):
-        return None
-    numbers = np.unique(session.reading_of_value[rows]).tolist()
-    return CoarseReadings(channel, step, tuple(numbers))
-
-
-def _stated_resolution(session: SessionReadings, channel: str) -> float:
-    """Largest step, SI, that a set-up states for a channel, and a rounding more."""
     setups = session.measurement.setups
     stated = [
         c.resolution
@@ -222,4 +213,8 @@ def _stated_resolution(session: SessionReadings, channel: str) -> float:
         for c in setups[s.setup].instrument.channels
         if c.name == channel
     ]
-    return 1.000001 * max(stated, default=0.0)
+    is_stated = step <= 1.000001 * max(stated, default=0.0)
+    if is_stated or step <= COARSE_STEPS * float(np.median(sigma)):
+        return None
+    numbers = np.unique(session.reading_of_value[rows]).tolist()
+    return CoarseReadings(channel, step, tuple(numbers))

@@ -187,16 +187,11 @@ def find_outliers(
     if search is None:
         return None
     if search.exhausted:
-        return _exhausted(session, search)
+        solution = fit(session, search.solution.theta)
+        if solution is None:
+            return None
+        return OutlierSearch((), (), (), (), solution, solution, exhausted=True)
     return _judged(session, search, noise_is_a_guess=robust)
-
-
-def _exhausted(session: SessionReadings, search: FarSearch) -> OutlierSearch | None:
-    """More readings deviate than can be outliers: none is one."""
-    solution = fit(session, search.solution.theta)
-    if solution is None:
-        return None
-    return OutlierSearch((), (), (), (), solution, solution, exhausted=True)
 
 
 # -- gross errors, doubtful and unlocated readings -------------------------------------

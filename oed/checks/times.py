@@ -182,7 +182,14 @@ def _finding(run: TimedRun, column: TimeColumn) -> CheckFinding | None:
     if not steps.any():
         return _constant(run, column)
     if (steps < 0.0).any():
-        return _backward(run, steps, column)
+        k = int(np.flatnonzero(steps < 0.0)[0])
+        before, after = run.times[k : k + 2]
+        sentence = (
+            f"{column.name} runs backward in {run.name}: {column.written(before)} in row {run.rows[k]},"
+            f" {column.written(after)} in row {run.rows[k + 1]}, though order has them one after the"
+            f" other. {_cause(run, steps, column)}."
+        )
+        return CheckFinding(Severity.ORDER, "time back", sentence, run.rows_from(k + 1))
     return _jump(run, steps, column)
 
 
@@ -198,16 +205,6 @@ def _constant(run: TimedRun, column: TimeColumn) -> CheckFinding | None:
 
 
 # -- times that go back ----------------------------------------------------------------
-def _backward(run: TimedRun, steps: Array, column: TimeColumn) -> CheckFinding:
-    back = np.flatnonzero(steps < 0.0)
-    k = int(back[0])
-    before, after = run.times[k : k + 2]
-    sentence = (
-        f"{column.name} runs backward in {run.name}: {column.written(before)} in row {run.rows[k]},"
-        f" {column.written(after)} in row {run.rows[k + 1]}, though order has them one after the"
-        f" other. {_cause(run, steps, column)}."
-    )
-    return CheckFinding(Severity.ORDER, "time back", sentence, run.rows_from(k + 1))
 
 
 def _cause(run: TimedRun, steps: Array, column: TimeColumn) -> str:

@@ -251,10 +251,6 @@ class _JointFit:
         )
 
 
-def _coefficient_names(form: ChosenForm) -> list[str]:
-    return [f"{form.effect.name}{SEPARATOR}{name}" for name in form.signature.names]
-
-
 def _same_forms(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
     """Whether two choices agree in effects, constants, coefficients and sizes."""
     sizes = [[f.size for f in forms] for forms in (one, other)]
@@ -284,7 +280,9 @@ def _linearised(
         coefficients = form.signature.names
         signature = problem.signature(form.effect, form.constants)
         columns.append(signature.columns_of(coefficients))
-        names += _coefficient_names(form)
+        names += [
+            f"{form.effect.name}{SEPARATOR}{name}" for name in form.signature.names
+        ]
         values = beta[start : start + len(coefficients)]
         factors = dict(zip(coefficients, values.tolist(), strict=True))
         acting.append((form.effect, form.constants, factors))

@@ -42,26 +42,18 @@ MAX_ORDER: Final = 1e15  #: orders stay below this
 
 def check_rows(table: ReadingsFile) -> None:
     """Raises ReadingsError for the first row that contradicts itself."""
-    _check_labels(table)
-    _check_order(table)
-    _check_direction(table)
-    _check_not_negative(table)
-    _check_sigma(table)
-
-
-def _check_labels(table: ReadingsFile) -> None:
     for stem in LABELS:
         empty = (table.frame[stem] == "").to_numpy()
         remedy = f"name the {stem} of every row"
         _refuse_first(table, empty, "the cell is empty", remedy, stem)
-
-
-def _check_order(table: ReadingsFile) -> None:
     order = table.frame["order"].to_numpy()
     whole = (order >= 0) & (order < MAX_ORDER) & (order == np.round(order))
     _refuse_first(
         table, ~whole, "order is no whole number from 0 on", ORDER_REMEDY, "order"
     )
+    _check_direction(table)
+    _check_not_negative(table)
+    _check_sigma(table)
 
 
 def _check_direction(table: ReadingsFile) -> None:

@@ -42,7 +42,12 @@ def bound(
     by_candidates: dict[bytes, Relaxation] = {}
     for problem in rules.relaxations(len(blocks)):
         optimum = _relax(blocks, criterion, problem, prior, rounding)
-        new = _all_candidates(optimum, problem, len(blocks))
+        count = len(blocks)
+        weights, gradient = np.zeros(count), np.zeros(count)
+        cost = 1.0 if problem.cost is None else problem.cost
+        weights[problem.candidates] = optimum.weights / cost
+        gradient[problem.candidates] = optimum.gradient
+        new = dataclasses.replace(optimum, weights=weights, gradient=gradient)
         key = problem.candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
         if key not in by_candidates or new.bound < by_candidates[key].bound:
@@ -120,17 +125,6 @@ def _relax_capped(
     return relaxation.relax(
         scaled, total, prior, cap, criterion=criterion, rounding=rounding
     )
-
-
-def _all_candidates(
-    optimum: Relaxation, problem: RelaxedRules, count: int
-) -> Relaxation:
-    """The relaxation with weights and gradient of all candidates (C,), as numbers."""
-    weights, gradient = np.zeros(count), np.zeros(count)
-    cost = np.ones(len(problem.candidates)) if problem.cost is None else problem.cost
-    weights[problem.candidates] = optimum.weights / cost
-    gradient[problem.candidates] = optimum.gradient
-    return dataclasses.replace(optimum, weights=weights, gradient=gradient)
 
 
 def condition_bound(

@@ -61,7 +61,8 @@ class Pairs(NamedTuple):
         leaving = _Leaving.of(self.chosen, inverse)
         sums = leaving.sums(self.blocks, inverse)
         terms, lost = leaving.weighted_sums(self.chosen, self.blocks, weighted)
-        return _traces_of_quotients(sums, terms) - lost[:, None]
+        solved = np.linalg.solve(sums, terms)
+        return np.asarray(np.trace(solved, axis1=2, axis2=3)) - lost[:, None]
 
     def _row_reductions(self, inverse: Array, weighted: Array) -> Array:
         rows, others = self.chosen[:, 0], self.blocks[:, 0]
@@ -135,9 +136,3 @@ class _Leaving(NamedTuple):
         coming = blocks @ weighted @ np.swapaxes(blocks, 1, 2)
         total = coming + mixed + np.swapaxes(mixed, 2, 3)
         return total, np.trace(v, axis1=1, axis2=2)
-
-
-def _traces_of_quotients(matrices: Array, numerators: Array) -> Array:
-    """tr(A^-1 B) (N, C) of matrices A and B (N, C, k, k)."""
-    solved = np.linalg.solve(matrices, numerators)
-    return np.asarray(np.trace(solved, axis1=2, axis2=3))

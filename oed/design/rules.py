@@ -277,7 +277,10 @@ class Rules:
         if self.setups is not None:
             free &= self.setups.additions(chosen)
         if self.budget is not None:
-            free &= self.budget.allows(self._times_after_adding(chosen, self.budget))
+            more = self.budget.cost
+            if self.setups is not None:
+                more = more + self.setups.mounting_times(chosen)
+            free &= self.budget.allows(self.time_of(chosen) + more)
         if self.distance is not None:
             for member in chosen:
                 free &= ~self._too_near(int(member), self.distance)
@@ -324,13 +327,6 @@ class Rules:
     def satisfied(self, chosen: Index) -> bool:
         """Whether a plan keeps its quotas; the other rules hold by construction."""
         return self.quotas is None or self.quotas.satisfied(chosen)
-
-    def _times_after_adding(self, chosen: Index, budget: TimeBudget) -> Array:
-        """Times (C,) of a plan, s, with each of the candidates."""
-        more = budget.cost
-        if self.setups is not None:
-            more = more + self.setups.mounting_times(chosen)
-        return self.time_of(chosen) + more
 
     def _too_near(self, member: int, distance: DistanceLimit) -> Mask:
         """Candidates of a member's set-up that are too near to it."""

@@ -109,22 +109,17 @@ def _promising(weights: Array, gradient: Array, rules: Rules, least_size: int) -
         gradient_per_cost = gradient / np.maximum(rules.time.cost, 1e-300)
     size = rules.size or int((weights > CHOSEN_WEIGHT).sum())
     places = max(least_size, POOL_PER_READING * size)
-    steepest = _steepest(gradient_per_cost, places)
+    order = np.argsort(-gradient_per_cost, kind="stable")[: MAX_COPIES * places]
+    ordered = gradient_per_cost[order]
+    falls = ordered[:-1] - ordered[1:] > COPY_TOLERANCE * np.abs(ordered[:-1])
+    rank = np.concatenate([[0], np.cumsum(falls)])
+    steepest = order[rank < places]
     heaviest = np.argsort(-weights, kind="stable")[:places]
     heaviest = heaviest[weights[heaviest] > POSSIBLE_WEIGHT]
     promising = np.union1d(steepest, heaviest)
     if rules.quotas is not None:
         promising = np.union1d(promising, _steepest_by_class(gradient, rules.quotas))
     return promising.astype(np.intp)
-
-
-def _steepest(gradient: Array, places: int) -> Index:
-    """The steepest candidates; copies of one candidate take one place."""
-    order = np.argsort(-gradient, kind="stable")[: MAX_COPIES * places]
-    ordered = gradient[order]
-    falls = ordered[:-1] - ordered[1:] > COPY_TOLERANCE * np.abs(ordered[:-1])
-    rank = np.concatenate([[0], np.cumsum(falls)])
-    return order[rank < places]
 
 
 def _steepest_by_class(gradient: Array, quotas: QuotaSet) -> Index:

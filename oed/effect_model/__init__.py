@@ -13,14 +13,8 @@ from typing import TYPE_CHECKING
 from oed.base import door
 
 if TYPE_CHECKING:
-    from oed.effect_model.effect import (
-        EFFECT_SIZES,
-        FAR_SHARE,
-        UNKNOWN_SIZES,
-        Column,
-        Effect,
-        State,
-    )
+    from oed.effect_model.effect import Column, Effect, State
+    from oed.effect_model.size_prior import EFFECT_SIZES, FAR_SHARE, UNKNOWN_SIZES
 else:
     # imported when first used: a module of the room may need little of it
     __getattr__ = door(__name__)

@@ -126,20 +126,17 @@ class _Steps:
             self._z, self._residual, self._slopes, self._converged, self._evaluations
         )
 
-    def _system(self, machines: Index) -> _StepSystem:
-        return _StepSystem.of(
-            self._slopes[machines],
-            self._residual[machines],
-            self._z[machines],
-            self._weight,
-        )
-
     def step(self, machines: Index, precision: float) -> Index:
         """Moves machines by a step each; returns those that need a further one."""
         machines = self._linearise(machines)
         if not machines.size:
             return machines
-        system = self._system(machines)
+        system = _StepSystem.of(
+            self._slopes[machines],
+            self._residual[machines],
+            self._z[machines],
+            self._weight,
+        )
         self._adapt_damping(machines, system)
         near = system.distance() < np.maximum(precision, self._precision[machines])
         undamped = np.zeros(int(near.sum()))

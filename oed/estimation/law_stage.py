@@ -278,7 +278,10 @@ def check_law(
     """
     errors = law.errors(structure)
     one = np.eye(slopes.shape[1])
-    weighted = _uncorrelated(law).factor(structure).precision(slopes)
+    none = np.zeros(len(law))
+    scale = law.scale * np.sqrt(1.0 + law.level**2)[:, None]
+    same_variances = dataclasses.replace(law, scale=scale, correlated=none, level=none)
+    weighted = same_variances.factor(structure).precision(slopes)
     information = slopes.T @ weighted
     by_variances = np.linalg.inv(one + information)
     between = one + errors.covariance_of(weighted)
@@ -299,13 +302,6 @@ def _correlated(structure: ReadingStructure, law: Laws) -> float:
     if structure.statement.is_assumed:
         return 0.0
     return float(law.scale[0].max() * np.sqrt(law.correlated[0]))
-
-
-def _uncorrelated(law: Laws) -> Laws:
-    """A law of the same variances, white and without levels of runs."""
-    none = np.zeros(len(law))
-    scale = law.scale * np.sqrt(1.0 + law.level**2)[:, None]
-    return dataclasses.replace(law, scale=scale, correlated=none, level=none)
 
 
 def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:

@@ -1,8 +1,8 @@
 """Assessment of planned readings: what they determine, how well, and what would remedy it.
 
 The assessment needs no reading, only the Jacobian H of the readings over the parameters.
-`oed.identifiability.identifiability` finds rank and null directions of H,
-`oed.identifiability.identifiability` the posterior covariance; `oed.identifiability.sentences`
+`oed.identifiability.identifiability` finds its rank and null directions, and the
+posterior covariance; `oed.identifiability.sentences`
 puts the result into sentences.
 
 Remedies for lost directions are additional readings, tried on the Jacobian H. Each trial
@@ -21,7 +21,7 @@ import numpy as np
 from oed import units
 from oed.base import Array, Index
 from oed.identifiability import identifiability
-from oed.identifiability.identifiability import Identifiability
+from oed.identifiability.identifiability import Identifiability, Scaling
 from oed.instrument import Channel, Cost, Frame, Instrument, mount
 from oed.measurement import Measurement, Series
 from oed.model import Expr, Parameter, Values
@@ -53,7 +53,7 @@ class Assessment:
         cls,
         measurement: Measurement,
         series: Sequence[Series],
-        scaling: identifiability.Scaling = "length",
+        scaling: Scaling = "length",
     ) -> Assessment:
         """Assess readings of the nominal machine.
 

@@ -204,7 +204,12 @@ class Kinematics:
         self.equations = ForwardKinematics(machine, e)
         #: slopes of poses, and how near they are to singular ones
         self.slopes = PoseSlopes(machine, e, self.equations)
-        self._components, self._components_slope = _component_functions(machine, e)
+        twist = ca.SX.sym("twist", 6)
+        entries = [twist[i] for i in range(6)]
+        components = ca.vertcat(*machine.read_error(e.c_by_name, entries))
+        slope = ca.jacobian(components, twist)
+        self._components = BatchedFunction("components", [e.c, twist], [components])
+        self._components_slope = BatchedFunction("components_slope", [e.c], [slope])
         self._struts = _strut_function(machine, e)
         self._skeleton = _skeleton_functions(machine, e)
 
@@ -444,20 +449,6 @@ class Kinematics:
         """Polylines (points, 3), m, of one pose (nx,) for a drawing."""
         point = (x[None], q[None], p[None])
         return [line(*point)[0][0].T for line in self._skeleton]
-
-
-def _component_functions(
-    machine: Machine, e: MachineExpressions
-) -> tuple[BatchedFunction, BatchedFunction]:
-    """Pose error components of a twist, and their slope over it."""
-    twist = ca.SX.sym("twist", 6)
-    entries = [twist[i] for i in range(6)]
-    components = ca.vertcat(*machine.read_error(e.c_by_name, entries))
-    slope = ca.jacobian(components, twist)
-    return (
-        BatchedFunction("components", [e.c, twist], [components]),
-        BatchedFunction("components_slope", [e.c], [slope]),
-    )
 
 
 def _strut_function(machine: Machine, e: MachineExpressions) -> BatchedFunction | None:

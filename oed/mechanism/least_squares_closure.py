@@ -33,20 +33,15 @@ def closest_closure(machine: Machine, command: Array) -> ClosestClosure:
     start = begin(command, machine.nominal, np.zeros(3))
     z = np.concatenate([np.array(part).ravel() for part in start])
     guess = _shape(machine, e, z)
-    usable = np.where(np.isfinite(z), z, _middles(machine))
+    ends = [(c.lower, c.upper) for c in (*machine.pose, *machine.joints)]
+    middles = np.array([0.5 * (low + high) for low, high in ends])
+    usable = np.where(np.isfinite(z), z, np.where(np.isfinite(middles), middles, 0.0))
     nearest = _shape(machine, e, _least_squares(machine, e, command, usable))
     met = np.abs(nearest.equations) <= OPEN_SHARE * machine.lever
     still_open = tuple(int(k) for k in np.flatnonzero(~met))
     joints = [_joints(machine, e, e.phi[k]) for k in range(e.phi.numel())]
     moving = [_joints(machine, e, line) for line in _lines(machine, e)]
     return ClosestClosure(guess, nearest, tuple(joints), tuple(moving), still_open)
-
-
-def _middles(machine: Machine) -> Array:
-    """Middles (nx + nq,) of the ranges of pose and joints; 0 where they have no end."""
-    ends = [(c.lower, c.upper) for c in (*machine.pose, *machine.joints)]
-    middles = np.array([0.5 * (low + high) for low, high in ends])
-    return np.where(np.isfinite(middles), middles, 0.0)
 
 
 def _least_squares(

@@ -298,7 +298,8 @@ def beam_search(
         grown: dict[tuple[str, ...], StagePlan] = {}
         for k, parent in enumerate(parents):
             for child in _children(problem, parent):
-                evaluated[_step_names(child)] = child
+                steps = tuple((s.option.name, len(s.chosen)) for s in child.stages)
+                evaluated[steps] = child
                 key = (*sorted(child.names), str(len(child.stages)))
                 if key not in grown or _rank(child) < _rank(grown[key]):
                     grown[key] = child
@@ -309,11 +310,6 @@ def beam_search(
             break
         parents = _next_beam(list(grown.values()), beam)
     return list(evaluated.values())
-
-
-def _step_names(plan: StagePlan) -> tuple[tuple[str, int], ...]:
-    """Option and number of readings of each stage."""
-    return tuple((s.option.name, len(s.chosen)) for s in plan.stages)
 
 
 def _next_beam(plans: list[StagePlan], beam: int) -> list[StagePlan]:

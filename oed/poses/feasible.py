@@ -212,7 +212,11 @@ class Clearance:
     def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
         """Clearance (n,), m, at x (n, nx), q (n, nq), with the bar or without."""
         ends, radii = self._moving_segments(x, q, bar)
-        by_segment = self._segment_clearances(ends, radii)
+        by_segment = np.full(ends.shape[:2], np.inf)
+        for obstacle in self._surroundings.obstacles:
+            start, end = np.array(obstacle.start), np.array(obstacle.end)
+            distance = segment_distance(ends[:, :, 0], ends[:, :, 1], start, end)
+            by_segment = np.minimum(by_segment, distance - radii - obstacle.radius)
         return np.asarray(by_segment.min(axis=1, initial=np.inf))
 
     def at_readings(self, series: Series, x: Array) -> Array:
@@ -241,15 +245,6 @@ class Clearance:
             parts.append(np.stack([cup, tip], axis=1)[:, None])
             radii.append(np.array([self._bar.radius]))
         return np.concatenate(parts, axis=1), np.concatenate(radii)
-
-    def _segment_clearances(self, moving: Array, radii: Array) -> Array:
-        """Clearance (n, k) of each moving segment."""
-        clearances = np.full(moving.shape[:2], np.inf)
-        for obstacle in self._surroundings.obstacles:
-            start, end = np.array(obstacle.start), np.array(obstacle.end)
-            distance = segment_distance(moving[:, :, 0], moving[:, :, 1], start, end)
-            clearances = np.minimum(clearances, distance - radii - obstacle.radius)
-        return clearances
 
 
 JOINT_SLACK = 1e-9  #: share of a joint's limits that rounding may exceed

@@ -134,7 +134,9 @@ class Belief:
             return None
         fewer = chosen
         while len(chosen) > 1:
-            fewer = _drop_least(self, blocks, chosen, limits)
+            rests = [[*chosen[:k], *chosen[k + 1 :]] for k in range(len(chosen))]
+            variances = [self.update_all(blocks, rest).variances for rest in rests]
+            fewer = rests[int(np.argmin(_scores(np.array(variances), limits)))]
             if not _exchange_until_reached(self, blocks, fewer, limits):
                 break
             chosen = fewer
@@ -182,15 +184,6 @@ def _exchange_until_reached(
                 return True
             updated = _exchange(belief, blocks, chosen, position, limits)
     return not updated.open_components(limits)
-
-
-def _drop_least(
-    belief: Belief, blocks: Array, chosen: list[int], limits: Array
-) -> list[int]:
-    """The chosen candidates without the one that is missed least."""
-    rests = [[*chosen[:k], *chosen[k + 1 :]] for k in range(len(chosen))]
-    variances = [belief.update_all(blocks, rest).variances for rest in rests]
-    return rests[int(np.argmin(_scores(np.array(variances), limits)))]
 
 
 def _best_first(

@@ -106,7 +106,10 @@ class _TimedPath:
         origin = np.zeros(len(edges), dtype=np.intp)
         for b in range(1, len(edges)):
             for a in range(b - 1, -1, -1):
-                seconds = self._seconds_away(edges[a], edges[b])
+                first, end = edges[a], edges[b]
+                until_first = self.out[first] + self.reading[first]
+                until_last = until_first + self.ends[end - 1] - self.ends[first]
+                seconds = float(until_last + self.back[end - 1])
                 if seconds > longest:
                     if a == b - 1:
                         self._raise_too_long(edges[a], seconds, every)
@@ -129,12 +132,6 @@ class _TimedPath:
             return np.zeros(1, np.intp)
         starts = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
         return np.append(starts, count)
-
-    def _seconds_away(self, first: int, end: int) -> float:
-        """Seconds between reference readings around the places first to end - 1."""
-        until_first = self.out[first] + self.reading[first]
-        until_last = until_first + self.ends[end - 1] - self.ends[first]
-        return float(until_last + self.back[end - 1])
 
     def _raise_too_long(self, first: int, seconds: float, every: float) -> None:
         raise ValueError(

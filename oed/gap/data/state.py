@@ -323,11 +323,15 @@ def _session(
     span = (np.nan, np.nan)
     if session.size:
         span = (float(session[0]), float(session[-1]))
+    in_time = covariates.iloc[np.argsort(times, kind="stable")]
     return {
         "max_payload": float(np.nanmax(load, initial=0.0)),
         "max_feed": float(np.nanmax(feed, initial=0.0)),
         "session_times": session,
-        "start_temperature": _first_temperatures(covariates, times),
+        "start_temperature": {
+            body: float(next(iter(in_time[name].dropna()), np.nan))
+            for name, body in _temperature_columns(covariates).items()
+        },
         "joint_range": np.array([joints.min(axis=0), joints.max(axis=0)]),
         "session_span": span,
     }
@@ -341,15 +345,6 @@ def _progress(times: Array) -> Array:
     span = float(np.ptp(clock)) if clock.size else 0.0
     elapsed = clock - clock.min(initial=np.inf)
     return np.asarray(elapsed / max(span, 1e-12))
-
-
-def _first_temperatures(covariates: pd.DataFrame, times: Array) -> dict[str, float]:
-    """Temperature of each body at the session's first reading that has one."""
-    in_time = covariates.iloc[np.argsort(times, kind="stable")]
-    return {
-        body: float(next(iter(in_time[name].dropna()), np.nan))
-        for name, body in _temperature_columns(covariates).items()
-    }
 
 
 def _temperature_columns(covariates: pd.DataFrame) -> dict[str, str]:

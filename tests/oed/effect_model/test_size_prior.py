@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate, stats
 
 from oed.effect_model import Effect
-from oed.effect_model.effect import EFFECT_SIZES, UNKNOWN_SIZES
+from oed.effect_model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES
 
 
 @pytest.mark.parametrize("prior", [EFFECT_SIZES, UNKNOWN_SIZES])
