@@ -1,19 +1,14 @@
 """Chooses the poses of an acceptance test, states limits and power, judges the errors.
 
-The promise is an rms error S over the workspace for each pose component. A machine has
-the error field a S f(x), where f has an rms of 1 over the workspace. Half of the shapes are
-what calibration leaves, or the tolerances allow where something else is wrong. The others are
-what no parameter makes, as a scale, a sag or a temperature do: linear and quadratic functions
-of the command, one of them or a sum. The test measures n poses with uncertainty u and compares
-
-    T^2 = 1/n sum_i (a S f(x_i) + u e_i)^2
-
+The promise is an rms error S over the workspace for each pose component. Of the shapes of
+errors half are what calibration leaves, or the tolerances allow where something else is
+wrong; the others are what no parameter makes: linear and quadratic functions of the
+command, one of them or a sum. The test compares T^2 = 1/n sum_i (a S f(x_i) + u e_i)^2
 with two limits. Machines at the promise (a = 1) exceed the upper one with a stated
 probability: beyond it a machine fails. Its power is the probability that a machine which
 misses the promise (a = 1.2) exceeds it. Machines that miss stay below the lower one with a
 probability of 5 %: up to it a machine meets the promise, if the power is at least 0.8.
-Between the two the test cannot tell.
-Poses are added one by one: the next is the one that best separates the two.
+Between the two the test cannot tell. The next pose is the one that best separates the two.
 
 Accuracy and repeatability of positioning follow ISO 230-2. At each target i, n_i
 approaches in a direction have mean x_i and standard deviation s_i. With both directions

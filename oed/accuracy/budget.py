@@ -12,12 +12,6 @@ it may pass little of it on. What stays has the instruments' noise alone, and
 The last part comes from the tolerances. Along an eigenvector of H^T C^-1 H with
 eigenvalue g it is 1 / (1 + g)^2: readings that tell less than the drawing, g < 1, leave
 that combination undetermined.
-
-The lines add up to the predicted variance. They are what each source costs when those
-before it are gone; the accuracy without one source alone is computed on its own.
-
-The slopes of readings and poses change with the machine. The mean variance over drawn
-machines less that about the nominal one is what linearisation leaves out.
 """
 
 from __future__ import annotations

@@ -6,10 +6,6 @@ The linear maps state them against a reference:
 "home"      zeroed at the home pose: of the place, the error at home is subtracted; of the
             orientation R, the turn from home R R_home^T is compared with the commanded one
 "best_fit"  after the best rigid alignment of all workspace poses
-
-For the exact errors the machine is driven with the identified parameters and has those of
-a draw. The maps miss the squares of what remains: millimetres of joint error at ten
-milliradians leave ten micrometres.
 """
 
 from __future__ import annotations

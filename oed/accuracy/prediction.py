@@ -10,10 +10,6 @@ Compensatable components keep only A delta. The others keep R dp_hat as well, wh
 known: an additional axis (an X-Y table) can correct it, and then A delta remains there too.
 Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
 tolerances).
-
-Figures of drawn machines carry Monte Carlo standard errors: another
-sample of machines has other quantiles and means of squares. A report prints no more
-digits than the errors here allow.
 """
 
 from __future__ import annotations

@@ -3,11 +3,6 @@
 With tolerances T and noise covariance S, readings have the covariance C = J T^2 J^T + S
 about those of the nominal machine. At the maximum a posteriori the penalised sum of
 squares |W (y - f)|^2 + |z|^2 is r^T C^-1 r, and chi-squared of N degrees of freedom.
-
-Readings may have a mistake of unknown amounts, which are fitted with the parameters. A
-misfit may be large: with the stated noise, readings that do not fit take the parameters
-to where the model says nothing any more, so that the noise is taken as large as what
-remains.
 """
 
 from __future__ import annotations

@@ -14,25 +14,9 @@ for k values of m readings, with s_i^2 = (P_SS^-1)_ii. v is Voigt's density, the
 with the uncertainty s_i of the shift. e is the share of gross errors. The design enters
 by its leverage h_i: P_ii = (1 - h_i) / sigma_i^2 for independent readings.
 
-Location. A reading is located where the sets with it weigh LOCATED times those without.
-With one degree of freedom the residual has one direction u: g_i = u_i c, P_ii = u_i^2 q,
-and g_i^2 / P_ii = c^2 / q for every i. All single shifts explain the readings equally:
-a gross error is detected, and cannot be located.
-
-Gross error or noise. Let x_i be the error of predicting value i from all others but S,
-in its standard deviation. Two accounts of the session compete: normal noise with gross
-errors, (1 - e) N(x / t) / t + e v(x), and Student t noise of TAILS degrees of freedom
-without any. Both have the prior of the noise's scale t (`oed.noise_law`). The n errors
-of prediction are worth n - r independent ones, for r effectively determined directions,
-so their log likelihood counts by the share (n - r) / n: few degrees of freedom prove
-little. A reading is gross at odds of PROVEN. Where the readings outside S do not fit
-the stated noise, something acts whose law is not known: then normal noise is no account.
-
-A search by one reading at a time can take the neighbours of two outliers for them, or
-stop between them (masking). Leaving out the values of a set S lowers the penalised sum
-of squares by g_S^T (P_SS)^-1 g_S, with P the precision of prediction and g = P r. All
-sets of up to three of the most suspicious readings are compared by that, less the
-square of the limit for each reading.
+Which reading is located, and whether it is noise of heavy tails: docs/theory/noise.md. Sets
+are compared, as a search by one reading at a time can take the neighbours of two outliers
+for them, or stop between them (masking).
 """
 
 from __future__ import annotations

@@ -20,13 +20,10 @@ With H = U D V^T and a = U^T r, of r dimensions,
     -2 log p(r | s, w) = sum_k [ log(w^2 + s^2 d_k^2) + a_k^2 / (w^2 + s^2 d_k^2) ]
                          + (N - r) log w^2 + (|r|^2 - |a|^2) / w^2.
 
-Tolerances of a drawing may be too small by a decade, all of them alike where a unit or a class
-of fit is wrong: they then hold the parameters at nominal, and what that leaves looks like
-noise, or like an effect. s = 1 is given up where it is improbable, and where another s leaves
-no more than noise can. Where few combinations of parameters are far from nominal and the
-others are not, nominal numbers are wrong and no tolerances: each is then of s = 1 with the
-probability 0.8. Tolerances that are too large are left: they cost little, and smaller
-ones would make what no reading determines too sure.
+Tolerances may be too small by a decade, all alike: they then hold the parameters at
+nominal, which looks like noise, or like an effect. s = 1 is given up where it is improbable
+and another s leaves no more than noise can. Where a few combinations alone are far, nominal
+numbers are wrong and no tolerances. Too large ones cost little, and are left.
 """
 
 import dataclasses

@@ -1,13 +1,10 @@
 """What effects that the model lacks can do to the readings.
 
 A reading is geometry + effects + noise (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63,
-425-464; Brynjarsdottir and O'Hagan 2014, Inverse Problems 30, 114007). The effects change
-the readings by G b. All coefficients have a common size t: b ~ N(0, t^2), in expected sizes
-of their effects, which is drawn with them, in closed form.
-
-With the parameters integrated out, the log likelihood of the coefficients b is that of
-a linear model, b^T s - b^T J b / 2. All effects of a healthy machine are about as small as
-each other: b ~ N(0, t^2), in expected sizes, of a common t that the evidence decides,
+425-464; Brynjarsdottir and O'Hagan 2014, Inverse Problems 30, 114007). All effects of a
+healthy machine are about as small as each other. They change readings by G b, with
+b ~ N(0, t^2) in expected sizes, of a common t that is drawn with them. The parameters
+integrated out, the log likelihood of b is b^T s - b^T J b / 2, and
 
     2 log p(r | t) - 2 log p(r | 0) = -log |1 + t^2 J| + s^T (t^-2 + J)^-1 s.
 

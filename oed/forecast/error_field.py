@@ -7,10 +7,6 @@ maximise the marginal likelihood times a weak prior on the lengths (Rasmussen an
 2006, Gaussian Processes for Machine Learning, Eqs. 2.25-2.26, 2.42, 4.9, 4.17, 5.8). The
 noise of a reading is known: it is no part of the field. The zero of the instrument is not.
 
-A design takes the readings of least predicted variance. A field of errors is a sum of its
-leading Karhunen-Loeve modes with unit normal coefficients. Then a reading is a row, and
-`oed.poses.next_reading` chooses one after the other.
-
 Chang, Li and Li (2011), section 3: with the errors dX_i at command X_i and dX_0 at the
 reference, the drives get X_i' = X_i - (dX_i - dX_0), interpolated linearly between the
 nodes of a grid. Here the errors are carried through the kinematics to the joints, so that

@@ -1,9 +1,6 @@
 """Readings of a machine by one set-up, and their jacobians, compiled by CasADi.
 
-A reading y = g(x_1, x_2, s) sees one pose, or two (a taught cup, a reference); each
-pose obeys the closure at the joints that the controller sent. Its identification row is
-
-    dy/d(p, s) = [ sum_j g_xj dx_j/dp,  g_s ],        dx/dp = -phi_x^-1 phi_p   (joints fixed).
+A reading sees one pose, or two (a taught cup, a reference); its row is in the README.
 """
 
 import dataclasses

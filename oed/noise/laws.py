@@ -10,11 +10,6 @@ process with correlation exp(-|k - l| / reach), s the channel's own scale, seat 
 unknowns of the set-up that the run seats anew, with slopes c, and shared the errors that
 instrument and study state. The course of the session goes through all runs
 (`oed.measurement.noise_structure`).
-
-White and correlated errors have a banded root; what a run shares is a matrix of a few
-columns, taken out by the Woodbury identity (`oed.noise.banded`). Both are linear in the
-number of readings. A session's course and effects that the model lacks are columns V that
-all readings share: the covariance is C + V V^T.
 """
 
 from __future__ import annotations

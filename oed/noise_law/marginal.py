@@ -9,14 +9,6 @@ e of a law with coordinates u,
 the marginal likelihood with the parameters z integrated out (restricted likelihood with
 a proper prior; Patterson and Thompson 1971). Laws are drawn where they are probable and
 weighted: estimates are means over laws, not those of the best one.
-
-What a run shares may be as large as the readings show, or nothing while an error that is
-correlated far stands for it. Such a posterior is steep on one side of its mode and has a
-long, crooked tail on the other. The split Student (Geweke 1989, Econometrica 57,
-1317-1339) is as wide on either side of each axis as the posterior; the kernels at the
-weighted draws follow the tail (population Monte Carlo; Cappe et al. 2004, Journal of
-Computational and Graphical Statistics 13, 907-929). Points are those of a Sobol sequence,
-so that the same readings give the same laws; a sampler draws from the kernels at random.
 """
 
 from __future__ import annotations

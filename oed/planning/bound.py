@@ -5,11 +5,6 @@ supporting line bounds all combinations at once. The combination
 with the highest bound is then solved as a relaxation, which gives a new line, tight
 there. This goes on until no combination can be better than the loss allows.
 
-A machine out of the travel of every reading of every option in T stays as it is,
-whatever is mounted first. Their share bounds the goal from below (`bound_uncaptured`).
-Other losses of readings, and the linearisation residual, only make plans worse and are
-left out.
-
 The bound of a combination comes by duality. A plan that mounts the options T and reads
 candidates i of them, at most N_s of option s, leaves at most the information L = L0 +
 sum_(s in T) S_s about the machine, with the set-ups' parameters profiled out:

@@ -25,22 +25,8 @@ N(0, 1) before, the readings add
 
     M_mm - M_mo (1 + M_oo)^-1 M_om = M_mm - K M_om
 
-about the machine. K u is what known unknowns u change in its normal equations.
-
-The linearisation residual is what the Jacobian misses of the exact model. With errors d'
-left after a stage, the residual of reading i is
-
-    r_i = y_i(d') - y_i(0) - h_i d'.
-
-The machine is identified by the exact model, so r is not noise. It belongs to the same
-few unknowns in all readings and disturbs only combinations of readings like it. The
-best linear estimate under y = h d + r + e has the covariance
-
-    S' = ( S^-1 + H^T (1 + C)^-1 H )^-1,        C = cov(r) over drawn errors, whitened.
-
-So each drawn r, minus their mean, over sqrt(m - 1), is a column of readings with an
-unknown N(0, 1), which is profiled out. A fit by the exact model is at least as good.
-Taken as independent noise of each reading, r would count many times over.
+about the machine. K u is what known unknowns u change in its normal equations. What the
+Jacobian misses of the exact model are columns of N(0, 1) unknowns: docs/theory/planning.md.
 """
 
 import dataclasses

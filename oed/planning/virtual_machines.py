@@ -11,16 +11,6 @@ the true and the believed machine,
     e = x(q, p) - x(q, p_hat) ~ A delta,        delta ~ N(0, S'),
 
 compared with the covariance S' that the plan predicts after the stage.
-
-The fits after a stage are maximum a posteriori, for machines by the hundred. They
-minimise what `oed.estimation` minimises, |W (y - f(theta))|^2 + |z|^2, W
-whitening the noise, over all free parameters at once,
-
-    theta = nominal + T R z,
-
-T the tolerances, R R^T the prior covariance in units of them. Steps start from
-what was believed before the stage, mostly near the end. Where a fit
-fails with the tolerances as prior, `oed.estimation` says what is wrong.
 """
 
 from __future__ import annotations

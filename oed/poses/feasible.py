@@ -15,10 +15,6 @@ machine's skeleton moves with capsules along its lines, and the bar reaches from
 to the tool point. Clearance is the least distance between the segments less both radii,
 negative in collision.
 
-The distance of two segments, |a + s u - b - t v| over 0 <= s, t <= 1, is a convex
-quadratic. Its least value is at the free minimum where that is inside, or on an edge,
-where it is the distance of an end point to the other segment.
-
 The formula is written out because it runs over all poses at once. The collision
 libraries python-fcl and coal give the same distances, to 2e-15 m, but take one pair a
 call: 100,000 pairs last 14 and 10 times as long. coal also lacks wheels for Windows.

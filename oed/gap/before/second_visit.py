@@ -5,7 +5,6 @@ this form has in the readings of both visits. Of the two likeliest answers that 
 candidates together separate further, each is a target to be separated from the other, with
 the readings taken, their noise law and the parameters' priors in the model
 (`oed.gap.before.separation`): the least lambda_{k|j} is maximised.
-`oed.gap.before.second_visit` says what the visit gains.
 """
 
 import dataclasses

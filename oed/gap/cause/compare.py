@@ -7,18 +7,12 @@ An equivalence class has the effects that are indistinguishable from a selected 
 part of the readings that effect k explains, y_k = G_k beta_k, is fitted by a rival j:
 what j cannot absorb of it, with the parameters and the other selected effects absorbing
 too, is lambda_{k|j}. Where its root is below 5 the readings cannot distinguish the two,
-and both belong to the answer. Where nearly all of y_k is absorbed, no readings of this
-kind could. Effects of one family (backlash and friction, scale and pitch) differ by their
-form alone. Real ones depart from their textbook form: as much as these departures can
-make, in lambda_{k|j} and in the evidence, does not distinguish two of a family, nor do the
-priors of their forms and sizes, where the rival is of a usual size: no departure of form
-makes up for one that is implausible.
+and both belong to the answer. Effects of one family differ by their form alone: what a real
+one's departure from its textbook form can make does not distinguish two of a family.
 
-Where effects are large, hypotheses are compared about the points at which they act. The
-search is linear about the calibration without effects. Where an effect is so large that
-its best form departs from that model by more than the noise, the readings are linearised
-where the effect acts (`oed.gap.data.linearisation`) and searched again. Every hypothesis
-then counts with its evidence about the point that suits it best.
+Where an effect is so large that its best form departs from the linear model by more than
+the noise, the readings are linearised where it acts (`oed.gap.data.linearisation`) and
+searched again. A hypothesis counts by the point that suits it best.
 """
 
 import dataclasses

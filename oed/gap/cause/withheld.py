@@ -10,13 +10,8 @@ readings, so each choice costs its log prior. Evidence and prediction are two op
 the same readings, pooled logarithmically in equal parts (Genest and Zidek 1986, Stat.
 Sci. 1, 114-135). How probable a gap is, is left to the evidence.
 
-All forms are approximate: what real effects keep outside them counts as often as it is
-read. Their evidence is too sure; a power t <= 1 of it is not (Grunwald and van Ommen
-2017, Bayesian Anal. 12, 1069-1103). The power is known by how well the posterior that
-other runs give predicts a withheld one, and is averaged over:
-
-    p(t | readings) ~ prod_F sum_h p(h | others, t) p(F | others, h),
-    p(h | others, t) ~ p(h) p(others | h)^t.
+All forms are approximate, and their evidence too sure: a power t <= 1 of it counts, by how
+well other runs predict a withheld one (docs/theory/diagnosis.md).
 """
 
 import dataclasses
