@@ -42,10 +42,7 @@ def eigenvectors(matrix: Array) -> tuple[Array, Array]:
 
 
 def canonical_rows(vectors: Array, values: Array | None = None) -> Array:
-    """Orthonormal rows (k, n) of the same spaces: one for each group of equal values.
-
-    values  (k,) monotonic; None where all rows are of one space
-    """
+    """Orthonormal rows (k, n), one for each group of equal monotonic values (k,)."""
     count, n = vectors.shape
     if values is None:
         values = np.ones(count)
@@ -133,10 +130,7 @@ def triangle_of_sums(sums: Array) -> Array:
 
 
 def symmetric_root(matrix: Array) -> Array:
-    """Symmetric S with S S = M of positive semidefinite matrices M (..., n, n).
-
-    Eigenvalues that are rounding count as 0: their roots would be large beside it.
-    """
+    """Symmetric S, S S = M (..., n, n) semidefinite; rounding counts as 0."""
     values, vectors = np.linalg.eigh(matrix)
     n = matrix.shape[-1]
     rounding = n * np.finfo(float).eps * np.abs(values).max(axis=-1, keepdims=True)

@@ -48,10 +48,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def temporary_file(path: Path) -> Iterator[Path]:
-    """A temporary path next to `path`, which is gone at the end unless it was renamed.
-
-    Raises OSError about `path`: the user never sees the temporary name.
-    """
+    """A path next to `path`, gone at the end unless renamed. OSError."""
     part = path.with_name(f".{path.name}.{HOST_MARK}-{os.getpid()}.part")
     _remove_stale(path.parent)
     try:
@@ -101,10 +98,7 @@ def flush(path: Path) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes]) -> tuple[Path, ...]:
-    """Write files with all their bytes, all of them or none, in this order; their paths.
-
-    Raises OSError where the disk refuses.
-    """
+    """Write all files or none, in this order; their paths. Raises OSError."""
     parts = {}
     with contextlib.ExitStack() as opened:
         for path, content in contents.items():
@@ -219,10 +213,7 @@ def make_private(folder: Path) -> bool:
 
 
 def is_private(path: Path) -> bool:
-    """Whether only this user can change a file or a folder, or what stands in its place.
-
-    Links are followed where they are the administrator's alone. Raises OSError.
-    """
+    """Whether only this user can change a file, or its folders. OSError."""
     user = _user()
     if user is None or path.stat().st_uid != user:
         return False

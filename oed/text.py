@@ -67,10 +67,7 @@ def shorten(text: str, length: int) -> str:
 def suggest(
     word: str, allowed: Iterable[str], kind: str = "allowed", limit: int | None = None
 ) -> str:
-    """Remedy for an unknown name: the nearest allowed one, and the list of `kind`.
-
-    `limit` names at most are listed.
-    """
+    """Remedy for an unknown name: the nearest, and a list of `limit` at most."""
     names = list(dict.fromkeys(allowed))
     if not names:
         return f"nothing is {kind} here: remove it"

@@ -76,10 +76,7 @@ def remedy(result: StudyResult) -> str:
 
 
 def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
-    """Parameters that ended more than FAR_TOLERANCES tolerances from nominal.
-
-    None of a virtual machine: its numbers are known.
-    """
+    """Parameters beyond FAR_TOLERANCES; none of a virtual machine."""
     if any(p.truth is not None for p in section.parameters.values()):
         return []
     return [

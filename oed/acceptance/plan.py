@@ -230,10 +230,7 @@ def _statistics(
 def judge(
     errors: Mapping[str, Array], demands: Mapping[str, PromiseRecord]
 ) -> dict[str, VerdictRecord]:
-    """Verdicts by component, from the errors (n,) measured at the planned poses.
-
-    Errors are in the unit of their demand.
-    """
+    """Verdicts by component, from errors (n,) at the poses, in their demand's unit."""
     return {name: _verdict(errors[name], demand) for name, demand in demands.items()}
 
 

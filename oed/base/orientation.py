@@ -81,10 +81,7 @@ class Orientation:
         return f"n = {product} e_z" if self.axis_only else f"R = {product}"
 
     def matrices(self, angles: Mapping[str, Array]) -> Array:
-        """R (n, 3, 3) from angles (n,) by name, rad.
-
-        Where they give the axis alone, R is one of those that share it.
-        """
+        """R (n, 3, 3) from angles (n,) by name, rad; one that has the axis."""
         count = len(np.atleast_1d(angles[self.names[0]]))
         whole = scipy.spatial.transform.Rotation.identity(count)
         for kind, names in self.factors:
@@ -96,10 +93,7 @@ class Orientation:
         return np.asarray(whole.as_matrix())
 
     def angles(self, matrices: Array) -> dict[str, Array]:
-        """Angles (n,) by name, rad, of R (n, 3, 3).
-
-        Raises ValueError for a product that has no inverse here.
-        """
+        """Angles (n,) by name, rad, of R (n, 3, 3). Raises ValueError."""
         kinds = "".join(kind if kind in AXES else "t" for kind, _ in self.factors)
         if kinds in ("tz", "t"):
             values = _tilt_and_spin(matrices)

@@ -114,10 +114,7 @@ class CheckedSession:
 
     @property
     def outliers(self) -> OutlierSearch | None:
-        """Readings to set aside or in doubt, and how far each is.
-
-        None where a mistake explains the readings, or more deviate than can be outliers.
-        """
+        """Readings to set aside or in doubt; None where a mistake, or too many."""
         many = self.search is None or self.search.exhausted
         return None if many or self.explanations else self.search
 

@@ -67,10 +67,7 @@ class MeasurementWithEffects(Measurement):
 
     @property
     def length_factors(self) -> Array:
-        """Factor (n,) that turns each entry into a length, m.
-
-        That of a coefficient is its root mean square change of the readings.
-        """
+        """Factor (n,) that makes each entry a length, m; a coefficient's rms."""
         machine_and_setups = super().length_factors[: self._size]
         return np.concatenate([machine_and_setups, self._lengths])
 

@@ -241,10 +241,7 @@ JOINT_TOLERANCE = 1e-12
 
 
 def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
-    """Load the readings of one file, or of several together.
-
-    Raises ReadingsError for readings that do not fit, OSError for files.
-    """
+    """Load the readings of one file or several. Raises ReadingsError, OSError."""
     paths = [path] if isinstance(path, Path) else list(path)
     return load_sessions([paths], measurement)[0]
 
@@ -267,10 +264,7 @@ def load_sessions(
 def from_rows(
     rows: Sequence[Mapping[str, str]], name: str, measurement: Measurement
 ) -> Dataset:
-    """Make a dataset of rows, cells by column; numbered as the lines of a file.
-
-    Raises ReadingsError.
-    """
+    """A dataset of rows, cells by column, numbered as lines. Raises ReadingsError."""
     header = list(dict.fromkeys(column for row in rows for column in row))
     lines: list[tuple[int, list[str]]] = [(1, header)]
     for number, row in enumerate(rows, start=2):

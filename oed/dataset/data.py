@@ -176,10 +176,7 @@ class Dataset:
         return consecutive_slices(self._sizes())
 
     def take(self, setups: Iterable[str]) -> Dataset:
-        """The readings of these set-ups, in this dataset's order.
-
-        Raises KeyError for a set-up without readings.
-        """
+        """The readings of these set-ups, in this order. Raises KeyError."""
         names = set(setups)
         absent = names - set(self.setups)
         if absent:

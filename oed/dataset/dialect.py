@@ -67,10 +67,7 @@ class SplitText:
 
 
 def decode(content: bytes) -> str:
-    """Text of a file in UTF-8, or in UTF-16 with a byte order mark.
-
-    Raises UnicodeDecodeError.
-    """
+    """Text of a file in UTF-8, or UTF-16 with a mark. Raises UnicodeDecodeError."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     return content.decode("utf-8-sig")

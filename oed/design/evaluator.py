@@ -46,10 +46,7 @@ class PlanEvaluator(Protocol):
     def values_after_adding(
         self, chosen: Index, level: int, ridge: float | None = None
     ) -> Array:
-        """Value at a level of the plan with each candidate added (C,).
-
-        -inf for candidates outside a shortlist.
-        """
+        """Values (C,) with each candidate added; -inf off a shortlist."""
         ...
 
     @property
@@ -58,19 +55,13 @@ class PlanEvaluator(Protocol):
         return 0
 
     def exchange_pairs(self, chosen: Index, level: int, sweeps: int) -> Index:
-        """The plan after exchanges of pairs, as many as so many sweeps have.
-
-        Itself where there are no pairs.
-        """
+        """The plan after as many exchanges of pairs as so many sweeps have."""
         return chosen
 
     def search_pairs(
         self, starts: Index, steps: int, rng: np.random.Generator
     ) -> Index:
-        """The best plan that starts (plans, size) lead to in some steps of a search.
-
-        The first one where there are no pairs.
-        """
+        """The best plan from starts (plans, size) by a search, or the first."""
         return np.asarray(starts[0])
 
     def subset(self, pool: Index) -> PlanEvaluator:

@@ -75,10 +75,7 @@ class QuotaSet:
         return dataclasses.replace(self, quotas=quotas)
 
     def joined_equally(self, groups: Sequence[str]) -> QuotaSet:
-        """The quotas with equal numbers of each group of candidates (C,).
-
-        Raises ValueError where the size is no multiple of the number of groups.
-        """
+        """Quotas with equal numbers of groups (C,). Raises ValueError."""
         equal = equal_numbers(groups, self.size)
         return dataclasses.replace(self, quotas=(*self.quotas, *equal))
 
@@ -151,10 +148,7 @@ class QuotaSet:
         return (allocation > self.class_counts(chosen))[self.label]
 
     def allocate(self, target: Array, chosen: Index | None = None) -> Array | None:
-        """Numbers (G,) in the classes that keep the quotas, nearest to a target (G,).
-
-        The chosen candidates count already. None where no numbers keep the quotas.
-        """
+        """Numbers (G,) nearest to a target that keep the quotas, or None."""
         taken = np.zeros(len(target))
         if chosen is not None:
             taken = self.class_counts(chosen)

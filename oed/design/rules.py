@@ -250,10 +250,7 @@ class Rules:
         return dataclasses.replace(self, setups=unlimited)
 
     def totals(self, count: int) -> list[tuple[float, Array | None]]:
-        """Sums that the weights, or their costs, are held to: (total, cost or None).
-
-        The time to mount is left out, which only raises a bound.
-        """
+        """Sums that weights or costs are held to, time to mount left out."""
         totals: list[tuple[float, Array | None]] = []
         if self.size is not None:
             totals.append((float(min(self.size, count)), None))

@@ -33,10 +33,7 @@ CORRELATED_SHARE = 0.25
 def noise_numbers(
     posterior: NoisePosterior, setups: Mapping[str, Setup]
 ) -> list[NoiseRecord]:
-    """The numbers of an estimated law, for readings of these set-ups, in fine units.
-
-    The reach is at most as long as the longest run.
-    """
+    """An estimated law's numbers, in fine units; its reach at most a run's length."""
     prior, structure, weights = posterior.prior, posterior.structure, posterior.weights
     laws = prior.laws(posterior.draws)
     # channels with common sources have part of the noise of each

@@ -50,10 +50,7 @@ class MachineInformation:
     def of_posterior(
         cls, value: Array, covariance: Array, nominal: Array, tolerance: Array
     ) -> MachineInformation:
-        """The posterior (p,), (p, p) of a machine without its prior; all of one unit each.
-
-        The prior had this nominal value and standard deviation (p,).
-        """
+        """A posterior (p,), (p, p) without its prior (p,), of one unit each."""
         root, white = likelihood(Session(value, covariance), nominal, tolerance)
         return cls(root.T @ root, root.T @ white)
 

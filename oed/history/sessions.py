@@ -518,10 +518,7 @@ class MachineSessions:
         )
 
     def drift(self, times: Array) -> SessionDrift:
-        """Drift of the parameters (n,) over the sessions at times (k,).
-
-        Raises ValueError for fewer than two different times.
-        """
+        """Drift of the parameters (n,) over times (k,). Raises ValueError."""
         names, tolerance = self.names, self.tolerance
         since = np.asarray(times, dtype=float) - np.max(times)
         span = float(np.ptp(since))

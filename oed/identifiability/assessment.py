@@ -103,10 +103,7 @@ class Trial:
 def recoveries(
     assessment: Assessment, alternatives: Mapping[str, Readings]
 ) -> list[str]:
-    """Phrases on the trials that recover lost directions, with how many they recover.
-
-    `alternatives` are further readings of the study, by name.
-    """
+    """Phrases on trials, and `alternatives`, that recover lost directions."""
     lost = len(assessment.names) - assessment.identifiability.rank
     trials = [
         *_longer_tool(assessment),

@@ -282,10 +282,7 @@ def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
 def scaled(
     measurement: Measurement, series: Sequence[Series], theta: Array, scaling: Scaling
 ) -> Array:
-    """H (N, n) of readings at theta (n,) in the stated scaling.
-
-    "length" turns the readings into lengths too. Only "tolerance" whitens them.
-    """
+    """H (N, n) at theta (n,), scaled; "length" as lengths, "tolerance" whitened."""
     jacobian = measurement.jacobian(series, theta)
     return scaled_jacobian(measurement, series, jacobian, scaling)
 

@@ -24,10 +24,7 @@ MIN_SHARE = 0.05  #: their least share of the largest one
 def explain(
     assessment: Assessment, alternatives: Mapping[str, Readings] | None = None
 ) -> list[IdentifiabilityFinding]:
-    """Put an assessment into sentences.
-
-    `alternatives` are further readings of the study, by name: possible remedies.
-    """
+    """An assessment in sentences, with `alternatives` by name as remedies."""
     findings = [
         _determined(assessment),
         _weakly_determined(assessment),

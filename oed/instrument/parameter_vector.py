@@ -98,10 +98,7 @@ class ParameterVector:
 
     @property
     def correlation(self) -> Array | None:
-        """Prior correlation (n, n) of theta; None where all entries are independent.
-
-        Where two groups hold a pair, the later one counts.
-        """
+        """Prior correlation (n, n), the last of a pair; None if independent."""
         if not self.machine.correlated:
             return None
         rows = {name: k for k, name in enumerate(self.names)}
@@ -167,10 +164,7 @@ class ParameterVector:
 
     @property
     def length_factors(self) -> Array:
-        """Factor (n,) that turns each entry into a length, m.
-
-        It is the machine's lever for angles and ratios.
-        """
+        """Factor (n,) that makes each entry a length, m: else the lever."""
         lever = self.machine.lever
         return np.array([1.0 if p.unit == "m" else lever for p in self.parameters])
 

@@ -71,10 +71,7 @@ class Series:
         return chosen @ sees > 0.0
 
     def expand_passes(self, protocol: Protocol) -> Series:
-        """The readings of all passes: each pass of a run becomes a run of its own.
-
-        Backward passes are in reverse. A protocol that averages changes nothing.
-        """
+        """All passes as runs, backward ones reversed, unless averaged."""
         if protocol.average or len(protocol.pass_names) == 1:
             return self
         rows, labels = [], []

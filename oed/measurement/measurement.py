@@ -139,10 +139,7 @@ class Measurement(ParameterVector):
     def try_readings(
         self, series: Sequence[Series], theta: Array, wanted: Mask | None = None
     ) -> Array:
-        """As `readings`, with NaN where a pose cannot be assembled.
-
-        wanted  (m, N) for theta (m, n): readings to compute; others may be NaN
-        """
+        """As `readings`, NaN where not assembled, or not `wanted` (m, N)."""
         vectors = np.atleast_2d(theta)
         parts: list[Mask | None] = [None] * len(series)
         if wanted is not None:
@@ -156,10 +153,7 @@ class Measurement(ParameterVector):
         return self
 
     def jacobian(self, series: Sequence[Series], theta: Array) -> Array:
-        """dy/dtheta (N, n) at theta (n,), or (m, N, n) at theta (m, n), SI.
-
-        Raises AssemblyError.
-        """
+        """dy/dtheta (N, n) or (m, N, n), SI, at (n,), (m, n). AssemblyError."""
         vectors = np.atleast_2d(theta)
         rows = np.concatenate([self._jacobian(s, vectors) for s in series], axis=1)
         return rows[0] if theta.ndim == 1 else rows
@@ -217,10 +211,7 @@ class Measurement(ParameterVector):
         return [s.setup for s, n in zip(series, sizes, strict=True) for _ in range(n)]
 
     def reading_length_factors(self, series: Sequence[Series]) -> Array:
-        """Factor (N,) that turns each reading into a length, m.
-
-        It is the machine's lever for angles and ratios.
-        """
+        """Factor (N,) that makes each reading a length, m, by the lever."""
         lever = self.machine.lever
         factors = []
         for s in series:
@@ -248,10 +239,7 @@ class Measurement(ParameterVector):
         return self.of(series).jacobian(series, theta)
 
     def mode_jumps(self, series: Sequence[Series], theta: Array) -> tuple[int, int]:
-        """Number of poses whose det(phi_x) has another sign at theta (n,), and of all.
-
-        Against the nominal poses. 0 where the machine is redundant, which has no such sign.
-        """
+        """Poses whose det(phi_x) turns its sign at theta (n,), and of all."""
         kinematics, nominal = self.kinematics, self.machine.nominal
         p = theta[: len(nominal)]
         jumps = count = 0

@@ -411,10 +411,7 @@ class Kinematics:
 
     # -- tool frame and pose errors ----------------------------------------------------
     def frames(self, x: Array, tool: Array) -> tuple[Array, Array, Array]:
-        """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx).
-
-        The twist slope is that of [tool point, rotation vector] over x, base frame.
-        """
+        """Rotation (n, 3, 3), tool point (n, 3), twist slope (n, 6, nx)."""
         rotation, tip, twist = self._frame(x, tool)
         return rotation, tip, twist
 

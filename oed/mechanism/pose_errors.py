@@ -50,10 +50,7 @@ def pose_error(
 def twist_between(
     rotation: Array, point: Array, other_rotation: Array, other_point: Array
 ) -> Array:
-    """Displacement (..., 6) from frames to others: [points, rotation vector].
-
-    Rotations (..., 3, 3), points (..., 3), all in the base frame.
-    """
+    """Displacement (..., 6) from frames (..., 3, 3), (..., 3) to others, base frame."""
     from scipy.spatial.transform import Rotation  # kinematics alone need none
 
     turn = other_rotation @ np.swapaxes(rotation, -1, -2)

@@ -374,10 +374,7 @@ class Machine:
         return names.index(name)
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> Machine:
-        """The same machine with another parameter table: same names, same order.
-
-        Raises ValueError for other names.
-        """
+        """The machine with another table of its names. Raises ValueError."""
         if [p.name for p in parameters] != [p.name for p in self.parameters]:
             raise ValueError(
                 f"machine {self.name}: a new parameter table must keep names and order"
@@ -412,10 +409,7 @@ class Machine:
     def out_of_range(
         self, command: Array, tool: Sequence[float] = NO_SHIFT
     ) -> list[tuple[int, str, float, float, float]]:
-        """Commands (n, n_dof) outside the workspace of a tool.
-
-        Each is (row, coordinate, value, lower, upper), coordinate by coordinate.
-        """
+        """Commands outside a tool's workspace: row, name, value and ends."""
         return _outside(command, self.workspace(tool))
 
     def joints_out_of_range(

@@ -61,10 +61,7 @@ class Noise:
         return self if factor == 1.0 else Noise(self.sigma * factor)
 
     def split_common(self) -> tuple[Noise, Array]:
-        """Noise that is independent between runs, and what all readings share beside it.
-
-        The latter as columns (N, k), SI, per standard deviation of each.
-        """
+        """Noise independent between runs, and what all share (N, k), SI."""
         return self, np.zeros((len(self.sigma), 0))
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:

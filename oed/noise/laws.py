@@ -237,10 +237,7 @@ class NoiseLaw:
         return LinearFactor(self.errors(structure, rows))
 
     def describe(self, longest: float = np.inf) -> tuple[str, ...]:
-        """The law in sentences.
-
-        longest  number of readings of the longest run
-        """
+        """The law in sentences, for a longest run of so many readings."""
         sentences = [
             f"single readings scatter by {self.level:.2g} times the stated noise"
         ]
@@ -274,10 +271,7 @@ class NoiseLaw:
 
 
 def reach_phrase(reach: float, longest: float) -> str:
-    """How far an error is correlated along a run, as far as its readings can show it.
-
-    reach, longest  in readings; of the error, and of the longest run
-    """
+    """How far an error is correlated along a run, in readings, as far as seen."""
     if reach > 0.5 * longest:
         return f"over whole runs of up to {longest:.0f} readings"
     if reach < 1.5:

@@ -96,10 +96,7 @@ class ReadingStructure:
 
     @functools.cached_property
     def steps(self) -> Array:
-        """Distance (C, T) of each reading from the one before in its chain, readings.
-
-        Infinite for the first of a chain, and where there is no reading.
-        """
+        """Distance (C, T) in readings from the one before in a chain, or inf."""
         position = np.full(self.shape, np.nan)
         position[self.slot] = self.position
         steps = np.diff(position, axis=1, prepend=np.nan)

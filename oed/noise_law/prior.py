@@ -233,10 +233,7 @@ def heavy_scale(u: Array) -> Array:
 
 
 def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
-    """Log density (n,) of scales of the noise, over that of the stated one.
-
-    The inverse of `heavy_scale` is the real root of a cubic.
-    """
+    """Log density (n,) of scales over the stated noise, by `heavy_scale`."""
     if is_assumed:
         return -0.5 * (np.log(scale) / ASSUMED_SCALE_SD) ** 2
     half = np.log(scale) / SCALE_SD

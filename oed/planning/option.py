@@ -78,10 +78,7 @@ class Option:
 
     @cached_property
     def first_channel_jacobian(self) -> Array:
-        """Jacobian (readings, n) of each reading's first channel, SI over tolerance.
-
-        Over machine, effects and set-ups. The travel limits the first channel.
-        """
+        """Jacobian (readings, n) of first channels, SI over tolerance."""
         measurement, nuisances = self.measurement, self.candidates.nuisances
         jacobian = self.jacobian[self._first_numbers] * measurement.tolerance
         of_parameters = jacobian[:, measurement.free]

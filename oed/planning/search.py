@@ -561,10 +561,7 @@ class PlanningTask:
 
     @cached_property
     def start(self) -> Array:
-        """Covariance (n, n) of parameters and effects before, in units of tolerances.
-
-        What earlier readings told of effects is not known to the plan.
-        """
+        """Covariance (n, n) before, in tolerances, effects as unknown."""
         covariance = np.eye(self.all_components.parameters)
         if self.known is not None:
             count = len(self.known)

@@ -87,10 +87,7 @@ class Belief:
         return np.flatnonzero(missed).tolist()
 
     def best_candidate(self, blocks: Array, limits: Array | None = None) -> int:
-        """The candidate of (C, k, n) that lowers the components' variances most.
-
-        limits  (K,) wanted standard deviations, NaN where none is; see `_scores`
-        """
+        """The candidate (C, k, n) of least variances by limits (K,)."""
         return int(np.argmin(_scores(self.variances_after(blocks), limits)))
 
     def best_remaining(

@@ -320,10 +320,7 @@ class LogDensity:
         )
 
     def starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Points (count, dimensions) from the Laplace approximation, within bounds.
-
-        Raises OutOfBoundsError where there are hardly any.
-        """
+        """Points (count, dimensions) within bounds, or OutOfBoundsError."""
         points = (
             self.centre + rng.standard_normal((count, self.dimensions)) @ self.root.T
         )
@@ -495,10 +492,7 @@ def draw_approximation(
 def draw_coordinates(
     estimate: Estimate, rng: np.random.Generator, count: int
 ) -> tuple[Array, Array, Array]:
-    """Draws of z (m, r), of the law's coordinates (m, d), of effects (m, k).
-
-    With effects, those that were drawn with them, in a drawn order.
-    """
+    """Draws of z (m, r), of law coordinates (m, d), of effects (m, k), as drawn."""
     posterior = estimate.noise_posterior
     none = np.zeros((count, 0))
     if estimate.effects is not None and posterior is not None:

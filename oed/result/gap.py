@@ -472,10 +472,7 @@ class GapSection(Record, frozen=True):
 
     @property
     def effect_likely(self) -> bool:
-        """Whether an effect is reported, and more likely acts than not.
-
-        One that is less likely is a reason to read again, and none to correct it.
-        """
+        """Whether an effect is reported, and more likely acts than not."""
         return self.effect_reported and self.visible_probability > self.EVEN_PROBABILITY
 
 

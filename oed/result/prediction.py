@@ -328,10 +328,7 @@ class ComponentAccuracy(Record, frozen=True):
 
     @property
     def judged(self) -> SpreadRecord:
-        """What is compared with the wanted accuracy.
-
-        Of a component that no drive corrects, the unknown part, as criteria judge it.
-        """
+        """What is compared with the wanted accuracy: of no drive, unknown."""
         return self.after if self.compensatable else self.known
 
 

@@ -239,10 +239,7 @@ class Suspect:
         return values
 
     def bases(self, values: Mask) -> dict[str, Array]:
-        """Readings (N,) that some values may be deviations from, in words; NaN for none.
-
-        The nominal machine's where they are not those of the instrument's length.
-        """
+        """Readings (N,) that some values may deviate from, in words; or NaN."""
         bases = {}
         if np.isfinite(self.length[values]).any():
             bases["the nominal length"] = self.length

@@ -126,10 +126,7 @@ class Determinant(Criterion):
         return value * self.size + self.log_volume
 
     def restrict(self, basis: Array) -> Criterion:
-        """The directions of interest that lie in the basis.
-
-        For D the basis need not be orthonormal.
-        """
+        """Directions of interest in the basis, which for D may be any."""
         directions = basis.shape[1]
         if self.interest is None:
             volume = self.log_volume - log_det_of_gram(basis)

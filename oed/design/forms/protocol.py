@@ -91,10 +91,7 @@ class Criterion(abc.ABC):
 
     @abc.abstractmethod
     def conventional_value(self, value: float, readings: int) -> float:
-        """The criterion from log phi, as tables state it: log det M, kappa.
-
-        Variances (A, c, I, G) have a minus sign: more is better.
-        """
+        """The criterion from log phi, as tables state it; variances negative."""
 
     def support(self, m: Array) -> Support:
         """Supporting line at M, positive definite.
@@ -105,10 +102,7 @@ class Criterion(abc.ABC):
         raise ValueError(f"{self.name} has no supporting line")
 
     def curvature(self, m: Array, blocks: Array) -> Array:
-        """-d2 log phi / dw_i dw_j (C, C) for M + sum w_i X_i^T X_i; semidefinite.
-
-        Raises ValueError where the criterion is not smooth.
-        """
+        """-d2 log phi / dw_i dw_j (C, C). Raises ValueError if not smooth."""
         raise ValueError(f"{self.name} is not smooth: follow its continuation")
 
     def values_after_adding(self, m: Array, blocks: Array) -> Array:
@@ -140,10 +134,7 @@ class Criterion(abc.ABC):
         """The same criterion of B^T M B, for an orthonormal basis B (n, r)."""
 
     def profile_others(self, columns: Index, total: int) -> Criterion:
-        """The same criterion of some of `total` columns, the others profiled out.
-
-        Raises ValueError where it has no profiling.
-        """
+        """The criterion of some of `total` columns. Raises ValueError."""
         raise ValueError(f"{self.name} does not profile out other columns")
 
     def continuation(self) -> tuple[Criterion, ...]:

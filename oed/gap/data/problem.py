@@ -231,10 +231,7 @@ def _exact_series(
 
 
 def untestable(effect: Effect, states: Sequence[State]) -> str | None:
-    """Why these readings cannot test an effect; None where they can.
-
-    The reason is what is missing, in words.
-    """
+    """What these readings lack to test an effect, in words; None where they can."""
     reason = effect.unfit(states[0].machine)
     if reason is not None:
         return reason
@@ -319,10 +316,7 @@ class GapProblem:
     def signature(
         self, effect: Effect, constants: Mapping[str, float], *, textbook: bool = False
     ) -> Signature:
-        """An effect's signature in these readings at its constants, SI.
-
-        `textbook` leaves out the columns that only let the form adapt.
-        """
+        """An effect's signature at its constants, SI, whole or `textbook`."""
         return signature(
             effect,
             constants,

@@ -470,10 +470,7 @@ def _owner(series: Series) -> Index:
 
 # -- phase along runs ------------------------------------------------------------------
 def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
-    """Phase (m,) of each pose along its run, rad.
-
-    It is 0 at the poses `taught` and in runs too short to have one.
-    """
+    """Phase (m,) along the run, rad; 0 at `taught` poses and in short runs."""
     phase = np.zeros(len(tip))
     moving = np.setdiff1d(np.arange(len(tip)), taught)
     for members in rows_by_label(run[moving]):
