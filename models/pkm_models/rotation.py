@@ -1,7 +1,5 @@
 """Rotations as CasADi expressions, smooth over the whole working range; directions across."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

@@ -4,8 +4,6 @@ The functions evaluate start values, equations and slopes. Newton's method over 
 the same for all machines, and no part of the generated text.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """CasADi expressions derived from a machine's closure: pose slopes, struts, misfit."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence

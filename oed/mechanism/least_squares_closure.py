@@ -5,8 +5,6 @@ closure's equations together with those that hold the command. What remains of a
 equation is by how much it cannot be met.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import scipy  # its parts load when first used

@@ -11,7 +11,7 @@ import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -92,7 +92,14 @@ class CommonTolerance:
     correlation: float | tuple[tuple[float, ...], ...]
 
 
-Expr = Any  #: A CasADi SX expression (CasADi ships no type stubs).
+if TYPE_CHECKING:
+    Expr = Any  # CasADi ships no type stubs
+else:
+
+    class Expr:
+        """A CasADi SX expression, as signatures name it."""
+
+
 #: Expressions or numbers by the name of their coordinate or parameter.
 Values = Mapping[str, Expr]
 Strut = tuple[Expr, Expr]  #: Ends of a strut, at the base and at the platform.

@@ -10,8 +10,6 @@ Tian et al. (2016), Eqs. (8)-(12). Two ways to know where the table cup is:
                are unknown (row n^T [A_r,jk, -E]).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -17,8 +17,6 @@ What they hide: the plate hides motions of the machine as a whole; distances hid
 as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

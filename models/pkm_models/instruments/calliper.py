@@ -4,8 +4,6 @@ has been.
 The first row of a run is its reference pose; each later row is the distance from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

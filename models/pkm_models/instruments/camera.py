@@ -12,8 +12,6 @@ defines x, y and z. What a free registration hides: every motion of the machine 
 whole (its base joints together), which only the tolerances hold.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -12,8 +12,6 @@ which the probe triggers, over a bed of known slopes,
     y = z + offset - bed_slope_x x_t - bed_slope_y y_t.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -35,8 +35,6 @@ the sliders' true heights, the joints q, are known, whatever the machine's own s
 show. A readings file gives them as q1_mm, q2_mm, q3_mm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import casadi as ca

@@ -26,8 +26,6 @@ gauge in a collet over a clean table is mounted in five minutes; a reading takes
 as the head takes to settle, six seconds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from oed.instrument import Channel, Cost, Frame, Instrument, Setting

@@ -30,8 +30,6 @@ half of it, and for an edge of 0.4 m with a dial gauge of 1 um division at both 
 urad (0.5 arcsec) for an autocollimator.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca

@@ -22,8 +22,6 @@ Noise, one standard deviation: 5 urad for an encoder ring of one arcsecond, 1 um
 linear scale; a lock repeats to 20 urad or 5 um, its play and its yielding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from oed.instrument import Channel, Cost, Frame, Instrument, Setting

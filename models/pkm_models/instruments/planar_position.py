@@ -10,8 +10,6 @@ Its noise is that of a grid encoder or a calibrated camera, 0.05 mm; the toleran
 mm and 10 mrad, are those of an instrument put down by hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

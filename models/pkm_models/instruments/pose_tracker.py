@@ -15,8 +15,6 @@ target some 2 m away; the registration's tolerances, 0.05 mm and 0.05 mrad, are 
 a fit to a few reference points of the base.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

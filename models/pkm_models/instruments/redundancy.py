@@ -19,8 +19,6 @@ they are.
 the diagonal of their squares, the covariance of g is N^T D N / m.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ it, with R a small rotation and `about` a known point (a gimbal's centre), so th
 and turn are as independent as they can be.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 
 from oed.instrument import Channel

@@ -24,8 +24,6 @@ um/m of air and alignment over the 3 m line, and resolution), micrometer 3 um (a
 gauge of 1 um division on a ground ruler).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from oed.instrument import Channel, Cost, Frame, Instrument

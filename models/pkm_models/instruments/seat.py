@@ -16,8 +16,6 @@ move with its tool point held.
 Noise, one standard deviation: 1 um, the repeatability of a magnetic seat of three balls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

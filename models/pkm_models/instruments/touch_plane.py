@@ -13,8 +13,6 @@ measurement is the joints recorded at the touches; files need no column for `off
 Noise, one standard deviation: 1 um, trigger and flatness of a small plate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

@@ -11,8 +11,6 @@ The pose is the reference tool point, tilt (rx, ry) = theta (cos psi, sin psi) a
 = psi + phi.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

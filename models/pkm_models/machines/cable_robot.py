@@ -23,8 +23,6 @@ hp_mark_adjusted at 790dca2, simulation.py: gear 255/20, folds 2, 2, 2, 4, build
 mm; 1 mm), anchors as "rough approximations from manual measuring" (50 mm).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -17,8 +17,6 @@ Geometry (`[machine.geometry]`): radius, arm, angle, endstop, lean and tip, each
 number for all towers or one for each; print_radius and print_height, the workspace.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

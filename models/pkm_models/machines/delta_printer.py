@@ -17,8 +17,6 @@ reads that; the nozzle, at the effector's origin, does not. Tilts count from the
 bed, where trigger heights are measured: there R is 1.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 
 from oed.model import Expr, Parameter, Start, Values

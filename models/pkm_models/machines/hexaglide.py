@@ -19,8 +19,6 @@ No parameter is held: a pose read in a known frame sees the guides' common place
 a free frame would hide.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

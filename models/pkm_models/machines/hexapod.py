@@ -14,8 +14,6 @@ Tolerances: joints 0.3 mm, legs' zeros 0.5 mm. No parameter is held: a pose read
 known frame sees the base joints' common place, which a free frame would hide.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

@@ -9,8 +9,6 @@ IEEE ICRA 1993, 114-120. Geometry (`[machine.geometry]`): base and platform, six
 each; home, reach and tilt of the workspace.
 """
 
-from __future__ import annotations
-
 import math
 
 from oed.model import Dimension, Expr, Family, Machine, Start, Values

@@ -11,8 +11,6 @@ at which the endstop triggers. The arm keeps tool and carriage at distance arm_i
 and the tool is the lower of the two points that satisfy it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

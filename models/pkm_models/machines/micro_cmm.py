@@ -16,8 +16,6 @@ the text that we have, do not solve (3)-(5): see docs/errata.md, and `direct` fo
 that do.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

@@ -12,8 +12,6 @@ Geometry (`[machine.geometry]`): guide, direction, strut and side of each limb; 
 reach of the workspace. A guide's point along its direction is the zero of its scale.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.model import Expr, Family, Machine, Values

@@ -11,8 +11,6 @@ is none of the pose. Geometry (`[machine.geometry]`): base, height and radius of
 home, reach and tilt of the workspace.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

@@ -15,8 +15,6 @@ Tolerances: the paper gives none. These make a machine of the size of the one it
 from, whose deviations along horizontal lines were up to 1.6 mm in y and 1.7 mm in z.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

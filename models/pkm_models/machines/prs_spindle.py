@@ -21,8 +21,6 @@ Rx(alpha) Ry(beta) Rz(gamma). The paper prints no heights; a z that moves all sl
 together changes nothing of the geometry.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -12,8 +12,6 @@ these equations see five, whatever is measured and at however many poses. `prs_s
 has the full closure; this machine is for comparison with the paper.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 from oed.model import Expr, Values

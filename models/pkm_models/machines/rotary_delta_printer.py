@@ -11,8 +11,6 @@ RepRapFirmware. One radius moves all shoulders, and an angle turns the axis with
 the family `rotary_delta` has each shoulder's place and axis as numbers of their own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -15,8 +15,6 @@ manipulability analysis and closed-loop direct kinematics algorithm, Robotica 17
 first_axis, the direction of n_1 about z from x; home and reach of the workspace.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

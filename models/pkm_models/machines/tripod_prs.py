@@ -12,8 +12,6 @@ Commanded are z of the tool point and the tilt vector rx, ry. Geometry
 limb; home, reach and tilt of the workspace.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

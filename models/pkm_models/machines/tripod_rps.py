@@ -11,8 +11,6 @@ tool point and the tilt vector rx, ry; x, y and spin follow. Geometry
 (`[machine.geometry]`): base, axis and platform, one for each leg; home, reach, tilt.
 """
 
-from __future__ import annotations
-
 import math
 
 from oed.base import Array

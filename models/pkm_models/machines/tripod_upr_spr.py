@@ -17,8 +17,6 @@ Mechanisms and Robotics 12, 2020, 021109, without the offsets. Geometry
 line along x, and a_1 and a_2 have the same y; home and reach of the workspace.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

@@ -15,8 +15,6 @@ wrist_point and wrist_axis, one of each axis, from the tool point at angles 0; h
 the tool's tilt at home; tilt, how far it goes either way from that.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

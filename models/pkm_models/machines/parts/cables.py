@@ -11,8 +11,6 @@ More cables than coordinates are redundant: see `oed.mechanism.kinematics` for w
 machine settles.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

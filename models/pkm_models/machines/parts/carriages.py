@@ -1,7 +1,5 @@
 """Struts of fixed length on carriages: what hexapods and tripods of this kind share."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable

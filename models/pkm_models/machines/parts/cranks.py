@@ -8,8 +8,6 @@ with u_i the direction of the crank at angle 0, and the strut runs from there to
 platform's joint.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

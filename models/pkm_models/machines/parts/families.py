@@ -1,7 +1,5 @@
 """What families of machines have in common: geometry by table, ranges, points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

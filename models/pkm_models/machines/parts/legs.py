@@ -1,7 +1,5 @@
 """What the families with six coordinates of a platform have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

@@ -9,8 +9,6 @@ is fixed in the base frame, and r is a direction square to it, as of an upright 
 towards it. A hinge has the first alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

@@ -2,8 +2,6 @@
 point, tilt and spin.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

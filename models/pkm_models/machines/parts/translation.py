@@ -1,7 +1,5 @@
 """What machines share whose platform only translates, held by parallelograms or a point."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
